@@ -1,0 +1,1 @@
+"""Accord: the labelling service around mapt."""

@@ -1,0 +1,1 @@
+"""MAPT: preference learning and training for teams of agents, as a library."""
