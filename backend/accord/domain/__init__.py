@@ -1,0 +1,1 @@
+"""Words, rules and errors of Accord. Imports the standard library alone."""

@@ -1,0 +1,224 @@
+"""Everything that can go wrong and has a name.
+
+    AccordError
+    ├── Unauthenticated               who are you?
+    ├── Forbidden                     you may not
+    │   └── ReturnsHidden
+    ├── NotFound                      there is no such thing
+    │   ├── ExperimentNotFound, QueryNotFound, ClipNotFound, LabelNotFound,
+    │   └── RewardVersionNotFound, SegmentNotFound, UserNotFound, CheckpointNotFound
+    ├── WrongState                    it is there, but not in the state this needs
+    │   ├── ExperimentNotActive, QueryClosed, LabelConflict, NameTaken
+    ├── LeaseLost                     you held it once, or never
+    ├── Invalid                       what was sent cannot mean anything
+    │   ├── InvalidLabel, InvalidId, InvalidExperiment, UnknownTask, BodyTooLarge
+    ├── TooManyRequests
+    └── Unavailable                   this machine cannot do it now; says how to mend it
+        ├── DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable, PortInUse, BlobMissing
+
+Nothing here knows of HTTP: `accord.api.errors` maps a class to a status. `code` is stable and part of the
+public API; the message is a sentence that says what was wrong and what to do.
+"""
+
+from typing import ClassVar
+
+
+class AccordError(Exception):
+    """The root. Every subclass names its `code`."""
+
+    code: ClassVar[str] = "error"
+
+
+class Unauthenticated(AccordError):
+    """Sign in: send `Authorization: Bearer <token>`, or open a sign-in link in the browser."""
+
+    code = "unauthenticated"
+
+    def __init__(self, message: str | None = None) -> None:
+        super().__init__(message or type(self).__doc__)
+
+
+class Forbidden(AccordError):
+    """The signed-in user's role does not allow this."""
+
+    code = "forbidden"
+
+
+class ReturnsHidden(Forbidden):
+    """True rewards and returns are for researchers and scripted teachers, never for labellers."""
+
+    code = "returns_hidden"
+
+    def __init__(self) -> None:
+        super().__init__(type(self).__doc__)
+
+
+class NotFound(AccordError):
+    """There is no such thing, or it is of another experiment."""
+
+    code = "not_found"
+    thing: ClassVar[str] = "object"
+
+    def __init__(self, id: str) -> None:
+        super().__init__(f"There is no {self.thing} {id!r}. Check the id, and that it is of this experiment.")
+        self.id = id
+
+
+class ExperimentNotFound(NotFound):
+    code = "experiment_not_found"
+    thing = "experiment"
+
+
+class SegmentNotFound(NotFound):
+    code = "segment_not_found"
+    thing = "segment"
+
+
+class QueryNotFound(NotFound):
+    code = "query_not_found"
+    thing = "query"
+
+
+class ClipNotFound(NotFound):
+    code = "clip_not_found"
+    thing = "clip"
+
+
+class LabelNotFound(NotFound):
+    code = "label_not_found"
+    thing = "label of yours on query"
+
+
+class RewardVersionNotFound(NotFound):
+    code = "reward_version_not_found"
+    thing = "reward version"
+
+
+class CheckpointNotFound(NotFound):
+    code = "checkpoint_not_found"
+    thing = "policy checkpoint"
+
+
+class UserNotFound(NotFound):
+    code = "user_not_found"
+    thing = "user"
+
+
+class WrongState(AccordError):
+    """It exists, but is not in the state that this needs."""
+
+    code = "wrong_state"
+
+
+class ExperimentNotActive(WrongState):
+    code = "experiment_not_active"
+
+    def __init__(self, id: str, status: str, wanted: str) -> None:
+        super().__init__(f"Experiment {id!r} is {status}; this needs one that is {wanted}.")
+
+
+class QueryClosed(WrongState):
+    code = "query_closed"
+
+    def __init__(self, id: str) -> None:
+        super().__init__(f"Query {id!r} has all its labels already. Ask for the next query.")
+
+
+class LabelConflict(WrongState):
+    code = "label_conflict"
+
+
+class NameTaken(WrongState):
+    code = "name_taken"
+
+
+class LeaseLost(AccordError):
+    """The lease on a query is gone: expired, or held by another."""
+
+    code = "lease_lost"
+
+    def __init__(self, id: str) -> None:
+        super().__init__(f"You hold no lease on query {id!r}: it expired or is another's. Ask for the next query.")
+
+
+class Invalid(AccordError):
+    """What was sent cannot mean anything."""
+
+    code = "invalid"
+
+
+class InvalidLabel(Invalid):
+    code = "invalid_label"
+
+    def __init__(self, value: object) -> None:
+        super().__init__(
+            f"A label is 1 (segment 0 is better), 0 (segment 1 is better) or 0.5 (equal), not {value!r}. "
+            "To pass over a query, skip it."
+        )
+
+
+class InvalidId(Invalid):
+    code = "invalid_id"
+
+    def __init__(self, id: str, prefix: str) -> None:
+        super().__init__(f"{id!r} is no id: one looks like {prefix}_019a3c5e7d1f0a1b2c3d4e5f.")
+
+
+class InvalidExperiment(Invalid):
+    code = "invalid_experiment"
+
+
+class UnknownTask(Invalid):
+    code = "unknown_task"
+
+    def __init__(self, name: str, known: tuple[str, ...]) -> None:
+        super().__init__(f"There is no task {name!r}. The tasks are: {', '.join(known)}.")
+
+
+class BodyTooLarge(AccordError):
+    code = "body_too_large"
+
+    def __init__(self, limit_bytes: int) -> None:
+        super().__init__(f"The body is larger than {limit_bytes} bytes. Send labels in smaller batches.")
+
+
+class TooManyRequests(AccordError):
+    code = "too_many_requests"
+
+    def __init__(self, message: str, retry_after_seconds: float) -> None:
+        super().__init__(message)
+        self.retry_after_seconds = retry_after_seconds
+
+
+class Unavailable(AccordError):
+    """This machine cannot do it now. The message says how to mend it."""
+
+    code = "unavailable"
+
+
+class DatabaseTooNew(Unavailable):
+    code = "database_too_new"
+
+
+class DatabaseUnreachable(Unavailable):
+    code = "database_unreachable"
+
+
+class BlobsNotWritable(Unavailable):
+    code = "blobs_not_writable"
+
+
+class BlobMissing(Unavailable):
+    code = "blob_missing"
+
+    def __init__(self, key: str) -> None:
+        super().__init__(f"The blob {key!r} is not in the store. Was its folder moved or emptied?")
+
+
+class PortInUse(Unavailable):
+    code = "port_in_use"
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__(
+            f"{host}:{port} is in use. Stop the program that holds it, or choose another: accord up --port {port + 1}."
+        )

@@ -1,0 +1,82 @@
+"""What a researcher sets when starting an experiment."""
+
+from dataclasses import asdict, dataclass, field
+from typing import Literal
+
+from accord.domain.errors import InvalidExperiment
+from accord.domain.schedule import LabelSchedule
+
+Pacing = Literal["wait", "free"]
+RewardSource = Literal["preferences", "true"]
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentConfig:
+    """Frozen when the experiment is made: every later row can be traced to it."""
+
+    #: a name of `mapt.tasks`, for example HalfCheetah-6x1
+    task: str
+    #: environment steps the policy trains for, counted over all environments
+    total_steps: int = 1_000_000
+    #: T, the steps of a segment; a clip lasts T times the task's step_seconds
+    segment_steps: int = 50
+    #: labels asked for in all
+    label_budget: int = 500
+    #: labels before the first reward version
+    initial_labels: int = 100
+    #: new labels after which the reward worker trains the next version
+    labels_per_version: int = 50
+    #: queries kept open beyond those due, so that a labeller never waits for a clip
+    lookahead_queries: int = 8
+    #: `wait`: the policy halts until due labels are in; `free`: it trains on with the newest version
+    pacing: Pacing = "wait"
+    #: `true` trains the same learner on the task's own reward, as a baseline; it asks for no labels
+    reward_source: RewardSource = "preferences"
+    #: preset of `mapt.rewards`: small or paper
+    reward_preset: str = "small"
+    #: whether every agent gets the mean reward, or each its own
+    credit: Literal["shared", "individual"] = "shared"
+    #: whether clips are made for every query; a scripted teacher alone needs none
+    render_clips: bool = True
+    #: fields of `mapt.policies.MappoConfig` that differ from its defaults
+    policy: dict[str, int | float | bool | str] = field(default_factory=dict[str, "int | float | bool | str"])
+    #: auto, cpu or cuda
+    device: str = "auto"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Checks what can be checked without the task.
+
+        Raises:
+            InvalidExperiment: naming the setting, its value and what would do.
+        """
+        for name, low, high in (
+            ("total_steps", 1, 10**12),
+            ("segment_steps", 2, 10_000),
+            ("label_budget", 0, 10**7),
+            ("labels_per_version", 1, 10**6),
+            ("lookahead_queries", 1, 1000),
+            ("seed", 0, 2**31 - 1),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InvalidExperiment(f"{name} is {value}; it must be from {low} to {high}.")
+        if self.reward_source == "preferences" and not 2 <= self.initial_labels <= self.label_budget:
+            raise InvalidExperiment(
+                f"initial_labels is {self.initial_labels}; it must be from 2 to label_budget ({self.label_budget})."
+            )
+
+    def check_horizon(self, horizon_steps: int) -> None:
+        """Raises InvalidExperiment if a segment would not fit into an episode."""
+        if self.segment_steps > horizon_steps:
+            raise InvalidExperiment(
+                f"segment_steps is {self.segment_steps}, but an episode of {self.task} lasts {horizon_steps} steps. "
+                f"Choose at most {horizon_steps}."
+            )
+
+    @property
+    def schedule(self) -> LabelSchedule:
+        return LabelSchedule(self.label_budget, self.initial_labels, self.total_steps)
+
+    def to_dict(self) -> dict[str, object]:
+        return asdict(self)

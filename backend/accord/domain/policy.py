@@ -1,0 +1,41 @@
+"""Who may do what: pure predicates over roles."""
+
+from accord.domain.errors import Forbidden, ReturnsHidden
+from accord.domain.words import Role
+
+_SEES_RETURNS = frozenset({Role.TEACHER, Role.RESEARCHER, Role.ADMIN})
+_RUNS_EXPERIMENTS = frozenset({Role.RESEARCHER, Role.ADMIN})
+_LABELS = frozenset(Role)
+_LABELS_IN_BATCHES = frozenset({Role.TEACHER, Role.RESEARCHER, Role.ADMIN})
+
+
+def may_see_returns(role: Role) -> bool:
+    return role in _SEES_RETURNS
+
+
+def may_run_experiments(role: Role) -> bool:
+    return role in _RUNS_EXPERIMENTS
+
+
+def may_label(role: Role) -> bool:
+    return role in _LABELS
+
+
+def may_label_in_batches(role: Role) -> bool:
+    return role in _LABELS_IN_BATCHES
+
+
+def may_manage_users(role: Role) -> bool:
+    return role is Role.ADMIN
+
+
+def require_returns(role: Role) -> None:
+    """Raises ReturnsHidden unless `role` may see true returns."""
+    if not may_see_returns(role):
+        raise ReturnsHidden
+
+
+def require(allowed: bool, role: Role, doing: str) -> None:
+    """Raises Forbidden, in words a person understands, unless `allowed`."""
+    if not allowed:
+        raise Forbidden(f"A {role} may not {doing}. Ask an admin for a token with another role.")
