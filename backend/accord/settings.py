@@ -17,17 +17,23 @@ class Settings(BaseSettings):
     host: str = Field(default="127.0.0.1", description="Address the server listens on.")
     port: int = Field(default=8000, ge=0, le=65535, description="Port the server listens on; 0 means any free one.")
     public_url: str = Field(default="", description="URL of sign-in links when the server is behind a proxy.")
-    lease_seconds: float = Field(default=60.0, gt=0, description="How long a query stays with a labeller who is silent.")
+    lease_seconds: float = Field(
+        default=60.0, gt=0, description="How long a query stays with a labeller who is silent."
+    )
     max_body_bytes: int = Field(default=2_000_000, gt=0, description="Largest request body.")
     poll_seconds: float = Field(default=0.25, gt=0, description="Pause of a worker that found nothing to do.")
     worker_lease_seconds: float = Field(
-        default=20.0, gt=0, description="After this long without a heartbeat a worker's claim is another's to take."
+        default=20.0,
+        gt=0,
+        description="After this long without a heartbeat a worker's claim is another's to take.",
     )
     render_workers: int = Field(default=1, ge=0, description="Render processes that `accord up` keeps running.")
     reward_workers: int = Field(default=1, ge=0, description="Reward processes that `accord up` keeps running.")
     policy_workers: int = Field(default=1, ge=0, description="Policy processes that `accord up` keeps running.")
     render_timeout_seconds: float = Field(default=60.0, gt=0, description="A clip that takes longer is given up.")
-    torch_threads: int = Field(default=2, ge=1, description="Threads of torch in each of the reward and policy workers.")
+    torch_threads: int = Field(
+        default=2, ge=1, description="Threads of torch in each of the reward and policy workers."
+    )
     session_days: float = Field(default=30.0, gt=0, description="How long a browser stays signed in.")
     link_minutes: float = Field(default=60.0, gt=0, description="How long a one-time sign-in link works.")
 

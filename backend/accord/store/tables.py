@@ -1,0 +1,286 @@
+"""The tables. One row is one fact; every arrow of the data's way can be followed backwards.
+
+Identifiers are strings made by `accord.domain.ids`. Times are UTC-aware. A row that names a blob is written
+after the blob, so that a crash leaves an orphan blob and never a row without its data.
+"""
+
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import JSON, DateTime, ForeignKey, Index, String, UniqueConstraint
+from sqlalchemy.engine import Dialect
+from sqlalchemy.orm import DeclarativeBase, Mapped, MappedAsDataclass, mapped_column
+from sqlalchemy.types import TypeDecorator
+
+
+class UtcDateTime(TypeDecorator[datetime]):
+    """Aware in, aware out: SQLite alone would give back a naive time."""
+
+    impl = DateTime(timezone=True)
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        if value is None:
+            return None
+        if value.tzinfo is None:
+            raise ValueError(f"{value!r} has no time zone; use datetime.now(UTC)")
+        return value.astimezone(UTC)
+
+    def process_result_value(self, value: Any, dialect: Dialect) -> datetime | None:
+        if value is None:
+            return None
+        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+
+
+def utc_now() -> datetime:
+    return datetime.now(UTC)
+
+
+class Base(MappedAsDataclass, DeclarativeBase, kw_only=True):
+    type_annotation_map = {datetime: UtcDateTime, dict[str, Any]: JSON}  # noqa: RUF012 (SQLAlchemy's own name)
+
+
+class UserRow(Base):
+    __tablename__ = "users"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    name: Mapped[str] = mapped_column(String(100), unique=True)
+    role: Mapped[str] = mapped_column(String(20))
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
+class TokenRow(Base):
+    """A bearer token, a browser session or a one-time sign-in link; only the SHA-256 of it is kept."""
+
+    __tablename__ = "tokens"
+    hash: Mapped[str] = mapped_column(String(64), primary_key=True)
+    user_id: Mapped[str] = mapped_column(ForeignKey("users.id"), index=True)
+    #: bearer | session | link
+    kind: Mapped[str] = mapped_column(String(10))
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    expires_at: Mapped[datetime | None] = mapped_column(default=None)
+    used_at: Mapped[datetime | None] = mapped_column(default=None)
+
+
+class ExperimentRow(Base):
+    __tablename__ = "experiments"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200), unique=True)
+    #: ExperimentConfig.to_dict()
+    config: Mapped[dict[str, Any]]
+    #: what a labeller is told: what the team should achieve
+    instructions: Mapped[str]
+    owner_id: Mapped[str] = mapped_column(ForeignKey("users.id"))
+    status: Mapped[str] = mapped_column(String(20), default="running", index=True)
+    phase: Mapped[str] = mapped_column(String(30), default="queued")
+    #: one sentence beside the phase, or the reason of a failure
+    phase_detail: Mapped[str] = mapped_column(default="")
+    #: environment steps the policy has taken
+    steps: Mapped[int] = mapped_column(default=0)
+    #: goes up by one with every label written, changed or undone; a label's revision is taken from it
+    label_revision: Mapped[int] = mapped_column(default=0)
+    #: labels that count: neither skipped nor undone
+    label_count: Mapped[int] = mapped_column(default=0)
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    ended_at: Mapped[datetime | None] = mapped_column(default=None)
+
+
+class PolicyCheckpointRow(Base):
+    __tablename__ = "policy_checkpoints"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), index=True)
+    steps: Mapped[int]
+    iteration: Mapped[int]
+    blob_key: Mapped[str]
+    #: the version whose rewards the last update before this checkpoint used
+    reward_version_id: Mapped[str | None] = mapped_column(ForeignKey("reward_versions.id"))
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
+class SegmentRow(Base):
+    """T consecutive steps of one environment within one episode.
+
+    The blob is safetensors: observations (T,N,C) and actions (T,N,A) float32, rewards (T,) float64 (true ones),
+    qpos (T,nq) and qvel (T,nv) float64, the simulator states in which the actions were taken.
+    """
+
+    __tablename__ = "segments"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), index=True)
+    #: iteration and environment steps of the policy that made it
+    policy_iteration: Mapped[int]
+    policy_steps: Mapped[int]
+    blob_key: Mapped[str]
+    #: T
+    length_steps: Mapped[int]
+    #: sum of true rewards; read by teachers and researchers alone
+    true_return: Mapped[float]
+    #: physics that made the states: they render bit-equal under this version
+    mujoco_version: Mapped[str] = mapped_column(String(20))
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    __table_args__ = (Index("ix_segments_newest", "experiment_id", "policy_steps"),)
+
+
+class ClipRow(Base):
+    """The video of a segment under one set of render settings."""
+
+    __tablename__ = "clips"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), index=True)
+    segment_id: Mapped[str] = mapped_column(ForeignKey("segments.id"), index=True)
+    #: hash of states, model, camera and render settings, the name of the blob; None until rendered
+    cache_key: Mapped[str | None] = mapped_column(String(64), default=None)
+    blob_key: Mapped[str | None] = mapped_column(default=None)
+    status: Mapped[str] = mapped_column(String(10), default="pending", index=True)
+    attempts: Mapped[int] = mapped_column(default=0)
+    #: why it failed
+    detail: Mapped[str] = mapped_column(default="")
+    size_bytes: Mapped[int] = mapped_column(default=0)
+    frames: Mapped[int] = mapped_column(default=0)
+    seconds: Mapped[float] = mapped_column(default=0.0)
+    width: Mapped[int] = mapped_column(default=0)
+    height: Mapped[int] = mapped_column(default=0)
+    #: which render worker is making it, and until when that is believed
+    claimed_by: Mapped[str | None] = mapped_column(String(64), default=None)
+    claimed_until: Mapped[datetime | None] = mapped_column(default=None)
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    __table_args__ = (UniqueConstraint("segment_id"),)
+
+
+class QueryRow(Base):
+    """Two segments to compare. One label closes it."""
+
+    __tablename__ = "queries"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"))
+    segment_0_id: Mapped[str] = mapped_column(ForeignKey("segments.id"))
+    segment_1_id: Mapped[str] = mapped_column(ForeignKey("segments.id"))
+    #: 1, 2, 3, ... within the experiment: the order in which queries are offered
+    number: Mapped[int]
+    status: Mapped[str] = mapped_column(String(10))
+    #: name of the selector that chose it
+    selector: Mapped[str] = mapped_column(String(40))
+    #: the reward version that scored it; None for one chosen without
+    reward_version_id: Mapped[str | None] = mapped_column(ForeignKey("reward_versions.id"), default=None)
+    leased_by: Mapped[str | None] = mapped_column(ForeignKey("users.id"), default=None)
+    leased_until: Mapped[datetime | None] = mapped_column(default=None)
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    __table_args__ = (
+        UniqueConstraint("experiment_id", "number"),
+        UniqueConstraint("experiment_id", "segment_0_id", "segment_1_id"),
+        Index("ix_queries_offered", "experiment_id", "status", "number"),
+    )
+
+
+class PresentationRow(Base):
+    """How a query was shown to one user: drawn once, so that a reload shows the same sides."""
+
+    __tablename__ = "presentations"
+    query_id: Mapped[str] = mapped_column(ForeignKey("queries.id"), primary_key=True)
+    user_id: Mapped[str] = mapped_column(ForeignKey("users.id"), primary_key=True)
+    #: the segment, 0 or 1, that is shown on the left
+    left_segment: Mapped[int]
+    shown_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
+class LabelRow(Base):
+    """The newest word of one teacher on one query. Earlier words are in label_revisions."""
+
+    __tablename__ = "labels"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"))
+    query_id: Mapped[str] = mapped_column(ForeignKey("queries.id"), index=True)
+    user_id: Mapped[str] = mapped_column(ForeignKey("users.id"))
+    #: P(segment 0 is preferred): 1, 0 or 0.5; None when skipped or undone
+    value: Mapped[float | None]
+    #: label | skip | undone
+    state: Mapped[str] = mapped_column(String(10))
+    #: from experiments.label_revision, in the same transaction
+    revision: Mapped[int]
+    #: the segment shown on the left; None for a program, to which nothing was shown
+    left_segment: Mapped[int | None] = mapped_column(default=None)
+    #: from both clips playing to the key, as the page measured it
+    response_seconds: Mapped[float | None] = mapped_column(default=None)
+    #: a scripted teacher's name and parameters
+    teacher: Mapped[dict[str, Any]] = mapped_column(default_factory=dict[str, Any])
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    updated_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    __table_args__ = (
+        UniqueConstraint("query_id", "user_id"),
+        UniqueConstraint("experiment_id", "revision"),
+    )
+
+
+class LabelRevisionRow(Base):
+    """Every word ever said, kept; never updated, never deleted."""
+
+    __tablename__ = "label_revisions"
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), primary_key=True)
+    revision: Mapped[int] = mapped_column(primary_key=True)
+    label_id: Mapped[str] = mapped_column(ForeignKey("labels.id"), index=True)
+    value: Mapped[float | None]
+    state: Mapped[str] = mapped_column(String(10))
+    left_segment: Mapped[int | None] = mapped_column(default=None)
+    response_seconds: Mapped[float | None] = mapped_column(default=None)
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
+class RewardVersionRow(Base):
+    """A trained reward model. Immutable: the next one is another row."""
+
+    __tablename__ = "reward_versions"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"))
+    #: 1, 2, 3, ... within the experiment
+    number: Mapped[int]
+    parent_id: Mapped[str | None] = mapped_column(ForeignKey("reward_versions.id"))
+    #: it was trained on every label with a revision up to this one
+    label_watermark: Mapped[int]
+    label_count: Mapped[int]
+    #: environment steps of the policy when it was published
+    policy_steps: Mapped[int]
+    blob_key: Mapped[str]
+    #: loss, accuracy, holdout_loss, holdout_accuracy, ece, seconds, ...
+    metrics: Mapped[dict[str, Any]]
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    __table_args__ = (UniqueConstraint("experiment_id", "number"),)
+
+
+class MetricRow(Base):
+    """One point of one curve. Written again with the same step, it replaces the point: a resumed run repeats itself."""
+
+    __tablename__ = "metrics"
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True, init=False)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"))
+    name: Mapped[str] = mapped_column(String(60))
+    #: environment steps of the policy
+    step: Mapped[int]
+    value: Mapped[float]
+    #: the reward version in force; None before the first
+    reward_version_id: Mapped[str | None] = mapped_column(ForeignKey("reward_versions.id"), default=None)
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    __table_args__ = (UniqueConstraint("experiment_id", "name", "step"),)
+
+
+class WorkerRow(Base):
+    """A worker process that lives, or did: what the page shows of it."""
+
+    __tablename__ = "workers"
+    #: role and slot, for example policy-0: a restarted process takes its predecessor's row
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    role: Mapped[str] = mapped_column(String(10))
+    pid: Mapped[int]
+    #: starting | idle | working | backing_off | stopped
+    state: Mapped[str] = mapped_column(String(20))
+    detail: Mapped[str] = mapped_column(default="")
+    restarts: Mapped[int] = mapped_column(default=0)
+    started_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    heartbeat_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
+class ClaimRow(Base):
+    """A lease on a piece of work, for example policy:exp_..., held by one worker process."""
+
+    __tablename__ = "claims"
+    subject: Mapped[str] = mapped_column(String(80), primary_key=True)
+    holder: Mapped[str] = mapped_column(String(64))
+    expires_at: Mapped[datetime]
