@@ -1,0 +1,51 @@
+# The same commands for people and for CI. `make run` and `make test` set up what they need.
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+PAGE_SOURCES := $(shell find frontend/src frontend/public frontend/index.html frontend/package-lock.json frontend/vite.config.ts 2>/dev/null)
+
+.PHONY: run test check bench learn format system system-test clean
+
+run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
+	$(BIN)/accord up --example
+
+test: $(INSTALLED) system-test check ## Format, lint, types, import rules, then every test that takes minutes, not hours
+	$(BIN)/python -m pytest -m "not benchmark and not learn"
+
+check: $(INSTALLED) ## Format, lint, types, import rules, the page
+	$(BIN)/ruff format --check backend models tests frontend
+	$(BIN)/ruff check backend models tests frontend
+	$(BIN)/pyright
+	$(BIN)/lint-imports --no-logo
+	cd frontend && PATH="$(abspath $(BIN)):$$PATH" npm run --silent check
+
+format: $(INSTALLED) ## Format Python and TypeScript in place
+	$(BIN)/ruff format backend models tests frontend
+	$(BIN)/ruff check --fix backend models tests frontend
+	cd frontend && PATH="$(abspath $(BIN)):$$PATH" npm run --silent format
+
+bench: $(INSTALLED) ## Every timing, beside its ceiling in the same run
+	$(BIN)/python -m benchmarks
+
+learn: $(INSTALLED) ## The long learning runs behind docs/results.md
+	$(BIN)/python -m pytest -m learn tests/learning --timeout 0
+
+$(INSTALLED): pyproject.toml frontend/hatch_build.py $(PAGE_SOURCES) | system
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	touch $@
+
+system: ## Debian packages that pip cannot bring: EGL, venv
+	@.ci/system-packages run
+
+system-test: ## Those that the tests need besides: a browser
+	@.ci/system-packages test
+
+clean: ## Forget the environment and the built page
+	rm -rf $(VENV) backend/accord/static frontend/node_modules
+
+.PHONY: client
+client: $(INSTALLED) ## Write frontend/openapi.json and the TypeScript client from the API
+	$(BIN)/python -m accord.api.openapi frontend/openapi.json
+	cd frontend && PATH="$(abspath $(BIN)):$$PATH" npm run --silent generate
