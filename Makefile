@@ -26,7 +26,7 @@ format: $(INSTALLED) ## Format Python and TypeScript in place
 	cd frontend && PATH="$(abspath $(BIN)):$$PATH" npm run --silent format
 
 bench: $(INSTALLED) ## Every timing, beside its ceiling in the same run
-	$(BIN)/python -m benchmarks
+	$(BIN)/python tests/benchmarks
 
 learn: $(INSTALLED) ## The long learning runs behind docs/results.md
 	$(BIN)/python -m pytest -m learn tests/learning --timeout 0
