@@ -1,0 +1,117 @@
+"""The seam between tasks and everything above them: E environments stepped at once.
+
+Dimension letters: E environments, N agents, C observation, A action, S state.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class TaskSpec:
+    """What a task is, without an environment of it."""
+
+    #: Name by which the registry knows the task.
+    name: str
+    #: Agents in the team, N.
+    n_agents: int
+    #: Dimension of one agent's observation, C; agents that see less are padded with zeros.
+    observation_dim: int
+    #: Dimension of one agent's action, A, or the number of actions when discrete.
+    action_dim: int
+    #: Dimension of the state of the whole environment, S.
+    state_dim: int
+    #: Steps after which an episode is cut.
+    horizon_steps: int
+    #: Simulated time of one step.
+    step_seconds: float
+    #: One name per agent, in the order of the agent axis.
+    agent_names: tuple[str, ...]
+    #: Dimensions of the simulator's positions and velocities; 0 without a simulator state.
+    nq: int
+    nv: int
+    #: What the team should achieve, in plain words for a labeller.
+    instructions: str
+    #: True when an action is one of `action_dim` choices, given as one-hot.
+    discrete_actions: bool = False
+    #: Continuous actions are meant to lie within plus and minus this.
+    action_limit: float = 1.0
+
+
+@dataclass(slots=True)
+class TaskStep:
+    """What one step of E environments gave.
+
+    Environments that ended were reset: `observations` and `state` belong to their next episode, `final_observations`
+    and `final_state` to the end of the last one. For the others both are the same.
+    """
+
+    #: (E, N, C) float32.
+    observations: NDArray[np.floating]
+    #: (E, S) float32.
+    state: NDArray[np.floating]
+    #: (E,) float64, the task's own reward of the team.
+    reward: NDArray[np.float64]
+    #: (E,) bool: the episode ended in a state without a future.
+    terminated: NDArray[np.bool_]
+    #: (E,) bool: the episode was cut at the horizon; the state still had a future.
+    truncated: NDArray[np.bool_]
+    #: (E, N, C) float32, before any reset.
+    final_observations: NDArray[np.floating]
+    #: (E, S) float32, before any reset.
+    final_state: NDArray[np.floating]
+
+
+class Task(Protocol):
+    """A batch of E environments of one task. Arrays handed out are never written to again."""
+
+    @property
+    def spec(self) -> TaskSpec: ...
+
+    @property
+    def n_envs(self) -> int: ...
+
+    def reset(self, seed: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Start every environment anew; the seed decides all chance until the next reset.
+
+        Returns:
+            observations (E, N, C) and state (E, S).
+        """
+        ...
+
+    def step(self, actions: NDArray[np.floating]) -> TaskStep:
+        """Advance every environment by one step and reset those that ended.
+
+        Args:
+            actions: (E, N, A).
+
+        Raises:
+            InvalidAction: if the shape is another or a number is not finite.
+        """
+        ...
+
+    def simulator_state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Copies of qpos (E, nq) and qvel (E, nv) of the state that the newest observations describe."""
+        ...
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        """Everything that decides the future, physics, elapsed steps and chance, as copies."""
+        ...
+
+    def restore(self, snapshot: dict[str, np.ndarray]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Continue exactly as the task that gave the snapshot would have.
+
+        Returns:
+            observations (E, N, C) and state (E, S) at that moment.
+
+        Raises:
+            InvalidSnapshot: if it was taken from another task or another number of environments.
+        """
+        ...
+
+    def close(self) -> None:
+        """Free what the simulator holds. The task is not used afterwards."""
+        ...

@@ -1,0 +1,192 @@
+"""Batches of cheetahs: starts, resets, snapshots, what agents see and drive."""
+
+import numpy as np
+import pytest
+
+from mapt.tasks import (
+    InvalidAction,
+    InvalidSnapshot,
+    InvalidTaskOption,
+    Task,
+    TaskStep,
+    UnknownTask,
+    agent_geoms,
+    load_model,
+    make_task,
+    task_names,
+    task_spec,
+)
+
+NAME = "HalfCheetah-6x1"
+
+
+def random_actions(task: Task, seed: int, n_steps: int) -> np.ndarray:
+    shape = (n_steps, task.n_envs, task.spec.n_agents, task.spec.action_dim)
+    return np.random.default_rng(seed).uniform(-1, 1, shape).astype(np.float32)
+
+
+def play(task: Task, actions: np.ndarray) -> list[TaskStep]:
+    return [task.step(action) for action in actions]
+
+
+def assert_same_steps(ours: list[TaskStep], theirs: list[TaskStep]) -> None:
+    for one, other in zip(ours, theirs, strict=True):
+        for name in TaskStep.__slots__:
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize("name", task_names())
+@pytest.mark.parametrize("agent_obsk", [0, 1])
+@pytest.mark.parametrize("agent_index", [True, False])
+def test_arrays_have_the_shapes_that_the_spec_promises(name: str, agent_obsk: int, agent_index: bool) -> None:
+    task = make_task(name, 3, agent_obsk=agent_obsk, agent_index=agent_index)
+    spec = task_spec(name, agent_obsk=agent_obsk, agent_index=agent_index)
+    assert task.spec == spec
+    assert len(spec.agent_names) == spec.n_agents
+
+    observations, state = task.reset(0)
+    step = task.step(np.zeros((3, spec.n_agents, spec.action_dim), dtype=np.float32))
+    qpos, qvel = task.simulator_state()
+
+    for array in (observations, step.observations, step.final_observations):
+        assert (array.shape, array.dtype) == ((3, spec.n_agents, spec.observation_dim), np.float32)
+    for array in (state, step.state, step.final_state):
+        assert (array.shape, array.dtype) == ((3, spec.state_dim), np.float32)
+    assert (step.reward.shape, step.reward.dtype) == ((3,), np.float64)
+    assert step.terminated.dtype == step.truncated.dtype == np.bool_
+    assert (qpos.shape, qvel.shape) == ((3, spec.nq), (3, spec.nv))
+
+
+def test_the_model_has_the_sizes_that_the_spec_names() -> None:
+    model = load_model(NAME)
+    assert (model.nq, model.nv) == (task_spec(NAME).nq, task_spec(NAME).nv)
+    assert model.opt.timestep * 5 == pytest.approx(task_spec(NAME).step_seconds)
+
+
+def test_each_agent_carries_its_own_index() -> None:
+    observations, _ = make_task(NAME, 2).reset(0)
+    np.testing.assert_array_equal(observations[:, :, -6:], np.broadcast_to(np.eye(6), (2, 6, 6)))
+
+
+def test_a_seed_decides_the_episodes_and_another_seed_gives_others() -> None:
+    first, second, third = (make_task(NAME, 4) for _ in range(3))
+    start = first.reset(5)[0]
+    np.testing.assert_array_equal(start, second.reset(5)[0])
+    assert not np.array_equal(start, third.reset(6)[0])
+    assert len(np.unique(start[:, 0, 0])) == 4
+    actions = random_actions(first, 0, 20)
+    assert_same_steps(play(first, actions), play(second, actions))
+
+
+def test_the_number_of_threads_changes_nothing() -> None:
+    one, two = make_task(NAME, 5, n_threads=1), make_task(NAME, 5, n_threads=2)
+    one.reset(0)
+    two.reset(0)
+    actions = random_actions(one, 1, 50)
+    assert_same_steps(play(one, actions), play(two, actions))
+
+
+def test_starts_are_spread_as_the_reset_noise_says() -> None:
+    task = make_task(NAME, 4_000)
+    task.reset(0)
+    qpos, qvel = task.simulator_state()
+    assert np.abs(qpos).max() <= 0.1
+    assert qpos.std() == pytest.approx(0.1 / np.sqrt(3), rel=0.02)
+    assert qvel.std() == pytest.approx(0.1, rel=0.02)
+
+
+def test_an_episode_is_cut_at_the_horizon_and_the_next_starts_by_itself() -> None:
+    task = make_task(NAME, 2)
+    task.reset(0)
+    actions = random_actions(task, 2, 2_000)
+    steps = play(task, actions)
+    cut = [t for t, step in enumerate(steps) if step.truncated.any()]
+    assert cut == [999, 1999]
+    assert all(steps[t].truncated.all() and not steps[t].terminated.any() for t in cut)
+    # Fresh starts are near rest; the ends of episodes of random torques are not.
+    assert np.abs(steps[999].state).max() < 0.6
+    assert np.abs(steps[999].final_state).max() > 0.6
+    np.testing.assert_array_equal(steps[998].observations, steps[998].final_observations)
+
+
+def test_simulator_state_is_that_of_the_newest_observations() -> None:
+    task = make_task(NAME, 2, dtype=np.float64)
+    task.reset(0)
+    for action in random_actions(task, 3, 1_001):
+        step = task.step(action)
+        qpos, qvel = task.simulator_state()
+        np.testing.assert_array_equal(np.hstack([qpos[:, 1:], qvel]), step.state)
+
+
+@pytest.mark.parametrize("n_steps_before", [0, 1, 7, 993])
+def test_a_restored_task_goes_on_bit_for_bit_through_the_next_reset(n_steps_before: int) -> None:
+    task, other = make_task(NAME, 3), make_task(NAME, 3)
+    task.reset(0)
+    other.reset(99)
+    play(task, random_actions(task, 4, n_steps_before))
+    play(other, random_actions(other, 5, 3))
+    snapshot = task.snapshot()
+    actions = random_actions(task, 6, 1_010)
+    expected = play(task, actions)
+
+    observations, state = other.restore(snapshot)
+
+    qpos, qvel = other.simulator_state()
+    np.testing.assert_array_equal(qpos, snapshot["qpos"])
+    np.testing.assert_array_equal(np.hstack([qpos[:, 1:], qvel]).astype(np.float32), state)
+    assert observations.shape == (3, 6, task.spec.observation_dim)
+    assert_same_steps(play(other, actions), expected)
+
+
+def test_a_snapshot_of_another_batch_is_refused() -> None:
+    snapshot = make_task(NAME, 3).snapshot()
+    with pytest.raises(InvalidSnapshot, match="needs"):
+        make_task(NAME, 4).restore(snapshot)
+    del snapshot["time"]
+    with pytest.raises(InvalidSnapshot):
+        make_task(NAME, 3).restore(snapshot)
+
+
+@pytest.mark.parametrize("shape", [(2, 6), (2, 1, 6), (3, 6, 1), (6, 1)])
+def test_actions_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    task = make_task(NAME, 2)
+    task.reset(0)
+    with pytest.raises(InvalidAction, match="shape"):
+        task.step(np.zeros(shape))
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_an_action_that_is_no_number_is_refused_before_the_physics(number: float) -> None:
+    task = make_task(NAME, 2)
+    task.reset(0)
+    before = task.snapshot()
+    actions = np.zeros((2, 6, 1))
+    actions[1, 3] = number
+    with pytest.raises(InvalidAction, match="finite"):
+        task.step(actions)
+    for name, field in task.snapshot().items():
+        np.testing.assert_array_equal(field, before[name])
+
+
+def test_an_unknown_task_is_answered_with_the_known_ones() -> None:
+    for use in (lambda name: make_task(name, 1), task_spec, load_model, agent_geoms):
+        with pytest.raises(UnknownTask, match="HalfCheetah-2x3, HalfCheetah-6x1"):
+            use("HalfCheetah-7x1")
+
+
+@pytest.mark.parametrize(("n_envs", "n_threads", "agent_obsk"), [(0, 0, 0), (1, -1, 0), (1, 0, -1)])
+def test_options_out_of_range_are_refused(n_envs: int, n_threads: int, agent_obsk: int) -> None:
+    with pytest.raises(InvalidTaskOption, match="or more"):
+        make_task(NAME, n_envs, n_threads=n_threads, agent_obsk=agent_obsk)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        (NAME, [["bthigh"], ["bshin"], ["bfoot"], ["fthigh"], ["fshin"], ["ffoot"]]),
+        ("HalfCheetah-2x3", [["bthigh", "bshin", "bfoot"], ["fthigh", "fshin", "ffoot"]]),
+    ],
+)
+def test_geoms_belong_to_the_agent_that_moves_them(name: str, expected: list[list[str]]) -> None:
+    model = load_model(name)
+    assert [[model.geom(geom).name for geom in geoms] for geoms in agent_geoms(name)] == expected
