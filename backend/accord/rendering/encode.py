@@ -1,0 +1,116 @@
+"""Frames to an H.264 clip that every browser plays, seeks and steps exactly.
+
+PyAV is called directly: imageio's plugin for it has no way to set crf, preset or `faststart`.
+"""
+
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from fractions import Fraction
+from itertools import count
+from pathlib import Path
+
+import av
+import numpy as np
+from av.error import FFmpegError
+from av.video.codeccontext import VideoCodecContext
+from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc, VideoReformatter
+from av.video.stream import VideoStream
+from numpy.typing import NDArray
+
+from accord.rendering.clip import ClipFile
+from accord.rendering.errors import RenderFailed
+from accord.rendering.settings import RenderSettings
+
+CODEC = "libx264"
+PIXEL_FORMAT = "yuv420p"
+PARTIAL_SUFFIX = ".partial"
+
+
+def write_clip(frames: Iterable[NDArray[np.uint8]], path: Path, settings: RenderSettings) -> ClipFile:
+    """Encode frames as they come. The clip appears at `path` complete, or not at all.
+
+    Args:
+        frames: uint8 (H,W,3), RGB, of the settings' size; at least one.
+        path: where the clip goes; its folder exists. A clip that is there is replaced.
+        settings: size, rate and codec.
+
+    Raises:
+        RenderFailed: if the frames are of another size or none, or the encoder or the disk refuses.
+    """
+    try:
+        with partial_file(path) as partial:
+            written = _encode(frames, partial, settings)
+            size_bytes = partial.stat().st_size
+    except (FFmpegError, OSError) as error:
+        raise RenderFailed(f"The clip {path.name} could not be written: {error}") from error
+    seconds = written / settings.frame_rate_hz
+    return ClipFile(path, written, seconds, settings.width, settings.height, size_bytes)
+
+
+@contextmanager
+def partial_file(path: Path) -> Iterator[Path]:
+    """A name beside `path` to write to. It takes the place of `path` at the end, and is removed on any error."""
+    partial = partial_path(path, os.getpid())
+    try:
+        yield partial
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def partial_path(path: Path, pid: int) -> Path:
+    """Where process `pid` writes what will be `path`: for whoever must clean up after it was killed."""
+    return path.with_name(f"{path.name}.{pid}{PARTIAL_SUFFIX}")
+
+
+def _encode(frames: Iterable[NDArray[np.uint8]], path: Path, settings: RenderSettings) -> int:
+    shape = (settings.height, settings.width, 3)
+    # The index goes to the front (`faststart`), so that a browser can play after the first bytes.
+    with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
+        stream = _open_stream(container.add_stream(CODEC, _rate(settings)), settings)
+        reformatter = VideoReformatter()
+        numbers = count()
+        for frame in frames:
+            if frame.shape != shape:
+                raise RenderFailed(f"A frame is {frame.shape}, but the clip is {shape}.")
+            container.mux(stream.encode(_picture(frame, next(numbers), stream, reformatter)))
+        container.mux(stream.encode())
+        written = next(numbers)
+    if written == 0:
+        raise RenderFailed("A clip needs at least one frame.")
+    return written
+
+
+def _open_stream(stream: VideoStream, settings: RenderSettings) -> VideoStream:
+    stream.width, stream.height, stream.pix_fmt = settings.width, settings.height, PIXEL_FORMAT
+    context: VideoCodecContext = stream.codec_context
+    context.time_base = 1 / _rate(settings)
+    # Short groups of pictures and no B-frames: frame k starts at exactly k/rate, and a seek decodes a handful.
+    context.gop_size = settings.codec.keyframe_interval_frames
+    context.max_b_frames = 0
+    # Rendering runs one process a core, so that threads inside the encoder would only contend.
+    context.thread_count = 1
+    # Browsers guess the matrix of an untagged video by its size; tagged, the colours are the legend's.
+    context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
+    context.color_primaries, context.color_trc = ColorPrimaries.BT709, ColorTrc.BT709
+    context.options = {"preset": settings.codec.preset, "crf": str(settings.codec.crf)}
+    return stream
+
+
+def _picture(
+    frame: NDArray[np.uint8], number: int, stream: VideoStream, reformatter: VideoReformatter
+) -> av.VideoFrame:
+    picture = reformatter.reformat(
+        av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24"),
+        format=PIXEL_FORMAT,
+        dst_colorspace=Colorspace.ITU709,
+        dst_color_range=ColorRange.MPEG,
+        threads=1,
+    )
+    picture.pts, picture.time_base = number, stream.codec_context.time_base
+    return picture
+
+
+def _rate(settings: RenderSettings) -> Fraction:
+    return Fraction(settings.frame_rate_hz).limit_denominator(1001)

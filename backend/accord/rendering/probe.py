@@ -1,0 +1,73 @@
+"""Which OpenGL can draw here without a display.
+
+A driver may be missing, broken or hang, so each is tried in a child process that draws one frame.
+"""
+
+import os
+import subprocess
+import sys
+from typing import Literal
+
+from accord.rendering.errors import RenderingUnavailable
+
+Backend = Literal["egl", "osmesa"]
+
+#: in the order of preference
+BACKENDS: tuple[Backend, ...] = ("egl", "osmesa")
+INSTALL = "apt-get install -y --no-install-recommends libegl1 libgl1"
+#: what the child prints when its frame shows what it should
+DREW = "drew a frame"
+#: the first frame takes 1 to 2 s; a busy machine may need ten times that
+PROBE_LIMIT_SECONDS = 60.0
+
+
+def probe_backend(limit_seconds: float = PROBE_LIMIT_SECONDS) -> Backend:
+    """The first of EGL and OSMesa that draws a frame.
+
+    Args:
+        limit_seconds: how long each may take.
+
+    Raises:
+        RenderingUnavailable: if neither does; the message says what each said and what to install.
+    """
+    said: list[str] = []
+    for backend in BACKENDS:
+        failure = try_backend(backend, limit_seconds)
+        if failure is None:
+            return backend
+        said.append(f"{backend}: {failure}")
+    raise RenderingUnavailable(
+        f"No clip can be drawn: no OpenGL works here without a display ({'; '.join(said)}). Install one: {INSTALL}"
+    )
+
+
+def try_backend(backend: Backend, limit_seconds: float) -> str | None:
+    """Draw one frame with this backend in a child process. None if it did, else what went wrong, in a line."""
+    command = [sys.executable, "-P", "-m", "accord.rendering.probe_child"]
+    try:
+        done = subprocess.run(
+            command,
+            env=render_environment(backend),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=limit_seconds,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"no frame in {limit_seconds:g} seconds"
+    if DREW in done.stdout:  # OSMesa draws well and then fails at its exit
+        return None
+    lines = done.stderr.strip().splitlines()
+    return lines[-1] if lines else f"exit status {done.returncode}"
+
+
+def render_environment(backend: Backend) -> dict[str, str]:
+    """The environment for a process that draws: this process's, with what must be set before mujoco's import."""
+    return os.environ | {
+        "MUJOCO_GL": backend,
+        "PYOPENGL_PLATFORM": backend,
+        # Mesa's rasteriser draws in the calling thread: one process a core is faster than threads.
+        "LP_NUM_THREADS": "0",
+    }
