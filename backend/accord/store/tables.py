@@ -7,7 +7,7 @@ after the blob, so that a crash leaves an orphan blob and never a row without it
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import JSON, DateTime, ForeignKey, Index, String, UniqueConstraint
+from sqlalchemy import JSON, BigInteger, DateTime, ForeignKey, Index, Integer, MetaData, String, UniqueConstraint
 from sqlalchemy.engine import Dialect
 from sqlalchemy.orm import DeclarativeBase, Mapped, MappedAsDataclass, mapped_column
 from sqlalchemy.types import TypeDecorator
@@ -37,7 +37,21 @@ def utc_now() -> datetime:
 
 
 class Base(MappedAsDataclass, DeclarativeBase, kw_only=True):
-    type_annotation_map = {datetime: UtcDateTime, dict[str, Any]: JSON}  # noqa: RUF012 (SQLAlchemy's own name)
+    type_annotation_map = {  # noqa: RUF012 (SQLAlchemy's own name)
+        datetime: UtcDateTime,
+        dict[str, Any]: JSON,
+        # steps outgrow 32 bits; SQLite's INTEGER has 64, and it alone makes row ids there
+        int: BigInteger().with_variant(Integer, "sqlite"),
+    }
+    #: constraints with names, so that a later migration can alter them in every database
+    metadata = MetaData(
+        naming_convention={
+            "ix": "ix_%(column_0_label)s",
+            "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+            "fk": "fk_%(table_name)s_%(column_0_name)s",
+            "pk": "pk_%(table_name)s",
+        }
+    )
 
 
 class UserRow(Base):
@@ -105,7 +119,7 @@ class SegmentRow(Base):
 
     __tablename__ = "segments"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
-    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), index=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"))
     #: iteration and environment steps of the policy that made it
     policy_iteration: Mapped[int]
     policy_steps: Mapped[int]
@@ -126,7 +140,7 @@ class ClipRow(Base):
     __tablename__ = "clips"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), index=True)
-    segment_id: Mapped[str] = mapped_column(ForeignKey("segments.id"), index=True)
+    segment_id: Mapped[str] = mapped_column(ForeignKey("segments.id"))
     #: hash of states, model, camera and render settings, the name of the blob; None until rendered
     cache_key: Mapped[str | None] = mapped_column(String(64), default=None)
     blob_key: Mapped[str | None] = mapped_column(default=None)
@@ -168,6 +182,9 @@ class QueryRow(Base):
         UniqueConstraint("experiment_id", "number"),
         UniqueConstraint("experiment_id", "segment_0_id", "segment_1_id"),
         Index("ix_queries_offered", "experiment_id", "status", "number"),
+        # one user's leases, read with every request for the next query
+        Index("ix_queries_leased", "leased_by", "experiment_id"),
+        Index("ix_queries_segment_1", "segment_1_id"),
     )
 
 
@@ -188,7 +205,7 @@ class LabelRow(Base):
     __tablename__ = "labels"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"))
-    query_id: Mapped[str] = mapped_column(ForeignKey("queries.id"), index=True)
+    query_id: Mapped[str] = mapped_column(ForeignKey("queries.id"))
     user_id: Mapped[str] = mapped_column(ForeignKey("users.id"))
     #: P(segment 0 is preferred): 1, 0 or 0.5; None when skipped or undone
     value: Mapped[float | None]
@@ -246,7 +263,7 @@ class RewardVersionRow(Base):
 
 
 class MetricRow(Base):
-    """One point of one curve. Written again with the same step, it replaces the point: a resumed run repeats itself."""
+    """One point of one curve. Written again for its step, it replaces the point: a resumed run repeats itself."""
 
     __tablename__ = "metrics"
     id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True, init=False)
@@ -258,7 +275,12 @@ class MetricRow(Base):
     #: the reward version in force; None before the first
     reward_version_id: Mapped[str | None] = mapped_column(ForeignKey("reward_versions.id"), default=None)
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
-    __table_args__ = (UniqueConstraint("experiment_id", "name", "step"),)
+    __table_args__ = (
+        UniqueConstraint("experiment_id", "name", "step"),
+        # a replaced point gets a new id, greater than every earlier one, by which a live page finds it
+        Index("ix_metrics_newer", "experiment_id", "id"),
+        {"sqlite_autoincrement": True},
+    )
 
 
 class WorkerRow(Base):

@@ -1,0 +1,214 @@
+"""Bytes by key: arrays, clips, checkpoints. Written once, whole or not at all, never changed."""
+
+import errno
+import os
+import re
+import secrets
+from pathlib import Path
+from typing import Any, Protocol
+
+import fsspec
+
+from accord.domain.errors import BlobMissing, BlobsNotWritable
+
+_KEY = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*")
+_PROBE = "probe"
+
+
+class BlobStore(Protocol):
+    """Keys are relative paths such as segments/exp_.../seg_....safetensors.
+
+    `size`, `read` and `read_range` raise BlobMissing where there is no such blob; every method raises ValueError for
+    a key that is no plain relative path.
+    """
+
+    def put(self, key: str, content: bytes) -> None:
+        """Stores a blob; after it returns, the blob survives a crash. A key that is there already keeps its blob.
+
+        Raises:
+            BlobsNotWritable: if the store is read-only or full.
+        """
+        ...
+
+    def read(self, key: str) -> bytes: ...
+
+    def read_range(self, key: str, start: int, stop: int) -> bytes:
+        """Bytes from `start` up to, not with, `stop`; fewer where the blob ends before."""
+        ...
+
+    def size(self, key: str) -> int:
+        """In bytes."""
+        ...
+
+    def exists(self, key: str) -> bool: ...
+
+    def delete(self, key: str) -> None:
+        """Removes a blob that no row names any more; nothing happens where there is none."""
+        ...
+
+    def check_writable(self) -> None:
+        """Stores and removes a small blob.
+
+        Raises:
+            BlobsNotWritable: with what is wrong and what to do about it.
+        """
+        ...
+
+
+def open_blobs(url: str) -> BlobStore:
+    """The store behind an fsspec URL: file:///folder, s3://bucket/prefix, memory://name.
+
+    Raises:
+        BlobsNotWritable: if the URL's kind is unknown, its driver is missing, or its folder cannot be made.
+    """
+    try:
+        filesystem, root = fsspec.url_to_fs(url)  # pyright: ignore[reportUnknownMemberType]
+    except (ImportError, ValueError) as error:
+        raise BlobsNotWritable(f"Blobs cannot be kept at {url!r}: {error}. Set ACCORD_BLOB_URL.") from error
+    if "file" in filesystem.protocol:
+        return FolderBlobs(Path(root))
+    return RemoteBlobs(filesystem, root)
+
+
+class FolderBlobs:
+    """Blobs in a folder of this machine."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise _not_writable(str(root), error) from error
+
+    def put(self, key: str, content: bytes) -> None:
+        path = self._path(key)
+        if path.exists():
+            return
+        # A name that begins with a dot is no key: a half-written file is never taken for a blob.
+        temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+        try:
+            self._make_folder(path.parent)
+            with temporary.open("xb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.rename(path)
+            _sync_folder(path.parent)
+        except OSError as error:
+            temporary.unlink(missing_ok=True)
+            raise _not_writable(str(self._root), error) from error
+
+    def read(self, key: str) -> bytes:
+        try:
+            return self._path(key).read_bytes()
+        except FileNotFoundError as error:
+            raise BlobMissing(key) from error
+
+    def read_range(self, key: str, start: int, stop: int) -> bytes:
+        try:
+            with self._path(key).open("rb") as file:
+                file.seek(start)
+                return file.read(max(0, stop - start))
+        except FileNotFoundError as error:
+            raise BlobMissing(key) from error
+
+    def size(self, key: str) -> int:
+        try:
+            return self._path(key).stat().st_size
+        except FileNotFoundError as error:
+            raise BlobMissing(key) from error
+
+    def exists(self, key: str) -> bool:
+        return self._path(key).is_file()
+
+    def delete(self, key: str) -> None:
+        self._path(key).unlink(missing_ok=True)
+
+    def check_writable(self) -> None:
+        key = f"{_PROBE}/{secrets.token_hex(8)}"
+        # larger than a block, so that a full disk shows
+        self.put(key, bytes(65_536))
+        self.delete(key)
+
+    def _path(self, key: str) -> Path:
+        return self._root / _checked(key)
+
+    def _make_folder(self, folder: Path) -> None:
+        """Like mkdir -p, and the new folders' names survive a crash."""
+        missing = [each for each in (folder, *folder.parents) if not each.exists()]
+        for each in reversed(missing):
+            each.mkdir(exist_ok=True)
+            _sync_folder(each.parent)
+
+
+class RemoteBlobs:
+    """Blobs in an object store, which itself makes a blob appear whole or not at all."""
+
+    def __init__(self, filesystem: Any, root: str) -> None:
+        self._filesystem = filesystem
+        self._root = root.rstrip("/")
+
+    def put(self, key: str, content: bytes) -> None:
+        if self.exists(key):
+            return
+        try:
+            self._filesystem.pipe_file(self._path(key), content)
+        except OSError as error:
+            raise _not_writable(self._root, error) from error
+
+    def read(self, key: str) -> bytes:
+        try:
+            return self._filesystem.cat_file(self._path(key))
+        except FileNotFoundError as error:
+            raise BlobMissing(key) from error
+
+    def read_range(self, key: str, start: int, stop: int) -> bytes:
+        try:
+            return self._filesystem.cat_file(self._path(key), start=start, end=max(start, stop))
+        except FileNotFoundError as error:
+            raise BlobMissing(key) from error
+
+    def size(self, key: str) -> int:
+        try:
+            return int(self._filesystem.size(self._path(key)))
+        except FileNotFoundError as error:
+            raise BlobMissing(key) from error
+
+    def exists(self, key: str) -> bool:
+        return bool(self._filesystem.exists(self._path(key)))
+
+    def delete(self, key: str) -> None:
+        if self.exists(key):
+            self._filesystem.rm_file(self._path(key))
+
+    def check_writable(self) -> None:
+        key = f"{_PROBE}/{secrets.token_hex(8)}"
+        self.put(key, b"accord")
+        self.delete(key)
+
+    def _path(self, key: str) -> str:
+        return f"{self._root}/{_checked(key)}"
+
+
+def _checked(key: str) -> str:
+    if not _KEY.fullmatch(key):
+        raise ValueError(f"{key!r} is no blob key")
+    return key
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _not_writable(place: str, error: OSError) -> BlobsNotWritable:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return BlobsNotWritable(f"{place} is full. Free some space, or choose another folder with ACCORD_HOME.")
+    if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
+        return BlobsNotWritable(
+            f"{place} is read-only for this user. Give it write permission, or choose another folder with ACCORD_HOME."
+        )
+    return BlobsNotWritable(f"Nothing can be written to {place}: {error}. Choose another folder with ACCORD_HOME.")

@@ -1,0 +1,140 @@
+"""One database: how it is opened, how a transaction begins and ends, how its tables are brought up to date."""
+
+import threading
+from collections.abc import Generator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.engine import URL, make_url
+from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError, OperationalError
+from sqlalchemy.orm import Session
+
+from accord.domain.errors import DatabaseUnreachable
+from accord.store.migrate import upgrade
+
+#: a writer of another process may hold SQLite's one write lock this long before we give up
+BUSY_TIMEOUT_SECONDS = 20.0
+_MEMORY = ("", ":memory:")
+
+
+class Database:
+    """A pool of connections and the two kinds of transaction. Threads may share it; processes open their own."""
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        self._reader = engine.execution_options(accord_begin="BEGIN")
+        self._writer = engine.execution_options(accord_begin="BEGIN IMMEDIATE")
+        # SQLite has one writer at a time. Threads of one process queue here, where waking up is immediate, rather
+        # than in SQLite, whose waiters sleep up to 100 ms between looks.
+        self._turn: AbstractContextManager[Any] = threading.Lock() if self.is_sqlite else nullcontext()
+
+    @classmethod
+    def open(cls, url: str) -> "Database":
+        """Prepares a database; the first transaction connects.
+
+        Args:
+            url: SQLAlchemy's, for example sqlite:////home/ada/.accord/accord.db or postgresql://ada@host/accord.
+
+        Raises:
+            DatabaseUnreachable: if the URL makes no sense, its driver is not installed, or its folder cannot be made.
+        """
+        try:
+            parsed = make_url(url)
+            if parsed.get_backend_name() == "sqlite":
+                return cls(_sqlite(parsed))
+            return cls(create_engine(parsed, pool_size=20, max_overflow=40, pool_pre_ping=True))
+        except (ArgumentError, NoSuchModuleError) as error:
+            raise DatabaseUnreachable(
+                f"{url!r} is no database URL. Use sqlite:///path or postgresql://host/name."
+            ) from error
+        except ModuleNotFoundError as error:
+            raise DatabaseUnreachable(
+                f"The driver {error.name!r} is not installed. For Postgres: pip install 'accord[postgres]'."
+            ) from error
+        except OSError as error:
+            raise DatabaseUnreachable(
+                f"The folder of {url!r} cannot be made: {error.strerror}. Choose another with ACCORD_HOME."
+            ) from error
+
+    @property
+    def is_sqlite(self) -> bool:
+        return self.engine.dialect.name == "sqlite"
+
+    @contextmanager
+    def transaction(self) -> Generator[Session]:
+        """A transaction that may write: committed at the end of the block, rolled back if the block raises.
+
+        Raises:
+            DatabaseUnreachable: if the database cannot be reached, is locked, is full or cannot be written.
+        """
+        with (
+            self._errors_named(),
+            self._turn,
+            Session(self._writer, expire_on_commit=False) as session,
+            session.begin(),
+        ):
+            yield session
+
+    @contextmanager
+    def reading(self) -> Generator[Session]:
+        """A transaction that only reads: it never waits for a writer, nor makes one wait.
+
+        Raises:
+            DatabaseUnreachable: if the database cannot be reached.
+        """
+        with self._errors_named(), Session(self._reader, expire_on_commit=False) as session:
+            yield session
+
+    def migrate(self) -> None:
+        """Brings the tables to this version's state; does nothing when they are.
+
+        Raises:
+            DatabaseTooNew: if a newer Accord has migrated it.
+            DatabaseUnreachable: if it cannot be reached or written.
+        """
+        with self._errors_named(), self._writer.begin() as connection:
+            upgrade(connection)
+
+    def close(self) -> None:
+        self.engine.dispose()
+
+    @contextmanager
+    def _errors_named(self) -> Generator[None]:
+        try:
+            yield
+        except DatabaseError as error:
+            # its other subclasses tell of a mistake of ours, not of the machine
+            if type(error) not in (OperationalError, DatabaseError):
+                raise
+            url = self.engine.url.render_as_string(hide_password=True)
+            raise DatabaseUnreachable(
+                f"The database {url} did not do it: {error.orig}. "
+                "Check that it is there, running, writable and not full."
+            ) from error
+
+
+def _sqlite(url: URL) -> Engine:
+    if url.database is not None and url.database not in _MEMORY:
+        Path(url.database).parent.mkdir(parents=True, exist_ok=True)
+        engine = create_engine(url, pool_size=20, max_overflow=40, connect_args={"timeout": BUSY_TIMEOUT_SECONDS})
+    else:
+        engine = create_engine(url)
+    event.listen(engine, "connect", _configure)
+    event.listen(engine, "begin", _begin)
+    return engine
+
+
+def _configure(connection: Any, _record: object) -> None:
+    # The driver's own transactions begin late and deferred, which ends in `database is locked` for a transaction that
+    # reads before it writes; with None, SQLAlchemy's begin event says how one begins.
+    connection.isolation_level = None
+    cursor = connection.cursor()
+    for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
+        cursor.execute(f"PRAGMA {pragma}")
+    cursor.close()
+
+
+def _begin(connection: Connection) -> None:
+    connection.exec_driver_sql(connection.get_execution_options().get("accord_begin", "BEGIN IMMEDIATE"))
