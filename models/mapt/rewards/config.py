@@ -85,7 +85,7 @@ class RewardConfig:
         Raises:
             InvalidConfig: for an unknown or missing key, or a value out of range.
         """
-        return _read(cls, values)
+        return _read(cls, {field.name for field in fields(cls)}, values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,26 +141,13 @@ class TrainConfig:
         Raises:
             InvalidConfig: for an unknown key or a value out of range.
         """
-        return _read(cls, values)
+        return _read(cls, {field.name for field in fields(cls)}, values)
 
 
-# The dimensions are the task's: `RewardConfig.preset` puts them in.
-_NETWORK_PRESETS: dict[str, RewardConfig] = {
-    "paper": RewardConfig(1, 1, 1, hidden_dim=256, layers=1, heads=4, dropout=0.1),
-    "small": RewardConfig(1, 1, 1),
-}
-_TRAIN_PRESETS: dict[str, TrainConfig] = {
-    "paper": TrainConfig(lr=1e-4, batch_pairs=256, max_epochs=300, patience=30),
-    "small": TrainConfig(),
-}
-
-
-def _read(cls: type[ConfigT], values: Mapping[str, object]) -> ConfigT:
-    known = {field.name for field in fields(cls)}
+def _read(build: Callable[..., ConfigT], known: set[str], values: Mapping[str, object]) -> ConfigT:
     unknown = sorted(set(values) - known)
     if unknown:
         raise InvalidConfig(f"unknown setting {unknown[0]!r}; known: {', '.join(sorted(known))}")
-    build: Callable[..., ConfigT] = cls
     try:
         return build(**values)
     except TypeError as error:
@@ -175,3 +162,14 @@ def _check_positive_int(name: str, value: object) -> None:
 def _check_range(name: str, value: object, low: float, high: float) -> None:
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
         raise InvalidConfig(f"{name} is {value!r}; it must lie in [{low}, {high}]")
+
+
+# The dimensions are the task's: `RewardConfig.preset` puts them in.
+_NETWORK_PRESETS: dict[str, RewardConfig] = {
+    "paper": RewardConfig(1, 1, 1, hidden_dim=256, layers=1, heads=4, dropout=0.1),
+    "small": RewardConfig(1, 1, 1),
+}
+_TRAIN_PRESETS: dict[str, TrainConfig] = {
+    "paper": TrainConfig(lr=1e-4, batch_pairs=256, max_epochs=300, patience=30),
+    "small": TrainConfig(),
+}

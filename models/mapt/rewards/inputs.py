@@ -1,5 +1,7 @@
 """From raw observations and actions to the normalised inputs of the network."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor, nn
 
@@ -25,12 +27,23 @@ class InputNormaliser(nn.Module):
         self.register_buffer("deviation", torch.ones(dim))
 
     @torch.no_grad()
-    def measure(self, values: Tensor, mask: Tensor) -> None:
-        """Take the statistics of `values` (S, T, N, X) over the steps that `mask` (S, T) calls real."""
+    def measure(self, values: Tensor, mask: Tensor, readers: Sequence[tuple[nn.Linear, int]]) -> None:
+        """Take the statistics of `values` (S, T, N, X) over the steps that `mask` (S, T) calls real.
+
+        Args:
+            readers: layers that read the normalised numbers, each with the column where they begin there.
+                Their weights are changed so that they give what they gave before.
+        """
         real = values[mask].reshape(-1, values.shape[-1]).double()
-        deviation = real.std(dim=0, correction=0)
-        self.mean.copy_(real.mean(dim=0))
-        self.deviation.copy_(torch.where(deviation < SMALLEST_DEVIATION, 1.0, deviation))
+        measured = real.std(dim=0, correction=0)
+        deviation = torch.where(measured < SMALLEST_DEVIATION, 1.0, measured).float()
+        mean = real.mean(dim=0).float()
+        for layer, offset in readers:
+            weight = layer.weight[:, offset : offset + len(mean)]
+            layer.bias.add_(weight @ ((mean - self.mean) / self.deviation))
+            weight.mul_(deviation / self.deviation)
+        self.mean.copy_(mean)
+        self.deviation.copy_(deviation)
 
     def forward(self, values: Tensor) -> Tensor:
         """Normalise `values` (..., X)."""

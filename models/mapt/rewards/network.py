@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mapt.preferences.errors import ShapeError
@@ -20,6 +21,8 @@ from mapt.rewards.preference_attention import (
 # A score is a mean over steps and agents, so it starts near 0 and its logit must reach about 5 to be sure
 # of a label. This factor on every reward spares the optimiser the way there.
 REWARD_GAIN = 10.0
+# A model that gives every step the same reward has deviation 0: it must not divide by it.
+SMALLEST_REWARD_DEVIATION = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,16 +44,12 @@ class MarkovPath(nn.Module):
 
     def __init__(self, dim: int, hidden_dim: int) -> None:
         super().__init__()
-        self.layers = nn.Sequential(
-            nn.Linear(dim, hidden_dim),
-            nn.GELU(),
-            nn.Linear(hidden_dim, hidden_dim),
-            nn.GELU(),
-            nn.Linear(hidden_dim, 1),
-        )
+        self.first = nn.Linear(dim, hidden_dim)
+        self.second = nn.Linear(hidden_dim, hidden_dim)
+        self.reward = nn.Linear(hidden_dim, 1)
 
     def forward(self, inputs: Tensor) -> Tensor:
-        return self.layers(inputs).squeeze(-1)
+        return self.reward(F.gelu(self.second(F.gelu(self.first(inputs))))).squeeze(-1)
 
 
 class MAPT(nn.Module):
@@ -107,6 +106,33 @@ class MAPT(nn.Module):
         """
         self._check(observations, actions)
         return self._encode(observations, actions, band)[1]
+
+    def measure_inputs(self, observations: Tensor, actions: Tensor, mask: Tensor, *, keep_function: bool) -> None:
+        """Take the input statistics from these segments (shapes as in `forward`).
+
+        Args:
+            keep_function: re-express the layers that read the inputs in the new units. A model that goes on
+                training as the policy's states move then loses nothing (but for inputs beyond the clip).
+        """
+        parts = (
+            (self.observation_normaliser, self.embedding.observation, observations, 0),
+            (self.action_normaliser, self.embedding.action, actions, self.config.observation_dim),
+        )
+        for normaliser, layer, values, offset in parts:
+            readers = [(layer, 0)]
+            if self.markov is not None:
+                readers.append((self.markov.first, offset))
+            normaliser.measure(values, mask, readers if keep_function else ())
+
+    def set_reward_scale(self, mean: float, deviation: float) -> None:
+        """Record mean and deviation of the shared reward, which `normalised` takes away."""
+        self.reward_mean.fill_(mean)
+        self.reward_deviation.fill_(max(deviation, SMALLEST_REWARD_DEVIATION))
+
+    def normalised(self, rewards: Tensor) -> Tensor:
+        """Rewards in units of the recorded deviation. Agents share one scale, so that the mean over them
+        is the shared reward's."""
+        return (rewards - self.reward_mean) / self.reward_deviation
 
     @property
     def sees_one_window(self) -> bool:

@@ -1,0 +1,114 @@
+"""Reward models on disk or in a blob store: weights as safetensors, everything else as JSON beside them."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+
+from mapt.rewards.config import RewardConfig
+from mapt.rewards.errors import DamagedCheckpoint, InvalidConfig, NewerCheckpoint
+from mapt.rewards.network import MAPT
+
+FORMAT = "mapt.reward"
+FORMAT_VERSION = 1
+POLARITY = "label is P(segment 0 preferred): 1 segment 0, 0 segment 1, 0.5 equal; P = sigmoid(score_0 - score_1)"
+WEIGHTS_FILE = "reward.safetensors"
+CARD_FILE = "reward.json"
+
+
+@dataclass(frozen=True, slots=True)
+class SavedRewardModel:
+    """A reward model as two blobs."""
+
+    #: safetensors: every parameter and buffer, input and reward statistics among them
+    weights: bytes
+    #: JSON: format and version, polarity, settings, reward scale, metrics, SHA-256 of the weights
+    card: bytes
+
+    def write(self, folder: Path) -> None:
+        """Write both files into `folder`, made when missing; the card last, so that it vouches for both."""
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / WEIGHTS_FILE).write_bytes(self.weights)
+        (folder / CARD_FILE).write_bytes(self.card)
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedRewardModel:
+    """A reward model read back, in evaluation mode on the CPU."""
+
+    model: MAPT
+    metrics: dict[str, float]
+
+
+def save_reward_model(model: MAPT, metrics: Mapping[str, float]) -> SavedRewardModel:
+    """Serialise a model; reading it back gives the same bits."""
+    weights = save({name: tensor.contiguous().cpu() for name, tensor in model.state_dict().items()})
+    card = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "polarity": POLARITY,
+        "config": model.config.to_dict(),
+        "reward_mean": model.reward_mean.item(),
+        "reward_deviation": model.reward_deviation.item(),
+        "metrics": dict(metrics),
+        "weights_sha256": hashlib.sha256(weights).hexdigest(),
+    }
+    return SavedRewardModel(weights, json.dumps(card, indent=2, sort_keys=True, allow_nan=False).encode())
+
+
+def load_reward_model(weights: bytes | Path, card: bytes | Path) -> LoadedRewardModel:
+    """Read a model from its two blobs, or the paths of its two files.
+
+    Raises:
+        NewerCheckpoint: if a later version of this library wrote it.
+        DamagedCheckpoint: if it is no reward model, or not whole.
+    """
+    weight_bytes, card_bytes = _read(weights), _read(card)
+    try:
+        described = json.loads(card_bytes)
+    except ValueError as error:
+        raise DamagedCheckpoint("its card is no JSON") from error
+    if not isinstance(described, dict) or described.get("format") != FORMAT:
+        raise DamagedCheckpoint(f"its card does not name the format {FORMAT}")
+    version = described.get("format_version")
+    if not isinstance(version, int) or version < 1:
+        raise DamagedCheckpoint(f"its format version is {version!r}")
+    if version > FORMAT_VERSION:
+        raise NewerCheckpoint(version, FORMAT_VERSION)
+    if described.get("weights_sha256") != hashlib.sha256(weight_bytes).hexdigest():
+        raise DamagedCheckpoint("weights and card do not belong together, or one was cut short")
+    return LoadedRewardModel(_build(described, weight_bytes), _metrics(described))
+
+
+def _build(described: Mapping[str, object], weights: bytes) -> MAPT:
+    settings = described.get("config")
+    if not isinstance(settings, dict):
+        raise DamagedCheckpoint("its card holds no settings")
+    try:
+        model = MAPT(RewardConfig.from_dict(settings))
+        model.load_state_dict(load(weights))
+    except (InvalidConfig, SafetensorError) as error:
+        raise DamagedCheckpoint(str(error)) from error
+    except RuntimeError as error:
+        raise DamagedCheckpoint("its weights do not fit its settings") from error
+    return model.eval()
+
+
+def _metrics(described: Mapping[str, object]) -> dict[str, float]:
+    metrics = described.get("metrics")
+    if not isinstance(metrics, dict) or not all(isinstance(value, int | float) for value in metrics.values()):
+        raise DamagedCheckpoint("its card holds no metrics")
+    return {str(name): float(value) for name, value in metrics.items()}
+
+
+def _read(source: bytes | Path) -> bytes:
+    if isinstance(source, bytes):
+        return source
+    try:
+        return source.read_bytes()
+    except FileNotFoundError as error:
+        raise DamagedCheckpoint(f"{source.name} is missing") from error
