@@ -5,9 +5,10 @@ module again, and with it torch.
 """
 
 import os
+import socket
+import struct
 import subprocess
 import sys
-from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Self
@@ -20,6 +21,8 @@ from accord.rendering.protocol import ClipJob, Reply, receive_reply, send_job
 
 #: starting takes 1 to 2 s; a busy machine may need ten times that
 START_LIMIT_SECONDS = 60.0
+#: handing a job over takes milliseconds
+SEND_LIMIT_SECONDS = 5
 #: an idle child ends as soon as its connection is closed
 CLOSE_LIMIT_SECONDS = 5.0
 
@@ -47,22 +50,29 @@ class RenderProcess:
         """Of the present child; another after a replacement."""
         return self._child.pid
 
-    def render(self, job: ClipJob) -> ClipFile:
+    def render(self, job: ClipJob, limit_seconds: float | None = None) -> ClipFile:
         """Make one clip. It is at `job.path` whole when this returns; on an error nothing of it is left.
+
+        Args:
+            limit_seconds: for this clip, instead of the limit of all.
 
         Raises:
             RenderTimedOut: if it took longer than the limit. The process has been replaced.
             RenderFailed: if it could not be drawn or encoded, or the process died (and has been replaced).
         """
+        limit_seconds = limit_seconds or self._clip_limit_seconds
         try:
             if not self._ready:
                 self._await_reply(START_LIMIT_SECONDS)
                 self._ready = True
             send_job(self._connection, job)
-            reply = self._await_reply(self._clip_limit_seconds)
+            reply = self._await_reply(limit_seconds)
         except RenderTimedOut:
             self._replace(job)
             raise
+        except BlockingIOError as error:  # it did not even take the job
+            self._replace(job)
+            raise RenderTimedOut(SEND_LIMIT_SECONDS) from error
         except (EOFError, OSError) as error:
             status = self._replace(job)
             raise RenderFailed(f"The render process died ({status}) and was replaced.") from error
@@ -88,8 +98,7 @@ class RenderProcess:
         self.close()
 
     def _start(self) -> None:
-        self._connection: Connection
-        self._connection, theirs = Pipe()
+        ours, theirs = socket.socketpair()
         with theirs:
             self._child = subprocess.Popen(
                 [sys.executable, "-P", "-m", "accord.rendering.child", str(theirs.fileno()), str(os.getpid())],
@@ -98,6 +107,9 @@ class RenderProcess:
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,  # a Ctrl-C at the terminal reaches the parent alone
             )
+        # A long job does not fit a socket's buffer: without a limit, a child that hangs would hang its parent.
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", SEND_LIMIT_SECONDS, 0))
+        self._connection = Connection(ours.detach())
         self._ready = False
 
     def _await_reply(self, limit_seconds: float) -> Reply:

@@ -1,0 +1,74 @@
+"""Where the camera looks."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from accord.rendering.camera import View, camera_path
+
+VIEW = View(half_width=1.3, half_height=1.0, height=0.6)
+WINDOW = 8
+
+#: speeds to 20 m/s at 20 Hz: a metre a frame; bodies up to 2 m long and 1.6 m high
+bodies = st.lists(st.tuples(st.floats(-1, 1), st.floats(0, 3), st.floats(0, 2), st.floats(0, 1.6)), min_size=1)
+
+
+def boxes(drawn: list[tuple[float, float, float, float]]) -> tuple[NDArray, NDArray]:
+    """Corners (T,2) of a body that goes by the drawn strides."""
+    stride, floor, length, height = np.array(drawn).T
+    lowest = np.column_stack([np.cumsum(stride), floor])
+    return lowest, lowest + np.column_stack([length, height])
+
+
+def steady_run(metres_a_frame: float, steps: int = 60) -> tuple[NDArray, NDArray]:
+    lowest = np.column_stack([np.arange(steps) * metres_a_frame, np.zeros(steps)])
+    return lowest, lowest + np.array([1.4, 0.9])
+
+
+@given(bodies)
+def test_whole_body_is_in_view_however_it_moves(drawn: list[tuple[float, float, float, float]]) -> None:
+    lowest, highest = boxes(drawn)
+    path = camera_path(lowest, highest, VIEW, WINDOW)
+    half = np.array([VIEW.half_width, VIEW.half_height])
+    assert (lowest >= path - half - 1e-9).all()
+    assert (highest <= path + half + 1e-9).all()
+
+
+def test_body_larger_than_the_view_is_centred() -> None:
+    lowest, highest = np.array([[0.0, 0.0]]), np.array([[9.0, 5.0]])
+    np.testing.assert_allclose(camera_path(lowest, highest, VIEW, WINDOW), [[4.5, 2.5]])
+
+
+def test_steady_run_is_followed_exactly_to_both_ends() -> None:
+    lowest, highest = steady_run(0.25)
+    path = camera_path(lowest, highest, VIEW, WINDOW)
+    np.testing.assert_allclose(path[:, 0], (lowest + highest)[:, 0] / 2, atol=1e-9)
+
+
+def test_height_stays_fixed_while_the_body_fits() -> None:
+    lowest, highest = steady_run(0.25)
+    bounce = 0.3 * np.sin(np.arange(len(lowest)))
+    lowest[:, 1] += bounce
+    highest[:, 1] += bounce
+    np.testing.assert_array_equal(camera_path(lowest, highest, VIEW, WINDOW)[:, 1], VIEW.height)
+
+
+def test_camera_moves_more_smoothly_than_a_jolting_body() -> None:
+    lowest, highest = steady_run(0.15)
+    jolt = 0.1 * np.sin(np.arange(len(lowest)) * 2 * np.pi / 8)[:, None] * [1, 0]
+    path = camera_path(lowest + jolt, highest + jolt, VIEW, WINDOW)[:, 0]
+    body = ((lowest + highest) / 2 + jolt)[:, 0]
+    assert np.abs(np.diff(path, 2)).max() < 0.2 * np.abs(np.diff(body, 2)).max()
+
+
+def test_camera_rises_smoothly_and_ahead_of_a_leap() -> None:
+    lowest, highest = steady_run(0.1)
+    flight = np.linspace(0, 1, 18)
+    leap = 0.9 * 4 * flight * (1 - flight)  # metres: 0.9 s in the air
+    lowest[20:38, 1] += leap
+    highest[20:38, 1] += leap
+    height = camera_path(lowest, highest, VIEW, WINDOW)[:, 1]
+    leaves_view = np.flatnonzero(highest[:, 1] > VIEW.height + VIEW.half_height)[0]
+    assert height[leaves_view - 4] > VIEW.height
+    assert np.abs(np.diff(height)).max() < 0.2 * (height.max() - VIEW.height)

@@ -1,0 +1,57 @@
+"""When two clips are the same clip."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from accord.rendering.clip import clip_key
+from accord.rendering.settings import CodecSettings, RenderSettings
+from mapt.tasks import agent_geoms, load_model
+
+TASK = "HalfCheetah-6x1"
+QPOS = np.linspace(0, 1, 45).reshape(5, 9)
+QVEL = np.linspace(1, 2, 45).reshape(5, 9)
+SETTINGS = RenderSettings()
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    return load_model(TASK)
+
+
+def key_of(model: mujoco.MjModel, **changed: object) -> str:
+    inputs = {"qpos": QPOS, "qvel": QVEL, "model": model, "agent_geoms": agent_geoms(TASK), "settings": SETTINGS}
+    return clip_key(**inputs | changed)
+
+
+def test_equal_inputs_give_an_equal_key(model: mujoco.MjModel) -> None:
+    again = key_of(load_model(TASK), qpos=QPOS.copy(), settings=RenderSettings())
+    assert again == key_of(model)
+
+
+def test_memory_layout_of_the_states_does_not_matter(model: mujoco.MjModel) -> None:
+    assert key_of(model, qpos=np.asfortranarray(QPOS)) == key_of(model)
+
+
+def test_every_input_changes_the_key(model: mujoco.MjModel) -> None:
+    heavier = load_model(TASK)
+    heavier.geom_size[1, 0] *= 1.01
+    keys = [
+        key_of(model),
+        key_of(model, qpos=np.nextafter(QPOS, 2)),
+        key_of(model, qvel=-QVEL),
+        key_of(model, qpos=QPOS[:4], qvel=QVEL[:4]),
+        key_of(model, agent_geoms=agent_geoms("HalfCheetah-2x3")),
+        key_of(heavier),
+        key_of(model, settings=replace(SETTINGS, quality="pretty")),
+        key_of(model, settings=replace(SETTINGS, frame_rate_hz=25)),
+        key_of(model, settings=replace(SETTINGS, codec=CodecSettings(crf=30))),
+    ]
+    assert len(set(keys)) == len(keys)
+
+
+def test_key_is_safe_as_a_file_name(model: mujoco.MjModel) -> None:
+    assert len(key_of(model)) == 64
+    assert key_of(model).isalnum()

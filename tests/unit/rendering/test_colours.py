@@ -1,0 +1,71 @@
+"""Whether people can tell the agents apart."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from accord.rendering.colours import (
+    AGENT_COLOURS,
+    BACKDROP_COLOUR,
+    FLOOR_COLOURS,
+    agent_colour,
+    rgb_bytes,
+    rgba,
+)
+
+#: what is left of linear RGB with one kind of cone missing (Machado, Oliveira and Fernandes 2009, severity 1)
+SIGHT = {
+    "trichromat": np.eye(3),
+    "protanope": np.array(
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+    ),
+    "deuteranope": np.array(
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+    ),
+    "tritanope": np.array(
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]
+    ),
+}
+#: sRGB to XYZ, each row over the white point, D65
+TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+#: parts that meet at a joint, of six agents of one joint each
+NEIGHBOURS = ((0, 1), (1, 2), (3, 4), (4, 5))
+
+
+def lab(colour: str, sight: str = "trichromat") -> NDArray:
+    """CIELAB of `#RRGGBB` as that sight sees it."""
+    encoded = np.array(rgb_bytes(colour)) / 255
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    ratio = TO_XYZ @ np.clip(SIGHT[sight] @ linear, 0, 1) / TO_XYZ.sum(axis=1)
+    x, y, z = np.where(ratio > 0.008856, np.cbrt(ratio), 7.787 * ratio + 16 / 116)
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+@pytest.mark.parametrize("sight", SIGHT)
+def test_six_agents_differ_under_every_colour_vision(sight: str) -> None:
+    apart = [np.linalg.norm(lab(a, sight) - lab(b, sight)) for a, b in combinations(AGENT_COLOURS[:6], 2)]
+    assert min(apart) > 15  # 2.3 is just noticeable side by side
+
+
+def test_neighbours_in_a_leg_differ_in_lightness() -> None:
+    for one, other in NEIGHBOURS:
+        assert abs(lab(AGENT_COLOURS[one])[0] - lab(AGENT_COLOURS[other])[0]) > 20
+
+
+def test_every_agent_is_lighter_than_what_is_behind_it() -> None:
+    behind = max(lab(colour)[0] for colour in (BACKDROP_COLOUR, *FLOOR_COLOURS))
+    assert min(lab(colour)[0] for colour in AGENT_COLOURS) > behind + 10
+
+
+def test_palette_has_no_colour_twice() -> None:
+    assert len(set(AGENT_COLOURS)) == len(AGENT_COLOURS) >= 6
+
+
+def test_larger_teams_go_round_the_palette() -> None:
+    assert agent_colour(len(AGENT_COLOURS) + 1) == AGENT_COLOURS[1]
+
+
+def test_mujoco_gets_the_same_colour_as_the_page() -> None:
+    assert rgba("#FF8000") == (1.0, 128 / 255, 0.0, 1.0)

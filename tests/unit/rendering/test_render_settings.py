@@ -1,0 +1,47 @@
+"""Looks that cannot be, refused; looks that can, carried to the render process."""
+
+from multiprocessing import Pipe
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accord.rendering.clip import ClipFile
+from accord.rendering.protocol import ClipJob, Reply, receive_job, receive_reply, send_job, send_reply
+from accord.rendering.settings import CodecSettings, RenderSettings
+
+
+@pytest.mark.parametrize("size", [(321, 240), (320, 0), (-2, 240)])
+def test_size_that_cannot_be_encoded_is_refused(size: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match="positive and even"):
+        RenderSettings(width=size[0], height=size[1])
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan")])
+def test_rate_that_cannot_play_is_refused(rate: float) -> None:
+    with pytest.raises(ValueError, match="frames a second"):
+        RenderSettings(frame_rate_hz=rate)
+
+
+def test_job_arrives_as_it_was_sent() -> None:
+    settings = RenderSettings(320, 240, 12.5, "pretty", codec=CodecSettings("fast", 20, 7))
+    states = np.random.default_rng(0).standard_normal((2, 3, 9))
+    job = ClipJob("HalfCheetah-6x1", states[0], states[1], settings, Path("/clips/a.mp4"))
+    parent, child = Pipe()
+    with parent, child:
+        send_job(parent, job)
+        arrived = receive_job(child)
+    np.testing.assert_array_equal(arrived.qpos, job.qpos)
+    np.testing.assert_array_equal(arrived.qvel, job.qvel)
+    assert (arrived.task, arrived.settings, arrived.path) == (job.task, job.settings, job.path)
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [Reply(), Reply(failure="no"), Reply(clip=ClipFile(Path("/clips/a.mp4"), 50, 2.5, 320, 240, 1234))],
+)
+def test_reply_arrives_as_it_was_sent(reply: Reply) -> None:
+    parent, child = Pipe()
+    with parent, child:
+        send_reply(child, reply)
+        assert receive_reply(parent) == reply
