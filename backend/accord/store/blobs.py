@@ -5,9 +5,9 @@ import os
 import re
 import secrets
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
-import fsspec
+from fsspec.core import url_to_fs  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
 from accord.domain.errors import BlobMissing, BlobsNotWritable
 
@@ -62,7 +62,7 @@ def open_blobs(url: str) -> BlobStore:
         BlobsNotWritable: if the URL's kind is unknown, its driver is missing, or its folder cannot be made.
     """
     try:
-        filesystem, root = fsspec.url_to_fs(url)  # pyright: ignore[reportUnknownMemberType]
+        filesystem, root = cast("tuple[Any, str]", url_to_fs(url))
     except (ImportError, ValueError) as error:
         raise BlobsNotWritable(f"Blobs cannot be kept at {url!r}: {error}. Set ACCORD_BLOB_URL.") from error
     if "file" in filesystem.protocol:

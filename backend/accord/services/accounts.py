@@ -1,0 +1,123 @@
+"""Users, and the three kinds of token that tell who is asking. Only a token's SHA-256 is ever stored.
+
+A `bearer` token is for programs, a `session` token is the browser's cookie, a `link` token signs a browser in once.
+Tokens are 256 random bits, so that a plain hash is enough: there is nothing to guess.
+"""
+
+import hashlib
+import secrets
+from datetime import timedelta
+
+from sqlalchemy.orm import Session
+
+from accord.domain.errors import NameTaken, Unauthenticated, UserNotFound
+from accord.domain.ids import new_id
+from accord.domain.words import Role
+from accord.services.texts import check_line
+from accord.store import accounts
+from accord.store.tables import TokenRow, UserRow, utc_now
+
+_SIGNED_IN = ("bearer", "session")
+_ADMIN_NAME = "admin"
+
+
+def create_user(session: Session, name: str, role: Role) -> tuple[UserRow, str]:
+    """A new user and their bearer token, which nobody can read again.
+
+    Raises:
+        Invalid: if the name is empty or holds characters that cannot be shown.
+        NameTaken: if another user has it.
+    """
+    line = check_line(name, "name of a user", 100)
+    if accounts.user_by_name(session, line) is not None:
+        raise NameTaken(f"There is a user {line!r} already. Choose another name.")
+    user = UserRow(id=new_id("usr"), name=line, role=role.value)
+    session.add(user)
+    session.flush()
+    return user, _new_token(session, user.id, "bearer", None)
+
+
+def ensure_admin(session: Session) -> UserRow:
+    """The first admin, made when there is none."""
+    found = accounts.first_with_role(session, Role.ADMIN.value)
+    if found is not None:
+        return found
+    taken = accounts.user_by_name(session, _ADMIN_NAME) is not None
+    name = new_id(_ADMIN_NAME) if taken else _ADMIN_NAME
+    admin = UserRow(id=new_id("usr"), name=name, role=Role.ADMIN.value)
+    session.add(admin)
+    session.flush()
+    return admin
+
+
+def new_bearer(session: Session, user_id: str) -> str:
+    """Another bearer token for a user.
+
+    Raises:
+        UserNotFound: if there is no such user.
+    """
+    _require_user(session, user_id)
+    return _new_token(session, user_id, "bearer", None)
+
+
+def authenticate(session: Session, token: str) -> UserRow:
+    """Whose bearer or session token this is.
+
+    Raises:
+        Unauthenticated: if it is nobody's, or has expired.
+    """
+    user = accounts.user_of_token(session, hash_of(token), _SIGNED_IN, utc_now())
+    if user is None:
+        raise Unauthenticated("This token is wrong or has expired. Ask an admin for another, or open a sign-in link.")
+    return user
+
+
+def make_link(session: Session, user_id: str, minutes: float) -> str:
+    """A token that signs one browser in, once, for so many minutes from now.
+
+    Raises:
+        UserNotFound: if there is no such user.
+    """
+    _require_user(session, user_id)
+    return _new_token(session, user_id, "link", timedelta(minutes=minutes))
+
+
+def redeem_link(session: Session, token: str, session_days: float) -> tuple[UserRow, str]:
+    """Uses up a sign-in link; returns the user and the token of their new browser session.
+
+    Raises:
+        Unauthenticated: if the link was used, has expired, or never was one.
+    """
+    now = utc_now()
+    accounts.delete_expired(session, now - timedelta(days=1))
+    user_id = accounts.use_link(session, hash_of(token), now)
+    user = None if user_id is None else accounts.user(session, user_id)
+    if user is None:
+        raise Unauthenticated(
+            "This sign-in link was used before or has expired: each works once. Ask for a new one; "
+            "`accord up` prints one when it starts."
+        )
+    return user, _new_token(session, user.id, "session", timedelta(days=session_days))
+
+
+def sign_out(session: Session, token: str) -> None:
+    """Makes a token worthless."""
+    accounts.delete_token(session, hash_of(token))
+
+
+def hash_of(token: str) -> str:
+    return hashlib.sha256(token.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def _require_user(session: Session, user_id: str) -> None:
+    if accounts.user(session, user_id) is None:
+        raise UserNotFound(user_id)
+
+
+def _new_token(session: Session, user_id: str, kind: str, lasts: timedelta | None) -> str:
+    token = secrets.token_urlsafe(32)
+    now = utc_now()
+    expires_at = None if lasts is None else now + lasts
+    session.add(TokenRow(hash=hash_of(token), user_id=user_id, kind=kind, created_at=now, expires_at=expires_at))
+    session.flush()
+    return token

@@ -1,0 +1,148 @@
+"""The clips that queries wait for: handed to render workers one at a time, under a lease."""
+
+from dataclasses import dataclass
+
+from sqlalchemy.orm import Session
+
+from accord.domain.errors import ClipNotFound
+from accord.domain.words import ClipStatus, QueryStatus
+from accord.services.clock import now_and_end
+from accord.store import clips, queries
+from accord.store.tables import ClipRow
+
+MAX_ATTEMPTS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ClipJob:
+    """A clip to make."""
+
+    clip_id: str
+    experiment_id: str
+    segment_id: str
+    #: task name, by which the model to draw is found
+    task: str
+    #: blob of the segment's arrays
+    segment_blob_key: str
+    #: 1 for the first try
+    attempts: int
+
+
+@dataclass(frozen=True, slots=True)
+class MadeClip:
+    """A clip whose video is in the blobs."""
+
+    #: hash of states, model, camera and render settings
+    cache_key: str
+    blob_key: str
+    size_bytes: int
+    frames: int
+    seconds: float
+    width: int
+    height: int
+
+
+def claim_pending(session: Session, holder: str, lease_seconds: float) -> ClipJob | None:
+    """The clip whose query is offered soonest, and that nobody is making; None when there is none.
+
+    A clip whose makers died with it so often that there is no attempt left is given up, and the next one returned.
+    """
+    now, until = now_and_end(lease_seconds)
+    while (found := clips.lock_pending(session, now)) is not None:
+        row = found.row
+        if row.attempts < MAX_ATTEMPTS:
+            row.attempts += 1
+            row.claimed_by = holder
+            row.claimed_until = until
+            session.flush()
+            return ClipJob(row.id, row.experiment_id, row.segment_id, found.task, found.segment_blob_key, row.attempts)
+        _give_up(session, row, row.detail or f"{MAX_ATTEMPTS} workers ended while making it.")
+        session.flush()
+    return None
+
+
+def finish(session: Session, clip_id: str, made: MadeClip) -> None:
+    """The clip is there: queries that have both clips now are open.
+
+    Accepted from a worker whose lease was over, too: a clip is a clip, and the same from every worker.
+
+    Raises:
+        ClipNotFound: if there is no such clip.
+    """
+    row = _locked(session, clip_id)
+    if row.status == ClipStatus.READY:
+        return
+    row.status = ClipStatus.READY.value
+    row.cache_key, row.blob_key, row.size_bytes = made.cache_key, made.blob_key, made.size_bytes
+    row.frames, row.seconds, row.width, row.height = made.frames, made.seconds, made.width, made.height
+    row.claimed_by = row.claimed_until = None
+    row.detail = ""
+    session.flush()
+    waiting = queries.lock_rendering_with(session, row.segment_id)
+    others = clips.of_segments(
+        session, [each for query in waiting for each in (query.segment_0_id, query.segment_1_id)]
+    )
+    for query in waiting:
+        if all(others[each].status == ClipStatus.READY for each in (query.segment_0_id, query.segment_1_id)):
+            query.status = QueryStatus.OPEN.value
+
+
+def fail(session: Session, clip_id: str, detail: str, retry: bool) -> None:
+    """The clip could not be made. It is tried again if `retry` and an attempt is left; else its queries fail.
+
+    Raises:
+        ClipNotFound: if there is no such clip.
+    """
+    row = _locked(session, clip_id)
+    if row.status != ClipStatus.PENDING:
+        return
+    if retry and row.attempts < MAX_ATTEMPTS:
+        row.claimed_by = row.claimed_until = None
+        row.detail = detail
+    else:
+        _give_up(session, row, detail)
+
+
+def heartbeat(session: Session, clip_id: str, holder: str, lease_seconds: float) -> bool:
+    """Keeps a claim. Returns False if it is another's by now."""
+    row = _locked(session, clip_id)
+    if row.status != ClipStatus.PENDING or row.claimed_by != holder:
+        return False
+    _, row.claimed_until = now_and_end(lease_seconds)
+    return True
+
+
+def release(session: Session, clip_id: str, holder: str) -> None:
+    """Gives a claim back unused, at a worker's end: the attempt does not count."""
+    row = _locked(session, clip_id)
+    if row.status == ClipStatus.PENDING and row.claimed_by == holder:
+        row.claimed_by = row.claimed_until = None
+        row.attempts -= 1
+
+
+def get(session: Session, clip_id: str) -> ClipRow:
+    """A clip that can be played.
+
+    Raises:
+        ClipNotFound: if there is no such clip, or it is not made yet.
+    """
+    row = clips.get(session, clip_id)
+    if row is None or row.status != ClipStatus.READY:
+        raise ClipNotFound(clip_id)
+    return row
+
+
+def _locked(session: Session, clip_id: str) -> ClipRow:
+    row = clips.lock(session, clip_id)
+    if row is None:
+        raise ClipNotFound(clip_id)
+    return row
+
+
+def _give_up(session: Session, row: ClipRow, detail: str) -> None:
+    row.status = ClipStatus.FAILED.value
+    row.detail = detail
+    row.claimed_by = row.claimed_until = None
+    session.flush()
+    for query in queries.lock_rendering_with(session, row.segment_id):
+        query.status = QueryStatus.FAILED.value

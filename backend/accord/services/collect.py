@@ -1,0 +1,109 @@
+"""Takes in what the policy did: arrays to a blob first, then a row that names it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import load, save
+from sqlalchemy.orm import Session
+
+from accord.domain.errors import Invalid
+from accord.domain.ids import new_id
+from accord.store.blobs import BlobStore
+from accord.store.tables import SegmentRow
+
+_MUJOCO_VERSION = version("mujoco")
+
+
+@dataclass(frozen=True, slots=True)
+class NewSegment:
+    """T consecutive steps of one environment within one episode."""
+
+    #: (T, N, C), stored as float32
+    observations: NDArray[np.floating]
+    #: (T, N, A), stored as float32
+    actions: NDArray[np.floating]
+    #: (T,) true rewards, stored as float64
+    rewards: NDArray[np.floating]
+    #: (T, nq) and (T, nv), stored as float64: the simulator states in which the actions were taken
+    qpos: NDArray[np.floating]
+    qvel: NDArray[np.floating]
+    policy_iteration: int
+    #: environment steps of the policy that made it
+    policy_steps: int
+
+
+@dataclass(frozen=True, slots=True)
+class StoredSegment:
+    """A segment whose arrays are in the blobs, and which has no row yet."""
+
+    id: str
+    blob_key: str
+    length_steps: int
+    true_return: float
+    mujoco_version: str
+    policy_iteration: int
+    policy_steps: int
+
+
+def store_arrays(blobs: BlobStore, experiment_id: str, segment: NewSegment) -> StoredSegment:
+    """Writes the arrays. Call it before the transaction that calls `collect`.
+
+    Raises:
+        Invalid: if the arrays disagree in T or hold a number that is not finite.
+        BlobsNotWritable: if the blobs are read-only or full.
+    """
+    arrays = {
+        "observations": np.ascontiguousarray(segment.observations, dtype=np.float32),
+        "actions": np.ascontiguousarray(segment.actions, dtype=np.float32),
+        "rewards": np.ascontiguousarray(segment.rewards, dtype=np.float64),
+        "qpos": np.ascontiguousarray(segment.qpos, dtype=np.float64),
+        "qvel": np.ascontiguousarray(segment.qvel, dtype=np.float64),
+    }
+    length = len(arrays["rewards"])
+    for name, array in arrays.items():
+        if len(array) != length:
+            raise Invalid(f"{name} has {len(array)} steps and rewards {length}; a segment's arrays have the same.")
+        if not np.isfinite(array).all():
+            raise Invalid(f"{name} holds a number that is not finite; such a segment cannot be shown or learned from.")
+    segment_id = new_id("seg")
+    key = f"segments/{experiment_id}/{segment_id}.safetensors"
+    blobs.put(key, save(arrays))
+    return StoredSegment(
+        id=segment_id,
+        blob_key=key,
+        length_steps=length,
+        true_return=float(arrays["rewards"].sum()),
+        mujoco_version=_MUJOCO_VERSION,
+        policy_iteration=segment.policy_iteration,
+        policy_steps=segment.policy_steps,
+    )
+
+
+def collect(session: Session, experiment_id: str, stored: Sequence[StoredSegment]) -> None:
+    """Writes the rows of segments whose arrays are stored."""
+    session.add_all(
+        SegmentRow(
+            id=segment.id,
+            experiment_id=experiment_id,
+            policy_iteration=segment.policy_iteration,
+            policy_steps=segment.policy_steps,
+            blob_key=segment.blob_key,
+            length_steps=segment.length_steps,
+            true_return=segment.true_return,
+            mujoco_version=segment.mujoco_version,
+        )
+        for segment in stored
+    )
+    session.flush()
+
+
+def load_arrays(blobs: BlobStore, blob_key: str) -> dict[str, NDArray[np.floating]]:
+    """A segment's arrays by name: observations, actions, rewards, qpos, qvel (see SegmentRow).
+
+    Raises:
+        BlobMissing: if the blob is gone.
+    """
+    return load(blobs.read(blob_key))

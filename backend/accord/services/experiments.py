@@ -1,0 +1,208 @@
+"""Experiments: made, looked at, paused, resumed, cancelled; and what the policy worker says of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sqlalchemy.orm import Session
+
+from accord.domain.errors import ExperimentNotActive, ExperimentNotFound, NameTaken, UnknownTask
+from accord.domain.experiment import ExperimentConfig
+from accord.domain.ids import new_id
+from accord.domain.words import ExperimentStatus, Phase, QueryStatus
+from accord.services.texts import check_line, check_lines
+from accord.store import experiments
+from accord.store.tables import ExperimentRow, utc_now
+from mapt.tasks import UnknownTask as TaskIsUnknown
+from mapt.tasks import task_names, task_spec
+
+_OVER = frozenset({ExperimentStatus.CANCELLED, ExperimentStatus.FINISHED, ExperimentStatus.FAILED})
+_COUNTED = (QueryStatus.OPEN.value, QueryStatus.RENDERING.value)
+
+
+@dataclass(frozen=True, slots=True)
+class LabelCounts:
+    """How far the labelling of an experiment is."""
+
+    budget: int
+    #: labels that count: 1, 0 or 0.5
+    labels: int
+    skips: int
+    #: labels the schedule asks for by now
+    due: int
+    #: queries ready to be labelled
+    open_queries: int
+    #: queries that wait for their clips
+    rendering_queries: int
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentPage:
+    """Some experiments, newest first."""
+
+    rows: list[ExperimentRow]
+    #: give it back to get the next ones; None at the end
+    next_cursor: str | None
+
+
+def create(
+    session: Session, owner_id: str, name: str, config: ExperimentConfig, instructions: str | None
+) -> ExperimentRow:
+    """Starts an experiment: a policy worker takes it up.
+
+    Args:
+        instructions: what labellers are told; the task's own when None or empty.
+
+    Raises:
+        UnknownTask: if no task has this name.
+        InvalidExperiment: if a segment would not fit into an episode.
+        NameTaken: if another experiment has this name.
+        Invalid: if a text is empty, too long, or holds characters that cannot be shown.
+    """
+    line = check_line(name, "name of an experiment", 200)
+    try:
+        spec = task_spec(config.task)
+    except TaskIsUnknown as error:
+        raise UnknownTask(config.task, task_names()) from error
+    config.check_horizon(spec.horizon_steps)
+    told = check_lines(instructions or "", "instructions", 4000) or spec.instructions
+    if experiments.by_name(session, line) is not None:
+        raise NameTaken(f"There is an experiment {line!r} already. Choose another name.")
+    row = ExperimentRow(id=new_id("exp"), name=line, config=config.to_dict(), instructions=told, owner_id=owner_id)
+    session.add(row)
+    session.flush()
+    return row
+
+
+def get(session: Session, experiment_id: str) -> ExperimentRow:
+    """Raises ExperimentNotFound."""
+    row = experiments.get(session, experiment_id)
+    if row is None:
+        raise ExperimentNotFound(experiment_id)
+    return row
+
+
+def config_of(row: ExperimentRow) -> ExperimentConfig:
+    return ExperimentConfig(**row.config)
+
+
+def list_page(session: Session, limit: int, cursor: str | None) -> ExperimentPage:
+    """At most `limit` experiments, newest first, after those that the cursor stands for."""
+    rows = experiments.newest(session, limit + 1, cursor)
+    more = len(rows) > limit
+    return ExperimentPage(rows[:limit], rows[limit - 1].id if more else None)
+
+
+def running(session: Session) -> list[ExperimentRow]:
+    """Experiments that workers should work on, oldest first."""
+    return experiments.with_status(session, ExperimentStatus.RUNNING.value)
+
+
+def label_counts(session: Session, row: ExperimentRow) -> LabelCounts:
+    return label_counts_of(session, [row])[row.id]
+
+
+def label_counts_of(session: Session, rows: Sequence[ExperimentRow]) -> dict[str, LabelCounts]:
+    """Experiment id -> counts, with two statements for any number of experiments."""
+    ids = [row.id for row in rows]
+    queries = experiments.query_counts(session, ids, _COUNTED)
+    skips = experiments.skip_counts(session, ids)
+    return {
+        row.id: LabelCounts(
+            budget=config_of(row).label_budget,
+            labels=row.label_count,
+            skips=skips.get(row.id, 0),
+            due=labels_due(row),
+            open_queries=queries.get((row.id, QueryStatus.OPEN.value), 0),
+            rendering_queries=queries.get((row.id, QueryStatus.RENDERING.value), 0),
+        )
+        for row in rows
+    }
+
+
+def reward_numbers(session: Session, rows: Sequence[ExperimentRow]) -> dict[str, int]:
+    """Experiment id -> number of the newest reward version, where there is one."""
+    return experiments.reward_numbers(session, [row.id for row in rows])
+
+
+def labels_due(row: ExperimentRow) -> int:
+    """Labels the schedule asks for at the policy's present step; none where the true reward teaches it."""
+    config = config_of(row)
+    return config.schedule.due(row.steps) if config.reward_source == "preferences" else 0
+
+
+def pause(session: Session, experiment_id: str) -> ExperimentRow:
+    """Workers stop after the step they are in. Raises ExperimentNotFound, ExperimentNotActive."""
+    return _change(session, experiment_id, ExperimentStatus.PAUSED, (ExperimentStatus.RUNNING,))
+
+
+def resume(session: Session, experiment_id: str) -> ExperimentRow:
+    """Goes on from the newest checkpoint, also after a failure. Raises ExperimentNotFound, ExperimentNotActive."""
+    row = _change(session, experiment_id, ExperimentStatus.RUNNING, (ExperimentStatus.PAUSED, ExperimentStatus.FAILED))
+    row.ended_at = None
+    return row
+
+
+def cancel(session: Session, experiment_id: str) -> ExperimentRow:
+    """Ends it for good; its labels stay. Raises ExperimentNotFound, ExperimentNotActive."""
+    row = _change(
+        session, experiment_id, ExperimentStatus.CANCELLED, (ExperimentStatus.RUNNING, ExperimentStatus.PAUSED)
+    )
+    row.ended_at = row.ended_at or utc_now()
+    return row
+
+
+def report(session: Session, experiment_id: str, *, phase: Phase, detail: str = "", steps: int | None = None) -> bool:
+    """What the policy worker is doing. Returns False, and changes nothing, unless the experiment is running."""
+    row = _locked(session, experiment_id)
+    if row.status != ExperimentStatus.RUNNING:
+        return False
+    row.phase = phase.value
+    row.phase_detail = detail
+    if steps is not None:
+        row.steps = steps
+    return True
+
+
+def finish(session: Session, experiment_id: str) -> bool:
+    """The policy has had all its steps. Returns False, and changes nothing, unless the experiment is running."""
+    return _end(session, experiment_id, ExperimentStatus.FINISHED, "")
+
+
+def fail(session: Session, experiment_id: str, reason: str) -> bool:
+    """It cannot go on. Returns False, and changes nothing, unless the experiment is running."""
+    return _end(session, experiment_id, ExperimentStatus.FAILED, reason)
+
+
+def require_not_over(row: ExperimentRow) -> None:
+    """Raises ExperimentNotActive for an experiment that ended: its labels are settled."""
+    if row.status in _OVER:
+        raise ExperimentNotActive(row.id, row.status, "running or paused")
+
+
+def _locked(session: Session, experiment_id: str) -> ExperimentRow:
+    row = experiments.lock(session, experiment_id)
+    if row is None:
+        raise ExperimentNotFound(experiment_id)
+    return row
+
+
+def _change(
+    session: Session, experiment_id: str, status: ExperimentStatus, allowed: tuple[ExperimentStatus, ...]
+) -> ExperimentRow:
+    row = _locked(session, experiment_id)
+    if row.status != status:
+        if row.status not in allowed:
+            raise ExperimentNotActive(row.id, row.status, " or ".join(allowed))
+        row.status = status.value
+    return row
+
+
+def _end(session: Session, experiment_id: str, status: ExperimentStatus, detail: str) -> bool:
+    row = _locked(session, experiment_id)
+    if row.status != ExperimentStatus.RUNNING:
+        return False
+    row.status = status.value
+    row.phase = Phase.DONE.value
+    row.phase_detail = detail
+    row.ended_at = utc_now()
+    return True

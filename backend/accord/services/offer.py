@@ -1,0 +1,135 @@
+"""Hands queries to labellers: each to one at a time, under a lease, on a side drawn by lot."""
+
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from sqlalchemy.orm import Session
+
+from accord.domain.errors import LeaseLost, QueryClosed, QueryNotFound
+from accord.domain.words import ExperimentStatus, QueryStatus
+from accord.services import experiments
+from accord.services.clock import now_and_end
+from accord.store import queries
+from accord.store.queries import SideRow
+from accord.store.tables import ExperimentRow, UserRow
+
+Reason = Literal["", "rendering", "policy_training", "all_labelled", "experiment_over", "paused"]
+
+
+@dataclass(frozen=True, slots=True)
+class OfferedQuery:
+    """A query leased to one user."""
+
+    id: str
+    experiment_id: str
+    number: int
+    #: the segment, 0 or 1, that this user sees on the left
+    left_segment: int
+    #: segments 0 and 1
+    segments: tuple[SideRow, SideRow]
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """What a user gets to label."""
+
+    items: list[OfferedQuery]
+    #: why there are fewer than asked for; empty when there are not
+    reason: Reason
+
+
+def next_queries(session: Session, user: UserRow, experiment_id: str, count: int, lease_seconds: float) -> Offer:
+    """Up to `count` queries for a user, leased from now on: first those the user holds, then free ones, by number.
+
+    A query comes back with the sides it was first shown with, so that a reload of the page changes nothing.
+
+    Raises:
+        ExperimentNotFound: if there is no such experiment.
+    """
+    row = experiments.get(session, experiment_id)
+    closed = _closed_reason(row)
+    if closed:
+        return Offer([], closed)
+    now, until = now_and_end(lease_seconds)
+    ids = queries.leased_ids(session, user.id, experiment_id, now, count)
+    if len(ids) < count:
+        ids += queries.lock_free_ids(session, user.id, experiment_id, now, count - len(ids))
+    if not ids:
+        return Offer([], _waiting_reason(session, experiment_id))
+    queries.lease(session, ids, user.id, until)
+    items = _shown(session, user.id, ids)
+    return Offer(items, "" if len(items) == count else _waiting_reason(session, experiment_id))
+
+
+def offered(session: Session, user: UserRow, query_id: str) -> OfferedQuery:
+    """One query as its user sees it."""
+    return _shown(session, user.id, [query_id])[0]
+
+
+def heartbeat(session: Session, user: UserRow, query_id: str, lease_seconds: float) -> None:
+    """Keeps a lease for as long again.
+
+    Raises:
+        QueryNotFound: if there is no such query.
+        QueryClosed: if it has its labels.
+        LeaseLost: if it is another's by now, or was never this user's.
+    """
+    _, until = now_and_end(lease_seconds)
+    found = queries.lock(session, query_id, user.id)
+    if found is None:
+        raise QueryNotFound(query_id)
+    if found.query.status == QueryStatus.CLOSED:
+        raise QueryClosed(query_id)
+    # An expired lease that nobody has taken since is still good: a laptop that slept must not lose its pair.
+    if found.query.leased_by != user.id:
+        raise LeaseLost(query_id)
+    found.query.leased_until = until
+
+
+def release(session: Session, user: UserRow, query_id: str) -> None:
+    """Gives a lease back; nothing happens where the user holds none.
+
+    Raises:
+        QueryNotFound: if there is no such query.
+    """
+    found = queries.lock(session, query_id, user.id)
+    if found is None:
+        raise QueryNotFound(query_id)
+    if found.query.leased_by == user.id:
+        found.query.leased_by = found.query.leased_until = None
+
+
+def _shown(session: Session, user_id: str, ids: Sequence[str]) -> list[OfferedQuery]:
+    rows = queries.shown(session, ids, user_id)
+    # System randomness, not a seeded stream: nobody, the labeller included, can foretell a side.
+    drawn = {row.query_id: secrets.randbelow(2) for row in rows if row.left_segment is None}
+    if drawn:
+        now, _ = now_and_end(0.0)
+        queries.add_presentations(session, user_id, drawn, now)
+    return [
+        OfferedQuery(
+            id=row.query_id,
+            experiment_id=row.experiment_id,
+            number=row.number,
+            left_segment=drawn[row.query_id] if row.left_segment is None else row.left_segment,
+            segments=row.segments,
+        )
+        for row in rows
+    ]
+
+
+def _closed_reason(row: ExperimentRow) -> Reason:
+    if row.status == ExperimentStatus.PAUSED:
+        return "paused"
+    if row.status != ExperimentStatus.RUNNING:
+        return "experiment_over"
+    config = experiments.config_of(row)
+    if config.reward_source == "true" or row.label_count >= config.label_budget:
+        return "all_labelled"
+    return ""
+
+
+def _waiting_reason(session: Session, experiment_id: str) -> Reason:
+    return "rendering" if queries.count_rendering(session, experiment_id) else "policy_training"

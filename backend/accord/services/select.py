@@ -1,0 +1,103 @@
+"""Which pairs are asked about: how many are wanted, from what, and their rows."""
+
+from collections.abc import Sequence
+
+from sqlalchemy.orm import Session
+
+from accord.domain.errors import SegmentNotFound
+from accord.domain.ids import new_id
+from accord.domain.words import ClipStatus, ExperimentStatus, QueryStatus
+from accord.services.experiments import config_of, labels_due
+from accord.store import clips, experiments, queries, segments
+from accord.store.tables import ClipRow, ExperimentRow, QueryRow
+
+
+def queries_wanted(session: Session, row: ExperimentRow) -> int:
+    """Queries to add now, so that those due by the schedule and a few ahead of them are there.
+
+    A query that failed, or that was skipped and has no label, is replaced by another.
+    """
+    config = config_of(row)
+    if row.status != ExperimentStatus.RUNNING or config.reward_source == "true":
+        return 0
+    target = min(labels_due(row) + config.lookahead_queries, config.label_budget)
+    return max(0, target - queries.count_standing(session, row.id))
+
+
+def candidates(session: Session, experiment_id: str, limit: int = 2000) -> list[tuple[str, int]]:
+    """(segment id, policy steps) of the newest segments, newest first."""
+    return segments.newest(session, experiment_id, limit)
+
+
+def paired(session: Session, experiment_id: str) -> set[frozenset[str]]:
+    """Pairs of segment ids that have a query already, whichever way round."""
+    return queries.pairs(session, experiment_id)
+
+
+def segment_blobs(session: Session, segment_ids: Sequence[str]) -> dict[str, str]:
+    """Segment id -> blob key, for a selector that looks into the segments."""
+    return segments.blob_keys(session, segment_ids)
+
+
+def add_queries(
+    session: Session,
+    row: ExperimentRow,
+    pairs: Sequence[tuple[str, str]],
+    selector: str,
+    reward_version_id: str | None = None,
+) -> list[str]:
+    """Adds a query for each pair of segment ids; returns the new queries' ids.
+
+    Passed over: a pair that is there already, either way round; a segment with itself; a segment whose clip failed.
+    Where clips are made, a query waits for them; else it is open at once.
+
+    Raises:
+        SegmentNotFound: if a segment is not of this experiment.
+    """
+    # one adder at a time, so that two of them never take the same number
+    experiments.lock(session, row.id)
+    wanted = sorted({segment_id for pair in pairs for segment_id in pair})
+    absent = set(wanted) - segments.of_experiment(session, row.id, wanted)
+    if absent:
+        raise SegmentNotFound(min(absent))
+    known = queries.pairs(session, row.id)
+    clip_of = clips.of_segments(session, wanted) if config_of(row).render_clips else None
+    number = queries.last_number(session, row.id)
+    added: list[str] = []
+    for pair in pairs:
+        either_way = frozenset(pair)
+        if len(either_way) != len(pair) or either_way in known:
+            continue
+        status = QueryStatus.OPEN if clip_of is None else _with_clips(session, row.id, pair, clip_of)
+        if status is QueryStatus.FAILED:
+            continue
+        known.add(either_way)
+        number += 1
+        query = QueryRow(
+            id=new_id("qry"),
+            experiment_id=row.id,
+            segment_0_id=pair[0],
+            segment_1_id=pair[1],
+            number=number,
+            status=status.value,
+            selector=selector,
+            reward_version_id=reward_version_id,
+        )
+        session.add(query)
+        added.append(query.id)
+    session.flush()
+    return added
+
+
+def _with_clips(
+    session: Session, experiment_id: str, pair: tuple[str, str], clip_of: dict[str, ClipRow]
+) -> QueryStatus:
+    """Sees to it that both segments have a clip row; returns the state of a query that needs both."""
+    for segment_id in pair:
+        if segment_id not in clip_of:
+            clip_of[segment_id] = ClipRow(id=new_id("clp"), experiment_id=experiment_id, segment_id=segment_id)
+            session.add(clip_of[segment_id])
+    states = {clip_of[segment_id].status for segment_id in pair}
+    if ClipStatus.FAILED in states:
+        return QueryStatus.FAILED
+    return QueryStatus.OPEN if states == {ClipStatus.READY} else QueryStatus.RENDERING

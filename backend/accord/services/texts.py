@@ -1,0 +1,47 @@
+"""What a text from outside must be before it is stored."""
+
+import json
+from typing import Any
+
+from accord.domain.errors import Invalid
+
+_MAX_TEACHER_CHARACTERS = 4000
+
+
+def check_line(text: str, what: str, longest: int) -> str:
+    """Returns one line of text without the spaces around it.
+
+    Raises:
+        Invalid: if it is empty, too long, or holds characters that cannot be shown (Postgres refuses some of them).
+    """
+    line = text.strip()
+    if not line or len(line) > longest or not line.isprintable():
+        raise Invalid(f"The {what} must be one line of 1 to {longest} printable characters.")
+    return line
+
+
+def check_lines(text: str, what: str, longest: int) -> str:
+    """Returns several lines of text without the space around them.
+
+    Raises:
+        Invalid: as `check_line`, for every line.
+    """
+    lines = text.strip()
+    if len(lines) > longest or not all(line.isprintable() for line in lines.replace("\t", " ").splitlines()):
+        raise Invalid(f"The {what} must be at most {longest} printable characters.")
+    return lines
+
+
+def check_teacher(teacher: dict[str, Any]) -> dict[str, Any]:
+    """Returns a scripted teacher's description.
+
+    Raises:
+        Invalid: if it is long, or holds a number that JSON has no word for.
+    """
+    try:
+        length = len(json.dumps(teacher, allow_nan=False))
+    except ValueError as error:
+        raise Invalid(f"`teacher` must be plain JSON: {error}.") from error
+    if length > _MAX_TEACHER_CHARACTERS:
+        raise Invalid(f"`teacher` is {length} characters as JSON; at most {_MAX_TEACHER_CHARACTERS} are kept.")
+    return teacher

@@ -1,0 +1,40 @@
+"""Rows of metrics."""
+
+from collections.abc import Sequence
+
+from sqlalchemy import delete, insert, select
+from sqlalchemy.orm import Session
+
+from accord.store.tables import MetricRow
+
+
+def replace(
+    session: Session, experiment_id: str, step: int, values: dict[str, float], reward_version_id: str | None
+) -> None:
+    """Writes the points of one step. A point that was there is removed, so that its successor's id is a newer one."""
+    session.execute(
+        delete(MetricRow).where(
+            MetricRow.experiment_id == experiment_id, MetricRow.step == step, MetricRow.name.in_(values)
+        )
+    )
+    session.execute(
+        insert(MetricRow),
+        [
+            {
+                "experiment_id": experiment_id,
+                "name": name,
+                "step": step,
+                "value": value,
+                "reward_version_id": reward_version_id,
+            }
+            for name, value in values.items()
+        ],
+    )
+
+
+def points(session: Session, experiment_id: str, names: Sequence[str] | None, after_id: int) -> list[MetricRow]:
+    """Points written after an id, by name and step."""
+    statement = select(MetricRow).where(MetricRow.experiment_id == experiment_id, MetricRow.id > after_id)
+    if names is not None:
+        statement = statement.where(MetricRow.name.in_(names))
+    return list(session.scalars(statement.order_by(MetricRow.name, MetricRow.step)))

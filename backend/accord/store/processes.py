@@ -1,0 +1,45 @@
+"""Rows of worker processes and of the claims they hold."""
+
+from datetime import datetime
+
+from sqlalchemy import delete, or_, select, update
+from sqlalchemy.orm import Session
+
+from accord.store.tables import ClaimRow, WorkerRow
+from accord.store.upsert import insert
+
+
+def worker(session: Session, worker_id: str) -> WorkerRow | None:
+    return session.get(WorkerRow, worker_id)
+
+
+def workers(session: Session) -> list[WorkerRow]:
+    return list(session.scalars(select(WorkerRow).order_by(WorkerRow.id)))
+
+
+def take_claim(session: Session, subject: str, holder: str, until: datetime, now: datetime) -> bool:
+    """Takes a claim that is free, expired, or the holder's own; one statement, so that of two askers one gets it."""
+    statement = insert(session, ClaimRow).values(subject=subject, holder=holder, expires_at=until)
+    taken = session.scalar(
+        statement.on_conflict_do_update(
+            index_elements=[ClaimRow.subject],
+            set_={"holder": holder, "expires_at": until},
+            where=or_(ClaimRow.holder == holder, ClaimRow.expires_at <= now),
+        ).returning(ClaimRow.subject)
+    )
+    return taken is not None
+
+
+def renew_claim(session: Session, subject: str, holder: str, until: datetime) -> bool:
+    renewed = session.scalar(
+        update(ClaimRow)
+        .where(ClaimRow.subject == subject, ClaimRow.holder == holder)
+        .values(expires_at=until)
+        .returning(ClaimRow.subject)
+        .execution_options(synchronize_session=False)
+    )
+    return renewed is not None
+
+
+def drop_claim(session: Session, subject: str, holder: str) -> None:
+    session.execute(delete(ClaimRow).where(ClaimRow.subject == subject, ClaimRow.holder == holder))

@@ -1,0 +1,34 @@
+"""Rows of segments."""
+
+from collections.abc import Sequence
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from accord.store.tables import SegmentRow
+
+
+def newest(session: Session, experiment_id: str, limit: int) -> list[tuple[str, int]]:
+    """(segment id, policy steps), the newest policy's first."""
+    rows = session.execute(
+        select(SegmentRow.id, SegmentRow.policy_steps)
+        .where(SegmentRow.experiment_id == experiment_id)
+        .order_by(SegmentRow.policy_steps.desc(), SegmentRow.id.desc())
+        .limit(limit)
+    )
+    return [(segment_id, steps) for segment_id, steps in rows]
+
+
+def of_experiment(session: Session, experiment_id: str, segment_ids: Sequence[str]) -> set[str]:
+    """Those of the ids that are segments of the experiment."""
+    return set(
+        session.scalars(
+            select(SegmentRow.id).where(SegmentRow.experiment_id == experiment_id, SegmentRow.id.in_(segment_ids))
+        )
+    )
+
+
+def blob_keys(session: Session, segment_ids: Sequence[str]) -> dict[str, str]:
+    """Segment id -> blob key."""
+    rows = session.execute(select(SegmentRow.id, SegmentRow.blob_key).where(SegmentRow.id.in_(segment_ids)))
+    return dict(rows.tuples())
