@@ -1,0 +1,22 @@
+"""OpenGL without a display, or a skip that says what to install."""
+
+from pathlib import Path
+
+import pytest
+
+from accord.rendering.errors import RenderingUnavailable
+from accord.rendering.probe import Backend, probe_backend
+from integration.rendering.drawing import Drawing
+
+
+@pytest.fixture(scope="session")
+def backend() -> Backend:
+    try:
+        return probe_backend()
+    except RenderingUnavailable as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture
+def drawing(backend: Backend, tmp_path: Path) -> Drawing:
+    return Drawing(backend, tmp_path)

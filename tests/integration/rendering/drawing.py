@@ -1,0 +1,45 @@
+"""Raw frames of a cheetah, drawn in a process of its own as in production: pytest's has mujoco without OpenGL.
+
+As a script: `drawing.py <folder with qpos.npy> <agents' geoms> <settings>`, the last two as JSON.
+"""
+
+import json
+import subprocess
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accord.rendering.probe import Backend, render_environment
+from accord.rendering.renderer import ClipRenderer
+from accord.rendering.settings import CodecSettings, RenderSettings
+from mapt.tasks import load_model
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """Draws in child processes, with files in a folder."""
+
+    backend: Backend
+    folder: Path
+
+    def frames(self, qpos: NDArray[np.float64], agents: list[list[int]], settings: RenderSettings) -> NDArray[np.uint8]:
+        """Frames (T,H,W,3) of states (T,9), from a new process."""
+        np.save(self.folder / "qpos.npy", qpos)
+        arguments = [str(self.folder), json.dumps(agents), json.dumps(asdict(settings))]
+        subprocess.run([sys.executable, __file__, *arguments], env=render_environment(self.backend), check=True)
+        return np.load(self.folder / "frames.npy")
+
+
+def main() -> None:
+    folder, agents, look = Path(sys.argv[1]), json.loads(sys.argv[2]), json.loads(sys.argv[3])
+    settings = RenderSettings(**look | {"codec": CodecSettings(**look["codec"])})
+    qpos = np.load(folder / "qpos.npy")
+    with ClipRenderer(load_model("HalfCheetah-6x1"), agents, settings) as renderer:
+        np.save(folder / "frames.npy", np.stack(list(renderer.frames(qpos, np.zeros_like(qpos)))))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,215 @@
+"""The render process: what it makes, and what its death does."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import numpy as np
+import psutil
+import pytest
+
+from accord.rendering.encode import partial_path
+from accord.rendering.errors import RenderFailed, RenderTimedOut
+from accord.rendering.probe import Backend
+from accord.rendering.process import RenderProcess
+from accord.rendering.protocol import ClipJob
+from accord.rendering.settings import RenderSettings
+from integration.rendering.gaits import trot
+
+#: for what must happen soon, on a machine that is busy
+DEADLINE_SECONDS = 60.0
+
+
+@pytest.fixture(scope="module")
+def shared_process(backend: Backend) -> Iterator[RenderProcess]:
+    with RenderProcess(backend) as process:
+        yield process
+
+
+@pytest.fixture
+def process(shared_process: RenderProcess) -> RenderProcess:
+    """One for all tests, whatever they do to it: each leaves a working one behind."""
+    return shared_process
+
+
+def job(folder: Path, steps: int = 5, task: str = "HalfCheetah-6x1") -> ClipJob:
+    qpos = trot(steps)
+    return ClipJob(task, qpos, np.zeros_like(qpos), RenderSettings(width=160, height=120), folder / "clip.mp4")
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_SECONDS
+    while not true():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.005)
+
+
+def is_gone(pid: int) -> bool:
+    return not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+
+
+@contextmanager
+def struck_in_the_middle(process: RenderProcess, folder: Path, signal_number: int) -> Iterator[None]:
+    """Send a signal to the process once it is writing its clip."""
+    pid = process.pid
+    partial = partial_path(folder / "clip.mp4", pid)
+
+    def strike() -> None:
+        wait_until(lambda: is_gone(pid) or (partial.exists() and partial.stat().st_size > 0))
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal_number)
+
+    thread = threading.Thread(target=strike)
+    thread.start()
+    yield
+    thread.join()
+
+
+def assert_makes_clips(process: RenderProcess, folder: Path) -> None:
+    clip = process.render(job(folder))
+    with av.open(str(clip.path)) as container:
+        assert sum(1 for _ in container.decode(video=0)) == clip.frames == 5
+
+
+@pytest.mark.parametrize("task", ["HalfCheetah-6x1", "HalfCheetah-2x3"])
+def test_clip_has_a_frame_for_every_state(process: RenderProcess, tmp_path: Path, task: str) -> None:
+    clip = process.render(job(tmp_path, steps=50, task=task))
+    assert clip.path == tmp_path / "clip.mp4"
+    assert (clip.frames, clip.seconds, clip.width, clip.height) == (50, 2.5, 160, 120)
+    with av.open(str(clip.path)) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 50
+    assert list(tmp_path.iterdir()) == [clip.path]
+
+
+def test_looks_in_turn_are_each_drawn_at_their_size(process: RenderProcess, tmp_path: Path) -> None:
+    for width in (160, 96, 128, 112, 144, 176, 160):  # more than the renderers it keeps
+        settings = RenderSettings(width=width, height=96)
+        clip = process.render(replace(job(tmp_path), settings=settings))
+        with av.open(str(clip.path)) as container:
+            assert container.streams.video[0].codec_context.width == width
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        ({"task": "Walker-2x3"}, "Walker-2x3"),
+        ({"qpos": np.zeros((5, 7))}, "not of this model"),
+        ({"qvel": np.zeros((4, 9))}, "not of this model"),
+        ({"qpos": np.full((5, 9), np.nan)}, "diverged"),
+        ({"qpos": np.zeros((0, 9)), "qvel": np.zeros((0, 9))}, "at least one state"),
+        ({"path": Path("/nowhere/clip.mp4")}, "could not be written"),
+    ],
+)
+def test_job_that_makes_no_clip_fails_alone(
+    process: RenderProcess, tmp_path: Path, broken: dict[str, object], message: str
+) -> None:
+    pid = process.pid
+    with pytest.raises(RenderFailed, match=message):
+        process.render(replace(job(tmp_path), **broken))
+    assert list(tmp_path.iterdir()) == []
+    assert_makes_clips(process, tmp_path)
+    assert process.pid == pid
+
+
+def test_wedged_process_is_killed_and_replaced(process: RenderProcess, tmp_path: Path) -> None:
+    assert_makes_clips(process, tmp_path)
+    (tmp_path / "clip.mp4").unlink()
+    wedged = process.pid
+    os.kill(wedged, signal.SIGSTOP)
+    with pytest.raises(RenderTimedOut) as error:
+        process.render(job(tmp_path), limit_seconds=0.5)
+    assert error.value.code == "render_timed_out"
+    assert is_gone(wedged)
+    assert list(tmp_path.iterdir()) == []
+    assert_makes_clips(process, tmp_path)
+
+
+def test_wedged_process_cannot_wedge_its_parent_with_a_long_job(process: RenderProcess, tmp_path: Path) -> None:
+    wedged = process.pid
+    assert_makes_clips(process, tmp_path)
+    os.kill(wedged, signal.SIGSTOP)
+    with pytest.raises(RenderTimedOut):  # 7 MB are more than a socket holds
+        process.render(job(tmp_path, steps=50_000), limit_seconds=0.5)
+    assert is_gone(wedged)
+    assert_makes_clips(process, tmp_path)
+
+
+def test_wedge_in_the_middle_of_a_clip_leaves_nothing(process: RenderProcess, tmp_path: Path) -> None:
+    with struck_in_the_middle(process, tmp_path, signal.SIGSTOP), pytest.raises(RenderTimedOut):
+        process.render(job(tmp_path, steps=20_000), limit_seconds=3)
+    assert list(tmp_path.iterdir()) == []
+    assert_makes_clips(process, tmp_path)
+
+
+def test_kill_in_the_middle_of_a_clip_leaves_nothing(process: RenderProcess, tmp_path: Path) -> None:
+    with struck_in_the_middle(process, tmp_path, signal.SIGKILL), pytest.raises(RenderFailed, match="signal 9"):
+        process.render(job(tmp_path, steps=20_000))
+    assert list(tmp_path.iterdir()) == []
+    assert_makes_clips(process, tmp_path)
+
+
+def test_process_killed_between_clips_is_replaced(process: RenderProcess, tmp_path: Path) -> None:
+    assert_makes_clips(process, tmp_path)
+    killed = process.pid
+    os.kill(killed, signal.SIGKILL)
+    with pytest.raises(RenderFailed):
+        process.render(job(tmp_path))
+    assert process.pid != killed
+    assert_makes_clips(process, tmp_path)
+
+
+def test_ctrl_c_is_left_to_the_parent(process: RenderProcess, tmp_path: Path) -> None:
+    assert_makes_clips(process, tmp_path)
+    pid = process.pid
+    os.kill(pid, signal.SIGINT)
+    assert_makes_clips(process, tmp_path)
+    assert process.pid == pid
+    assert os.getpgid(pid) != os.getpgid(0)  # nor does the terminal send it one
+
+
+def test_torch_is_never_loaded(process: RenderProcess, tmp_path: Path) -> None:
+    assert_makes_clips(process, tmp_path)
+    libraries = Path(f"/proc/{process.pid}/maps").read_text()
+    assert "mujoco" in libraries
+    assert "torch" not in libraries
+
+
+def test_closed_process_is_gone(backend: Backend, tmp_path: Path) -> None:
+    with RenderProcess(backend) as process:
+        assert_makes_clips(process, tmp_path)
+    assert is_gone(process.pid)
+
+
+def test_process_dies_with_a_parent_that_is_killed(backend: Backend, tmp_path: Path) -> None:
+    parent = subprocess.Popen([sys.executable, "-c", PARENT, backend, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    with parent:
+        assert parent.stdout is not None
+        child = int(parent.stdout.readline())
+        wait_until(lambda: any(path.suffix == ".partial" for path in tmp_path.iterdir()))
+        parent.kill()
+    wait_until(lambda: is_gone(child))
+    assert not (tmp_path / "clip.mp4").exists()
+
+
+#: makes a clip that would take minutes
+PARENT = """
+import sys
+from pathlib import Path
+import numpy as np
+from accord.rendering.process import RenderProcess
+from accord.rendering.protocol import ClipJob
+from accord.rendering.settings import RenderSettings
+
+process = RenderProcess(sys.argv[1])
+print(process.pid, flush=True)
+states = np.zeros((50_000, 9))
+process.render(ClipJob("HalfCheetah-6x1", states, states, RenderSettings(), Path(sys.argv[2]) / "clip.mp4"))
+"""
