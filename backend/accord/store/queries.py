@@ -76,6 +76,8 @@ def leased_ids(session: Session, user_id: str, experiment_id: str, now: datetime
             )
             .order_by(QueryRow.number)
             .limit(limit)
+            # an expiring lease is either still ours when locked, or not in the list
+            .with_for_update()
         )
     )
 

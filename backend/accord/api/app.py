@@ -1,0 +1,63 @@
+"""Puts the application together."""
+
+from typing import Any
+
+from fastapi import APIRouter, FastAPI
+from fastapi.routing import APIRoute
+
+from accord.api import errors
+from accord.api.body_limit import BodyLimit
+from accord.api.pages import Page
+from accord.api.routes import accounts, clips, events, experiments, health, labelling
+from accord.api.visit import House
+from accord.settings import Settings
+from accord.store.blobs import BlobStore
+from accord.store.database import Database
+
+PREFIX = "/api/v1"
+_DESCRIPTION = """Teach teams of agents by comparing short clips.
+
+Sign in with `Authorization: Bearer <token>`. Every failure has the same body: a stable `code` and a sentence."""
+
+
+def create_app(settings: Settings, database: Database, blobs: BlobStore) -> FastAPI:
+    """The application over a migrated database; opening and closing both stores is the caller's."""
+    app = FastAPI(
+        title="Accord",
+        version="1",
+        description=_DESCRIPTION,
+        openapi_url="/api/openapi.json",
+        docs_url="/api/docs",
+        redoc_url=None,
+        redirect_slashes=False,
+        generate_unique_id_function=_operation_id,
+        responses=errors.RESPONSES,
+    )
+    app.state.house = House(settings, database, blobs)
+    api = APIRouter(prefix=PREFIX)
+    for module in (health, accounts, experiments, events, labelling, clips):
+        api.include_router(module.router)
+    app.include_router(api)
+    app.include_router(accounts.pages)
+    app.router.default = Page()
+    errors.install(app)
+    app.add_middleware(BodyLimit, limit_bytes=settings.max_body_bytes)
+    _describe_sign_in(app)
+    return app
+
+
+def _operation_id(route: APIRoute) -> str:
+    """The function's name: the generated client's methods keep theirs when an address changes."""
+    return route.name
+
+
+def _describe_sign_in(app: FastAPI) -> None:
+    """Adds the two ways to sign in to the OpenAPI document."""
+    document = app.openapi()
+    components: dict[str, Any] = document.setdefault("components", {})
+    components["securitySchemes"] = {
+        "bearer": {"type": "http", "scheme": "bearer"},
+        "cookie": {"type": "apiKey", "in": "cookie", "name": "accord_session"},
+    }
+    document["security"] = [{"bearer": []}, {"cookie": []}]
+    document["paths"][f"{PREFIX}/health"]["get"]["security"] = []

@@ -1,0 +1,118 @@
+"""Errors to responses: class to status, and one shape of body for every failure there is."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from math import ceil
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from accord.api.schemas import ErrorBody, ErrorResponse
+from accord.domain.errors import (
+    AccordError,
+    BodyTooLarge,
+    Forbidden,
+    Invalid,
+    LeaseLost,
+    NotFound,
+    TooManyRequests,
+    Unauthenticated,
+    Unavailable,
+    WrongState,
+)
+from accord.domain.ids import new_id
+
+log = logging.getLogger(__name__)
+
+#: the first class that fits decides
+STATUS: tuple[tuple[type[AccordError], int], ...] = (
+    (Unauthenticated, 401),
+    (Forbidden, 403),
+    (NotFound, 404),
+    (WrongState, 409),
+    (LeaseLost, 410),
+    (BodyTooLarge, 413),
+    (Invalid, 422),
+    (TooManyRequests, 429),
+    (Unavailable, 503),
+)
+_HTTP_MESSAGES = {
+    404: ("not_found", "There is nothing at this address. The API is described at /api/docs."),
+    405: ("method_not_allowed", "This address does not take this method. The API is described at /api/docs."),
+}
+#: what every route of the API may answer, for OpenAPI
+RESPONSES: dict[int | str, dict[str, Any]] = {
+    "default": {"model": ErrorResponse, "description": "A stable code, and a sentence that helps."}
+}
+
+
+def error_response(
+    status: int,
+    code: str,
+    message: str,
+    details: Sequence[dict[str, Any]] = (),
+    headers: Mapping[str, str] | None = None,
+) -> JSONResponse:
+    body = ErrorResponse(error=ErrorBody(code=code, message=message, details=list(details)))
+    return JSONResponse(body.model_dump(), status, headers)
+
+
+def status_of(error: AccordError) -> int:
+    return next((status for kind, status in STATUS if isinstance(error, kind)), 500)
+
+
+def accord_error_response(error: AccordError) -> JSONResponse:
+    headers: dict[str, str] = {}
+    if isinstance(error, Unauthenticated):
+        headers["WWW-Authenticate"] = 'Bearer realm="accord"'
+    elif isinstance(error, TooManyRequests):
+        headers["Retry-After"] = str(ceil(error.retry_after_seconds))
+    elif isinstance(error, Unavailable):
+        headers["Retry-After"] = "5"
+    return error_response(status_of(error), error.code, str(error), headers=headers)
+
+
+def install(app: FastAPI) -> None:
+    """Makes every failure of the application speak the same way."""
+
+    async def on_accord_error(_request: Request, error: Exception) -> JSONResponse:
+        assert isinstance(error, AccordError)
+        if status_of(error) >= 500:
+            log.error("%s: %s", error.code, error, exc_info=error)
+        return accord_error_response(error)
+
+    async def on_invalid_request(_request: Request, error: Exception) -> JSONResponse:
+        assert isinstance(error, RequestValidationError)
+        details = [_problem(each) for each in error.errors()]
+        sentence = "; ".join(f"{each['where']}: {each['problem']}" for each in details[:5])
+        return error_response(422, "invalid_request", f"The request is malformed. {sentence}.", details)
+
+    async def on_http_exception(_request: Request, error: Exception) -> JSONResponse:
+        assert isinstance(error, HTTPException)
+        phrase = HTTPStatus(error.status_code).phrase
+        code, message = _HTTP_MESSAGES.get(
+            error.status_code, (phrase.lower().replace(" ", "_"), f"{error.detail or phrase}.")
+        )
+        return error_response(error.status_code, code, message, headers=error.headers)
+
+    async def on_any_error(request: Request, error: Exception) -> JSONResponse:
+        id = new_id("err")
+        log.error("%s %s failed as %s", request.method, request.url.path, id, exc_info=error)
+        return error_response(
+            500, "internal", f"Something went wrong that should not. The server's log has it under {id}.", [{"id": id}]
+        )
+
+    app.add_exception_handler(AccordError, on_accord_error)
+    app.add_exception_handler(RequestValidationError, on_invalid_request)
+    app.add_exception_handler(HTTPException, on_http_exception)
+    app.add_exception_handler(Exception, on_any_error)
+
+
+def _problem(error: Mapping[str, Any]) -> dict[str, str]:
+    """Where and what, without the input: it may be large, secret, or nothing that JSON can hold."""
+    where = ".".join(str(part) for part in error["loc"])
+    return {"where": where, "problem": str(error["msg"])}

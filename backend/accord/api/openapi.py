@@ -1,0 +1,26 @@
+"""python -m accord.api.openapi FILE: writes the OpenAPI document from which the page's client is generated."""
+
+import argparse
+import json
+from pathlib import Path
+
+from accord.api.app import create_app
+from accord.settings import Settings
+from accord.store.blobs import open_blobs
+from accord.store.database import Database
+
+
+def document() -> str:
+    """The OpenAPI document, always the same text for the same routes."""
+    app = create_app(Settings(), Database.open("sqlite://"), open_blobs("memory://openapi"))
+    return json.dumps(app.openapi(), indent=2, sort_keys=True) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", type=Path, help="where to write it, for example frontend/openapi.json")
+    parser.parse_args().file.write_text(document())
+
+
+if __name__ == "__main__":
+    main()

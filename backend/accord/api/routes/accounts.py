@@ -1,0 +1,92 @@
+"""Who is signed in; users; signing in and out."""
+
+from html import escape
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse, RedirectResponse, Response
+
+from accord.api import schemas
+from accord.api.visit import COOKIE, VisitDep, house_of
+from accord.domain.errors import Unauthenticated
+from accord.domain.policy import may_manage_users, require
+from accord.domain.words import Role
+from accord.services import accounts
+
+router = APIRouter(tags=["accounts"])
+#: outside the API's prefix: what a person opens in a browser
+pages = APIRouter(include_in_schema=False)
+
+
+@router.get("/me", summary="Who am I?")
+def me(visit: VisitDep) -> schemas.Me:
+    """The user whose token came with the request."""
+    with visit.reading() as signed:
+        return schemas.Me(id=signed.user.id, name=signed.user.name, role=signed.role)
+
+
+@router.post("/users", status_code=201, summary="Add a user")
+def create_user(body: schemas.NewUser, request: Request, visit: VisitDep) -> schemas.CreatedUser:
+    """Makes a user with a bearer token and a sign-in link. Admins alone may."""
+    settings = visit.house.settings
+    with visit.writing() as signed:
+        require(may_manage_users(signed.role), signed.role, "add users")
+        user, token = accounts.create_user(signed.session, body.name, body.role)
+        link = accounts.make_link(signed.session, user.id, settings.link_minutes)
+        base = settings.public_url or str(request.base_url)
+        return schemas.CreatedUser(
+            id=user.id,
+            name=user.name,
+            role=Role(user.role),
+            token=token,
+            sign_in_url=f"{base.rstrip('/')}/sign-in/{link}",
+        )
+
+
+@router.post("/sign-out", status_code=204, summary="Sign out")
+def sign_out(visit: VisitDep) -> Response:
+    """Ends the browser's session, or makes the bearer token that came with the request worthless."""
+    with visit.writing() as signed:
+        accounts.sign_out(signed.session, visit.token)
+        response = Response(status_code=204)
+        response.delete_cookie(COOKIE, path="/")
+        return response
+
+
+@pages.get("/sign-in/{link_token}")
+def sign_in(link_token: str, request: Request) -> Response:
+    """Turns a one-time link into the browser's cookie and shows the page."""
+    house = house_of(request)
+    try:
+        with house.database.transaction() as session:
+            _, token = accounts.redeem_link(session, link_token, house.settings.session_days)
+    except Unauthenticated as error:
+        if _signed_in(request):
+            return RedirectResponse("/", 303)
+        return HTMLResponse(
+            f"<!doctype html><html lang=en><title>Accord</title><h1>Not signed in</h1><p>{escape(str(error))}</p>", 401
+        )
+    secure = request.url.scheme == "https" or house.settings.public_url.startswith("https:")
+    response = RedirectResponse("/", 303)
+    response.set_cookie(
+        COOKIE,
+        token,
+        max_age=round(house.settings.session_days * 86_400),
+        httponly=True,
+        samesite="lax",
+        secure=secure,
+        path="/",
+    )
+    return response
+
+
+def _signed_in(request: Request) -> bool:
+    """Whether the browser has a good cookie already: it opened its old link once more."""
+    cookie = request.cookies.get(COOKIE)
+    if not cookie:
+        return False
+    with house_of(request).database.reading() as session:
+        try:
+            accounts.authenticate(session, cookie)
+        except Unauthenticated:
+            return False
+        return True

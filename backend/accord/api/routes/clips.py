@@ -1,0 +1,72 @@
+"""The clips themselves, with HTTP ranges, so that a browser can seek."""
+
+import re
+from dataclasses import dataclass
+
+from fastapi import APIRouter, Request
+from fastapi.responses import Response
+
+from accord.api.parameters import ClipId
+from accord.api.visit import VisitDep
+from accord.services import clips
+
+router = APIRouter(tags=["clips"])
+_RANGE = re.compile(r"bytes=(\d*)-(\d*)")
+
+
+@dataclass(frozen=True, slots=True)
+class ByteRange:
+    """Bytes from `start` up to, not with, `stop`."""
+
+    start: int
+    stop: int
+
+
+@router.get(
+    "/clips/{clip_id}.mp4",
+    response_class=Response,
+    responses={
+        200: {"content": {"video/mp4": {}}, "description": "The whole clip."},
+        206: {"content": {"video/mp4": {}}, "description": "The range asked for."},
+        304: {"description": "The clip in the browser's cache is this one."},
+        416: {"description": "The range lies outside of the clip."},
+    },
+    summary="Play a clip",
+)
+def get_clip(clip_id: ClipId, request: Request, visit: VisitDep) -> Response:
+    """H.264 in MP4. A clip never changes: browsers may keep it."""
+    with visit.reading() as signed:
+        row = clips.get(signed.session, clip_id)
+        key, size = row.blob_key, row.size_bytes
+    assert key is not None  # a clip that is ready has one
+    etag = f'"{clip_id}"'
+    headers = {"Accept-Ranges": "bytes", "ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
+    if etag in request.headers.get("if-none-match", ""):
+        return Response(status_code=304, headers=headers)
+    wanted = parse_range(request.headers.get("range", ""), size)
+    if request.headers.get("if-range", etag) != etag:
+        wanted = None
+    if wanted is None:
+        return Response(visit.house.blobs.read(key), 200, headers, media_type="video/mp4")
+    if wanted.start >= wanted.stop:
+        return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
+    headers["Content-Range"] = f"bytes {wanted.start}-{wanted.stop - 1}/{size}"
+    content = visit.house.blobs.read_range(key, wanted.start, wanted.stop)
+    return Response(content, 206, headers, media_type="video/mp4")
+
+
+def parse_range(header: str, size: int) -> ByteRange | None:
+    """The one range that a Range header asks for, cut to the size; an empty one cannot be satisfied.
+
+    None for no range, several, or one that makes no sense: RFC 9110 lets a server then send the whole.
+    """
+    match = _RANGE.fullmatch(header.strip())
+    if match is None or match[0] == "bytes=-":
+        return None
+    first, last = match.groups()
+    if not first:
+        return ByteRange(max(0, size - int(last)), size)
+    stop = size if not last else min(size, int(last) + 1)
+    if last and int(last) < int(first):
+        return None
+    return ByteRange(int(first), stop)

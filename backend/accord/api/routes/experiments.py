@@ -1,0 +1,115 @@
+"""Experiments: made, listed, inspected, steered; their curves and reward versions; the workers."""
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+from sqlalchemy.orm import Session
+
+from accord.api import schemas, views
+from accord.api.parameters import ExperimentId
+from accord.api.visit import Visit, VisitDep
+from accord.domain.experiment import ExperimentConfig
+from accord.domain.ids import check_id
+from accord.domain.policy import may_run_experiments, require
+from accord.services import experiments, metrics, publish, workers
+from accord.store.tables import ExperimentRow
+
+router = APIRouter(tags=["experiments"])
+_CONFIG_FIELDS = {field.name for field in fields(ExperimentConfig)}
+
+
+@router.get("/tasks", summary="List the tasks")
+def list_tasks(visit: VisitDep) -> list[schemas.TaskSchema]:
+    """Everything a policy can be taught here."""
+    with visit.reading():
+        return views.task_views()
+
+
+@router.post("/experiments", status_code=201, summary="Start an experiment")
+def create_experiment(body: schemas.NewExperiment, visit: VisitDep) -> schemas.Experiment:
+    """A policy worker takes it up as soon as one is free. Researchers and admins may."""
+    config = ExperimentConfig(**body.model_dump(include=_CONFIG_FIELDS))
+    with visit.writing() as signed:
+        require(may_run_experiments(signed.role), signed.role, "start experiments")
+        row = experiments.create(signed.session, signed.user.id, body.name, config, body.instructions)
+        return views.experiment_view(signed.session, row, signed.role)
+
+
+@router.get("/experiments", summary="List experiments")
+def list_experiments(
+    visit: VisitDep,
+    limit: Annotated[int, Query(ge=1, le=100, description="Most experiments to return.")] = 20,
+    cursor: Annotated[str | None, Query(description="`next_cursor` of the page before.")] = None,
+) -> schemas.ExperimentPage:
+    """Newest first."""
+    if cursor is not None:
+        check_id(cursor, "exp")
+    with visit.reading() as signed:
+        page = experiments.list_page(signed.session, limit, cursor)
+        items = views.experiment_views(signed.session, page.rows, signed.role)
+        return schemas.ExperimentPage(items=items, next_cursor=page.next_cursor)
+
+
+@router.get("/experiments/{experiment_id}", summary="Look at an experiment")
+def get_experiment(experiment_id: ExperimentId, visit: VisitDep) -> schemas.Experiment:
+    """Its settings, what its policy is doing, and how far its labelling is."""
+    with visit.reading() as signed:
+        row = experiments.get(signed.session, experiment_id)
+        return views.experiment_view(signed.session, row, signed.role)
+
+
+@router.post("/experiments/{experiment_id}/pause", summary="Pause an experiment")
+def pause_experiment(experiment_id: ExperimentId, visit: VisitDep) -> schemas.Experiment:
+    """Its workers stop after the step they are in; no query is offered. A paused one stays paused."""
+    return _steer(visit, experiment_id, experiments.pause, "pause experiments")
+
+
+@router.post("/experiments/{experiment_id}/resume", summary="Resume an experiment")
+def resume_experiment(experiment_id: ExperimentId, visit: VisitDep) -> schemas.Experiment:
+    """Goes on from the newest checkpoint, after a pause or a failure. A running one goes on running."""
+    return _steer(visit, experiment_id, experiments.resume, "resume experiments")
+
+
+@router.post("/experiments/{experiment_id}/cancel", summary="Cancel an experiment")
+def cancel_experiment(experiment_id: ExperimentId, visit: VisitDep) -> schemas.Experiment:
+    """Ends it for good. Its labels, segments and curves stay."""
+    return _steer(visit, experiment_id, experiments.cancel, "cancel experiments")
+
+
+@router.get("/experiments/{experiment_id}/metrics", summary="Read curves")
+def get_metrics(
+    experiment_id: ExperimentId,
+    visit: VisitDep,
+    names: Annotated[list[str] | None, Query(description="Curves to return; all when left out.")] = None,
+) -> schemas.Metrics:
+    """Curves over the policy's environment steps. Labellers get none that tells of true rewards."""
+    with visit.reading() as signed:
+        row = experiments.get(signed.session, experiment_id)
+        found = metrics.series(signed.session, experiment_id, names)
+        return views.metrics_view(metrics.visible(found, row, signed.role))
+
+
+@router.get("/experiments/{experiment_id}/reward-versions", summary="List reward versions")
+def list_reward_versions(experiment_id: ExperimentId, visit: VisitDep) -> schemas.RewardVersionPage:
+    """Every version of the reward model that was published, oldest first."""
+    with visit.reading() as signed:
+        rows = publish.versions(signed.session, experiment_id)
+        return schemas.RewardVersionPage(items=[views.reward_version_view(row, signed.role) for row in rows])
+
+
+@router.get("/workers", tags=["service"], summary="List the workers")
+def list_workers(visit: VisitDep) -> list[schemas.Worker]:
+    """Every worker process, what it does, and how long it has been silent."""
+    with visit.reading() as signed:
+        return [views.worker_view(row, signed.role) for row in workers.all(signed.session)]
+
+
+def _steer(
+    visit: Visit, experiment_id: str, verb: Callable[[Session, str], ExperimentRow], doing: str
+) -> schemas.Experiment:
+    with visit.writing() as signed:
+        require(may_run_experiments(signed.role), signed.role, doing)
+        row = verb(signed.session, experiment_id)
+        return views.experiment_view(signed.session, row, signed.role)

@@ -1,0 +1,85 @@
+"""python -m accord.api.server: the HTTP service alone, as a process. `accord up` starts it beside the workers."""
+
+import logging
+import socket
+from collections.abc import Generator
+from contextlib import contextmanager
+
+import uvicorn
+
+from accord.api.app import create_app
+from accord.domain.errors import AccordError, PortInUse, Unavailable
+from accord.settings import Settings
+from accord.store.blobs import open_blobs
+from accord.store.database import Database
+
+#: open requests are given this long when the server is asked to end; live events end at once
+GRACE_SECONDS = 5
+_BACKLOG = 2048
+
+
+@contextmanager
+def bound_socket(host: str, port: int) -> Generator[socket.socket]:
+    """A listening socket; with port 0 the system chooses one, which `getsockname` tells.
+
+    Raises:
+        PortInUse: if another program listens there.
+        Unavailable: if this machine has no such address, or the port is not for this user.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((host, port))
+            listener.listen(_BACKLOG)
+        except PermissionError as error:
+            raise Unavailable(
+                f"Port {port} is not for this user. Choose one above 1023: accord up --port 8000."
+            ) from error
+        except socket.gaierror as error:
+            raise Unavailable(f"{host!r} is no address of this machine. Use 127.0.0.1, or 0.0.0.0 for all.") from error
+        except OSError as error:
+            raise PortInUse(host, port) from error
+        yield listener
+
+
+def serve(settings: Settings) -> None:
+    """Serves until SIGINT or SIGTERM. Checks first that the database and the blobs can be used.
+
+    Raises:
+        PortInUse, DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable: each says how to mend it.
+    """
+    with bound_socket(settings.host, settings.port) as listener:
+        database = Database.open(settings.resolved_database_url)
+        try:
+            database.migrate()
+            blobs = open_blobs(settings.resolved_blob_url)
+            blobs.check_writable()
+            app = create_app(settings, database, blobs)
+            config = uvicorn.Config(
+                app,
+                log_level="warning",
+                access_log=False,
+                timeout_graceful_shutdown=GRACE_SECONDS,
+                proxy_headers=bool(settings.public_url),
+            )
+            uvicorn.Server(config).run([listener])
+        finally:
+            database.close()
+
+
+def main() -> int:
+    """Returns the process's exit status."""
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    try:
+        serve(Settings())
+    except AccordError as error:
+        logging.getLogger(__name__).error("%s", error)
+        return 1
+    except KeyboardInterrupt:
+        return 0
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,150 @@
+"""Rows to what goes over the wire, by role."""
+
+from collections.abc import Sequence
+from functools import cache
+
+from sqlalchemy.orm import Session
+
+from accord.api import schemas
+from accord.domain.policy import may_see_returns
+from accord.domain.words import ExperimentStatus, Phase, Role
+from accord.rendering.colours import agent_colour
+from accord.services import experiments, metrics
+from accord.services.collect import load_arrays
+from accord.services.label import LabelOutcome
+from accord.services.metrics import Series
+from accord.services.offer import OfferedQuery
+from accord.store.blobs import BlobStore
+from accord.store.queries import SideRow
+from accord.store.tables import ExperimentRow, RewardVersionRow, WorkerRow, utc_now
+from mapt.tasks import task_names, task_spec
+
+
+@cache
+def task_view(name: str) -> schemas.TaskSchema:
+    spec = task_spec(name)
+    return schemas.TaskSchema(
+        name=spec.name,
+        n_agents=spec.n_agents,
+        agent_names=list(spec.agent_names),
+        agent_colours=[agent_colour(agent) for agent in range(spec.n_agents)],
+        observation_dim=spec.observation_dim,
+        action_dim=spec.action_dim,
+        horizon_steps=spec.horizon_steps,
+        step_seconds=spec.step_seconds,
+        instructions=spec.instructions,
+    )
+
+
+def task_views() -> list[schemas.TaskSchema]:
+    return [task_view(name) for name in task_names()]
+
+
+def experiment_views(session: Session, rows: Sequence[ExperimentRow], role: Role) -> list[schemas.Experiment]:
+    """Any number of experiments, with three statements."""
+    counts = experiments.label_counts_of(session, rows)
+    numbers = experiments.reward_numbers(session, rows)
+    return [
+        schemas.Experiment(
+            id=row.id,
+            name=row.name,
+            task=task_view(row.config["task"]),
+            instructions=row.instructions,
+            config=row.config,
+            status=ExperimentStatus(row.status),
+            phase=Phase(row.phase),
+            # free text of the policy worker, which knows true returns
+            phase_detail=row.phase_detail if may_see_returns(role) else "",
+            steps=row.steps,
+            labels=schemas.LabelCounts.model_validate(counts[row.id]),
+            reward_version=numbers.get(row.id),
+            created_at=row.created_at,
+            ended_at=row.ended_at,
+        )
+        for row in rows
+    ]
+
+
+def experiment_view(session: Session, row: ExperimentRow, role: Role) -> schemas.Experiment:
+    return experiment_views(session, [row], role)[0]
+
+
+def metrics_view(found: Sequence[Series]) -> schemas.Metrics:
+    return schemas.Metrics(
+        series=[
+            schemas.MetricSeries(
+                name=curve.name, points=[schemas.MetricPoint.model_validate(point) for point in curve.points]
+            )
+            for curve in found
+        ]
+    )
+
+
+def reward_version_view(row: RewardVersionRow, role: Role) -> schemas.RewardVersion:
+    return schemas.RewardVersion(
+        id=row.id,
+        number=row.number,
+        parent_id=row.parent_id,
+        label_watermark=row.label_watermark,
+        label_count=row.label_count,
+        policy_steps=row.policy_steps,
+        metrics=metrics.visible_version_metrics(row.metrics, role),
+        created_at=row.created_at,
+    )
+
+
+def worker_view(row: WorkerRow, role: Role) -> schemas.Worker:
+    return schemas.Worker(
+        id=row.id,
+        role=row.role,
+        state=row.state,
+        # free text again
+        detail=row.detail if may_see_returns(role) else "",
+        restarts=row.restarts,
+        heartbeat_age_seconds=max(0.0, (utc_now() - row.heartbeat_at).total_seconds()),
+    )
+
+
+def query_view(item: OfferedQuery, task: str, lease_seconds: float, blobs: BlobStore | None = None) -> schemas.Query:
+    """A query as its user sees it; with `blobs`, true returns and rewards too."""
+    left, right = (
+        _segment_view(index, item.segments[index], task, blobs) for index in (item.left_segment, 1 - item.left_segment)
+    )
+    return schemas.Query(
+        id=item.id,
+        experiment_id=item.experiment_id,
+        number=item.number,
+        left=left,
+        right=right,
+        lease_seconds=lease_seconds,
+    )
+
+
+def label_view(outcome: LabelOutcome) -> schemas.Label:
+    row = outcome.row
+    return schemas.Label.model_validate(
+        {
+            "query_id": row.query_id,
+            "label": row.value,
+            "state": row.state,
+            "left_segment": row.left_segment,
+            "revision": row.revision,
+            "created": outcome.created,
+        }
+    )
+
+
+def _segment_view(index: int, side: SideRow, task: str, blobs: BlobStore | None) -> schemas.SegmentView:
+    seconds, frames = side.clip_seconds, side.clip_frames
+    if seconds is None or frames is None:
+        frames = side.length_steps
+        seconds = frames * task_view(task).step_seconds
+    return schemas.SegmentView(
+        index=1 if index else 0,
+        segment_id=side.segment_id,
+        clip_url=None if side.clip_id is None else f"/api/v1/clips/{side.clip_id}.mp4",
+        seconds=seconds,
+        frames=frames,
+        true_return=None if blobs is None else side.true_return,
+        true_rewards=None if blobs is None else load_arrays(blobs, side.blob_key)["rewards"].tolist(),
+    )
