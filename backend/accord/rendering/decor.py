@@ -1,4 +1,4 @@
-"""What a clip shows beside the body: contact shadows, a post at every metre, the line where the clip began.
+"""What a clip shows beside the body: backdrop, contact shadows, a post at every metre, the line where it began.
 
 They are drawn into the scene, so that speed and distance can be read without a shadow map or text.
 """
@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from accord.rendering.colours import POST_COLOUR, SHADOW_COLOUR, START_COLOUR, rgba
+from accord.rendering.colours import BACKDROP_COLOUR, POST_COLOUR, SHADOW_COLOUR, START_COLOUR, rgba
 
 #: a part higher than this casts no shadow, metres; the lower, the wider its shadow
 SHADOW_REACH_METRES = 0.35
@@ -19,13 +19,25 @@ POST_SPACING_METRES = 1.0
 TALL_POST_EVERY = 5
 #: how far behind the body's plane the posts stand
 POST_DISTANCE_METRES = 0.9
+#: how far behind the body the floor has faded into the backdrop, and ends
+BACKDROP_METRES = 5.0
 
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
 _ELLIPSOID = mujoco.mjtGeom.mjGEOM_ELLIPSOID
 _UPRIGHT = np.eye(3).ravel()
 _SHADOW = np.array(rgba(SHADOW_COLOUR), dtype=np.float32)
+_BACKDROP = np.array(rgba(BACKDROP_COLOUR), dtype=np.float32)
 _POST = np.array(rgba(POST_COLOUR), dtype=np.float32)
 _START = np.array(rgba(START_COLOUR), dtype=np.float32)
+
+
+def add_backdrop(scene: mujoco.MjvScene, middle: float) -> None:
+    """A wall where the floor has faded: cheaper than a sky's texture, and hides the floor that is too far to see.
+
+    Args:
+        middle: where the camera looks, metres along.
+    """
+    _add(scene, _BOX, (50.0, 0.01, 50.0), (middle, BACKDROP_METRES, 0.0), _BACKDROP)
 
 
 def add_shadows(scene: mujoco.MjvScene, centre: NDArray[np.float64], half: NDArray[np.float64]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accord.rendering.camera import SMOOTHING_SECONDS, View, camera_path
-from accord.rendering.decor import add_marks, add_shadows
+from accord.rendering.decor import BACKDROP_METRES, add_backdrop, add_marks, add_shadows
 from accord.rendering.scene import VIEW_ANGLE_DEGREES, moving_geoms, painted
 from accord.rendering.settings import RenderSettings
 
@@ -25,8 +25,8 @@ VIEW_BODY_LENGTHS = 1.75
 LOOK_DOWN_DEGREES = 9.0
 #: part of the view's height that is below the floor's line
 FLOOR_SHARE = 0.2
-#: how far behind the body the floor begins to fade into the backdrop, and has faded
-FOG_METRES = (0.5, 5.0)
+#: how far behind the body the floor begins to fade into the backdrop
+FADING_METRES = 0.5
 
 
 class ClipRenderer:
@@ -48,18 +48,16 @@ class ClipRenderer:
         self._data = mujoco.MjData(self._model)
         self._body = moving_geoms(self._model)
         self._view = self._framing()
-        self._camera = mujoco.MjvCamera()
-        self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        self._camera.azimuth, self._camera.elevation = 90, -LOOK_DOWN_DEGREES
-        self._camera.distance = self._view.half_height / np.tan(np.radians(VIEW_ANGLE_DEGREES / 2))
-        self._model.vis.map.fogstart = (self._camera.distance + FOG_METRES[0]) / self._model.stat.extent
-        self._model.vis.map.fogend = (self._camera.distance + FOG_METRES[1]) / self._model.stat.extent
-        self._renderer = mujoco.Renderer(self._model, settings.height, settings.width, max_geom=1000)
+        self._camera = self._side_view()
+        # Fog is a setting of the OpenGL context: it must be known before the renderer opens one.
+        self._model.vis.map.fogstart = (self._camera.distance + FADING_METRES) / self._model.stat.extent
+        self._model.vis.map.fogend = (self._camera.distance + BACKDROP_METRES) / self._model.stat.extent
+        self._renderer = mujoco.Renderer(self._model, settings.height, settings.width)
         flags = self._renderer.scene.flags
-        flags[mujoco.mjtRndFlag.mjRND_SHADOW] = settings.quality == "pretty"
-        flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
-        flags[mujoco.mjtRndFlag.mjRND_HAZE] = False
         flags[mujoco.mjtRndFlag.mjRND_FOG] = True
+        flags[mujoco.mjtRndFlag.mjRND_SHADOW] = settings.quality == "pretty"
+        for dear in ("SKYBOX", "REFLECTION", "HAZE"):
+            flags[getattr(mujoco.mjtRndFlag, f"mjRND_{dear}")] = False
 
     def frames(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> Iterator[NDArray[np.uint8]]:
         """Draw one frame a state.
@@ -81,6 +79,7 @@ class ClipRenderer:
             self._place(state)
             self._camera.lookat[:] = along, 0.0, up
             self._renderer.update_scene(self._data, self._camera)
+            add_backdrop(self._renderer.scene, along)
             add_shadows(self._renderer.scene, *self._boxes())
             add_marks(self._renderer.scene, along, self._view.half_width, start)
             yield self._renderer.render()
@@ -131,6 +130,13 @@ class ClipRenderer:
             corners[0, step] = (centre - half).min(axis=0)[[0, 2]]
             corners[1, step] = (centre + half).max(axis=0)[[0, 2]]
         return corners[0], corners[1]
+
+    def _side_view(self) -> mujoco.MjvCamera:
+        camera = mujoco.MjvCamera()
+        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+        camera.azimuth, camera.elevation = 90, -LOOK_DOWN_DEGREES
+        camera.distance = self._view.half_height / np.tan(np.radians(VIEW_ANGLE_DEGREES / 2))
+        return camera
 
     def _framing(self) -> View:
         """What to see of this body: found from its length when it stands."""

@@ -41,7 +41,7 @@ def painted(model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]], setting
     """
     model = copy.copy(model)
     _colour_geoms(model, agent_geoms)
-    _paint_textures(model)
+    _paint_floors(model)
     _light_evenly(model)
     _set_quality(model, settings)
     return model
@@ -63,12 +63,9 @@ def _colour_geoms(model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]]) -
             model.geom_rgba[geom] = rgba(agent_colour(agent))
 
 
-def _paint_textures(model: mujoco.MjModel) -> None:
+def _paint_floors(model: mujoco.MjModel) -> None:
     model.mat_reflectance[:] = 0
     model.mat_specular[:] = 0
-    for texture in range(model.ntex):
-        if model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
-            _texels(model, texture)[:] = rgb_bytes(BACKDROP_COLOUR)
     for floor in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE):
         _paint_floor(model, int(floor))
 

@@ -1,0 +1,170 @@
+"""Clips a second through a render process, beside two ceilings measured in the same run.
+
+`same picture` calls the renderer and the encoder in one process, without the render process around them. `bare loop` is
+the least that can turn states into an mp4 with MuJoCo and PyAV: the stock model and camera, cheapest scene flags, no
+shadows, marks or smoothed camera. All make the same clips in turn, so that a busy machine slows them alike.
+
+    python tests/benchmarks/bench_clips.py [clips]
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import av
+import mujoco
+import numpy as np
+
+from accord.rendering.encode import write_clip
+from accord.rendering.probe import Backend, probe_backend, render_environment
+from accord.rendering.process import RenderProcess
+from accord.rendering.protocol import ClipJob
+from accord.rendering.renderer import ClipRenderer
+from accord.rendering.settings import RenderSettings
+from mapt.tasks import agent_geoms, load_model
+
+TASK = "HalfCheetah-6x1"
+STEPS = 50
+SETTINGS = RenderSettings()
+AIM = 0.9
+
+
+def states() -> np.ndarray:
+    """(2,T,9): qpos and qvel of a cheetah whose joints are driven by sines, from its 20th step on."""
+    model = load_model(TASK)
+    data = mujoco.MjData(model)
+    rows = []
+    for step in range(20 + STEPS):
+        data.ctrl[:] = 0.8 * np.sin(0.6 * step + np.arange(model.nu))
+        mujoco.mj_step(model, data, 5)
+        rows.append([data.qpos.copy(), data.qvel.copy()])
+    return np.array(rows[20:]).swapaxes(0, 1)
+
+
+def bare_loop(folder: Path) -> Callable[[], None]:
+    """The ceiling that knows nothing of Accord."""
+    qpos, qvel = np.load(folder / "states.npy")
+    model = load_model(TASK)
+    quality = model.vis.quality
+    quality.offsamples = quality.shadowsize = 0
+    quality.numslices, quality.numstacks, quality.numquads = 12, 6, 1
+    data = mujoco.MjData(model)
+    renderer = mujoco.Renderer(model, SETTINGS.height, SETTINGS.width)
+    for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+        renderer.scene.flags[flag] = False
+
+    def make() -> None:
+        with av.open(str(folder / "bare.mp4"), "w", options={"movflags": "+faststart"}) as container:
+            stream = container.add_stream("libx264", 20, options={"preset": "veryfast", "crf": "23"})
+            stream.width, stream.height, stream.pix_fmt = SETTINGS.width, SETTINGS.height, "yuv420p"
+            stream.codec_context.thread_count = 1
+            for row in range(STEPS):
+                data.qpos[:], data.qvel[:] = qpos[row], qvel[row]
+                mujoco.mj_forward(model, data)
+                renderer.update_scene(data, "track")
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(renderer.render())))
+            container.mux(stream.encode())
+
+    return make
+
+
+def same_picture(folder: Path) -> Callable[[], None]:
+    """What the render process does, without the process."""
+    qpos, qvel = np.load(folder / "states.npy")
+    renderer = ClipRenderer(load_model(TASK), agent_geoms(TASK), SETTINGS)
+    return lambda: write_clip(renderer.frames(qpos, qvel), folder / "same.mp4", SETTINGS) and None
+
+
+CEILINGS = {"bare loop": bare_loop, "same picture": same_picture}
+
+
+def serve_ceiling(name: str, folder: Path) -> None:
+    """In a child: make one clip for every line of input."""
+    make = CEILINGS[name](folder)
+    for _ in sys.stdin:
+        make()
+        print("made", flush=True)
+
+
+@contextmanager
+def ceiling(name: str, folder: Path, backend: Backend) -> Iterator[Callable[[], None]]:
+    """A ceiling in a process of its own, with OpenGL and without the parent's memory."""
+    child = subprocess.Popen(
+        [sys.executable, __file__, "--ceiling", name, str(folder)],
+        env=render_environment(backend),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+    def make() -> None:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        print("make", file=child.stdin, flush=True)
+        if child.stdout.readline() != "made\n":
+            raise SystemExit(f"the {name} failed")
+
+    with child:
+        yield make
+
+
+def in_turns(makers: dict[str, Callable[[], None]], clips: int) -> dict[str, float]:
+    """Clips a second of each, one clip of each at a time, after one that is not counted."""
+    seconds = dict.fromkeys(makers, 0.0)
+    for turn in range(clips + 1):
+        for name, make in makers.items():
+            start = time.perf_counter()
+            make()
+            if turn:
+                seconds[name] += time.perf_counter() - start
+    return {name: clips / spent for name, spent in seconds.items()}
+
+
+def together(processes: list[RenderProcess], job: Callable[[int], ClipJob], clips: int) -> float:
+    """Clips a second of all processes at once."""
+
+    def work(number: int) -> None:
+        for _ in range(clips):
+            processes[number].render(job(number))
+
+    start = time.perf_counter()
+    with ThreadPoolExecutor(len(processes)) as pool:
+        list(pool.map(work, range(len(processes))))
+    return len(processes) * clips / (time.perf_counter() - start)
+
+
+def main(clips: int) -> None:
+    backend = probe_backend()
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        np.save(folder / "states.npy", states())
+        qpos, qvel = np.load(folder / "states.npy")
+
+        def job(number: int) -> ClipJob:
+            return ClipJob(TASK, qpos, qvel, SETTINGS, folder / f"{number}.mp4")
+
+        first, second = (stack.enter_context(RenderProcess(backend)) for _ in range(2))
+        makers = {name: stack.enter_context(ceiling(name, folder, backend)) for name in CEILINGS}
+        rates = in_turns({**makers, "render process": lambda: first.render(job(0)) and None}, clips)
+        second.render(job(1))
+        two = together([first, second], job, clips)
+        kilobytes = (folder / "0.mp4").stat().st_size / 1024
+    size = f"{SETTINGS.width}x{SETTINGS.height}"
+    print(f"{clips} clips each of {STEPS} frames, {size}, {SETTINGS.quality}, {backend}; {kilobytes:.0f} KB a clip")
+    for name, rate in rates.items():
+        print(f"{name:>20}: {rate:6.2f} clips/s")
+    print(f"{'two processes':>20}: {two:6.2f} clips/s, {two / rates['render process']:.2f} times one")
+    for name in CEILINGS:
+        print(f"render process / {name}: {rates['render process'] / rates[name]:.0%} (aim {AIM:.0%})")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--ceiling"]:
+        serve_ceiling(sys.argv[2], Path(sys.argv[3]))
+    else:
+        main(int(sys.argv[1]) if len(sys.argv) > 1 else 40)
