@@ -1,0 +1,38 @@
+import type { Experiment } from "@/shared/api/types";
+import { formatCount } from "@/shared/ui/words";
+
+/** What the experiment was started with; it never changes afterwards. */
+export function Settings({ experiment }: { experiment: Experiment }) {
+  return (
+    <details className="card">
+      <summary>
+        <h2>Settings</h2>
+      </summary>
+      <table className="table">
+        <tbody>
+          {Object.entries(experiment.config).map(([name, value]) => (
+            <tr key={name}>
+              <th scope="row">{name.replaceAll("_", " ")}</th>
+              <td>{wordsOf(value)}</td>
+            </tr>
+          ))}
+          <tr>
+            <th scope="row">started</th>
+            <td>{new Date(experiment.created_at).toLocaleString()}</td>
+          </tr>
+        </tbody>
+      </table>
+    </details>
+  );
+}
+
+function wordsOf(value: unknown): string {
+  if (typeof value === "number") return formatCount(value);
+  if (typeof value === "boolean") return value ? "yes" : "no";
+  if (typeof value === "object" && value !== null) {
+    return Object.entries(value)
+      .map(([name, inner]) => `${name} = ${String(inner)}`)
+      .join(", ");
+  }
+  return String(value);
+}

@@ -1,0 +1,50 @@
+import type { RewardVersion } from "@/shared/api/types";
+import { formatCompact, formatCount, formatPercent } from "@/shared/ui/words";
+import { metricOf } from "./metric";
+
+/** Every reward version: the labels it saw, and how well it predicts those it did not see. */
+export function Versions({ versions }: { versions: readonly RewardVersion[] }) {
+  return (
+    <section className="card" aria-labelledby="versions-title">
+      <h2 id="versions-title">Reward versions</h2>
+      {versions.length === 0 ? (
+        <p className="quiet">None yet: the first one is trained when the first labels are in.</p>
+      ) : (
+        <table className="table" data-testid="versions">
+          <thead>
+            <tr>
+              <th scope="col">Version</th>
+              <th scope="col">Labels</th>
+              <th scope="col">Policy steps</th>
+              <th scope="col">Held-out accuracy</th>
+              <th scope="col">Held-out loss</th>
+              <th scope="col">At</th>
+            </tr>
+          </thead>
+          <tbody>
+            {[...versions]
+              .sort((a, b) => b.number - a.number)
+              .map((version) => (
+                <Row key={version.id} version={version} />
+              ))}
+          </tbody>
+        </table>
+      )}
+    </section>
+  );
+}
+
+function Row({ version }: { version: RewardVersion }) {
+  const accuracy = metricOf(version, "holdout_accuracy");
+  const loss = metricOf(version, "holdout_loss");
+  return (
+    <tr>
+      <th scope="row">{version.number}</th>
+      <td>{formatCount(version.label_count)}</td>
+      <td>{formatCompact(version.policy_steps)}</td>
+      <td>{accuracy === null ? "–" : formatPercent(accuracy)}</td>
+      <td>{loss === null ? "–" : loss.toFixed(3)}</td>
+      <td>{new Date(version.created_at).toLocaleTimeString()}</td>
+    </tr>
+  );
+}

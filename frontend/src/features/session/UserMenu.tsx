@@ -1,0 +1,28 @@
+import { useMutation, useQueryClient } from "@tanstack/react-query";
+import { api, unwrap } from "@/shared/api/client";
+import { meQuery } from "@/shared/api/queries";
+import type { Me } from "@/shared/api/types";
+
+/** Who is signed in, and the way out. */
+export function UserMenu({ me }: { me: Me }) {
+  const cache = useQueryClient();
+  const signOut = useMutation({
+    mutationFn: () => unwrap(api.POST("/api/v1/sign-out")),
+    onSuccess: () => cache.resetQueries({ queryKey: meQuery.queryKey }),
+  });
+  return (
+    <div className="user">
+      <span className="user-name" title={`Signed in as ${me.name}, ${me.role}`}>
+        {me.name} <span className="quiet">{me.role}</span>
+      </span>
+      <button
+        type="button"
+        className="button small"
+        disabled={signOut.isPending}
+        onClick={() => signOut.mutate()}
+      >
+        Sign out
+      </button>
+    </div>
+  );
+}

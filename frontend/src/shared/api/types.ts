@@ -1,0 +1,22 @@
+import type { components } from "./schema";
+
+type Schemas = components["schemas"];
+
+export type Experiment = Schemas["Experiment"];
+export type LabelCounts = Schemas["LabelCounts"];
+export type Me = Schemas["Me"];
+export type Metrics = Schemas["Metrics"];
+export type MetricPoint = Schemas["MetricPoint"];
+export type NewExperiment = Schemas["NewExperiment"];
+export type NewLabel = Schemas["NewLabel"];
+export type Queries = Schemas["Queries"];
+export type Query = Schemas["Query"];
+export type RewardVersion = Schemas["RewardVersion"];
+export type SegmentView = Schemas["SegmentView"];
+export type Task = Schemas["TaskSchema"];
+export type Worker = Schemas["Worker"];
+
+/** Whether a role may start, pause and cancel experiments. The server decides; this only hides buttons. */
+export function runsExperiments(me: Me): boolean {
+  return me.role === "researcher" || me.role === "admin";
+}

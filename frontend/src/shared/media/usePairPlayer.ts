@@ -1,0 +1,104 @@
+import { type RefObject, useCallback, useEffect, useRef, useState } from "react";
+import type { ClipSource } from "./clip";
+import type { Clips } from "./clips";
+import { PairPlayer } from "./player";
+
+type Canvas = RefObject<HTMLCanvasElement | null>;
+
+export interface PairPlayback {
+  state: "loading" | "playing" | "failed";
+  trouble: string | null;
+  paused: boolean;
+  speed: number;
+  ratio: number;
+  /** seconds since both clips of this pair began to play; null before */
+  watchedSeconds: () => number | null;
+  togglePause: () => void;
+  step: (direction: 1 | -1) => void;
+  setSpeed: (speed: number) => void;
+  retry: () => void;
+}
+
+const SPEED_KEY = "accord.speed";
+const USUAL_RATIO = 4 / 3;
+
+/**
+ * Plays a pair on two canvases.
+ *
+ * @param shown changes with every pair put on screen, so that a pair that comes back begins anew.
+ */
+export function usePairPlayer(
+  clips: Clips,
+  left: ClipSource | null,
+  right: ClipSource | null,
+  shown: number,
+  canvases: { left: Canvas; right: Canvas; position: RefObject<HTMLElement | null> },
+): PairPlayback {
+  const player = useRef<PairPlayer | null>(null);
+  const startedAt = useRef<number | null>(null);
+  const [state, setState] = useState<PairPlayback["state"]>("loading");
+  const [trouble, setTrouble] = useState<string | null>(null);
+  const [paused, setPaused] = useState(false);
+  const [speed, setSpeedState] = useState(() => Number(localStorage.getItem(SPEED_KEY)) || 1);
+  const [ratio, setRatio] = useState(USUAL_RATIO);
+  const [attempt, setAttempt] = useState(0);
+  const speedNow = useRef(speed);
+  const { left: leftCanvas, right: rightCanvas, position } = canvases;
+
+  // biome-ignore lint/correctness/useExhaustiveDependencies: `shown` and `attempt` start the pair anew on purpose
+  useEffect(() => {
+    let gone = false;
+    setState("loading");
+    setTrouble(null);
+    setPaused(false);
+    if (!left || !right) return;
+    Promise.all([clips.load(left), clips.load(right)]).then(
+      ([leftClip, rightClip]) => {
+        if (gone || !leftCanvas.current || !rightCanvas.current) return;
+        player.current = new PairPlayer(
+          { canvas: leftCanvas.current, clip: leftClip },
+          { canvas: rightCanvas.current, clip: rightClip },
+          (share) => position.current?.style.setProperty("--position", String(share)),
+        );
+        player.current.clock.speed = speedNow.current;
+        startedAt.current = performance.now();
+        setRatio(leftClip.width / leftClip.height);
+        setState("playing");
+      },
+      (error: Error) => {
+        if (gone) return;
+        setTrouble(error.message);
+        setState("failed");
+      },
+    );
+    return () => {
+      gone = true;
+      player.current?.stop();
+      player.current = null;
+      startedAt.current = null;
+    };
+  }, [clips, left?.url, right?.url, shown, attempt]);
+
+  const togglePause = useCallback(() => {
+    const clock = player.current?.clock;
+    if (!clock) return;
+    clock.paused = !clock.paused;
+    setPaused(clock.paused);
+  }, []);
+  const step = useCallback((direction: 1 | -1) => {
+    player.current?.step(direction);
+    setPaused(player.current?.clock.paused ?? false);
+  }, []);
+  const setSpeed = useCallback((wanted: number) => {
+    speedNow.current = wanted;
+    if (player.current) player.current.clock.speed = wanted;
+    localStorage.setItem(SPEED_KEY, String(wanted));
+    setSpeedState(wanted);
+  }, []);
+  const watchedSeconds = useCallback(
+    () => (startedAt.current === null ? null : (performance.now() - startedAt.current) / 1000),
+    [],
+  );
+  const retry = useCallback(() => setAttempt((count) => count + 1), []);
+  return { state, trouble, paused, speed, ratio, watchedSeconds, togglePause, step, setSpeed, retry };
+}

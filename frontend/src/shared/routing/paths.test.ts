@@ -1,0 +1,16 @@
+import { expect, test } from "vitest";
+import { paths, routeOf } from "./paths";
+
+test("every address leads back to its page", () => {
+  expect(routeOf(paths.experiments())).toEqual({ page: "experiments" });
+  expect(routeOf(paths.newExperiment())).toEqual({ page: "new-experiment" });
+  expect(routeOf(paths.experiment("exp_1"))).toEqual({ page: "experiment", id: "exp_1" });
+  expect(routeOf(paths.label("exp_1"))).toEqual({ page: "label", id: "exp_1" });
+});
+
+test.each(["/nowhere", "/experiments/a/b", "/experiments/a/label/x", "/experiments/new/x"])(
+  "%s is missing",
+  (path) => {
+    expect(routeOf(path)).toEqual({ page: "missing" });
+  },
+);

@@ -1,0 +1,26 @@
+/** The addresses of the pages. */
+export const paths = {
+  experiments: () => "/",
+  newExperiment: () => "/experiments/new",
+  experiment: (id: string) => `/experiments/${encodeURIComponent(id)}`,
+  label: (id: string) => `/experiments/${encodeURIComponent(id)}/label`,
+};
+
+export type Route =
+  | { page: "experiments" }
+  | { page: "new-experiment" }
+  | { page: "experiment"; id: string }
+  | { page: "label"; id: string }
+  | { page: "missing" };
+
+export function routeOf(path: string): Route {
+  const [first, second, third, ...more] = path.split("/").filter((part) => part !== "");
+  if (more.length > 0) return { page: "missing" };
+  if (first === undefined || (first === "experiments" && second === undefined))
+    return { page: "experiments" };
+  if (first !== "experiments" || second === undefined) return { page: "missing" };
+  if (second === "new") return third === undefined ? { page: "new-experiment" } : { page: "missing" };
+  const id = decodeURIComponent(second);
+  if (third === undefined) return { page: "experiment", id };
+  return third === "label" ? { page: "label", id } : { page: "missing" };
+}
