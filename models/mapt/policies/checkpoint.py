@@ -1,0 +1,106 @@
+"""A learner as one safetensors file: tensors by dotted name, and a JSON description in its header. No pickle."""
+
+import json
+import os
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import safetensors.torch
+import torch
+from safetensors import SafetensorError
+from torch import Tensor
+
+from mapt.policies.errors import InvalidCheckpoint, InvalidConfig
+from mapt.tasks import TaskError
+
+FORMAT_VERSION = 1
+#: Key of the description in the header's metadata, which maps strings to strings.
+_DESCRIPTION = "mapt.policies"
+#: A safetensors file starts with the length of its JSON header in this many bytes, little-endian.
+_LENGTH_BYTES = 8
+
+
+def flatten(parts: Mapping[str, Mapping[str, Tensor]]) -> dict[str, Tensor]:
+    """Copies on the CPU of the tensors of each part, as "part.name"."""
+    return {
+        f"{part}.{name}": tensor.detach().cpu().clone().contiguous()
+        for part, tensors in parts.items()
+        for name, tensor in tensors.items()
+    }
+
+
+def unflatten(tensors: Mapping[str, Tensor]) -> dict[str, dict[str, Tensor]]:
+    """The parts that `flatten` joined."""
+    parts: dict[str, dict[str, Tensor]] = defaultdict(dict)
+    for key, tensor in tensors.items():
+        part, _, name = key.partition(".")
+        parts[part][name] = tensor
+    return parts
+
+
+def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
+    """The optimiser's state as "index of the parameter.name"; empty before its first step."""
+    state = optimiser.state_dict()["state"]
+    return {f"{index}.{name}": tensor for index, slots in state.items() for name, tensor in slots.items()}
+
+
+def load_optimiser(optimiser: torch.optim.Optimizer, tensors: Mapping[str, Tensor]) -> None:
+    """Put back what `optimiser_tensors` gave."""
+    state = {int(index): slots for index, slots in unflatten(tensors).items()}
+    optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
+
+
+def pack(tensors: dict[str, Tensor], description: Mapping[str, object]) -> bytes:
+    """Tensors and a description, as the bytes of a safetensors file."""
+    header = json.dumps({"format": FORMAT_VERSION, **description}, sort_keys=True)
+    return safetensors.torch.save(tensors, metadata={_DESCRIPTION: header})
+
+
+def unpack(content: bytes, task_name: str) -> tuple[dict[str, Tensor], dict[str, object]]:
+    """Tensors and the learner's settings.
+
+    Raises:
+        InvalidCheckpoint: if it is damaged, of another format or of another task.
+    """
+    try:
+        tensors = safetensors.torch.load(content)
+        length = int.from_bytes(content[:_LENGTH_BYTES], "little")
+        header = json.loads(content[_LENGTH_BYTES : _LENGTH_BYTES + length])
+        description = json.loads(header["__metadata__"][_DESCRIPTION])
+        version, task, config = description["format"], description["task"], description["config"]
+    except (SafetensorError, ValueError, KeyError) as error:
+        raise InvalidCheckpoint("This is no checkpoint of a learner, or it is damaged.") from error
+    if version != FORMAT_VERSION:
+        raise InvalidCheckpoint(f"The checkpoint has format {version}; this version reads {FORMAT_VERSION}.")
+    if task != task_name:
+        raise InvalidCheckpoint(f"The checkpoint is of {task}, not of {task_name}.")
+    return tensors, config
+
+
+@contextmanager
+def refusing_mismatch() -> Iterator[None]:
+    """Turn what torch and tasks say about foreign tensors into InvalidCheckpoint.
+
+    Raises:
+        InvalidCheckpoint: if a tensor is missing, surplus or of another shape.
+    """
+    try:
+        yield
+    except (KeyError, RuntimeError, ValueError, TaskError, InvalidConfig) as error:
+        raise InvalidCheckpoint(f"The checkpoint does not fit this learner: {error}") from error
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write by way of a temporary file in the same folder, flushed to disk before it takes the name."""
+    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+        try:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+            os.replace(file.name, path)
+        except BaseException:
+            Path(file.name).unlink(missing_ok=True)
+            raise

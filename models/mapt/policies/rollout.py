@@ -1,0 +1,127 @@
+"""Experience of E environments over L steps, and the collector that gathers it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mapt.policies.networks import Actor
+from mapt.tasks import Task
+
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Rollout:
+    """L steps of E environments, as gathered; all arrays are numpy's."""
+
+    #: (L, E, N, C) and (L, E, S): what the agents and the critic saw.
+    observations: Float32s
+    state: Float32s
+    #: (L, E, N, A): what the task was given, within its limit.
+    actions: Float32s
+    #: (L, E, N, A): what the actor drew, before the limit.
+    drawn_actions: Float32s
+    #: (L, E, N): log-density of the drawn actions.
+    log_probs: Float32s
+    #: (L, E): the task's own reward. The learner never reads it.
+    rewards: Float64s
+    #: (L, E): how the step ended, and whether it was the first of its episode.
+    terminated: Bools
+    truncated: Bools
+    episode_start: Bools
+    #: (L, E, N, C) and (L, E, S): what the step led to, before any reset.
+    final_observations: Float32s
+    final_state: Float32s
+    #: (L, E, nq) and (L, E, nv): simulator's state in which the action was taken.
+    qpos: Float64s
+    qvel: Float64s
+    #: True returns of the episodes that ended, in order of their ends.
+    episode_returns: Float64s
+
+
+class Collector:
+    """Steps a task with an actor, from one rollout to the next.
+
+    Args:
+        task: reset here, with `seed`.
+    """
+
+    def __init__(self, task: Task, seed: int) -> None:
+        self.task = task
+        self._observations, self._state = task.reset(seed)
+        self._episode_start = np.ones(task.n_envs, dtype=bool)
+        self._returns = np.zeros(task.n_envs)
+
+    @torch.inference_mode()
+    def collect(self, actor: Actor, n_steps: int, generator: torch.Generator) -> Rollout:
+        """The next `n_steps` steps. `generator`, on the CPU, draws the actions."""
+        spec, device = self.task.spec, actor.log_std.device
+        rollout = self._allocate(n_steps)
+        # One draw for all steps: cheaper, and its density follows without another pass of the actor.
+        shape = (n_steps, spec.n_agents, self.task.n_envs, spec.action_dim)
+        noise = torch.randn(shape, generator=generator).to(device)
+        returns: list[Float64s] = []
+        for t in range(n_steps):
+            rollout.qpos[t], rollout.qvel[t] = self.task.simulator_state()
+            rollout.observations[t], rollout.state[t] = self._observations, self._state
+            rollout.episode_start[t] = self._episode_start
+            drawn = actor.sample(self._observations, noise[t])
+            rollout.drawn_actions[t] = drawn.cpu().numpy()
+            rollout.actions[t] = actor.bounded(drawn).cpu().numpy()
+            returns.append(self._step(rollout, t))
+        rollout.log_probs[:] = actor.log_density(noise).transpose(1, 2).cpu().numpy()
+        return replace(rollout, episode_returns=np.concatenate(returns))
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Everything that decides the next rollout, but for the actor and the draws."""
+        own = {"episode_start": self._episode_start, "returns": self._returns}
+        return {
+            **{name: torch.from_numpy(array.copy()) for name, array in own.items()},
+            **{f"task.{name}": torch.from_numpy(array) for name, array in self.task.snapshot().items()},
+        }
+
+    def load_state_dict(self, tensors: dict[str, Tensor]) -> None:
+        arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
+        self._episode_start = arrays.pop("episode_start").copy()
+        self._returns = arrays.pop("returns").copy()
+        snapshot = {name.removeprefix("task."): array for name, array in arrays.items()}
+        self._observations, self._state = self.task.restore(snapshot)
+
+    def _step(self, rollout: Rollout, t: int) -> Float64s:
+        """Step the task, record what came, and give the returns of the episodes that ended."""
+        step = self.task.step(rollout.actions[t])
+        rollout.rewards[t] = step.reward
+        rollout.terminated[t], rollout.truncated[t] = step.terminated, step.truncated
+        rollout.final_observations[t], rollout.final_state[t] = step.final_observations, step.final_state
+        self._observations, self._state = step.observations, step.state
+        self._returns += step.reward
+        self._episode_start = step.terminated | step.truncated
+        ended = self._returns[self._episode_start]
+        self._returns[self._episode_start] = 0.0
+        return ended
+
+    def _allocate(self, n_steps: int) -> Rollout:
+        spec, lead = self.task.spec, (n_steps, self.task.n_envs)
+        team, drawn = (*lead, spec.n_agents), (*lead, spec.n_agents, spec.action_dim)
+        seen = (*team, spec.observation_dim)
+        return Rollout(
+            observations=np.empty(seen, np.float32),
+            state=np.empty((*lead, spec.state_dim), np.float32),
+            actions=np.empty(drawn, np.float32),
+            drawn_actions=np.empty(drawn, np.float32),
+            log_probs=np.empty(team, np.float32),
+            rewards=np.empty(lead),
+            terminated=np.empty(lead, bool),
+            truncated=np.empty(lead, bool),
+            episode_start=np.empty(lead, bool),
+            final_observations=np.empty(seen, np.float32),
+            final_state=np.empty((*lead, spec.state_dim), np.float32),
+            qpos=np.empty((*lead, spec.nq)),
+            qvel=np.empty((*lead, spec.nv)),
+            episode_returns=np.empty(0),
+        )

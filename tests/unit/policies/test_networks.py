@@ -1,0 +1,71 @@
+"""Actors that share a network or have one each."""
+
+import numpy as np
+import pytest
+import torch
+from torch.distributions import Normal
+
+from mapt.policies import MappoConfig
+from mapt.policies.networks import Actor, AgentLinear
+from mapt.tasks import task_spec
+
+SPEC = task_spec("HalfCheetah-2x3")
+
+
+def actor(shared: bool) -> Actor:
+    torch.manual_seed(0)
+    net = Actor(SPEC, MappoConfig(shared_actor=shared, hidden=(16,)))
+    # The last layer starts near zero, which would hide who sees what.
+    with torch.no_grad():
+        for parameter in net.network.parameters():
+            parameter.normal_()
+    return net
+
+
+def observations(n: int = 5) -> np.ndarray:
+    return np.random.default_rng(0).normal(size=(n, SPEC.n_agents, SPEC.observation_dim)).astype(np.float32)
+
+
+def test_batched_layers_equal_a_loop_over_agents() -> None:
+    torch.manual_seed(0)
+    layer = AgentLinear(3, 4, 2)
+    torch.nn.init.normal_(layer.weight)
+    torch.nn.init.normal_(layer.bias)
+    inputs = torch.randn(3, 5, 4)
+    loop = torch.stack([inputs[agent] @ layer.weight[agent] + layer.bias[agent] for agent in range(3)])
+    torch.testing.assert_close(layer(inputs), loop)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_an_agent_acts_on_its_own_observation_alone(shared: bool) -> None:
+    net, seen = actor(shared), observations()
+    before = net.act(seen)
+    seen[:, 1] += 1.0
+    after = net.act(seen)
+    np.testing.assert_array_equal(before[:, 0], after[:, 0])
+    assert not np.array_equal(before[:, 1], after[:, 1])
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_agents_that_see_the_same_act_the_same_only_if_they_share(shared: bool) -> None:
+    seen = np.repeat(observations()[:, :1], SPEC.n_agents, axis=1)
+    actions = actor(shared).act(seen)
+    assert np.allclose(actions[:, 0], actions[:, 1]) == shared
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_log_density_is_the_normal_distributions(shared: bool) -> None:
+    net = actor(shared)
+    with torch.no_grad():
+        net.log_std.uniform_(-1, 1)
+    inputs = torch.from_numpy(observations()).transpose(0, 1)
+    actions = torch.randn(SPEC.n_agents, 5, SPEC.action_dim)
+    normal = Normal(net.network(inputs), net.log_std.exp().expand_as(actions))
+    torch.testing.assert_close(net.log_probs(inputs, actions), normal.log_prob(actions).sum(-1))
+    torch.testing.assert_close(net.entropy(), normal.entropy().sum(-1).mean())
+
+
+def test_actions_stay_within_the_limit() -> None:
+    net = actor(shared=True)
+    noise = torch.full((SPEC.n_agents, 5, SPEC.action_dim), 50.0)
+    assert np.abs(net.act(observations(), noise)).max() == SPEC.action_limit

@@ -1,0 +1,75 @@
+"""What a learner may be told, and how it answers nonsense."""
+
+import json
+
+import pytest
+
+from mapt.policies import InvalidConfig, MappoConfig
+
+
+def test_a_configuration_survives_json() -> None:
+    config = MappoConfig(hidden=(32, 16), shared_actor=False, seed=3)
+    assert MappoConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+
+def test_what_is_left_out_keeps_its_default() -> None:
+    assert MappoConfig.from_dict({"gamma": 0.9}) == MappoConfig(gamma=0.9)
+
+
+def test_a_whole_number_may_stand_for_a_float() -> None:
+    assert MappoConfig.from_dict({"gamma": 1}).gamma == 1
+
+
+def test_an_unknown_setting_is_named_beside_the_known_ones() -> None:
+    with pytest.raises(InvalidConfig, match=r"Unknown settings: learning_rte\. Known: .*learning_rate"):
+        MappoConfig.from_dict({"learning_rte": 1e-3})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("n_envs", 0),
+        ("rollout_steps", -1),
+        ("epochs", 0),
+        ("minibatches", 0),
+        ("minibatches", 7),
+        ("learning_rate", 0.0),
+        ("learning_rate", float("nan")),
+        ("anneal_steps", -1),
+        ("clip", 0.0),
+        ("gamma", 1.1),
+        ("gae_lambda", -0.1),
+        ("entropy_weight", -1.0),
+        ("value_weight", -1.0),
+        ("max_gradient_norm", 0.0),
+        ("hidden", []),
+        ("hidden", [64, 0]),
+        ("activation", "swish"),
+        ("value_statistics_rate", 0.0),
+        ("seed", -1),
+        ("n_threads", -1),
+        ("device", "tpu"),
+    ],
+)
+def test_a_value_out_of_range_is_refused_by_name(name: str, value: object) -> None:
+    with pytest.raises(InvalidConfig, match=rf"^{name} must"):
+        MappoConfig.from_dict({name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("n_envs", 32.0),
+        ("n_envs", True),
+        ("gamma", "0.9"),
+        ("gamma", None),
+        ("shared_actor", 1),
+        ("hidden", 64),
+        ("hidden", ["64"]),
+        ("hidden", [True]),
+        ("activation", 3),
+    ],
+)
+def test_a_value_of_another_type_is_refused_by_name(name: str, value: object) -> None:
+    with pytest.raises(InvalidConfig, match=rf"^{name} must"):
+        MappoConfig.from_dict({name: value})
