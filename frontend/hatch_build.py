@@ -60,8 +60,8 @@ def build_page(page: Path, output: Path) -> bool:
         return False
     npm, environment = find_npm()
     if not _installed(page):
-        _run([npm, "ci", "--omit=dev", "--no-audit", "--no-fund"], page, environment)
-    _run([npm, "run", "build"], page, environment)
+        _run(npm, ["ci", "--omit=dev", "--no-audit", "--no-fund"], page, environment)
+    _run(npm, ["run", "build"], page, environment)
     stamp.write_text(digest)
     return True
 
@@ -87,8 +87,8 @@ def _installed(page: Path) -> bool:
     return copy.is_file() and copy.stat().st_mtime >= (page / "package-lock.json").stat().st_mtime
 
 
-def find_npm() -> tuple[str, dict[str, str]]:
-    """npm's path and the environment to run it in.
+def find_npm() -> tuple[list[str], dict[str, str]]:
+    """The command that runs npm, and the environment to run it in.
 
     Raises:
         PageNotBuilt: if there is none.
@@ -98,19 +98,21 @@ def find_npm() -> tuple[str, dict[str, str]]:
     if wheel is not None and wheel.origin is not None:
         folder = Path(wheel.origin).parent
         binaries = folder if os.name == "nt" else folder / "bin"
-        # npm starts `node` by its name: it must find the one it came with.
+        # npm's scripts start `node` by its name: they must find the one npm came with.
         environment["PATH"] = os.pathsep.join([str(binaries), environment.get("PATH", "")])
-        found = shutil.which("npm", path=str(binaries))
-        if found:
-            return found, environment
+        node = shutil.which("node", path=str(binaries))
+        # Not the npm in bin/: a wheel holds no links, and the copy in its place looks for its files in vain.
+        npm = folder / "lib" / "node_modules" / "npm" / "bin" / "npm-cli.js"
+        if node and npm.is_file():
+            return [node, str(npm)], environment
     found = shutil.which("npm")
     if found is None:
         raise PageNotBuilt(f"There is no npm to build the page with. {_MEND}")
-    return found, environment
+    return [found], environment
 
 
-def _run(command: list[str], page: Path, environment: dict[str, str]) -> None:
-    done = subprocess.run(command, cwd=page, env=environment, capture_output=True, text=True, check=False)
+def _run(npm: list[str], arguments: list[str], page: Path, environment: dict[str, str]) -> None:
+    done = subprocess.run([*npm, *arguments], cwd=page, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        words = " ".join(Path(command[0]).name if part is command[0] else part for part in command)
-        raise PageNotBuilt(f"`{words}` failed in {page}.\n{(done.stdout + done.stderr)[-3000:]}\n{_MEND}")
+        output = (done.stdout + done.stderr)[-3000:]
+        raise PageNotBuilt(f"`npm {' '.join(arguments)}` failed in {page}.\n{output}\n{_MEND}")
