@@ -1,0 +1,5 @@
+"""The one command: accord."""
+
+from accord.cli.main import main
+
+__all__ = ["main"]

@@ -1,0 +1,153 @@
+"""accord doctor: what this machine can and cannot do, each with its fix."""
+
+import errno
+import shutil
+import socket
+import sys
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated
+
+import psutil
+import typer
+from rich.markup import escape
+
+from accord.cli.options import Home, load_settings
+from accord.cli.output import say
+from accord.domain.checks import Check
+from accord.domain.errors import AccordError
+from accord.rendering.doctor import check_encoder, check_rendering
+from accord.settings import Settings
+from accord.store.blobs import open_blobs
+from accord.store.database import Database
+
+_PYTHON = (3, 11)
+_FREE_BYTES = 2_000_000_000
+_MEMORY_BYTES = 2_000_000_000
+_REINSTALL = "pip install --force-reinstall accord"
+
+
+def doctor(
+    home: Home = None,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Port that `accord up` is to use.  [default: 8000]")
+    ] = None,
+) -> None:
+    """Check this machine: versions, OpenGL, encoder, disk, database, blobs, port, page. Status 1 if one fails."""
+    settings = load_settings(home, port=port)
+    checks = [found for check in CHECKS for found in check(settings)]
+    for found in checks:
+        mark = "[green]ok[/green]    " if found.ok else "[bold red]failed[/bold red]"
+        say(f"{mark} {escape(found.name)}: {escape(found.detail)}")
+        if found.fix:
+            say(f"       fix: {escape(found.fix)}")
+    failed = sum(not found.ok for found in checks)
+    say(f"{len(checks) - failed} of {len(checks)} checks passed.")
+    raise typer.Exit(1 if failed else 0)
+
+
+def check_python(settings: Settings) -> list[Check]:
+    found = sys.version_info[:3]
+    detail = ".".join(map(str, found))
+    if found[:2] == _PYTHON:
+        return [Check("Python", True, detail)]
+    wanted = ".".join(map(str, _PYTHON))
+    return [Check("Python", False, detail, f"install Python {wanted} and make the environment anew with it")]
+
+
+def check_packages(settings: Settings) -> list[Check]:
+    return [_check_package(name) for name in ("torch", "mujoco", "numpy")]
+
+
+def _check_package(name: str) -> Check:
+    try:
+        return Check(name, True, version(name))
+    except PackageNotFoundError:
+        return Check(name, False, "not installed", _REINSTALL)
+
+
+def check_drawing(settings: Settings) -> list[Check]:
+    return [check_rendering(), check_encoder()]
+
+
+def check_machine(settings: Settings) -> list[Check]:
+    """Free disk where the home is, or will be, and free memory."""
+    folder = existing_parent(settings.home.resolve())
+    disk, memory = shutil.disk_usage(folder).free, psutil.virtual_memory().available
+    return [
+        Check(
+            "disk",
+            disk >= _FREE_BYTES,
+            f"{disk / 1e9:.1f} GB free at {folder}",
+            None if disk >= _FREE_BYTES else "free 2 GB there, or choose another folder with --home",
+        ),
+        Check(
+            "memory",
+            memory >= _MEMORY_BYTES,
+            f"{memory / 1e9:.1f} GB available",
+            None if memory >= _MEMORY_BYTES else "end other programs: the workers need 2 GB together",
+        ),
+    ]
+
+
+def check_database(settings: Settings) -> list[Check]:
+    """Whether the database can be opened and is not newer than this version. A missing one is no fault."""
+    if not settings.database_url and not (settings.home / "accord.db").exists():
+        return [Check("database", True, "none yet; `accord up` makes it")]
+    try:
+        database = Database.open(settings.resolved_database_url)
+        database.migrate()
+        database.close()
+    except AccordError as error:
+        return [Check("database", False, str(error), "see above")]
+    return [Check("database", True, "reachable and up to date")]
+
+
+def check_blobs(settings: Settings) -> list[Check]:
+    if not settings.blob_url and not settings.home.exists():
+        return [Check("blobs", True, "no folder yet; `accord up` makes it")]
+    try:
+        open_blobs(settings.resolved_blob_url).check_writable()
+    except AccordError as error:
+        return [Check("blobs", False, str(error), "see above")]
+    return [Check("blobs", True, f"{settings.resolved_blob_url} can be written")]
+
+
+def check_port(settings: Settings) -> list[Check]:
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((settings.host, settings.port))
+        except OSError as error:
+            used = error.errno == errno.EADDRINUSE
+            detail = "in use" if used else str(error.strerror)
+            fix = f"if it is not Accord itself, choose another: accord up --port {settings.port + 1}"
+            return [Check("port", False, f"{settings.host}:{settings.port} {detail}", fix)]
+    return [Check("port", True, f"{settings.host}:{settings.port} is free")]
+
+
+def check_page(settings: Settings) -> list[Check]:
+    if files("accord").joinpath("static", "index.html").is_file():
+        return [Check("page", True, "built")]
+    return [Check("page", False, "the page was not built", "pip install -e . (in the repository), or make page")]
+
+
+def existing_parent(path: Path) -> Path:
+    """The path, or the nearest folder above it that is there."""
+    return next(each for each in (path, *path.parents) if each.exists())
+
+
+#: in the order they are shown
+CHECKS: tuple[Callable[[Settings], list[Check]], ...] = (
+    check_python,
+    check_packages,
+    check_drawing,
+    check_machine,
+    check_database,
+    check_blobs,
+    check_port,
+    check_page,
+)

@@ -1,0 +1,160 @@
+"""One run of a demo: an experiment from its creation to its end, through the REST API alone."""
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from accord.cli.client import Api
+from accord.cli.teaching import TeacherName, teach_experiment
+from accord.domain.errors import AccordError, Unavailable
+
+_POLL_SECONDS = 0.5
+_SHOWN_SECONDS = 1.0
+_CURVES = ("true_return", "true_return_untrained", "true_return_final", "true_return_final_std", "learned_return")
+
+
+class RunFailed(AccordError):
+    """An experiment of the demo did not come to its end."""
+
+    code = "run_failed"
+
+
+@dataclass(frozen=True, slots=True)
+class RunPlan:
+    """What to run."""
+
+    name: str
+    task: str
+    #: preferences or true
+    reward_source: str
+    seed: int
+    total_steps: int
+    label_budget: int
+    initial_labels: int
+    labels_per_version: int
+    render_clips: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RunState:
+    """How far it is, for the progress bar."""
+
+    steps: int
+    labels: int
+    version: int
+    true_return: float | None
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """What came of it."""
+
+    plan: RunPlan
+    experiment_id: str
+    seconds: float
+    steps: int
+    labels: int
+    #: true returns of whole episodes with mean actions
+    untrained: float
+    final: float
+    final_std: float
+    #: curve name -> [[step, value], ...]
+    curves: dict[str, list[list[float]]]
+    #: per reward version: number, policy_steps, label_count and its metrics
+    versions: list[dict[str, Any]]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, fit for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """Who asks and who labels."""
+
+    #: with a researcher's token
+    researcher: Api
+    #: with a teacher's
+    teacher: Api
+    teacher_name: TeacherName
+    #: true ends the run
+    stopped: Callable[[], bool]
+    #: raises when the service is gone
+    check: Callable[[], None]
+
+
+def run_experiment(lesson: Lesson, plan: RunPlan, show: Callable[[RunState], None]) -> RunResult:
+    """Create the experiment, teach it, wait for its end.
+
+    Raises:
+        RunFailed: if it failed, or was stopped.
+        Refused, Unavailable: if the service says so, or is gone.
+    """
+    started = time.monotonic()
+    body = asdict(plan)
+    experiment_id: str = lesson.researcher.post("/experiments", body)["id"]
+    shown_at = 0.0
+
+    def refresh(_: int = 0) -> None:
+        nonlocal shown_at
+        lesson.check()
+        if time.monotonic() - shown_at >= _SHOWN_SECONDS:
+            shown_at = time.monotonic()
+            show(_state(lesson.researcher, experiment_id))
+
+    if plan.reward_source == "preferences":
+        teach_experiment(
+            lesson.teacher,
+            experiment_id,
+            lesson.teacher_name,
+            plan.label_budget,
+            on_progress=refresh,
+            stopped=lesson.stopped,
+        )
+    while (experiment := lesson.researcher.get(f"/experiments/{experiment_id}"))["status"] == "running":
+        if lesson.stopped():
+            raise Unavailable("Stopped before the experiment was over.")
+        refresh()
+        time.sleep(_POLL_SECONDS)
+    if experiment["status"] != "finished":
+        raise RunFailed(f"{plan.name} is {experiment['status']}: {experiment['phase_detail']}")
+    show(_state(lesson.researcher, experiment_id))
+    return _result(lesson.researcher, plan, experiment, time.monotonic() - started)
+
+
+def _state(api: Api, experiment_id: str) -> RunState:
+    experiment = api.get(f"/experiments/{experiment_id}")
+    curve = _curves(api, experiment_id, ("true_return",)).get("true_return", [])
+    return RunState(
+        steps=experiment["steps"],
+        labels=experiment["labels"]["labels"],
+        version=experiment["reward_version"] or 0,
+        true_return=curve[-1][1] if curve else None,
+        detail=experiment["phase_detail"] or experiment["phase"],
+    )
+
+
+def _result(api: Api, plan: RunPlan, experiment: dict[str, Any], seconds: float) -> RunResult:
+    id = experiment["id"]
+    curves = _curves(api, id, _CURVES)
+    keys = ("number", "policy_steps", "label_count", "metrics")
+    versions = [{key: item[key] for key in keys} for item in api.get(f"/experiments/{id}/reward-versions")["items"]]
+    return RunResult(
+        plan=plan,
+        experiment_id=id,
+        seconds=seconds,
+        steps=experiment["steps"],
+        labels=experiment["labels"]["labels"],
+        untrained=curves["true_return_untrained"][-1][1],
+        final=curves["true_return_final"][-1][1],
+        final_std=curves["true_return_final_std"][-1][1],
+        curves={name: points for name, points in curves.items() if len(points) > 1 or name == "true_return"},
+        versions=versions,
+    )
+
+
+def _curves(api: Api, experiment_id: str, names: tuple[str, ...]) -> dict[str, list[list[float]]]:
+    found = api.get(f"/experiments/{experiment_id}/metrics", names=list(names))["series"]
+    return {curve["name"]: [[point["step"], point["value"]] for point in curve["points"]] for curve in found}

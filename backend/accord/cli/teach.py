@@ -1,0 +1,47 @@
+"""accord teach: a scripted teacher for an experiment of a service that runs."""
+
+from typing import Annotated
+
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from accord.cli.client import Api
+from accord.cli.options import Home, Token, Url, load_settings, service_url
+from accord.cli.output import out, say
+from accord.cli.teaching import TeacherName, teach_experiment
+from accord.workers.stop import Stop
+
+
+def teach(
+    *,
+    experiment: Annotated[str, typer.Option(help="Id of the experiment to label, exp_...")],
+    token: Token,
+    url: Url = None,
+    teacher: Annotated[
+        TeacherName, typer.Option(help="Which scripted teacher: oracle prefers the larger true return, without error.")
+    ] = TeacherName.ORACLE,
+    labels: Annotated[
+        int | None,
+        typer.Option(min=1, help="How many labels to give.  [default: what the experiment's budget still lacks]"),
+    ] = None,
+    home: Home = None,
+) -> None:
+    """Label an experiment by a program that knows the true reward. It uses the same API as everyone."""
+    stop = Stop()
+    stop.install()
+    api = Api(url or service_url(load_settings(home)), token, stopped=lambda: stop.requested)
+    counts = api.get(f"/experiments/{experiment}")["labels"]
+    wanted = labels or max(0, counts["budget"] - counts["labels"])
+    columns = (TextColumn("labels"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=out) as progress:
+        bar = progress.add_task("labels", total=wanted)
+        taught = teach_experiment(
+            api,
+            experiment,
+            teacher,
+            wanted,
+            on_progress=lambda given: progress.update(bar, completed=given),
+            stopped=lambda: stop.requested,
+        )
+    api.close()
+    say(f"{taught.labels} labels given ({taught.reason}).")

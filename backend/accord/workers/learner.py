@@ -1,0 +1,72 @@
+"""The policy of one experiment in memory: made anew or restored, and stored again."""
+
+from dataclasses import dataclass
+
+from accord.domain.experiment import ExperimentConfig
+from accord.services import checkpoints
+from accord.store.blobs import BlobStore
+from accord.store.database import Database
+from accord.workers.policy_blobs import PolicyCheckpoint, read_checkpoint, store_checkpoint
+from accord.workers.pulse import Claim
+from accord.workers.reward_source import RewardSource, make_reward_source
+from mapt.policies import MappoConfig, MappoLearner
+from mapt.tasks import make_task
+
+
+@dataclass(slots=True)
+class Training:
+    """A learner between two iterations."""
+
+    learner: MappoLearner
+    source: RewardSource
+    #: iterations done
+    iteration: int
+    #: environment steps the learner was updated on
+    steps: int
+
+
+def start_or_restore(
+    database: Database, blobs: BlobStore, experiment_id: str, config: ExperimentConfig, n_threads: int
+) -> Training:
+    """The experiment's training as its newest checkpoint has it; at the beginning where there is none.
+
+    Raises:
+        mapt.policies.InvalidConfig: if `config.policy` makes no sense.
+        BlobMissing, mapt.policies.InvalidCheckpoint: if the checkpoint is gone, or damaged.
+    """
+    settings = learner_config(config, n_threads)
+    task = make_task(config.task, settings.n_envs, n_threads=n_threads)
+    with database.reading() as session:
+        row = checkpoints.newest(session, experiment_id)
+    if row is None:
+        learner = MappoLearner(task, settings)
+        return Training(learner, make_reward_source(blobs, config, settings.n_envs, None, {}), 0, 0)
+    stored = read_checkpoint(blobs, row.blob_key)
+    learner = MappoLearner.from_bytes(stored.learner, task)
+    source = make_reward_source(blobs, config, settings.n_envs, row.reward_version_id, stored.context)
+    return Training(learner, source, row.iteration, row.steps)
+
+
+def learner_config(config: ExperimentConfig, n_threads: int) -> MappoConfig:
+    """Settings of the learner: its defaults, the experiment's seed and device, then what the researcher set."""
+    return MappoConfig.from_dict(
+        {"seed": config.seed, "device": config.device, "n_threads": n_threads, **config.policy}
+    )
+
+
+def save(database: Database, blobs: BlobStore, experiment_id: str, training: Training, claim: Claim) -> None:
+    """Write a checkpoint, then its row; forget the oldest ones.
+
+    Call it between iterations: a rollout that was collected and not learned from is not part of a checkpoint.
+
+    Raises:
+        ClaimLost: if another worker trains this experiment by now. Nothing of it was changed.
+    """
+    checkpoint = PolicyCheckpoint(training.learner.to_bytes(), training.source.context())
+    key = store_checkpoint(blobs, experiment_id, training.steps, checkpoint)
+    with database.transaction() as session:
+        claim.check_within(session)
+        checkpoints.save(session, experiment_id, training.steps, training.iteration, key, training.source.version_id)
+        forgotten = checkpoints.prune(session, experiment_id)
+    for old in forgotten:
+        blobs.delete(old)

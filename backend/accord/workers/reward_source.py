@@ -1,0 +1,104 @@
+"""Where the policy's rewards come from: the task itself, or the newest reward version."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accord.domain.experiment import ExperimentConfig
+from accord.store.blobs import BlobStore
+from accord.store.tables import RewardVersionRow
+from accord.workers.reward_blobs import read_reward_model
+from mapt.policies import Rollout
+from mapt.rewards.relabelling import RolloutRelabeller
+
+Context = dict[str, NDArray[np.generic]]
+
+
+class RewardSource(Protocol):
+    """Rewards of whole rollouts, each rollout by one version."""
+
+    @property
+    def version_id(self) -> str | None:
+        """The version in force; None for the true reward, and before the first."""
+        ...
+
+    def adopt(self, version: RewardVersionRow) -> bool:
+        """Use this version from the next rollout on. Returns whether it is another than before."""
+        ...
+
+    def rewards(self, rollout: Rollout) -> NDArray[np.floating]:
+        """(L, E), or (L, E, N) where each agent gets its own."""
+        ...
+
+    def context(self) -> Context:
+        """What the next rewards look back on."""
+        ...
+
+
+class TrueReward:
+    """The task's own reward: the baseline."""
+
+    version_id = None
+
+    def adopt(self, version: RewardVersionRow) -> bool:
+        return False
+
+    def rewards(self, rollout: Rollout) -> NDArray[np.floating]:
+        return rollout.rewards
+
+    def context(self) -> Context:
+        return {}
+
+
+class LearnedReward:
+    """The newest reward version. Versions are immutable and change between rollouts alone."""
+
+    def __init__(
+        self, blobs: BlobStore, config: ExperimentConfig, n_envs: int, version_id: str | None, context: Context
+    ) -> None:
+        """
+        Args:
+            version_id, context: as of the checkpoint that training goes on from.
+        """
+        self._blobs = blobs
+        self._config = config
+        self._n_envs = n_envs
+        self._restored = context
+        self._relabeller: RolloutRelabeller | None = None
+        self.version_id = version_id
+
+    def adopt(self, version: RewardVersionRow) -> bool:
+        """See `RewardSource.adopt`; the steps that rewards look back on are kept."""
+        if self._relabeller is not None and version.id == self.version_id:
+            return False
+        model = read_reward_model(self._blobs, version.blob_key)
+        if self._relabeller is None:
+            self._relabeller = RolloutRelabeller(
+                model, self._config.segment_steps, self._n_envs, self._config.credit, self._config.device
+            )
+            if self._restored:
+                self._relabeller.load_state_dict(self._restored)
+        else:
+            self._relabeller.replace_model(model)
+        changed = version.id != self.version_id
+        self.version_id = version.id
+        return changed
+
+    def rewards(self, rollout: Rollout) -> NDArray[np.floating]:
+        """See `RewardSource.rewards`. Call `adopt` before."""
+        if self._relabeller is None:
+            raise RuntimeError("There is no reward version yet.")
+        return self._relabeller.relabel(rollout.observations, rollout.actions, rollout.episode_start)
+
+    def context(self) -> Context:
+        return self._relabeller.state_dict() if self._relabeller else self._restored
+
+
+def make_reward_source(
+    blobs: BlobStore, config: ExperimentConfig, n_envs: int, version_id: str | None, context: Context
+) -> RewardSource:
+    """The source that the experiment's settings name."""
+    if config.reward_source == "true":
+        return TrueReward()
+    return LearnedReward(blobs, config, n_envs, version_id, context)

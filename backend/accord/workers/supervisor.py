@@ -1,0 +1,107 @@
+"""The parent of all processes of `accord up`: starts them, starts again what died, ends them together."""
+
+import random
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from accord.workers.backoff import Backoff
+from accord.workers.children import Child, ChildSpec
+from accord.workers.stop import Stop
+
+#: a child that ran this long has recovered: its next death counts as the first
+_RECOVERED_SECONDS = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Death:
+    """A child ended although nobody asked it to."""
+
+    name: str
+    role: str
+    #: a sentence: how it ended, and when it is started again
+    sentence: str
+    #: how often it has been started again, this time counted
+    restarts: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Slot:
+    """One child's place."""
+
+    spec: ChildSpec
+    child: Child | None = None
+    started_at: float = 0.0
+    #: deaths in a row
+    failures: int = 0
+    restarts: int = 0
+    #: when to start it again, while there is no child
+    due_at: float = 0.0
+
+
+class Supervisor:
+    """Keeps one process per spec running. Single-threaded: `tick` does all the watching."""
+
+    def __init__(
+        self,
+        specs: Sequence[ChildSpec],
+        log_folder: Path,
+        on_death: Callable[[Death], None],
+        *,
+        backoff: Backoff | None = None,
+        rng: random.Random | None = None,
+    ) -> None:
+        self._log_folder = log_folder
+        self._on_death = on_death
+        self._backoff = backoff or Backoff()
+        self._rng = rng or random.Random()
+        self._slots = [_Slot(spec) for spec in specs]
+
+    def pids(self) -> dict[str, int]:
+        """Process ids of the children that run, by name."""
+        return {slot.spec.name: slot.child.pid for slot in self._slots if slot.child}
+
+    def tick(self) -> None:
+        """Start what is due, notice what died. Call it a few times a second."""
+        now = time.monotonic()
+        self._slots = [self._look_after(slot, now) for slot in self._slots]
+
+    def _look_after(self, slot: _Slot, now: float) -> _Slot:
+        if slot.child is None:
+            if now < slot.due_at:
+                return slot
+            return replace(slot, child=Child(slot.spec, self._log_folder), started_at=now)
+        ended = slot.child.ended()
+        if ended is None:
+            return slot
+        return self._bury(slot, slot.child, ended, now)
+
+    def _bury(self, slot: _Slot, child: Child, ended: str, now: float) -> _Slot:
+        # What a killed worker had started, a render process for example, would go on without it.
+        child.kill_group()
+        failures = 1 if now - slot.started_at > _RECOVERED_SECONDS else slot.failures + 1
+        pause = self._backoff.seconds(failures, self._rng)
+        words = f"It {ended}; it starts again in {pause:.1f} s."
+        if last := child.last_words():
+            words += f" Its last words: {last}"
+        self._on_death(Death(slot.spec.name, slot.spec.role, words, slot.restarts + 1))
+        return replace(slot, child=None, failures=failures, restarts=slot.restarts + 1, due_at=now + pause)
+
+    def shutdown(self, stop: Stop, grace_seconds: float = 8.0) -> list[str]:
+        """End all children: ask, wait, and kill what is left. Asked twice to stop, kill at once.
+
+        Returns:
+            names of those that had to be killed.
+        """
+        children = [slot.child for slot in self._slots if slot.child]
+        self._slots = [replace(slot, child=None, due_at=float("inf")) for slot in self._slots]
+        for child in children:
+            child.terminate()
+        deadline = time.monotonic() + grace_seconds
+        alive = children
+        while alive and time.monotonic() < deadline and not stop.insisted:
+            alive = [child for child in alive if not child.wait(0.05)]
+        for child in children:
+            child.kill_group()
+        return [child.spec.name for child in alive]

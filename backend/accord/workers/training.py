@@ -1,0 +1,235 @@
+"""One experiment's policy, from claim to release: collect, hand in, wait for labels, relabel, update.
+
+Between two iterations the worker looks at the rows again: paused, cancelled, a newer reward version, labels that are
+missing. Whatever it finds there decides the next step, so it may be killed anywhere and go on from its checkpoint.
+"""
+
+import logging
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from accord.domain.experiment import ExperimentConfig
+from accord.domain.words import ExperimentStatus, Phase
+from accord.services import collect, experiments, metrics, publish, select
+from accord.services.collect import NewSegment
+from accord.store.tables import RewardVersionRow
+from accord.workers import learner
+from accord.workers.cutting import cut
+from accord.workers.learner import Training
+from accord.workers.loop import Context
+from accord.workers.measures import EVALUATION_EPISODES, evaluation, iteration_metrics
+from accord.workers.pacing import Progress, segments_to_hand_in, waits_for
+from accord.workers.pulse import Claim
+from mapt.policies import Rollout
+
+log = logging.getLogger(__name__)
+
+#: checkpoints are this far apart at most, in time
+CHECKPOINT_SECONDS = 30.0
+#: and in iterations
+CHECKPOINT_ITERATIONS = 20
+#: which draws of an experiment's seed choose the segments
+_SEGMENT_STREAM = 7
+#: curves of one point: the policy before it learned anything, and at the end
+UNTRAINED, FINAL = "true_return_untrained", "true_return_final"
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """The rows that decide the next step, read in one transaction."""
+
+    status: str
+    labels: int
+    version: RewardVersionRow | None
+
+
+class PolicyRun:
+    """Trains one experiment under a claim."""
+
+    def __init__(self, context: Context, experiment_id: str, config: ExperimentConfig, claim: Claim) -> None:
+        self._context = context
+        self._id = experiment_id
+        self._config = config
+        self._claim = claim
+        self._training: Training = learner.start_or_restore(
+            context.database, context.blobs, experiment_id, config, context.settings.torch_threads
+        )
+        #: collected and not learned from yet
+        self._rollout: Rollout | None = None
+        self._collect_seconds = 0.0
+        self._saved_at = time.monotonic()
+        self._saved_iteration = self._training.iteration
+        #: what the experiment's row says by now, as far as this worker knows
+        self._said: tuple[Phase, str, int] | None = None
+
+    def step(self) -> bool:
+        """Whatever comes next. Returns False when there is nothing to do but wait.
+
+        Raises:
+            ClaimLost: if another worker took the experiment over.
+            Interrupted: if the process was asked to stop in the middle of an evaluation.
+        """
+        self._claim.check()
+        seen = self._look()
+        if seen.status != ExperimentStatus.RUNNING:
+            return False
+        training = self._training
+        if training.steps >= self._config.total_steps:
+            self._finish()
+            return True
+        waiting = self.waiting(seen)
+        untouched = training.iteration == 0 and self._rollout is None
+        if waiting and not untouched:
+            self._wait(waiting)
+            return False
+        if self._rollout is None:
+            self._collect()
+            return True
+        self._update(self._rollout, seen)
+        return True
+
+    def waiting(self, seen: "_Seen") -> str | None:
+        """What the policy waits for, as a sentence; None when it may train."""
+        trained_on = seen.version.label_count if seen.version else None
+        return waits_for(self._config, Progress(self._training.steps, seen.labels, trained_on))
+
+    @property
+    def over(self) -> bool:
+        """Whether the experiment is running no more."""
+        return self._look().status != ExperimentStatus.RUNNING
+
+    def leave(self) -> None:
+        """Keep what was learned since the last checkpoint, before the claim is released."""
+        # A rollout in hand is not lost: from the checkpoint before it, the same one is collected again.
+        if self._training.iteration > self._saved_iteration and self._rollout is None and not self._claim.lost:
+            self._save()
+
+    def close(self) -> None:
+        self._training.learner.task.close()
+
+    def _look(self) -> _Seen:
+        with self._context.database.reading() as session:
+            row = experiments.get(session, self._id)
+            return _Seen(row.status, row.label_count, publish.newest(session, self._id))
+
+    def _collect(self) -> None:
+        training = self._training
+        self._say(Phase.COLLECTING if training.iteration == 0 else Phase.TRAINING)
+        started = time.monotonic()
+        self._rollout = training.learner.collect()
+        self._collect_seconds = time.monotonic() - started
+        self._hand_in(self._rollout)
+
+    def _hand_in(self, rollout: Rollout) -> None:
+        """Give some segments of the rollout to the pool that queries are made from."""
+        training, config = self._training, self._config
+        with self._context.database.reading() as session:
+            newest = select.candidates(session, self._id, limit=1)
+        if newest and newest[0][1] >= training.steps:
+            return  # handed in by a process that was killed after, before a checkpoint
+        rng = np.random.default_rng([config.seed, _SEGMENT_STREAM, training.iteration])
+        places = cut(rollout.episode_start, config.segment_steps, rng)
+        wanted = segments_to_hand_in(
+            config,
+            iteration=training.iteration,
+            rollout_steps=training.learner.config.steps_per_rollout,
+            fitting=len(places),
+        )
+        if wanted == 0:
+            return
+        stored = [
+            collect.store_arrays(self._context.blobs, self._id, self._segment(rollout, first, env))
+            for first, env in places[:wanted]
+        ]
+        with self._context.database.transaction() as session:
+            self._claim.check_within(session)
+            collect.collect(session, self._id, stored)
+
+    def _segment(self, rollout: Rollout, first: int, env: int) -> NewSegment:
+        steps = slice(first, first + self._config.segment_steps)
+        return NewSegment(
+            observations=rollout.observations[steps, env],
+            actions=rollout.actions[steps, env],
+            rewards=rollout.rewards[steps, env],
+            qpos=rollout.qpos[steps, env],
+            qvel=rollout.qvel[steps, env],
+            policy_iteration=self._training.iteration,
+            policy_steps=self._training.steps,
+        )
+
+    def _wait(self, why: str) -> None:
+        self.leave()
+        self._context.pulse.say("working", f"waits: {why}")
+        self._say(Phase.WAITING_FOR_LABELS, why)
+
+    def _update(self, rollout: Rollout, seen: _Seen) -> None:
+        """Relabel the whole rollout by one version, learn from it, write down what came of it."""
+        training, source = self._training, self._training.source
+        if training.iteration == 0 and not self._has_measured(UNTRAINED):
+            # Not before: until the first version is there, the processors are for the first clips.
+            self._measure(UNTRAINED)
+        started = time.monotonic()
+        if seen.version is not None and source.adopt(seen.version):
+            training.learner.reward_changed()
+        rewards = source.rewards(rollout)
+        losses = training.learner.update(rollout, rewards)
+        seconds = self._collect_seconds + time.monotonic() - started
+        self._rollout = None
+        training.iteration += 1
+        training.steps += training.learner.config.steps_per_rollout
+        values = iteration_metrics(rollout, rewards, losses, training.learner.task.spec.horizon_steps)
+        values["steps_per_second"] = training.learner.config.steps_per_rollout / seconds
+        if self._config.reward_source == "preferences":
+            values |= {"labels": seen.labels, "reward_version": seen.version.number if seen.version else 0}
+        self._record(values)
+        self._save_now_and_then()
+
+    def _record(self, values: dict[str, float]) -> None:
+        training = self._training
+        with self._context.database.transaction() as session:
+            self._claim.check_within(session)
+            metrics.record(session, self._id, training.steps, values, training.source.version_id)
+            experiments.report(session, self._id, phase=Phase.TRAINING, steps=training.steps)
+        self._said = Phase.TRAINING, "", training.steps
+        share = min(1.0, training.steps / self._config.total_steps)
+        self._context.pulse.say("working", f"{self._config.task}, {share:.0%} of its steps")
+
+    def _say(self, phase: Phase, detail: str = "") -> None:
+        if (phase, detail, self._training.steps) == self._said:
+            return
+        with self._context.database.transaction() as session:
+            self._claim.check_within(session)
+            experiments.report(session, self._id, phase=phase, detail=detail, steps=self._training.steps)
+        self._said = phase, detail, self._training.steps
+
+    def _save_now_and_then(self) -> None:
+        due = time.monotonic() - self._saved_at > CHECKPOINT_SECONDS
+        if due or self._training.iteration - self._saved_iteration >= CHECKPOINT_ITERATIONS:
+            self._save()
+
+    def _save(self) -> None:
+        learner.save(self._context.database, self._context.blobs, self._id, self._training, self._claim)
+        self._saved_at, self._saved_iteration = time.monotonic(), self._training.iteration
+
+    def _has_measured(self, name: str) -> bool:
+        with self._context.database.reading() as session:
+            return bool(metrics.series(session, self._id, [name]))
+
+    def _measure(self, name: str) -> None:
+        """Play whole episodes with the policy as it is, and record their true return."""
+        self._say(Phase.EVALUATING, f"{EVALUATION_EPISODES} episodes.")
+        values = evaluation(
+            self._training.learner, self._config.task, self._config.seed, name, lambda: self._context.stop.requested
+        )
+        with self._context.database.transaction() as session:
+            self._claim.check_within(session)
+            metrics.record(session, self._id, self._training.steps, values, self._training.source.version_id)
+
+    def _finish(self) -> None:
+        self.leave()
+        self._measure(FINAL)
+        with self._context.database.transaction() as session:
+            self._claim.check_within(session)
+            experiments.finish(session, self._id)

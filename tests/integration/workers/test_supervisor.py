@@ -1,0 +1,134 @@
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from accord.workers.backoff import Backoff
+from accord.workers.children import ChildSpec
+from accord.workers.stop import Stop
+from accord.workers.supervisor import Death, Supervisor
+
+HERE = Path(__file__).parent
+ENVIRONMENT = {"PYTHONPATH": str(HERE)}
+
+
+def until(condition: Callable[[], object], seconds: float = 20.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.01)
+
+
+def alive(pid: int) -> bool:
+    return psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+
+
+def starts(folder: Path) -> list[int]:
+    path = folder / "starts"
+    return [int(line) for line in path.read_text().split()] if path.exists() else []
+
+
+@pytest.fixture
+def deaths() -> list[Death]:
+    return []
+
+
+@pytest.fixture
+def make(tmp_path: Path, deaths: list[Death]) -> Iterator[Callable[[str], Supervisor]]:
+    made: list[Supervisor] = []
+
+    def build(character: str) -> Supervisor:
+        spec = ChildSpec(f"{character}-0", ("tiny_process", character, str(tmp_path)), "policy", ENVIRONMENT)
+        backoff = Backoff(first_seconds=0.01, longest_seconds=0.05)
+        supervisor = Supervisor([spec], tmp_path, deaths.append, backoff=backoff, rng=random.Random(0))
+        made.append(supervisor)
+        return supervisor
+
+    yield build
+    for supervisor in made:
+        supervisor.shutdown(Stop(), grace_seconds=0.0)
+
+
+def tick_until(supervisor: Supervisor, condition: Callable[[], object]) -> None:
+    def step() -> object:
+        supervisor.tick()
+        return condition()
+
+    until(step)
+
+
+def test_a_killed_child_is_started_again_and_its_death_told(make, deaths, tmp_path):
+    supervisor = make("calm")
+    tick_until(supervisor, lambda: len(starts(tmp_path)) == 1)
+    os.kill(supervisor.pids()["calm-0"], signal.SIGKILL)
+    tick_until(supervisor, lambda: len(starts(tmp_path)) == 2)
+    assert [(death.name, death.role, death.restarts) for death in deaths] == [("calm-0", "policy", 1)]
+    assert "was ended by SIGKILL" in deaths[0].sentence
+
+
+def test_a_child_that_fails_at_once_is_tried_again_with_its_last_words(make, deaths, tmp_path):
+    supervisor = make("broken")
+    tick_until(supervisor, lambda: len(deaths) == 3)
+    assert [death.restarts for death in deaths] == [1, 2, 3]
+    assert "ended with status 3" in deaths[0].sentence
+    assert deaths[0].sentence.endswith("the cable is loose")
+
+
+def test_shutdown_ends_children_that_listen(make, tmp_path):
+    supervisor = make("calm")
+    tick_until(supervisor, lambda: starts(tmp_path))
+    pid = supervisor.pids()["calm-0"]
+    assert supervisor.shutdown(Stop()) == []
+    assert not alive(pid)
+
+
+def test_shutdown_kills_a_child_that_does_not_listen(make, tmp_path):
+    supervisor = make("deaf")
+    tick_until(supervisor, lambda: starts(tmp_path))
+    pid = supervisor.pids()["deaf-0"]
+    assert supervisor.shutdown(Stop(), grace_seconds=0.2) == ["deaf-0"]
+    assert not alive(pid)
+
+
+def test_asked_twice_to_stop_it_does_not_wait_for_the_deaf(make, tmp_path):
+    supervisor, stop = make("deaf"), Stop()
+    tick_until(supervisor, lambda: starts(tmp_path))
+    stop.request()
+    stop.request()
+    assert supervisor.shutdown(stop, grace_seconds=3600.0) == ["deaf-0"]
+
+
+def test_what_a_killed_child_had_started_ends_with_it(make, tmp_path):
+    supervisor = make("parent")
+    tick_until(supervisor, lambda: starts(tmp_path))
+    grandchild = int((tmp_path / "grandchild").read_text())
+    os.kill(supervisor.pids()["parent-0"], signal.SIGKILL)
+    tick_until(supervisor, lambda: len(starts(tmp_path)) == 2)
+    until(lambda: not alive(grandchild))
+
+
+@pytest.mark.parametrize("character", ["calm", "deaf"])
+def test_no_child_outlives_a_killed_supervisor(tmp_path, character):
+    command = [sys.executable, "-m", "supervisor_parent", str(tmp_path), character]
+    parent = subprocess.Popen(command, env=os.environ | ENVIRONMENT)
+    until(lambda: starts(tmp_path))
+    parent.kill()
+    parent.wait()
+    until(lambda: not alive(starts(tmp_path)[0]))
+
+
+def test_sigterm_to_the_supervisor_leaves_no_process(tmp_path):
+    command = [sys.executable, "-m", "supervisor_parent", str(tmp_path), "calm", "parent"]
+    parent = subprocess.Popen(command, env=os.environ | ENVIRONMENT)
+    until(lambda: len(starts(tmp_path)) == 2)
+    grandchild = int((tmp_path / "grandchild").read_text())
+    parent.terminate()
+    assert parent.wait(20) == 0
+    assert not [pid for pid in [*starts(tmp_path), grandchild] if alive(pid)]
