@@ -21,7 +21,7 @@ _SOURCES = ("src", "public", "index.html", "package.json", "package-lock.json", 
 #: beside the built page: the digest of what it was built from
 _STAMP = "built-from.txt"
 _MEND = (
-    "The page needs npm (Node 20.19, 22.12 or newer) and, for the first build, the npm registry. Connect the network and "
+    "The page needs npm (Node 20.19 or newer) and, for the first build, the npm registry. Connect the network and "
     "try again; behind a proxy or a mirror, name it with `npm config set registry <address>`. To install without the "
     "page (REST, CLI and workers work), set ACCORD_PAGE=skip."
 )
