@@ -1,6 +1,7 @@
 """python -m accord.api.server: the HTTP service alone, as a process. `accord up` starts it beside the workers."""
 
 import logging
+import os
 import socket
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -12,6 +13,8 @@ from accord.domain.errors import AccordError, PortInUse, Unavailable
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+
+log = logging.getLogger(__name__)
 
 #: open requests are given this long when the server is asked to end; live events end at once
 GRACE_SECONDS = 5
@@ -43,6 +46,12 @@ def bound_socket(host: str, port: int) -> Generator[socket.socket]:
         yield listener
 
 
+def address_of(listener: socket.socket) -> str:
+    """The URL at which a listening socket is reached."""
+    host, port = listener.getsockname()[:2]
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
 def serve(settings: Settings) -> None:
     """Serves until SIGINT or SIGTERM. Checks first that the database and the blobs can be used.
 
@@ -63,6 +72,7 @@ def serve(settings: Settings) -> None:
                 timeout_graceful_shutdown=GRACE_SECONDS,
                 proxy_headers=bool(settings.public_url),
             )
+            log.info("[%d] serves at %s", os.getpid(), address_of(listener))
             uvicorn.Server(config).run([listener])
         finally:
             database.close()
@@ -71,10 +81,11 @@ def serve(settings: Settings) -> None:
 def main() -> int:
     """Returns the process's exit status."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    logging.getLogger("alembic").setLevel(logging.WARNING)
     try:
         serve(Settings())
     except AccordError as error:
-        logging.getLogger(__name__).error("%s", error)
+        log.error("%s", error)
         return 1
     except KeyboardInterrupt:
         return 0

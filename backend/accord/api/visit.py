@@ -19,9 +19,9 @@ from accord.domain.errors import Forbidden, Unauthenticated
 from accord.domain.words import Role
 from accord.services import accounts
 from accord.settings import Settings
+from accord.store.accounts import User
 from accord.store.blobs import BlobStore
 from accord.store.database import Database
-from accord.store.tables import UserRow
 
 COOKIE = "accord_session"
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -41,7 +41,7 @@ class Signed:
     """An open transaction and the user on whose behalf it runs."""
 
     session: Session
-    user: UserRow
+    user: User
     role: Role
 
 

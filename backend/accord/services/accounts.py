@@ -7,6 +7,7 @@ Tokens are 256 random bits, so that a plain hash is enough: there is nothing to 
 import hashlib
 import secrets
 from datetime import timedelta
+from typing import Protocol
 
 from sqlalchemy.orm import Session
 
@@ -15,10 +16,20 @@ from accord.domain.ids import new_id
 from accord.domain.words import Role
 from accord.services.texts import check_line
 from accord.store import accounts
+from accord.store.accounts import User
 from accord.store.tables import TokenRow, UserRow, utc_now
 
-_SIGNED_IN = ("bearer", "session")
 _ADMIN_NAME = "admin"
+
+
+class Caller(Protocol):
+    """Somebody on whose behalf a service works: a user's row, or what `authenticate` returns."""
+
+    @property
+    def id(self) -> str: ...
+
+    @property
+    def role(self) -> str: ...
 
 
 def create_user(session: Session, name: str, role: Role) -> tuple[UserRow, str]:
@@ -60,13 +71,13 @@ def new_bearer(session: Session, user_id: str) -> str:
     return _new_token(session, user_id, "bearer", None)
 
 
-def authenticate(session: Session, token: str) -> UserRow:
+def authenticate(session: Session, token: str) -> User:
     """Whose bearer or session token this is.
 
     Raises:
         Unauthenticated: if it is nobody's, or has expired.
     """
-    user = accounts.user_of_token(session, hash_of(token), _SIGNED_IN, utc_now())
+    user = accounts.user_of_token(session, hash_of(token), utc_now())
     if user is None:
         raise Unauthenticated("This token is wrong or has expired. Ask an admin for another, or open a sign-in link.")
     return user

@@ -173,10 +173,10 @@ def fail(session: Session, experiment_id: str, reason: str) -> bool:
     return _end(session, experiment_id, ExperimentStatus.FAILED, reason)
 
 
-def require_not_over(row: ExperimentRow) -> None:
+def require_not_over(experiment_id: str, status: str) -> None:
     """Raises ExperimentNotActive for an experiment that ended: its labels are settled."""
-    if row.status in _OVER:
-        raise ExperimentNotActive(row.id, row.status, "running or paused")
+    if status in _OVER:
+        raise ExperimentNotActive(experiment_id, status, "running or paused")
 
 
 def _locked(session: Session, experiment_id: str) -> ExperimentRow:

@@ -4,7 +4,7 @@ Every change is one more revision of the experiment. The revision, the label, it
 labels change in one transaction, so that the reward worker's watermark misses none.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from sqlalchemy.orm import Session
@@ -20,42 +20,30 @@ from accord.domain.errors import (
 from accord.domain.ids import new_id
 from accord.domain.policy import may_label_in_batches
 from accord.domain.words import LABEL_VALUES, QueryStatus, Role
-from accord.services import experiments
+from accord.services.accounts import Caller
 from accord.services.clock import now_and_end
+from accord.services.experiments import require_not_over
 from accord.services.texts import check_teacher
-from accord.store import queries
-from accord.store.experiments import advance_revision
-from accord.store.queries import QueryInHand
-from accord.store.tables import LabelRevisionRow, LabelRow, QueryRow, UserRow
+from accord.store import labels, queries
+from accord.store.labels import StoredLabel
+from accord.store.queries import QueryInHand, Word
 
 Order = Literal["segments", "shown"]
 _SAID = frozenset({"label", "skip"})
 
 
 @dataclass(frozen=True, slots=True)
-class _Word:
-    """What a teacher says of a query."""
-
-    value: float | None
-    #: label | skip | undone
-    state: str
-    left_segment: int | None
-    response_seconds: float | None
-    teacher: dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
 class LabelOutcome:
     """What became of a label that was sent."""
 
-    row: LabelRow
+    row: StoredLabel
     #: False when the very same label was there already
     created: bool
 
 
 def put_label(
     session: Session,
-    user: UserRow,
+    user: Caller,
     query_id: str,
     value: float | None,
     order: Order = "segments",
@@ -82,26 +70,24 @@ def put_label(
     """
     if value is not None and value not in LABEL_VALUES:
         raise InvalidLabel(value)
-    described = check_teacher(teacher or {})
+    described = check_teacher(teacher) if teacher else {}
     found = _locked(session, user, query_id, experiment_id)
     if order == "shown":
         if found.left_segment is None:
             raise LeaseLost(query_id)
         value = 1.0 - value if value is not None and found.left_segment == 1 else value
-    state = "skip" if value is None else "label"
-    label = found.label
-    if label is not None and (label.state, label.value) == (state, value):
-        return LabelOutcome(label, created=False)
-    query = found.query
-    _require_labellable(session, user, found)
-    word = _Word(value, state, found.left_segment, response_seconds, described)
-    row = _write(session, user, query, label, word)
-    query.status = QueryStatus.CLOSED.value if state == "label" else QueryStatus.OPEN.value
-    query.leased_by = query.leased_until = None
+    word = Word(value, "skip" if value is None else "label", found.left_segment, response_seconds, described)
+    said, label_id = found.word, found.label_id
+    if said is not None and label_id is not None and (said.state, said.value) == (word.state, word.value):
+        return LabelOutcome(_stored(found, user, label_id, found.label_revision, said), created=False)
+    _require_labellable(user, found)
+    row = _write(session, user, found, word)
+    status = QueryStatus.CLOSED if word.state == "label" else QueryStatus.OPEN
+    queries.put(session, query_id, status.value, None, None)
     return LabelOutcome(row, created=True)
 
 
-def undo(session: Session, user: UserRow, query_id: str, lease_seconds: float = 60.0) -> LabelRow:
+def undo(session: Session, user: Caller, query_id: str, lease_seconds: float = 60.0) -> StoredLabel:
     """Takes a user's label or skip back: the query is open again, and leased to the user.
 
     Raises:
@@ -111,83 +97,62 @@ def undo(session: Session, user: UserRow, query_id: str, lease_seconds: float = 
         QueryClosed, LeaseLost: if, after a skip, another has labelled it or holds it.
     """
     found = _locked(session, user, query_id, None)
-    query, label = found.query, found.label
-    if label is None or label.state not in _SAID:
+    if found.word is None or found.word.state not in _SAID:
         raise LabelNotFound(query_id)
-    _require_labellable(session, user, found)
-    word = _Word(None, "undone", label.left_segment, label.response_seconds, label.teacher)
-    _write(session, user, query, label, word)
-    query.status = QueryStatus.OPEN.value
-    _, query.leased_until = now_and_end(lease_seconds)
-    query.leased_by = user.id
-    return label
+    _require_labellable(user, found)
+    row = _write(session, user, found, replace(found.word, value=None, state="undone"))
+    _, until = now_and_end(lease_seconds)
+    queries.put(session, query_id, QueryStatus.OPEN.value, user.id, until)
+    return row
 
 
-def _locked(session: Session, user: UserRow, query_id: str, experiment_id: str | None) -> QueryInHand:
+def _locked(session: Session, user: Caller, query_id: str, experiment_id: str | None) -> QueryInHand:
     found = queries.lock(session, query_id, user.id)
-    if found is None or (experiment_id is not None and found.query.experiment_id != experiment_id):
+    if found is None or (experiment_id is not None and found.experiment_id != experiment_id):
         raise QueryNotFound(query_id)
     return found
 
 
-def _require_labellable(session: Session, user: UserRow, found: QueryInHand) -> None:
+def _require_labellable(user: Caller, found: QueryInHand) -> None:
     """Raises unless this user may say something new about this query now."""
-    query, label = found.query, found.label
-    experiments.require_not_over(experiments.get(session, query.experiment_id))
-    if label is not None and label.state == "label":
+    require_not_over(found.experiment_id, found.experiment_status)
+    said_before = None if found.word is None else found.word.state
+    if said_before == "label":
         return  # the query is closed by this very label; its author may think again
-    if query.status == QueryStatus.CLOSED:
-        raise QueryClosed(query.id)
-    if query.status != QueryStatus.OPEN:
-        raise LabelConflict(f"Query {query.id!r} has no clips to look at ({query.status}). Ask for the next query.")
-    if query.leased_by == user.id:
+    if found.status == QueryStatus.CLOSED:
+        raise QueryClosed(found.query_id)
+    if found.status != QueryStatus.OPEN:
+        raise LabelConflict(
+            f"Query {found.query_id!r} has no clips to look at ({found.status}). Ask for the next query."
+        )
+    if found.leased_by == user.id:
         # Also when the lease is over: nobody has taken it since, so nobody is asked twice.
         return
     now, _ = now_and_end(0.0)
-    if query.leased_until is not None and query.leased_until > now:
-        raise LeaseLost(query.id)
-    skipped_before = label is not None and label.state == "skip"
-    if not skipped_before and not may_label_in_batches(Role(user.role)):
-        raise LeaseLost(query.id)
+    if found.leased_until is not None and found.leased_until > now:
+        raise LeaseLost(found.query_id)
+    if said_before != "skip" and not may_label_in_batches(Role(user.role)):
+        raise LeaseLost(found.query_id)
 
 
-def _write(session: Session, user: UserRow, query: QueryRow, label: LabelRow | None, word: _Word) -> LabelRow:
+def _write(session: Session, user: Caller, found: QueryInHand, word: Word) -> StoredLabel:
     """The label, its history and the counters, all at once."""
-    before = label is not None and label.state == "label"
-    revision = advance_revision(session, query.experiment_id, (word.state == "label") - before)
+    before = found.word is not None and found.word.state == "label"
+    revision = labels.advance_revision(session, found.experiment_id, (word.state == "label") - before)
+    label = _stored(found, user, found.label_id or new_id("lbl"), revision, word)
     now, _ = now_and_end(0.0)
-    if label is None:
-        label = LabelRow(
-            id=new_id("lbl"),
-            experiment_id=query.experiment_id,
-            query_id=query.id,
-            user_id=user.id,
-            value=word.value,
-            state=word.state,
-            revision=revision,
-            left_segment=word.left_segment,
-            response_seconds=word.response_seconds,
-            teacher=word.teacher,
-            created_at=now,
-            updated_at=now,
-        )
-        session.add(label)
-        session.flush()
-    else:
-        label.value, label.state, label.revision = word.value, word.state, revision
-        label.left_segment, label.response_seconds = word.left_segment, word.response_seconds
-        label.teacher, label.updated_at = word.teacher, now
-    session.add(
-        LabelRevisionRow(
-            experiment_id=query.experiment_id,
-            revision=revision,
-            label_id=label.id,
-            value=word.value,
-            state=word.state,
-            left_segment=word.left_segment,
-            response_seconds=word.response_seconds,
-            created_at=now,
-        )
-    )
-    session.flush()
+    labels.write(session, label, word, now, anew=found.label_id is None)
     return label
+
+
+def _stored(found: QueryInHand, user: Caller, label_id: str, revision: int, word: Word) -> StoredLabel:
+    return StoredLabel(
+        id=label_id,
+        experiment_id=found.experiment_id,
+        query_id=found.query_id,
+        user_id=user.id,
+        value=word.value,
+        state=word.state,
+        revision=revision,
+        left_segment=word.left_segment,
+    )

@@ -7,13 +7,13 @@ from typing import Literal
 
 from sqlalchemy.orm import Session
 
-from accord.domain.errors import LeaseLost, QueryClosed, QueryNotFound
+from accord.domain.errors import ExperimentNotFound, LeaseLost, QueryClosed, QueryNotFound
 from accord.domain.words import ExperimentStatus, QueryStatus
-from accord.services import experiments
+from accord.services.accounts import Caller
 from accord.services.clock import now_and_end
-from accord.store import queries
+from accord.store import experiments, queries
+from accord.store.experiments import Standing
 from accord.store.queries import SideRow
-from accord.store.tables import ExperimentRow, UserRow
 
 Reason = Literal["", "rendering", "policy_training", "all_labelled", "experiment_over", "paused"]
 
@@ -35,12 +35,14 @@ class OfferedQuery:
 class Offer:
     """What a user gets to label."""
 
+    #: name of the experiment's task
+    task: str
     items: list[OfferedQuery]
     #: why there are fewer than asked for; empty when there are not
     reason: Reason
 
 
-def next_queries(session: Session, user: UserRow, experiment_id: str, count: int, lease_seconds: float) -> Offer:
+def next_queries(session: Session, user: Caller, experiment_id: str, count: int, lease_seconds: float) -> Offer:
     """Up to `count` queries for a user, leased from now on: first those the user holds, then free ones, by number.
 
     A query comes back with the sides it was first shown with, so that a reload of the page changes nothing.
@@ -48,27 +50,30 @@ def next_queries(session: Session, user: UserRow, experiment_id: str, count: int
     Raises:
         ExperimentNotFound: if there is no such experiment.
     """
-    row = experiments.get(session, experiment_id)
-    closed = _closed_reason(row)
+    standing = experiments.standing(session, experiment_id)
+    if standing is None:
+        raise ExperimentNotFound(experiment_id)
+    task = str(standing.config["task"])
+    closed = _closed_reason(standing)
     if closed:
-        return Offer([], closed)
+        return Offer(task, [], closed)
     now, until = now_and_end(lease_seconds)
     ids = queries.leased_ids(session, user.id, experiment_id, now, count)
     if len(ids) < count:
         ids += queries.lock_free_ids(session, user.id, experiment_id, now, count - len(ids))
     if not ids:
-        return Offer([], _waiting_reason(session, experiment_id))
+        return Offer(task, [], _waiting_reason(session, experiment_id))
     queries.lease(session, ids, user.id, until)
     items = _shown(session, user.id, ids)
-    return Offer(items, "" if len(items) == count else _waiting_reason(session, experiment_id))
+    return Offer(task, items, "" if len(items) == count else _waiting_reason(session, experiment_id))
 
 
-def offered(session: Session, user: UserRow, query_id: str) -> OfferedQuery:
+def offered(session: Session, user: Caller, query_id: str) -> OfferedQuery:
     """One query as its user sees it."""
     return _shown(session, user.id, [query_id])[0]
 
 
-def heartbeat(session: Session, user: UserRow, query_id: str, lease_seconds: float) -> None:
+def heartbeat(session: Session, user: Caller, query_id: str, lease_seconds: float) -> None:
     """Keeps a lease for as long again.
 
     Raises:
@@ -80,15 +85,15 @@ def heartbeat(session: Session, user: UserRow, query_id: str, lease_seconds: flo
     found = queries.lock(session, query_id, user.id)
     if found is None:
         raise QueryNotFound(query_id)
-    if found.query.status == QueryStatus.CLOSED:
+    if found.status == QueryStatus.CLOSED:
         raise QueryClosed(query_id)
     # An expired lease that nobody has taken since is still good: a laptop that slept must not lose its pair.
-    if found.query.leased_by != user.id:
+    if found.leased_by != user.id:
         raise LeaseLost(query_id)
-    found.query.leased_until = until
+    queries.put(session, query_id, found.status, user.id, until)
 
 
-def release(session: Session, user: UserRow, query_id: str) -> None:
+def release(session: Session, user: Caller, query_id: str) -> None:
     """Gives a lease back; nothing happens where the user holds none.
 
     Raises:
@@ -97,8 +102,8 @@ def release(session: Session, user: UserRow, query_id: str) -> None:
     found = queries.lock(session, query_id, user.id)
     if found is None:
         raise QueryNotFound(query_id)
-    if found.query.leased_by == user.id:
-        found.query.leased_by = found.query.leased_until = None
+    if found.leased_by == user.id:
+        queries.put(session, query_id, found.status, None, None)
 
 
 def _shown(session: Session, user_id: str, ids: Sequence[str]) -> list[OfferedQuery]:
@@ -120,13 +125,13 @@ def _shown(session: Session, user_id: str, ids: Sequence[str]) -> list[OfferedQu
     ]
 
 
-def _closed_reason(row: ExperimentRow) -> Reason:
-    if row.status == ExperimentStatus.PAUSED:
+def _closed_reason(standing: Standing) -> Reason:
+    if standing.status == ExperimentStatus.PAUSED:
         return "paused"
-    if row.status != ExperimentStatus.RUNNING:
+    if standing.status != ExperimentStatus.RUNNING:
         return "experiment_over"
-    config = experiments.config_of(row)
-    if config.reward_source == "true" or row.label_count >= config.label_budget:
+    config = standing.config
+    if config["reward_source"] == "true" or standing.label_count >= config["label_budget"]:
         return "all_labelled"
     return ""
 

@@ -1,11 +1,32 @@
 """Rows of users and their tokens."""
 
+from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import delete, or_, select, update
+from sqlalchemy import bindparam, delete, or_, select, update
 from sqlalchemy.orm import Session
 
 from accord.store.tables import TokenRow, UserRow
+
+#: built once: it is run with every request
+_SIGNED_IN = (
+    select(UserRow.id, UserRow.name, UserRow.role)
+    .join(TokenRow, TokenRow.user_id == UserRow.id)
+    .where(
+        TokenRow.hash == bindparam("hash"),
+        TokenRow.kind != "link",
+        or_(TokenRow.expires_at.is_(None), TokenRow.expires_at > bindparam("now")),
+    )
+)
+
+
+@dataclass(frozen=True, slots=True)
+class User:
+    """A signed-in user."""
+
+    id: str
+    name: str
+    role: str
 
 
 def user(session: Session, user_id: str) -> UserRow | None:
@@ -20,17 +41,10 @@ def first_with_role(session: Session, role: str) -> UserRow | None:
     return session.scalar(select(UserRow).where(UserRow.role == role).order_by(UserRow.id).limit(1))
 
 
-def user_of_token(session: Session, token_hash: str, kinds: tuple[str, ...], now: datetime) -> UserRow | None:
-    """The user whose unexpired token has this hash."""
-    return session.scalar(
-        select(UserRow)
-        .join(TokenRow, TokenRow.user_id == UserRow.id)
-        .where(
-            TokenRow.hash == token_hash,
-            TokenRow.kind.in_(kinds),
-            or_(TokenRow.expires_at.is_(None), TokenRow.expires_at > now),
-        )
-    )
+def user_of_token(session: Session, token_hash: str, now: datetime) -> User | None:
+    """The user whose bearer or session token has this hash and has not expired."""
+    found = session.connection().execute(_SIGNED_IN, {"hash": token_hash, "now": now}).first()
+    return None if found is None else User(*found)
 
 
 def use_link(session: Session, token_hash: str, now: datetime) -> str | None:

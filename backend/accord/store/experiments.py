@@ -1,11 +1,33 @@
 """Rows of experiments."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
-from sqlalchemy import func, select, update
+from sqlalchemy import bindparam, func, select
 from sqlalchemy.orm import Session
 
 from accord.store.tables import ExperimentRow, LabelRow, QueryRow, RewardVersionRow
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What decides whether an experiment offers queries."""
+
+    status: str
+    label_count: int
+    config: dict[str, Any]
+
+
+#: built once, bound when run: every request for the next query asks it
+_STANDING = select(ExperimentRow.status, ExperimentRow.label_count, ExperimentRow.config).where(
+    ExperimentRow.id == bindparam("experiment")
+)
+
+
+def standing(session: Session, experiment_id: str) -> Standing | None:
+    found = session.connection().execute(_STANDING, {"experiment": experiment_id}).first()
+    return None if found is None else Standing(*found)
 
 
 def get(session: Session, experiment_id: str) -> ExperimentRow | None:
@@ -31,27 +53,6 @@ def newest(session: Session, limit: int, before_id: str | None) -> list[Experime
 
 def with_status(session: Session, status: str) -> list[ExperimentRow]:
     return list(session.scalars(select(ExperimentRow).where(ExperimentRow.status == status).order_by(ExperimentRow.id)))
-
-
-def advance_revision(session: Session, experiment_id: str, label_delta: int) -> int:
-    """Takes the next label revision and moves the count of labels with it, in one statement.
-
-    The row stays locked until the transaction ends, so revisions are committed in their own order: a reader that has
-    seen revision n has seen every one before it.
-    """
-    revision = session.scalar(
-        update(ExperimentRow)
-        .where(ExperimentRow.id == experiment_id)
-        .values(
-            label_revision=ExperimentRow.label_revision + 1,
-            label_count=ExperimentRow.label_count + label_delta,
-        )
-        .returning(ExperimentRow.label_revision)
-        .execution_options(synchronize_session=False)
-    )
-    if revision is None:
-        raise LookupError(experiment_id)
-    return revision
 
 
 def query_counts(

@@ -1,11 +1,41 @@
-"""Rows of labels. Their writing is in `accord.services.label`, where the rules are."""
+"""Rows of labels and of their history. Who may write one is the business of `accord.services.label`."""
 
 from dataclasses import dataclass
+from datetime import datetime
 
-from sqlalchemy import func, select
+from sqlalchemy import bindparam, func, insert, select, update
 from sqlalchemy.orm import Session, aliased
 
-from accord.store.tables import LabelRow, QueryRow, SegmentRow
+from accord.store.queries import Word
+from accord.store.tables import ExperimentRow, LabelRevisionRow, LabelRow, QueryRow, SegmentRow
+
+#: as in `queries`: built once, bound when run
+_ADVANCE = (
+    update(ExperimentRow)
+    .where(ExperimentRow.id == bindparam("experiment"))
+    .values(
+        label_revision=ExperimentRow.label_revision + 1,
+        label_count=ExperimentRow.label_count + bindparam("delta"),
+    )
+    .returning(ExperimentRow.label_revision)
+)
+_INSERT = insert(LabelRow)
+_UPDATE = update(LabelRow).where(LabelRow.id == bindparam("label"))
+_REMEMBER = insert(LabelRevisionRow)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredLabel:
+    """A teacher's newest word on a query, as it is in the database."""
+
+    id: str
+    experiment_id: str
+    query_id: str
+    user_id: str
+    value: float | None
+    state: str
+    revision: int
+    left_segment: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,16 +51,42 @@ class LabelledPair:
     value: float
 
 
+def advance_revision(session: Session, experiment_id: str, label_delta: int) -> int:
+    """Takes the next label revision and moves the count of labels with it, in one statement.
+
+    The row stays locked until the transaction ends, so revisions are committed in their own order: a reader that has
+    seen revision n has seen every one before it.
+    """
+    return session.connection().execute(_ADVANCE, {"experiment": experiment_id, "delta": label_delta}).scalar_one()
+
+
+def write(session: Session, label: StoredLabel, word: Word, now: datetime, *, anew: bool) -> None:
+    """Inserts a label if it is `anew`, else changes it; adds what it says to the history."""
+    connection = session.connection()
+    said = {
+        "value": word.value,
+        "state": word.state,
+        "left_segment": word.left_segment,
+        "response_seconds": word.response_seconds,
+        "revision": label.revision,
+    }
+    newest = said | {"teacher": word.teacher, "updated_at": now}
+    if anew:
+        whose = {"experiment_id": label.experiment_id, "query_id": label.query_id, "user_id": label.user_id}
+        connection.execute(_INSERT, newest | whose | {"id": label.id, "created_at": now})
+    else:
+        connection.execute(_UPDATE, newest | {"label": label.id})
+    connection.execute(
+        _REMEMBER, said | {"experiment_id": label.experiment_id, "label_id": label.id, "created_at": now}
+    )
+
+
 def count_after(session: Session, experiment_id: str, revision: int) -> int:
     """Labels that count and were written or changed after a revision."""
-    return (
-        session.scalar(
-            select(func.count())
-            .select_from(LabelRow)
-            .where(LabelRow.experiment_id == experiment_id, LabelRow.revision > revision, LabelRow.state == "label")
-        )
-        or 0
+    statement = select(func.count()).where(
+        LabelRow.experiment_id == experiment_id, LabelRow.revision > revision, LabelRow.state == "label"
     )
+    return session.scalar(statement) or 0
 
 
 def up_to(session: Session, experiment_id: str, revision: int) -> list[LabelledPair]:

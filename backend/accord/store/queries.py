@@ -1,14 +1,18 @@
-"""Rows of queries, and how they were shown."""
+"""Rows of queries, and how they were shown.
+
+The statements that every label passes through are built once, at import, and bound to values when run: building one
+costs ten times what running it does.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import exists, func, insert, or_, select, update
+from sqlalchemy import bindparam, exists, func, insert, or_, select, update
 from sqlalchemy.orm import Session, aliased
 
-from accord.store.tables import ClipRow, LabelRow, PresentationRow, QueryRow, SegmentRow
+from accord.store.tables import ClipRow, ExperimentRow, LabelRow, PresentationRow, QueryRow, SegmentRow
 
 _SEGMENT_0, _SEGMENT_1 = aliased(SegmentRow), aliased(SegmentRow)
 _CLIP_0, _CLIP_1 = aliased(ClipRow), aliased(ClipRow)
@@ -41,102 +45,174 @@ class ShownQuery:
 
 
 @dataclass(frozen=True, slots=True)
+class Word:
+    """What a teacher said of a query."""
+
+    #: P(segment 0 is preferred); None when skipped or undone
+    value: float | None
+    #: label | skip | undone
+    state: str
+    #: the segment that was shown on the left; None for a program
+    left_segment: int | None
+    response_seconds: float | None
+    teacher: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
 class QueryInHand:
     """Everything that decides what a label on a query does."""
 
-    query: QueryRow
-    #: the user's own earlier word
-    label: LabelRow | None
+    query_id: str
+    experiment_id: str
+    experiment_status: str
+    status: str
+    leased_by: str | None
+    leased_until: datetime | None
+    #: the segment shown to the user on the left; None where it never was
     left_segment: int | None
+    #: the user's own label, and what it says; None where there is none
+    label_id: str | None
+    label_revision: int
+    word: Word | None
+
+
+_LOCK = (
+    select(
+        QueryRow.id,
+        QueryRow.experiment_id,
+        ExperimentRow.status,
+        QueryRow.status,
+        QueryRow.leased_by,
+        QueryRow.leased_until,
+        PresentationRow.left_segment,
+        LabelRow.id,
+        LabelRow.revision,
+        LabelRow.value,
+        LabelRow.state,
+        LabelRow.left_segment,
+        LabelRow.response_seconds,
+        LabelRow.teacher,
+    )
+    .join(ExperimentRow, ExperimentRow.id == QueryRow.experiment_id)
+    .outerjoin(LabelRow, (LabelRow.query_id == QueryRow.id) & (LabelRow.user_id == bindparam("user")))
+    .outerjoin(
+        PresentationRow, (PresentationRow.query_id == QueryRow.id) & (PresentationRow.user_id == bindparam("user"))
+    )
+    .where(QueryRow.id == bindparam("query"))
+    .with_for_update(of=QueryRow)
+)
+_LEASED = (
+    select(QueryRow.id)
+    .where(
+        QueryRow.leased_by == bindparam("user"),
+        QueryRow.experiment_id == bindparam("experiment"),
+        QueryRow.status == "open",
+        QueryRow.leased_until > bindparam("now"),
+    )
+    .order_by(QueryRow.number)
+    .limit(bindparam("limit"))
+    # an expiring lease is either still the user's when locked, or not in the list
+    .with_for_update()
+)
+_FREE = (
+    select(QueryRow.id)
+    .where(
+        QueryRow.experiment_id == bindparam("experiment"),
+        QueryRow.status == "open",
+        or_(QueryRow.leased_by.is_(None), QueryRow.leased_until <= bindparam("now")),
+        ~exists().where(
+            LabelRow.query_id == QueryRow.id, LabelRow.user_id == bindparam("user"), LabelRow.state != "undone"
+        ),
+    )
+    .order_by(QueryRow.number)
+    .limit(bindparam("limit"))
+    .with_for_update(skip_locked=True)
+)
+_SET = update(QueryRow).where(QueryRow.id == bindparam("query"))
+_PRESENT = insert(PresentationRow)
+
+
+def _side_columns(segment: type[SegmentRow], clip: type[ClipRow]) -> tuple[Any, ...]:
+    return (segment.id, segment.blob_key, segment.length_steps, segment.true_return, clip.id, clip.seconds, clip.frames)
+
+
+_SHOWN_COLUMNS: list[Any] = [
+    QueryRow.id,
+    QueryRow.experiment_id,
+    QueryRow.number,
+    PresentationRow.left_segment,
+    *_side_columns(_SEGMENT_0, _CLIP_0),
+    *_side_columns(_SEGMENT_1, _CLIP_1),
+]
+_SHOWN = (
+    select(*_SHOWN_COLUMNS)
+    .join(_SEGMENT_0, _SEGMENT_0.id == QueryRow.segment_0_id)
+    .join(_SEGMENT_1, _SEGMENT_1.id == QueryRow.segment_1_id)
+    .outerjoin(_CLIP_0, (_CLIP_0.segment_id == QueryRow.segment_0_id) & (_CLIP_0.status == "ready"))
+    .outerjoin(_CLIP_1, (_CLIP_1.segment_id == QueryRow.segment_1_id) & (_CLIP_1.status == "ready"))
+    .outerjoin(
+        PresentationRow, (PresentationRow.query_id == QueryRow.id) & (PresentationRow.user_id == bindparam("user"))
+    )
+    .where(QueryRow.id.in_(bindparam("queries", expanding=True)))
+    .order_by(QueryRow.number)
+)
 
 
 def lock(session: Session, query_id: str, user_id: str) -> QueryInHand | None:
     """A query with one user's label and side; nobody else changes it before this transaction ends."""
-    found = session.execute(
-        select(QueryRow, LabelRow, PresentationRow.left_segment)
-        .outerjoin(LabelRow, (LabelRow.query_id == QueryRow.id) & (LabelRow.user_id == user_id))
-        .outerjoin(PresentationRow, (PresentationRow.query_id == QueryRow.id) & (PresentationRow.user_id == user_id))
-        .where(QueryRow.id == query_id)
-        .with_for_update(of=QueryRow)
-        .execution_options(populate_existing=True)
-    ).first()
-    return None if found is None else QueryInHand(found[0], found[1], found[2])
+    found: Any = session.connection().execute(_LOCK, {"query": query_id, "user": user_id}).first()
+    if found is None:
+        return None
+    return QueryInHand(
+        query_id=found[0],
+        experiment_id=found[1],
+        experiment_status=found[2],
+        status=found[3],
+        leased_by=found[4],
+        leased_until=found[5],
+        left_segment=found[6],
+        label_id=found[7],
+        label_revision=found[8] or 0,
+        word=None if found[7] is None else Word(*found[9:]),
+    )
 
 
 def leased_ids(session: Session, user_id: str, experiment_id: str, now: datetime, limit: int) -> list[str]:
     """Queries that a user holds an unexpired lease on, in the order of their numbers."""
-    return list(
-        session.scalars(
-            select(QueryRow.id)
-            .where(
-                QueryRow.leased_by == user_id,
-                QueryRow.experiment_id == experiment_id,
-                QueryRow.status == "open",
-                QueryRow.leased_until > now,
-            )
-            .order_by(QueryRow.number)
-            .limit(limit)
-            # an expiring lease is either still ours when locked, or not in the list
-            .with_for_update()
-        )
-    )
+    values = {"user": user_id, "experiment": experiment_id, "now": now, "limit": limit}
+    return list(session.connection().scalars(_LEASED, values))
 
 
 def lock_free_ids(session: Session, user_id: str, experiment_id: str, now: datetime, limit: int) -> list[str]:
     """Open queries that nobody holds and the user has not skipped, lowest number first."""
-    skipped = exists().where(LabelRow.query_id == QueryRow.id, LabelRow.user_id == user_id, LabelRow.state != "undone")
-    return list(
-        session.scalars(
-            select(QueryRow.id)
-            .where(
-                QueryRow.experiment_id == experiment_id,
-                QueryRow.status == "open",
-                or_(QueryRow.leased_by.is_(None), QueryRow.leased_until <= now),
-                ~skipped,
-            )
-            .order_by(QueryRow.number)
-            .limit(limit)
-            .with_for_update(skip_locked=True)
-        )
-    )
+    values = {"user": user_id, "experiment": experiment_id, "now": now, "limit": limit}
+    return list(session.connection().scalars(_FREE, values))
 
 
 def lease(session: Session, query_ids: Sequence[str], user_id: str, until: datetime) -> None:
-    session.execute(
-        update(QueryRow)
-        .where(QueryRow.id.in_(query_ids))
-        .values(leased_by=user_id, leased_until=until)
-        .execution_options(synchronize_session=False)
+    """Leases open queries to a user."""
+    session.connection().execute(
+        _SET, [{"query": query_id, "leased_by": user_id, "leased_until": until} for query_id in query_ids]
+    )
+
+
+def put(session: Session, query_id: str, status: str, leased_by: str | None, until: datetime | None) -> None:
+    """Sets a locked query's status and lease."""
+    session.connection().execute(
+        _SET, {"query": query_id, "status": status, "leased_by": leased_by, "leased_until": until}
     )
 
 
 def shown(session: Session, query_ids: Sequence[str], user_id: str) -> list[ShownQuery]:
     """The queries as one user sees them, in the order of their numbers."""
-    columns: list[Any] = [
-        QueryRow.id,
-        QueryRow.experiment_id,
-        QueryRow.number,
-        PresentationRow.left_segment,
-        *_side_columns(_SEGMENT_0, _CLIP_0),
-        *_side_columns(_SEGMENT_1, _CLIP_1),
-    ]
-    rows: Iterable[Any] = session.execute(
-        select(*columns)
-        .join(_SEGMENT_0, _SEGMENT_0.id == QueryRow.segment_0_id)
-        .join(_SEGMENT_1, _SEGMENT_1.id == QueryRow.segment_1_id)
-        .outerjoin(_CLIP_0, (_CLIP_0.segment_id == QueryRow.segment_0_id) & (_CLIP_0.status == "ready"))
-        .outerjoin(_CLIP_1, (_CLIP_1.segment_id == QueryRow.segment_1_id) & (_CLIP_1.status == "ready"))
-        .outerjoin(PresentationRow, (PresentationRow.query_id == QueryRow.id) & (PresentationRow.user_id == user_id))
-        .where(QueryRow.id.in_(query_ids))
-        .order_by(QueryRow.number)
-    )
+    rows: Iterable[Any] = session.connection().execute(_SHOWN, {"queries": query_ids, "user": user_id})
     return [ShownQuery(row[0], row[1], row[2], row[3], (SideRow(*row[4:11]), SideRow(*row[11:18]))) for row in rows]
 
 
 def add_presentations(session: Session, user_id: str, left_segments: dict[str, int], now: datetime) -> None:
     """Stores which segment is on the left, by query id."""
-    session.execute(
-        insert(PresentationRow),
+    session.connection().execute(
+        _PRESENT,
         [
             {"query_id": query_id, "user_id": user_id, "left_segment": left, "shown_at": now}
             for query_id, left in left_segments.items()
@@ -161,25 +237,15 @@ def count_standing(session: Session, experiment_id: str) -> int:
     skipped_away = (QueryRow.status == "open") & exists().where(
         LabelRow.query_id == QueryRow.id, LabelRow.state == "skip"
     )
-    return (
-        session.scalar(
-            select(func.count())
-            .select_from(QueryRow)
-            .where(QueryRow.experiment_id == experiment_id, QueryRow.status != "failed", ~skipped_away)
-        )
-        or 0
+    statement = select(func.count()).where(
+        QueryRow.experiment_id == experiment_id, QueryRow.status != "failed", ~skipped_away
     )
+    return session.scalar(statement) or 0
 
 
 def count_rendering(session: Session, experiment_id: str) -> int:
-    return (
-        session.scalar(
-            select(func.count())
-            .select_from(QueryRow)
-            .where(QueryRow.experiment_id == experiment_id, QueryRow.status == "rendering")
-        )
-        or 0
-    )
+    statement = select(func.count()).where(QueryRow.experiment_id == experiment_id, QueryRow.status == "rendering")
+    return session.scalar(statement) or 0
 
 
 def lock_rendering_with(session: Session, segment_id: str) -> list[QueryRow]:
@@ -197,7 +263,3 @@ def lock_rendering_with(session: Session, segment_id: str) -> list[QueryRow]:
             .with_for_update(of=QueryRow)
         )
     )
-
-
-def _side_columns(segment: type[SegmentRow], clip: type[ClipRow]) -> tuple[Any, ...]:
-    return (segment.id, segment.blob_key, segment.length_steps, segment.true_return, clip.id, clip.seconds, clip.frames)

@@ -36,8 +36,7 @@ def next_queries(
             require_returns(signed.role)
         found = offer.next_queries(signed.session, signed.user, experiment_id, count, lease_seconds)
         blobs = house.blobs if returns else None
-        task = experiments.get(signed.session, experiment_id).config["task"]
-        items = [views.query_view(item, task, lease_seconds, blobs) for item in found.items]
+        items = [views.query_view(item, found.task, lease_seconds, blobs) for item in found.items]
         return answer(schemas.Queries(items=items, reason=found.reason))
 
 

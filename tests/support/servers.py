@@ -1,0 +1,82 @@
+"""The real server as a process, on a port of its own."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+
+START_SECONDS = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Server:
+    """A server process that answers."""
+
+    process: subprocess.Popen[bytes]
+    url: str
+    log: Path
+
+    def stop(self, timeout_seconds: float = 20.0) -> int:
+        """SIGTERM; returns the exit status."""
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(timeout_seconds)
+
+    def kill(self) -> None:
+        """SIGKILL: nothing of it runs afterwards, not even its clean-up."""
+        self.process.kill()
+        self.process.wait()
+
+
+@contextmanager
+def running_server(home: Path, environment: Mapping[str, str] | None = None) -> Generator[Server]:
+    """`python -m accord.api.server` over a home folder, ended with the block."""
+    home.mkdir(parents=True, exist_ok=True)
+    log = home / "server.log"
+    with log.open("ab") as output:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "accord.api.server"],
+            env=os.environ
+            | {"ACCORD_HOME": str(home), "ACCORD_PORT": "0", "OMP_NUM_THREADS": "1"}
+            | dict(environment or {}),
+            stdout=output,
+            stderr=subprocess.STDOUT,
+        )
+    try:
+        url = _address(process, log)
+        _until_answers(process, url, log)
+        yield Server(process, url, log)
+    finally:
+        with suppress(ProcessLookupError):
+            process.kill()
+        process.wait()
+
+
+def _address(process: subprocess.Popen[bytes], log: Path) -> str:
+    """The address it says it listens on: it chose the port itself."""
+    deadline = time.monotonic() + START_SECONDS
+    while time.monotonic() < deadline:
+        # the newest line: the log may hold an earlier server's too
+        lines = [line for line in log.read_text().splitlines() if f"[{process.pid}] serves at " in line]
+        if lines:
+            return lines[-1].rpartition(" ")[2]
+        if process.poll() is not None:
+            break
+        time.sleep(0.01)
+    raise AssertionError(f"the server did not start:\n{log.read_text()}")
+
+
+def _until_answers(process: subprocess.Popen[bytes], url: str, log: Path) -> None:
+    deadline = time.monotonic() + START_SECONDS
+    while time.monotonic() < deadline and process.poll() is None:
+        with suppress(httpx.TransportError):
+            if httpx.get(f"{url}/api/v1/health", trust_env=False).is_success:
+                return
+        time.sleep(0.01)
+    raise AssertionError(f"the server does not answer:\n{log.read_text()}")
