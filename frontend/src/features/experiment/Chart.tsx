@@ -26,6 +26,8 @@ export interface ChartProps {
   formatX: (value: number) => string;
   tone: "a" | "b" | "c" | "d";
   dots?: boolean;
+  /** only whole numbers on the y axis */
+  whole?: boolean;
 }
 
 const HEIGHT = 200;

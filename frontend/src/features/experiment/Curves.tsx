@@ -9,27 +9,37 @@ interface CurvesProps {
   experiment: Experiment;
   metrics: Metrics | undefined;
   versions: readonly RewardVersion[];
+  /** room for the true return, which the server leaves out for labellers */
+  withTrueReturn: boolean;
 }
 
-/** Labels, accuracy and returns. The server leaves true returns out for those who may not see them. */
-export function Curves({ experiment, metrics, versions }: CurvesProps) {
+/** Labels, accuracy and returns. */
+export function Curves({ experiment, metrics, versions, withTrueReturn }: CurvesProps) {
   const marks = useMemo<Mark[]>(
     () => versions.map(({ number, policy_steps }) => ({ x: policy_steps, name: `v${number}` })),
     [versions],
   );
   const total = Number(experiment.config.total_steps);
   const overSteps = { marks, xLabel: "policy steps", xMax: total, formatX: formatCompact };
-  const trueReturn = pointsOf(metrics, "true_return");
+  const trueReturn = pointsOf(metrics, "true_return") ?? [];
   const learned = pointsOf(metrics, "learned_return") ?? [];
   const labels = pointsOf(metrics, "labels") ?? [];
   const accuracy = useMemo(() => accuracyOf(versions), [versions]);
   return (
     <div className="curves">
-      {trueReturn && (
+      {withTrueReturn && (
         <Chart {...overSteps} title="True return" curve={curveOf(trueReturn)} format={formatValue} tone="a" />
       )}
       <Chart {...overSteps} title="Learned return" curve={curveOf(learned)} format={formatValue} tone="b" />
-      <Chart {...overSteps} title="Labels" curve={curveOf(labels)} format={formatCompact} tone="c" yMin={0} />
+      <Chart
+        {...overSteps}
+        title="Labels"
+        curve={curveOf(labels)}
+        format={formatCompact}
+        tone="c"
+        yMin={0}
+        whole
+      />
       <Chart
         title="Held-out accuracy"
         curve={accuracy}

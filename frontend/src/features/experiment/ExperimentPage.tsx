@@ -1,7 +1,7 @@
 import { useQuery } from "@tanstack/react-query";
 import { sentenceOf } from "@/shared/api/errors";
 import { experimentQuery, metricsQuery, rewardVersionsQuery } from "@/shared/api/queries";
-import { type Me, runsExperiments } from "@/shared/api/types";
+import { type Me, runsExperiments, seesReturns } from "@/shared/api/types";
 import { useLive } from "@/shared/live/useLive";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
@@ -47,7 +47,12 @@ export function ExperimentPage({ id, me }: { id: string; me: Me }) {
         </div>
       </div>
       <Overview experiment={experiment.data} versions={items} live={live} />
-      <Curves experiment={experiment.data} metrics={metrics.data} versions={items} />
+      <Curves
+        experiment={experiment.data}
+        metrics={metrics.data}
+        versions={items}
+        withTrueReturn={seesReturns(me)}
+      />
       <div className="columns">
         <Versions versions={items} />
         <div>

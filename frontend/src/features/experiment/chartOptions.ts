@@ -5,13 +5,17 @@ import type { ChartProps } from "./Chart";
 /** A curve that does not move still gets a scale, this share of its value above and below. */
 const FLAT_MARGIN = 0.1;
 
+const WHOLE_STEPS = [
+  1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 50_000, 100_000, 1_000_000,
+];
+
 /** How uPlot draws a chart. It reads `latest` whenever it draws, so that it need not be made anew. */
 export function optionsOf(
   latest: RefObject<ChartProps>,
   element: HTMLElement,
   height: number,
 ): uPlot.Options {
-  const { tone, dots, xLabel } = latest.current;
+  const { tone, dots, whole, xLabel } = latest.current;
   const colours = getComputedStyle(element);
   const ink = colours.getPropertyValue("--muted");
   const line = colours.getPropertyValue("--line");
@@ -40,7 +44,12 @@ export function optionsOf(
         size: 30,
         values: (_, ticks) => ticks.map(latest.current.formatX),
       },
-      { ...axis, size: 54, values: (_, ticks) => ticks.map(latest.current.format) },
+      {
+        ...axis,
+        ...(whole && { incrs: WHOLE_STEPS }),
+        size: 54,
+        values: (_, ticks) => ticks.map(latest.current.format),
+      },
     ],
     series: [{}, { stroke, width: 2, points: { show: dots ?? false, size: 7, fill: stroke } }],
     hooks: {

@@ -92,7 +92,7 @@ function Policy({ experiment, live }: { experiment: Experiment; live: boolean })
       />
       <p className="policy-line" data-testid="reward-version">
         {number === null
-          ? "No reward version yet: the first one needs the first labels."
+          ? "No reward version yet"
           : `Reward version ${number}${accuracy === null ? "" : `, right on ${formatPercent(accuracy)} of held-out labels`}`}
       </p>
       <p className="policy-line quiet" role="status">

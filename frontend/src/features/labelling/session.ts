@@ -69,7 +69,7 @@ export class LabellingSession {
     this.#unlisten = parts.outbox.listen((outcome) => this.#delivered(outcome));
     this.#leases = new Leases({
       held: () => this.#queue.pairs.filter(({ id }) => !parts.outbox.holds(id)),
-      heartbeat: parts.server.heartbeat,
+      heartbeat: (id) => parts.server.heartbeat(id),
       lost: (id) => this.#lose(id, "That pair went to someone else, since it was open for long."),
     });
     void this.#refill();
@@ -117,6 +117,11 @@ export class LabellingSession {
     this.#settled.delete(id);
     this.#queue = undone(this.#queue);
     this.#show({ notice: "Undone: this pair again.", labelled: this.#view.labelled - countOf(last.answer) });
+  }
+
+  /** The person moved the mouse or pressed a key: they are here. */
+  seen(): void {
+    this.#leases.seen();
   }
 
   /** Something changed at the server, or the person is back: ask without waiting for the next poll. */

@@ -8,6 +8,8 @@ const NOTHING_YET: SessionView = {
   ...{ reason: null, trouble: null, notice: null, labelled: 0, shown: 0 },
 };
 
+const SIGNS_OF_LIFE = ["keydown", "pointerdown", "pointermove"] as const;
+
 const noWatch = () => () => undefined;
 const nothingYet = () => NOTHING_YET;
 
@@ -33,11 +35,14 @@ export function useLabellingSession(
     const look = () => {
       if (document.visibilityState === "visible") opened.wake();
     };
+    const seen = () => opened.seen();
+    for (const sign of SIGNS_OF_LIFE) window.addEventListener(sign, seen);
     window.addEventListener("pagehide", leave);
     window.addEventListener("pageshow", comeBack);
     document.addEventListener("visibilitychange", look);
     setSession(opened);
     return () => {
+      for (const sign of SIGNS_OF_LIFE) window.removeEventListener(sign, seen);
       window.removeEventListener("pagehide", leave);
       window.removeEventListener("pageshow", comeBack);
       document.removeEventListener("visibilitychange", look);

@@ -13,7 +13,7 @@ export function UserMenu({ me }: { me: Me }) {
   return (
     <div className="user">
       <span className="user-name" title={`Signed in as ${me.name}, ${me.role}`}>
-        {me.name} <span className="quiet">{me.role}</span>
+        {me.name} {me.name !== me.role && <span className="quiet">{me.role}</span>}
       </span>
       <button
         type="button"

@@ -20,3 +20,8 @@ export type Worker = Schemas["Worker"];
 export function runsExperiments(me: Me): boolean {
   return me.role === "researcher" || me.role === "admin";
 }
+
+/** Whether the server shows a role true returns. It leaves them out for the others, whatever this says. */
+export function seesReturns(me: Me): boolean {
+  return me.role !== "labeller";
+}

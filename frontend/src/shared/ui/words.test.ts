@@ -29,7 +29,7 @@ test("a worker that is restarted, or silent, is named by what stands still", () 
 });
 
 test("numbers keep the digits that move", () => {
-  expect([0.8412, 12.34, 123.4, 45_000].map(formatValue)).toEqual(["0.841", "12.3", "123", "45k"]);
+  expect([0.8412, 12.34, 123.4, 45_000].map(formatValue)).toEqual(["0.841", "12.3", "123", "45K"]);
   expect(plural(1, "label")).toBe("1 label");
   expect(plural(1200, "label")).toBe("1,200 labels");
 });

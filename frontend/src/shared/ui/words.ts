@@ -1,7 +1,7 @@
 import type { Experiment, Worker } from "@/shared/api/types";
 
 const count = new Intl.NumberFormat("en-GB");
-const compact = new Intl.NumberFormat("en-GB", { notation: "compact", maximumFractionDigits: 1 });
+const compact = new Intl.NumberFormat("en-US", { notation: "compact", maximumFractionDigits: 1 });
 
 export const formatCount = (value: number): string => count.format(value);
 export const formatCompact = (value: number): string => compact.format(value);
