@@ -96,13 +96,18 @@ class TrainConfig:
         InvalidConfig: naming the setting and its range.
     """
 
-    #: AdamW's step size
+    #: AdamW's step size for the whole network
     lr: float = 1e-3
+    #: and at the start of the Markov path's own training, from where it falls to 0 along a cosine
+    markov_lr: float = 5e-3
     #: most pairs in one step; fewer where the dataset is small
     batch_pairs: int = 32
-    max_epochs: int = 40
-    #: epochs without a better hold-out loss before training stops
-    patience: int = 6
+    #: epochs of the Markov path alone, before the whole network is trained; 0 leaves them out
+    markov_epochs: int = 40
+    #: most epochs of the whole network
+    max_epochs: int = 30
+    #: epochs of the whole network without a better hold-out loss before training stops
+    patience: int = 3
     hold_out_fraction: float = 0.2
     #: AdamW's decoupled weight decay
     weight_decay: float = 0.01
@@ -115,7 +120,10 @@ class TrainConfig:
             _check_positive_int(name, getattr(self, name))
         if not isinstance(self.seed, int) or isinstance(self.seed, bool) or self.seed < 0:
             raise InvalidConfig(f"seed is {self.seed!r}; it must be a whole number, 0 or more")
+        if not isinstance(self.markov_epochs, int) or self.markov_epochs < 0:
+            raise InvalidConfig(f"markov_epochs is {self.markov_epochs!r}; it must be a whole number, 0 or more")
         _check_range("lr", self.lr, 1e-8, 1.0)
+        _check_range("markov_lr", self.markov_lr, 1e-8, 1.0)
         _check_range("hold_out_fraction", self.hold_out_fraction, 0.01, 0.5)
         _check_range("weight_decay", self.weight_decay, 0.0, 10.0)
 
@@ -170,6 +178,6 @@ _NETWORK_PRESETS: dict[str, RewardConfig] = {
     "small": RewardConfig(1, 1, 1),
 }
 _TRAIN_PRESETS: dict[str, TrainConfig] = {
-    "paper": TrainConfig(lr=1e-4, batch_pairs=256, max_epochs=300, patience=30),
+    "paper": TrainConfig(lr=1e-4, batch_pairs=256, markov_epochs=0, max_epochs=300, patience=30),
     "small": TrainConfig(),
 }

@@ -92,10 +92,11 @@ class MAPT(nn.Module):
         self._check(observations, actions)
         if mask.shape != observations.shape[:2]:
             raise ShapeError("mask", tuple(mask.shape), f"{tuple(observations.shape[:2])}")
-        h, agent_rewards = self._encode(observations, actions, None)
+        inputs = self._normalised_inputs(observations, actions)
+        h, agent_rewards = self._encode(inputs, None)
         rewards = agent_rewards.mean(dim=2)
         weigh = self.step_weights
-        weights = equal_weights(mask) if weigh is None else weigh(h, agent_rewards, mask)
+        weights = equal_weights(mask) if weigh is None else weigh(h.mean(dim=2), agent_rewards, mask)
         return RewardOutput(agent_rewards, rewards, weights, (weights * rewards).sum(dim=1))
 
     def agent_rewards(self, observations: Tensor, actions: Tensor, band: Band | None = None) -> Tensor:
@@ -105,7 +106,11 @@ class MAPT(nn.Module):
             ShapeError: if a shape does not fit the configuration.
         """
         self._check(observations, actions)
-        return self._encode(observations, actions, band)[1]
+        return self._encode(self._normalised_inputs(observations, actions), band)[1]
+
+    def markov_rewards(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """The Markov path's part of r-hat, (S, T, N); zero where there is no such path."""
+        return REWARD_GAIN * self._markov(self._normalised_inputs(observations, actions))
 
     def measure_inputs(self, observations: Tensor, actions: Tensor, mask: Tensor, *, keep_function: bool) -> None:
         """Take the input statistics from these segments (shapes as in `forward`).
@@ -140,14 +145,17 @@ class MAPT(nn.Module):
         config = self.config
         return config.temporal == "none" or (config.temporal == "attention" and config.layers == 1)
 
-    def _encode(self, observations: Tensor, actions: Tensor, band: Band | None) -> tuple[Tensor, Tensor]:
-        observations = self.observation_normaliser(observations)
-        actions = self.action_normaliser(actions)
-        h = self.temporal(self.embedding(observations, actions), band)
-        agent_rewards = self.read_out(h)
-        if self.markov is not None:
-            agent_rewards = agent_rewards + self.markov(torch.cat((observations, actions), dim=-1))
-        return h, REWARD_GAIN * agent_rewards
+    def _normalised_inputs(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        return self.observation_normaliser(observations), self.action_normaliser(actions)
+
+    def _encode(self, inputs: tuple[Tensor, Tensor], band: Band | None) -> tuple[Tensor, Tensor]:
+        h = self.temporal(self.embedding(*inputs), band)
+        return h, REWARD_GAIN * (self.read_out(h) + self._markov(inputs))
+
+    def _markov(self, inputs: tuple[Tensor, Tensor]) -> Tensor:
+        if self.markov is None:
+            return inputs[0].new_zeros(inputs[0].shape[:3])
+        return self.markov(torch.cat(inputs, dim=-1))
 
     def _check(self, observations: Tensor, actions: Tensor) -> None:
         config = self.config

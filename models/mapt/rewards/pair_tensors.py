@@ -1,5 +1,6 @@
 """A preference dataset as tensors on one device, scored in fused passes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,9 @@ from mapt.rewards.network import MAPT
 
 # Segments scored at once when no gradient is taken.
 EVALUATION_SEGMENTS = 256
+
+#: From indices of segments (B,) to their scores (B,).
+Scorer = Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,56 +34,75 @@ class SegmentTensors:
             torch.as_tensor(segments.mask, device=device),
         )
 
-    def take(self, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Observations, actions and mask of the segments at `index`, ready for the network."""
-        return self.observations[index], self.actions[index], self.mask[index]
+    def chunks(self) -> "list[SegmentTensors]":
+        """The segments in order, a few hundred at a time."""
+        parts = (tensor.split(EVALUATION_SEGMENTS) for tensor in (self.observations, self.actions, self.mask))
+        return [SegmentTensors(*part) for part in zip(*parts, strict=True)]
 
 
 @dataclass(frozen=True, slots=True)
 class PairTensors:
-    """Pairs (P, 2) and labels (P,) that point into shared segments."""
+    """Pairs (P, 2) of segments and their labels (P,)."""
 
-    segments: SegmentTensors
     pairs: Tensor
     labels: Tensor
 
     @classmethod
-    def of(cls, dataset: PreferenceDataset, segments: SegmentTensors) -> "PairTensors":
-        device = segments.mask.device
-        return cls(
-            segments,
-            torch.as_tensor(dataset.pairs, device=device),
-            torch.as_tensor(dataset.labels, device=device),
-        )
+    def of(cls, dataset: PreferenceDataset, device: torch.device) -> "PairTensors":
+        return cls(torch.as_tensor(dataset.pairs, device=device), torch.as_tensor(dataset.labels, device=device))
 
     def __len__(self) -> int:
         return len(self.labels)
 
-    def scores(self, model: MAPT, index: Tensor) -> tuple[Tensor, Tensor]:
+    def scores(self, scorer: Scorer, index: Tensor) -> tuple[Tensor, Tensor]:
         """Scores (B,) of segment 0 and of segment 1 of the pairs at `index`, both in one pass."""
-        segment_index = self.pairs[index].T.reshape(-1)
-        first, second = model(*self.segments.take(segment_index)).score.chunk(2)
+        first, second = scorer(self.pairs[index].T.reshape(-1)).chunk(2)
         return first, second
 
-    @torch.inference_mode()
-    def logits(self, model: MAPT) -> Tensor:
+    @torch.no_grad()
+    def logits(self, scorer: Scorer) -> Tensor:
         """score_0 - score_1 of every pair, (P,), without gradient; each segment is scored once."""
         used, position = torch.unique(self.pairs, return_inverse=True)
-        chunks = [model(*self.segments.take(part)).score for part in used.split(EVALUATION_SEGMENTS)]
-        score = torch.cat(chunks)[position] if chunks else torch.zeros_like(self.pairs, dtype=torch.float32)
+        score = torch.cat([scorer(part) for part in used.split(EVALUATION_SEGMENTS)])[position]
         return score[:, 0] - score[:, 1]
 
 
-@torch.inference_mode()
+def whole_scorer(model: MAPT, segments: SegmentTensors) -> Scorer:
+    """Scores by the whole network."""
+
+    def score(index: Tensor) -> Tensor:
+        return model(segments.observations[index], segments.actions[index], segments.mask[index]).score
+
+    return score
+
+
+@torch.no_grad()
+def markov_scorer(model: MAPT, segments: SegmentTensors) -> Scorer:
+    """Scores in which only the Markov path moves: the attention path's rewards and the weights of the steps
+    stay what they are now, so that they need one pass over the segments for the whole training."""
+
+    def markov_score(part: SegmentTensors, weights: Tensor) -> Tensor:
+        rewards = model.markov_rewards(part.observations, part.actions).mean(dim=2)
+        return (weights * rewards).sum(dim=1)
+
+    fixed_weights, fixed_score = [], []
+    for part in segments.chunks():
+        output = model(part.observations, part.actions, part.mask)
+        fixed_weights.append(output.weights)
+        fixed_score.append(output.score - markov_score(part, output.weights))
+    weights, offset = torch.cat(fixed_weights), torch.cat(fixed_score)
+
+    def score(index: Tensor) -> Tensor:
+        part = SegmentTensors(segments.observations[index], segments.actions[index], segments.mask[index])
+        return offset[index] + markov_score(part, weights[index])
+
+    return score
+
+
+@torch.no_grad()
 def step_rewards(model: MAPT, segments: SegmentTensors) -> NDArray[np.float32]:
     """Shared rewards r-hat_t of every real step of the segments, one flat array."""
-    chunks = [
-        model.agent_rewards(observations, actions).mean(dim=2)[mask]
-        for observations, actions, mask in zip(
-            segments.observations.split(EVALUATION_SEGMENTS),
-            segments.actions.split(EVALUATION_SEGMENTS),
-            segments.mask.split(EVALUATION_SEGMENTS),
-            strict=True,
-        )
+    rewards = [
+        model.agent_rewards(part.observations, part.actions).mean(dim=2)[part.mask] for part in segments.chunks()
     ]
-    return torch.cat(chunks).cpu().numpy()
+    return torch.cat(rewards).cpu().numpy()

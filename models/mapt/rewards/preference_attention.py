@@ -50,9 +50,9 @@ class TemporalAwareAttention(nn.Module):
         self.key = nn.Linear(n_agents, hidden_dim)
         self.scale = 1 / math.sqrt(hidden_dim)
 
-    def forward(self, h: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor:
-        """h (S, T, N, 2d), rewards (S, T, N), mask (S, T) -> weights (S, T), 0 where masked, sum 1."""
-        query, key = self.query(h.mean(dim=2)), self.key(agent_rewards)
+    def forward(self, team: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor:
+        """Team mean of h (S, T, 2d), rewards (S, T, N), mask (S, T) -> weights (S, T), 0 where masked, sum 1."""
+        query, key = self.query(team), self.key(agent_rewards)
         logits = (query @ key.transpose(1, 2)) * self.scale  # (S, step that asks, step asked)
         shares = logits.masked_fill(~mask[:, None], float("-inf")).softmax(dim=-1)
         votes = mask.to(shares.dtype)

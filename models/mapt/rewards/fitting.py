@@ -1,0 +1,192 @@
+"""The training loop: some parameters, a way to score segments, pairs to learn from and pairs to judge by.
+
+One step, from top to bottom: draw pairs, score both segments of all of them in one pass, take the
+Bradley-Terry loss, step AdamW. After every epoch the hold-out decides which weights to keep and when to stop.
+"""
+
+import copy
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from mapt.preferences.loss import preference_loss
+from mapt.rewards.metrics import accuracy, calibration_error
+from mapt.rewards.pair_tensors import PairTensors, Scorer
+
+# Below this many held-out pairs, their loss says too little to choose weights by.
+FEWEST_HOLD_OUT_PAIRS = 10
+# A small dataset still gets about this many steps an epoch, as long as a batch keeps FEWEST_BATCH_PAIRS.
+FEWEST_STEPS_PER_EPOCH = 8
+FEWEST_BATCH_PAIRS = 8
+GRADIENT_NORM_LIMIT = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class TrainProgress:
+    """Where a training stands after an epoch."""
+
+    #: from 1, over all stages
+    epoch: int
+    #: the most there can be
+    max_epochs: int
+    #: mean over the epoch's steps, nats
+    loss: float
+    holdout_loss: float
+    holdout_accuracy: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What one run of the loop trains, and how long."""
+
+    parameters: Sequence[nn.Parameter]
+    scorer: Scorer
+    lr: float
+    weight_decay: float
+    batch_pairs: int
+    max_epochs: int
+    #: epochs without a better judgement before the stage ends; none: it runs to its end
+    patience: int | None
+    #: let the step size fall to 0 along a cosine over the stage's epochs
+    anneal: bool
+
+
+class Fitting:
+    """Trains one model, stage by stage; it ends each with the weights that judged best, those it began with included.
+
+    Args:
+        progress: called after every epoch.
+        stop: asked before every step; true ends this stage and all that follow.
+    """
+
+    def __init__(
+        self,
+        model: nn.Module,
+        train: PairTensors,
+        hold_out: PairTensors,
+        *,
+        seed: int,
+        max_epochs: int,
+        progress: Callable[[TrainProgress], None] | None = None,
+        stop: Callable[[], bool] | None = None,
+    ) -> None:
+        self._model, self._train, self._hold_out = model, train, hold_out
+        self._shuffle = torch.Generator().manual_seed(seed)
+        self._max_epochs = max_epochs
+        self._progress, self._stop = progress, stop
+        self._started = time.perf_counter()
+        self.history: list[TrainProgress] = []
+        self.stopped = False
+
+    @property
+    def reliable(self) -> bool:
+        """Whether the hold-out is large enough to judge by."""
+        return len(self._hold_out) >= FEWEST_HOLD_OUT_PAIRS
+
+    def run(self, stage: Stage) -> None:
+        """Train `stage.parameters`, and leave the model in evaluation mode."""
+        # A hold-out too small to judge by leaves that to the training pairs.
+        judge = self._hold_out if self.reliable else self._train
+        optimiser = _optimiser(stage)
+        self._model.eval()
+        best, kept, kept_at = judge_pairs(judge, stage.scorer).loss, self._weights(), 0
+        for epoch in range(1, stage.max_epochs + 1):
+            loss = self._epoch(stage, optimiser, epoch)
+            if self.stopped:
+                break
+            self._report(stage, loss)
+            judged = judge_pairs(judge, stage.scorer).loss
+            if judged < best:
+                best, kept, kept_at = judged, self._weights(), epoch
+            elif stage.patience is not None and epoch - kept_at >= stage.patience:
+                break
+        self._model.load_state_dict(kept)
+        self._model.eval()
+
+    def _epoch(self, stage: Stage, optimiser: torch.optim.Optimizer, epoch: int) -> float:
+        """Mean loss of one pass over the training pairs; NaN when stopped."""
+        batches = list(_batches(len(self._train), stage.batch_pairs, self._shuffle))
+        losses: list[float] = []
+        self._model.train()
+        for number, index in enumerate(batches):
+            self.stopped = self.stopped or (self._stop is not None and self._stop())
+            if self.stopped:
+                return math.nan
+            if stage.anneal:
+                done = (epoch - 1 + number / len(batches)) / stage.max_epochs
+                _set_lr(optimiser, stage.lr * 0.5 * (1 + math.cos(math.pi * done)))
+            losses.append(self._step(stage, optimiser, index))
+        self._model.eval()
+        return sum(losses) / len(losses)
+
+    def _step(self, stage: Stage, optimiser: torch.optim.Optimizer, index: Tensor) -> float:
+        score_0, score_1 = self._train.scores(stage.scorer, index)
+        loss = preference_loss(score_0, score_1, self._train.labels[index])
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(stage.parameters, GRADIENT_NORM_LIMIT)
+        optimiser.step()
+        return loss.item()
+
+    def _report(self, stage: Stage, loss: float) -> None:
+        held_out = judge_pairs(self._hold_out, stage.scorer)
+        seconds = time.perf_counter() - self._started
+        self.history.append(
+            TrainProgress(len(self.history) + 1, self._max_epochs, loss, held_out.loss, held_out.accuracy, seconds)
+        )
+        if self._progress is not None:
+            self._progress(self.history[-1])
+
+    def _weights(self) -> dict[str, Tensor]:
+        return copy.deepcopy(self._model.state_dict())
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """How well a scorer explains some pairs; NaN where there is nothing to measure."""
+
+    #: nats
+    loss: float
+    #: over decided pairs
+    accuracy: float
+    calibration_error: float
+
+
+def judge_pairs(pairs: PairTensors, scorer: Scorer) -> Judgement:
+    """Measure `scorer` on `pairs`."""
+    if not len(pairs):
+        return Judgement(math.nan, math.nan, math.nan)
+    logits = pairs.logits(scorer)
+    probabilities, labels = logits.sigmoid().cpu().numpy(), pairs.labels.cpu().numpy()
+    return Judgement(
+        F.binary_cross_entropy_with_logits(logits, pairs.labels).item(),
+        accuracy(probabilities, labels),
+        calibration_error(probabilities, labels),
+    )
+
+
+def _optimiser(stage: Stage) -> torch.optim.Optimizer:
+    # Biases and norms are not shrunk: their size says nothing about how complex the function is.
+    matrices = [parameter for parameter in stage.parameters if parameter.dim() >= 2]
+    vectors = [parameter for parameter in stage.parameters if parameter.dim() < 2]
+    return torch.optim.AdamW(
+        [{"params": matrices, "weight_decay": stage.weight_decay}, {"params": vectors, "weight_decay": 0.0}],
+        lr=stage.lr,
+    )
+
+
+def _set_lr(optimiser: torch.optim.Optimizer, lr: float) -> None:
+    for group in optimiser.param_groups:
+        group["lr"] = lr
+
+
+def _batches(n_pairs: int, batch_pairs: int, shuffle: torch.Generator) -> Iterator[Tensor]:
+    size = min(batch_pairs, max(FEWEST_BATCH_PAIRS, n_pairs // FEWEST_STEPS_PER_EPOCH))
+    # Equal parts: a last batch of one or two pairs would be a step of mere noise.
+    yield from torch.randperm(n_pairs, generator=shuffle).tensor_split(math.ceil(n_pairs / size))

@@ -1,0 +1,43 @@
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mapt.preferences.errors import ShapeError
+from mapt.preferences.loss import preference_loss
+
+finite = st.floats(-50, 50, width=32)
+probability = st.floats(0, 1, width=32)
+
+
+@given(finite, finite, probability)
+def test_loss_is_the_cross_entropy_of_the_logistic_of_the_score_difference(score_0, score_1, label):
+    logit = score_0 - score_1
+    expected = label * math.log1p(math.exp(-logit)) + (1 - label) * math.log1p(math.exp(logit))
+    loss = preference_loss(torch.tensor([score_0]), torch.tensor([score_1]), torch.tensor([label]))
+    assert loss.item() == pytest.approx(expected, rel=1e-4, abs=1e-5)
+
+
+@given(finite, finite, probability)
+def test_swapping_segments_and_label_leaves_the_loss(score_0, score_1, label):
+    first, second, target = torch.tensor([score_0]), torch.tensor([score_1]), torch.tensor([label])
+    swapped = preference_loss(second, first, 1 - target)
+    torch.testing.assert_close(preference_loss(first, second, target), swapped, rtol=1e-4, atol=1e-5)
+
+
+def test_label_one_says_that_segment_0_is_better():
+    better, worse, label = torch.tensor([2.0]), torch.tensor([-2.0]), torch.ones(1)
+    assert preference_loss(better, worse, label) < preference_loss(worse, better, label)
+
+
+def test_loss_stays_finite_for_scores_far_apart():
+    loss = preference_loss(torch.tensor([-1e6]), torch.tensor([1e6]), torch.ones(1))
+    assert loss.item() == pytest.approx(2e6)
+
+
+@pytest.mark.parametrize(("n_scores", "n_labels"), [(2, 3), (3, 2)])
+def test_shapes_that_disagree_are_refused(n_scores, n_labels):
+    with pytest.raises(ShapeError, match="expected that of"):
+        preference_loss(torch.zeros(2), torch.zeros(n_scores), torch.zeros(n_labels))
