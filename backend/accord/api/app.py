@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from fastapi import APIRouter, FastAPI
+from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
 from accord.api import errors
@@ -34,10 +34,9 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         responses=errors.RESPONSES,
     )
     app.state.house = House(settings, database, blobs)
-    api = APIRouter(prefix=PREFIX)
-    for module in (health, accounts, experiments, events, labelling, clips):
-        api.include_router(module.router)
-    app.include_router(api)
+    # in the order in which they are tried: those that are asked most come first
+    for module in (labelling, clips, experiments, events, accounts, health):
+        app.include_router(module.router, prefix=PREFIX)
     app.include_router(accounts.pages)
     app.router.default = Page()
     errors.install(app)
