@@ -1,0 +1,54 @@
+from collections.abc import Callable
+
+import pytest
+import torch
+from hypothesis import settings
+
+from mapt.rewards.config import RewardConfig
+from mapt.rewards.network import MAPT
+
+# A busy machine is no failure: the first torch call of a process alone can take a second.
+settings.register_profile("unhurried", deadline=None, derandomize=True)
+settings.load_profile("unhurried")
+
+N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 4, 2
+VARIANTS: dict[str, dict[str, object]] = {
+    "mapt": {},
+    "mapt-tpa": {"tpa": False},
+    "mapt-cpa": {"cpa": False},
+    "mapt*": {"temporal": "lstm"},
+    "two-layers": {"layers": 2},
+    "no-past": {"temporal": "none"},
+    "attention-path-alone": {"markov_path": False},
+    "no-attention": {"temporal": "none", "agent_attention": False, "cpa": False, "tpa": False},
+}
+
+
+@pytest.fixture(params=VARIANTS.values(), ids=VARIANTS.keys())
+def variant(request) -> dict[str, object]:
+    """Settings of one of the network's variants."""
+    return request.param
+
+
+@pytest.fixture
+def build() -> Callable[..., MAPT]:
+    """Builds a small network in evaluation mode whose every parameter was drawn, so that no branch is silent."""
+
+    def build(seed: int = 0, **settings: object) -> MAPT:
+        config = RewardConfig.from_dict(
+            {
+                "observation_dim": OBSERVATION_DIM,
+                "action_dim": ACTION_DIM,
+                "n_agents": N_AGENTS,
+                "hidden_dim": 16,
+                **settings,
+            }
+        )
+        model = MAPT(config).eval()
+        generator = torch.Generator().manual_seed(seed)
+        with torch.no_grad():
+            for parameter in model.parameters():
+                parameter.copy_(torch.randn(parameter.shape, generator=generator) * 0.3)
+        return model
+
+    return build

@@ -1,0 +1,58 @@
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mapt.rewards.attention import Band, CausalAttention, banded_attention, rotary_angles, rotate
+
+
+def draw(*shape, seed=0):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
+
+
+def slow_attention(query, key, value, band):
+    """Step by step, group by group, over the steps that the band names."""
+    result = torch.zeros_like(query)
+    n_segments, n_steps, n_groups, dim = query.shape
+    for s in range(n_segments):
+        for t in range(n_steps):
+            seen = [k for k in range(max(0, t - band.window + 1), t + 1) if band.episode[s, k] == band.episode[s, t]]
+            for g in range(n_groups):
+                logits = key[s, seen, g] @ query[s, t, g] / dim**0.5
+                result[s, t, g] = logits.softmax(0) @ value[s, seen, g]
+    return result
+
+
+@settings(max_examples=25)
+@given(st.integers(1, 45), st.integers(1, 20), st.floats(0, 0.4), st.integers(0, 99))
+def test_banded_attention_equals_the_slow_loop(n_steps, window, restarts, seed):
+    generator = torch.Generator().manual_seed(seed)
+    starts = torch.rand(2, n_steps, generator=generator) < restarts
+    band = Band(window, starts.cumsum(dim=1))
+    query, key, value = (draw(2, n_steps, 2, 4, seed=seed + i) for i in range(3))
+    fast = banded_attention(query, key, value, band)
+    torch.testing.assert_close(fast, slow_attention(query, key, value, band), rtol=1e-4, atol=1e-5)
+
+
+@given(st.integers(0, 2000), st.integers(0, 60), st.integers(0, 99))
+def test_rotary_products_depend_on_the_distance_alone(position, distance, seed):
+    angles = rotary_angles(2100, 8, torch.device("cpu"))
+    query, key = draw(8, seed=seed), draw(8, seed=seed + 1)
+
+    def product(at):
+        here, there = (
+            (table[at : at + 1] for table in angles),
+            (table[at + distance : at + distance + 1] for table in angles),
+        )
+        return (rotate(query.view(1, 1, 1, 8), tuple(here)) * rotate(key.view(1, 1, 1, 8), tuple(there))).sum()
+
+    torch.testing.assert_close(product(position), product(0), rtol=1e-4, atol=1e-5)
+
+
+def test_attention_moved_in_time_gives_the_same_numbers():
+    attention = CausalAttention(8, 8, heads=2)
+    torch.nn.init.normal_(attention.out.weight, generator=torch.Generator().manual_seed(0))
+    x = draw(1, 40, 3, 8)
+    whole = attention(x, Band(10, torch.zeros(1, 40, dtype=torch.int64)))
+    for last in (9, 10, 23, 39):
+        window = attention(x[:, last - 9 : last + 1])
+        torch.testing.assert_close(whole[:, last], window[:, -1], rtol=1e-4, atol=1e-5)

@@ -1,0 +1,51 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mapt.rewards.metrics import accuracy, calibration_error, correlation, rank_correlation
+
+
+def test_accuracy_leaves_ties_out():
+    assert accuracy([0.9, 0.2, 0.7, 0.9], [1.0, 1.0, 0.5, 1.0]) == pytest.approx(2 / 3)
+    assert math.isnan(accuracy([0.9], [0.5]))
+    assert math.isnan(accuracy([], []))
+
+
+def test_probabilities_that_come_true_are_calibrated():
+    # Of four pairs at 0.75, three came out that way.
+    assert calibration_error([0.75] * 4, [1, 1, 1, 0]) == pytest.approx(0)
+    assert calibration_error([1.0, 0.0], [1, 0]) == pytest.approx(0)
+
+
+def test_overconfidence_is_the_distance_to_what_came_true():
+    assert calibration_error([0.95] * 4, [1, 1, 0, 0]) == pytest.approx(0.45)
+    assert math.isnan(calibration_error([], []))
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.sampled_from([0.0, 0.5, 1.0])), min_size=1, max_size=30))
+def test_calibration_does_not_depend_on_which_segment_comes_first(pairs):
+    predicted, labels = np.array(pairs).T
+    swapped = calibration_error(1 - predicted, 1 - labels)
+    # A probability that is an edge of a bin may fall to either side of it when swapped.
+    assert (
+        swapped == pytest.approx(calibration_error(predicted, labels), abs=1e-9)
+        or (np.isclose((predicted * 10) % 1, 0) | np.isclose((predicted * 10) % 1, 1)).any()
+    )
+
+
+def test_ranks_follow_any_increasing_function():
+    values = np.array([0.1, 3.0, -2.0, 5.0])
+    assert rank_correlation(values, np.exp(values)) == pytest.approx(1)
+    assert rank_correlation(values, -(values**3)) == pytest.approx(-1)
+
+
+def test_equal_values_share_their_rank():
+    # Ranks 1.5, 1.5, 3 against 1, 2, 3.
+    assert rank_correlation([0, 0, 1], [1, 2, 3]) == pytest.approx(correlation([1.5, 1.5, 3], [1, 2, 3]))
+
+
+def test_a_constant_correlates_with_nothing():
+    assert math.isnan(correlation([1, 1, 1], [1, 2, 3]))

@@ -1,0 +1,191 @@
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from mapt.rewards.errors import InvalidConfig, InvalidRollout, ModelMismatch
+from mapt.rewards.relabelling import RolloutRelabeller
+
+N_ENVS, N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 3, 4, 2
+TOLERANCE = {"rtol": 1e-5, "atol": 1e-5}
+# The fixtures are the same for every example.
+each_example = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def draw(n_steps, restarts=0.1, seed=0):
+    rng = np.random.default_rng(seed)
+    shape = (n_steps, N_ENVS, N_AGENTS)
+    start = rng.random((n_steps, N_ENVS)) < restarts
+    start[0] = True
+    return (
+        rng.normal(size=(*shape, OBSERVATION_DIM)).astype(np.float32),
+        rng.normal(size=(*shape, ACTION_DIM)).astype(np.float32),
+        start,
+    )
+
+
+def window_by_window(model, window, observations, actions, start):
+    """r-hat (L, E, N) of each step: the network run on that step's own window, cut at its episode's start."""
+    rewards = np.zeros(observations.shape[:3], dtype=np.float32)
+    for e in range(N_ENVS):
+        first = 0
+        for t in range(len(observations)):
+            first = t if start[t, e] else first
+            seen = slice(max(first, t - window + 1), t + 1)
+            with torch.inference_mode():
+                inputs = [torch.as_tensor(array[seen, e])[None] for array in (observations, actions)]
+                mask = torch.ones(1, inputs[0].shape[1], dtype=torch.bool)
+                rewards[t, e] = model.normalised(model(*inputs, mask).agent_rewards[0, -1]).numpy()
+    return rewards
+
+
+def in_pieces(relabeller, lengths, observations, actions, start):
+    ends = np.cumsum(lengths)
+    pieces = [slice(end - length, end) for end, length in zip(ends, lengths, strict=True)]
+    return np.concatenate([relabeller.relabel(observations[p], actions[p], start[p]) for p in pieces])
+
+
+@each_example
+@given(st.lists(st.integers(1, 23), min_size=1, max_size=4), st.integers(1, 9), st.floats(0, 0.3), st.integers(0, 99))
+def test_rewards_of_rollouts_equal_each_step_in_its_own_window(build, variant, lengths, window, restarts, seed):
+    model = build(**variant)
+    model.set_reward_scale(0.3, 1.7)
+    rollouts = draw(sum(lengths), restarts, seed)
+    relabelled = in_pieces(RolloutRelabeller(model, window, N_ENVS, "individual"), lengths, *rollouts)
+    np.testing.assert_allclose(relabelled, window_by_window(model, window, *rollouts), **TOLERANCE)
+
+
+def test_shared_credit_is_the_mean_of_the_individual(build):
+    model, rollout = build(), draw(20)
+    shared = RolloutRelabeller(model, 6, N_ENVS, "shared").relabel(*rollout)
+    individual = RolloutRelabeller(model, 6, N_ENVS, "individual").relabel(*rollout)
+    assert shared.dtype == np.float32
+    assert shared.shape == (20, N_ENVS)
+    np.testing.assert_allclose(shared, individual.mean(axis=2), **TOLERANCE)
+
+
+def test_an_episode_never_sees_the_one_before(build):
+    model = build()
+    observations, actions, start = draw(12, restarts=0)
+    start[7] = True
+    altered = observations.copy()
+    altered[:7] += 5
+    first, second = (
+        RolloutRelabeller(model, 8, N_ENVS).relabel(seen, actions, start) for seen in (observations, altered)
+    )
+    np.testing.assert_array_equal(first[7:], second[7:])
+    assert not np.allclose(first[:7], second[:7])
+
+
+def test_a_long_rollout_needs_no_more_than_its_window(build):
+    model = build()
+    observations, actions, start = draw(300, restarts=0)
+    relabelled = RolloutRelabeller(model, 7, N_ENVS).relabel(observations, actions, start)
+    start[:] = False
+    start[280] = True
+    cut = RolloutRelabeller(model, 7, N_ENVS).relabel(observations[280:], actions[280:], start[280:])
+    np.testing.assert_allclose(relabelled[286:], cut[6:], **TOLERANCE)
+
+
+def test_a_rollout_may_begin_in_the_middle_of_an_episode(build):
+    model = build()
+    observations, actions, start = draw(5, restarts=0)
+    begun = RolloutRelabeller(model, 6, N_ENVS).relabel(observations, actions, np.zeros_like(start))
+    np.testing.assert_allclose(begun, RolloutRelabeller(model, 6, N_ENVS).relabel(observations, actions, start))
+
+
+def test_a_restored_relabeller_goes_on_bit_by_bit(build):
+    model = build()
+    observations, actions, start = draw(30, restarts=0.05)
+    original = RolloutRelabeller(model, 9, N_ENVS)
+    original.relabel(observations[:17], actions[:17], start[:17])
+    restored = RolloutRelabeller(model, 9, N_ENVS)
+    restored.load_state_dict(original.state_dict())
+    np.testing.assert_array_equal(
+        restored.relabel(observations[17:], actions[17:], start[17:]),
+        original.relabel(observations[17:], actions[17:], start[17:]),
+    )
+
+
+def test_a_kept_state_does_not_change_as_the_relabeller_goes_on(build):
+    observations, actions, start = draw(30)
+    relabeller = RolloutRelabeller(build(), 9, N_ENVS)
+    relabeller.relabel(observations[:15], actions[:15], start[:15])
+    state = relabeller.state_dict()
+    kept = {name: array.copy() for name, array in state.items()}
+    relabeller.relabel(observations[15:], actions[15:], start[15:])
+    for name, array in kept.items():
+        np.testing.assert_array_equal(state[name], array)
+
+
+def test_a_newer_model_sees_the_steps_remembered(build):
+    old, new = build(seed=0), build(seed=1)
+    observations, actions, start = draw(20, restarts=0)
+    replaced = RolloutRelabeller(old, 9, N_ENVS)
+    replaced.relabel(observations[:11], actions[:11], start[:11])
+    replaced.replace_model(new)
+    always_new = RolloutRelabeller(new, 9, N_ENVS)
+    np.testing.assert_array_equal(
+        replaced.relabel(observations[11:], actions[11:], start[11:]),
+        in_pieces(always_new, [11, 9], observations, actions, start)[11:],
+    )
+
+
+def test_the_relabeller_keeps_a_model_of_its_own(build):
+    model, rollout = build(), draw(10)
+    before = RolloutRelabeller(model, 4, N_ENVS).relabel(*rollout)
+    relabeller = RolloutRelabeller(model, 4, N_ENVS)
+    with torch.no_grad():
+        model.read_out.reward.weight.add_(1)
+    np.testing.assert_array_equal(relabeller.relabel(*rollout), before)
+
+
+def test_a_model_for_another_task_is_refused(build):
+    relabeller = RolloutRelabeller(build(), 4, N_ENVS)
+    with pytest.raises(ModelMismatch):
+        relabeller.replace_model(build(n_agents=5))
+
+
+@pytest.mark.parametrize("arguments", [{"window": 0}, {"n_envs": 0}, {"credit": "greedy"}, {"device": "abacus"}])
+def test_an_argument_out_of_its_range_is_refused(build, arguments):
+    with pytest.raises(InvalidConfig):
+        RolloutRelabeller(build(), **{"window": 4, "n_envs": N_ENVS, **arguments})
+
+
+def spoil_nothing_but(name, value):
+    rollout = dict(zip(("observations", "actions", "episode_start"), draw(6), strict=True))
+    return {**rollout, name: value(rollout[name])}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("observations", lambda array: array[..., 1:]),
+        ("observations", lambda array: array * np.nan),
+        ("actions", lambda array: array[:5]),
+        ("actions", lambda array: array / 0.0),
+        ("episode_start", lambda array: array[:, 1:]),
+        ("episode_start", lambda array: array[:0]),
+        ("episode_start", lambda array: array[0]),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*encountered in divide")
+def test_a_malformed_rollout_is_refused_and_leaves_the_memory(build, name, value):
+    relabeller = RolloutRelabeller(build(), 4, N_ENVS)
+    relabeller.relabel(*draw(6))
+    before = relabeller.state_dict()
+    with pytest.raises(InvalidRollout):
+        relabeller.relabel(**spoil_nothing_but(name, value))
+    for key, array in relabeller.state_dict().items():
+        np.testing.assert_array_equal(array, before[key])
+
+
+def test_a_state_of_another_window_is_refused(build):
+    state = RolloutRelabeller(build(), 5, N_ENVS).state_dict()
+    relabeller = RolloutRelabeller(build(), 4, N_ENVS)
+    with pytest.raises(InvalidRollout, match="observations"):
+        relabeller.load_state_dict(state)
+    del state["episode"]
+    with pytest.raises(InvalidRollout, match="episode"):
+        relabeller.load_state_dict(state)

@@ -1,0 +1,99 @@
+import json
+
+import pytest
+import torch
+
+from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model, save_reward_model
+from mapt.rewards.errors import DamagedCheckpoint, NewerCheckpoint
+
+METRICS = {"holdout_loss": 0.25, "labels": 20.0}
+
+
+def test_a_model_survives_storage_bit_by_bit(build, variant):
+    model = build(**variant)
+    model.set_reward_scale(0.7, 2.5)
+    saved = save_reward_model(model, METRICS)
+    loaded = load_reward_model(saved.weights, saved.card)
+    assert loaded.metrics == METRICS
+    assert loaded.model.config == model.config
+    assert not loaded.model.training
+    assert loaded.model.state_dict().keys() == model.state_dict().keys()
+    for name, tensor in model.state_dict().items():
+        assert torch.equal(loaded.model.state_dict()[name], tensor), name
+    assert save_reward_model(loaded.model, METRICS) == saved
+
+
+def test_a_model_is_read_from_its_files(build, tmp_path):
+    model = build()
+    save_reward_model(model, METRICS).write(tmp_path / "version-3")
+    folder = tmp_path / "version-3"
+    loaded = load_reward_model(folder / WEIGHTS_FILE, folder / CARD_FILE).model
+    assert torch.equal(loaded.embedding.observation.weight, model.embedding.observation.weight)
+
+
+def test_the_card_tells_a_reader_what_the_numbers_mean(build):
+    model = build()
+    model.set_reward_scale(0.5, 2.0)
+    card = json.loads(save_reward_model(model, METRICS).card)
+    assert card["format_version"] == 1
+    assert "1 segment 0" in card["polarity"]
+    assert (card["reward_mean"], card["reward_deviation"]) == (0.5, 2.0)
+    assert card["config"]["n_agents"] == 3
+
+
+def edited(card: bytes, **changes: object) -> bytes:
+    return json.dumps({**json.loads(card), **changes}).encode()
+
+
+def test_a_newer_format_asks_for_an_update(build):
+    saved = save_reward_model(build(), METRICS)
+    with pytest.raises(NewerCheckpoint, match=r"format 2.*up to 1"):
+        load_reward_model(saved.weights, edited(saved.card, format_version=2))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"format": "something else"},
+        {"format_version": 0},
+        {"format_version": "1"},
+        {"weights_sha256": "0" * 64},
+        {"config": None},
+        {"config": {"observation_dim": 4}},
+        {"metrics": None},
+        {"metrics": {"loss": "low"}},
+    ],
+)
+def test_an_altered_card_is_refused(build, changes):
+    saved = save_reward_model(build(), METRICS)
+    with pytest.raises(DamagedCheckpoint):
+        load_reward_model(saved.weights, edited(saved.card, **changes))
+
+
+@pytest.mark.parametrize("card", [b"", b"\xff\xfe", b"[]", b"{"])
+def test_what_is_no_card_is_refused(build, card):
+    with pytest.raises(DamagedCheckpoint):
+        load_reward_model(save_reward_model(build(), METRICS).weights, card)
+
+
+def test_weights_cut_short_are_refused(build):
+    saved = save_reward_model(build(), METRICS)
+    with pytest.raises(DamagedCheckpoint, match="cut short"):
+        load_reward_model(saved.weights[:-1], saved.card)
+
+
+def test_weights_of_another_network_are_refused(build):
+    saved, other = save_reward_model(build(), METRICS), save_reward_model(build(cpa=False), METRICS)
+    card = edited(saved.card, weights_sha256=json.loads(other.card)["weights_sha256"])
+    with pytest.raises(DamagedCheckpoint, match="do not fit"):
+        load_reward_model(other.weights, card)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(DamagedCheckpoint, match=WEIGHTS_FILE):
+        load_reward_model(tmp_path / WEIGHTS_FILE, tmp_path / CARD_FILE)
+
+
+def test_a_number_that_is_none_cannot_be_stored_as_a_metric(build):
+    with pytest.raises(ValueError, match="JSON"):
+        save_reward_model(build(), {"loss": float("nan")})

@@ -1,0 +1,76 @@
+import pytest
+
+from mapt.rewards.config import RewardConfig, TrainConfig
+from mapt.rewards.errors import InvalidConfig
+
+DIMENSIONS = {"observation_dim": 9, "action_dim": 1, "n_agents": 6}
+
+
+def test_presets_carry_the_sizes_they_are_named_for():
+    paper = RewardConfig.preset("paper", **DIMENSIONS)
+    assert (paper.hidden_dim, paper.layers, paper.heads, paper.dropout) == (256, 1, 4, 0.1)
+    assert (TrainConfig.preset("paper").lr, TrainConfig.preset("paper").batch_pairs) == (1e-4, 256)
+    small = RewardConfig.preset("small", **DIMENSIONS)
+    assert (small.hidden_dim, small.observation_dim, small.action_dim, small.n_agents) == (64, 9, 1, 6)
+
+
+@pytest.mark.parametrize("config", [RewardConfig.preset("paper", **DIMENSIONS), TrainConfig(seed=4, device="cpu")])
+def test_settings_survive_a_round_trip_through_plain_values(config):
+    assert type(config).from_dict(config.to_dict()) == config
+
+
+@pytest.mark.parametrize(("cls", "known"), [(RewardConfig, "hidden_dim"), (TrainConfig, "seed")])
+def test_an_unknown_setting_is_named_with_those_known(cls, known):
+    with pytest.raises(InvalidConfig, match=rf"'depth'; known: .*{known}"):
+        cls.from_dict({**(DIMENSIONS if cls is RewardConfig else {}), "depth": 3})
+
+
+def test_a_missing_dimension_is_named():
+    with pytest.raises(InvalidConfig, match="n_agents"):
+        RewardConfig.from_dict({"observation_dim": 9, "action_dim": 1})
+
+
+@pytest.mark.parametrize("cls", [RewardConfig, TrainConfig])
+def test_an_unknown_preset_is_refused(cls):
+    dimensions = DIMENSIONS if cls is RewardConfig else {}
+    with pytest.raises(InvalidConfig, match="huge"):
+        cls.preset("huge", **dimensions)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("hidden_dim", 0),
+        ("hidden_dim", 6),
+        ("hidden_dim", "64"),
+        ("n_agents", True),
+        ("layers", 1.5),
+        ("temporal", "gru"),
+        ("dropout", 1.0),
+        ("dropout", float("nan")),
+        ("cpa", 1),
+    ],
+)
+def test_a_network_setting_out_of_its_range_is_refused(name, value):
+    with pytest.raises(InvalidConfig, match=name):
+        RewardConfig.from_dict({**DIMENSIONS, "heads": 2, name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("lr", 0.0),
+        ("lr", "fast"),
+        ("markov_lr", float("nan")),
+        ("batch_pairs", 0),
+        ("max_epochs", -1),
+        ("markov_epochs", -1),
+        ("patience", 0),
+        ("hold_out_fraction", 0.9),
+        ("weight_decay", -1.0),
+        ("seed", -1),
+    ],
+)
+def test_a_training_setting_out_of_its_range_is_refused(name, value):
+    with pytest.raises(InvalidConfig, match=name):
+        TrainConfig.from_dict({name: value})

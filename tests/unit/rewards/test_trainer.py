@@ -1,0 +1,204 @@
+import threading
+
+import numpy as np
+import pytest
+import torch
+
+from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
+from mapt.preferences.errors import NotEnoughPairs
+from mapt.preferences.teachers import OracleTeacher
+from mapt.rewards.config import RewardConfig, TrainConfig
+from mapt.rewards.errors import InvalidConfig, ModelMismatch
+from mapt.rewards.network import MAPT
+from mapt.rewards.trainer import train_reward_model
+
+N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 2, 4, 1
+CONFIG = RewardConfig(OBSERVATION_DIM, ACTION_DIM, N_AGENTS, hidden_dim=16)
+QUICK = TrainConfig(markov_epochs=8, max_epochs=3, device="cpu")
+
+
+def preferences(n_pairs, n_steps=8, seed=0, labels=None):
+    """Pairs labelled by the oracle, whose reward is the first number that each agent observes."""
+    rng = np.random.default_rng(seed)
+    shape = (2 * n_pairs, n_steps, N_AGENTS)
+    observations = rng.normal(size=(*shape, OBSERVATION_DIM)).astype(np.float32)
+    actions = rng.normal(size=(*shape, ACTION_DIM)).astype(np.float32)
+    segments = SegmentArrays(observations, actions, np.ones(shape[:2], dtype=np.bool_))
+    pairs = np.arange(2 * n_pairs).reshape(n_pairs, 2)
+    rewards = observations[..., 0].mean(axis=2)
+    if labels is None:
+        labels = OracleTeacher().judge(rewards[pairs[:, 0]], rewards[pairs[:, 1]])
+    return PreferenceDataset(segments, pairs, labels)
+
+
+def same_weights(first: MAPT, second: MAPT) -> bool:
+    states = first.state_dict(), second.state_dict()
+    return all(torch.equal(tensor, states[1][name]) for name, tensor in states[0].items())
+
+
+def test_labels_are_learned_well_above_chance():
+    trained = train_reward_model(preferences(200), CONFIG, TrainConfig(max_epochs=3, device="cpu"))
+    fresh = preferences(200, seed=1)
+    with torch.inference_mode():
+        segments = fresh.segments
+        score = trained.model(
+            *(torch.as_tensor(x) for x in (segments.observations, segments.actions, segments.mask))
+        ).score.numpy()
+    predicted = score[fresh.pairs[:, 0]] > score[fresh.pairs[:, 1]]
+    assert (predicted == (fresh.labels == 1)).mean() > 0.85
+
+
+def test_the_same_seed_gives_the_same_model():
+    first, second, other = (
+        train_reward_model(preferences(60), CONFIG, TrainConfig(markov_epochs=2, max_epochs=2, seed=seed))
+        for seed in (0, 0, 1)
+    )
+    assert same_weights(first.model, second.model)
+    assert not same_weights(first.model, other.model)
+
+
+def test_training_leaves_the_global_generator_as_it_was():
+    torch.manual_seed(5)
+    expected = torch.rand(3)
+    torch.manual_seed(5)
+    train_reward_model(preferences(20), CONFIG, QUICK)
+    assert torch.equal(torch.rand(3), expected)
+
+
+def test_metrics_name_what_was_measured():
+    metrics = train_reward_model(preferences(60), CONFIG, QUICK).metrics
+    assert set(metrics) == {
+        *("loss", "accuracy", "holdout_loss", "holdout_accuracy", "ece", "epochs", "seconds"),
+        *("labels", "holdout_labels", "holdout_reliable", "stopped"),
+    }
+    assert (metrics["labels"], metrics["holdout_labels"], metrics["holdout_reliable"]) == (60, 12, 1)
+    assert (metrics["stopped"], metrics["epochs"] >= 8) == (0, True)
+
+
+def test_twenty_labels_are_enough_to_train_and_too_few_to_judge_by():
+    metrics = train_reward_model(preferences(20), CONFIG, QUICK).metrics
+    assert (metrics["holdout_labels"], metrics["holdout_reliable"]) == (4, 0)
+    assert metrics["accuracy"] > 0.6
+
+
+def test_two_labels_train_without_a_hold_out():
+    metrics = train_reward_model(preferences(2), CONFIG, QUICK).metrics
+    assert metrics["labels"] == 2
+    assert metrics["holdout_reliable"] == 0
+
+
+def test_ties_alone_leave_accuracy_out_of_the_metrics():
+    metrics = train_reward_model(preferences(30, labels=np.full(30, 0.5)), CONFIG, QUICK).metrics
+    assert not {"accuracy", "holdout_accuracy"} & set(metrics)
+    assert metrics["loss"] >= np.log(2) - 1e-4
+
+
+def test_one_label_is_too_few():
+    with pytest.raises(NotEnoughPairs):
+        train_reward_model(preferences(1), CONFIG, QUICK)
+
+
+def test_rewards_are_normalised_over_the_training_segments():
+    dataset = preferences(40)
+    model = train_reward_model(dataset, CONFIG, QUICK).model
+    segments = dataset.segments
+    with torch.inference_mode():
+        rewards = model.agent_rewards(torch.as_tensor(segments.observations), torch.as_tensor(segments.actions))
+    normalised = model.normalised(rewards.mean(dim=2))
+    assert normalised.mean().item() == pytest.approx(0, abs=1e-3)
+    assert normalised.std().item() == pytest.approx(1, abs=1e-2)
+
+
+def test_rewards_are_normalised_over_a_reference_when_one_is_given():
+    dataset, reference = preferences(40), preferences(10, seed=3).segments
+    shifted = SegmentArrays(reference.observations + 1, reference.actions, reference.mask)
+    model = train_reward_model(dataset, CONFIG, QUICK, reference=shifted).model
+    with torch.inference_mode():
+        rewards = model.agent_rewards(torch.as_tensor(shifted.observations), torch.as_tensor(shifted.actions))
+    assert model.normalised(rewards.mean(dim=2)).mean().item() == pytest.approx(0, abs=1e-3)
+
+
+def test_padding_does_not_enter_the_training():
+    dataset = preferences(30)
+    segments = dataset.segments
+
+    def padded(value):
+        observations, actions = (
+            np.concatenate((x, np.full_like(x[:, :3], value)), axis=1)
+            for x in (segments.observations, segments.actions)
+        )
+        mask = np.concatenate((segments.mask, np.zeros_like(segments.mask[:, :3])), axis=1)
+        return PreferenceDataset(SegmentArrays(observations, actions, mask), dataset.pairs, dataset.labels)
+
+    zeros, thousands = (
+        train_reward_model(padded(value), CONFIG, TrainConfig(markov_epochs=2, max_epochs=1)).metrics
+        for value in (0.0, 1000.0)
+    )
+    assert zeros["loss"] == pytest.approx(thousands["loss"], rel=1e-3)
+
+
+def test_a_warm_start_goes_on_from_the_model_and_leaves_it_alone():
+    first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2)).model
+    before = {name: tensor.clone() for name, tensor in first.state_dict().items()}
+    barely = TrainConfig(markov_epochs=1, max_epochs=1, lr=1e-8, markov_lr=1e-8)
+    dataset = preferences(80)
+    warm, cold = (train_reward_model(dataset, CONFIG, barely, initial=model) for model in (first, None))
+    assert warm.metrics["loss"] < 0.7 * cold.metrics["loss"]
+    assert all(torch.equal(tensor, before[name]) for name, tensor in first.state_dict().items())
+
+
+def test_progress_is_reported_after_every_epoch():
+    seen = []
+    trained = train_reward_model(preferences(60), CONFIG, QUICK, progress=seen.append)
+    assert tuple(seen) == trained.history
+    assert [at.epoch for at in seen] == list(range(1, len(seen) + 1))
+    assert all(at.max_epochs == 11 for at in seen)
+    assert [at.seconds for at in seen] == sorted(at.seconds for at in seen)
+
+
+def test_a_stopped_training_ends_at_once_with_what_it_has():
+    asked = threading.Event()
+
+    def after_the_third_epoch(at):
+        if at.epoch == 3:
+            asked.set()
+
+    trained = train_reward_model(preferences(60), CONFIG, QUICK, progress=after_the_third_epoch, stop=asked.is_set)
+    assert (len(trained.history), trained.metrics["stopped"]) == (3, 1)
+    assert not trained.model.training
+
+
+def test_a_model_stopped_before_its_first_step_is_whole():
+    trained = train_reward_model(preferences(60), CONFIG, QUICK, stop=lambda: True)
+    assert (trained.metrics["epochs"], trained.metrics["stopped"]) == (0, 1)
+
+
+@pytest.mark.parametrize("settings", [{"markov_path": False}, {"temporal": "lstm"}, {"cpa": False, "tpa": False}])
+def test_every_variant_trains(settings):
+    config = RewardConfig(OBSERVATION_DIM, ACTION_DIM, N_AGENTS, hidden_dim=16, **settings)
+    trained = train_reward_model(preferences(80), config, TrainConfig(markov_epochs=4, max_epochs=12))
+    assert trained.metrics["loss"] < 0.65
+
+
+def test_the_attention_path_is_kept_only_where_the_hold_out_gains():
+    metrics = [
+        train_reward_model(preferences(60), CONFIG, TrainConfig(markov_epochs=20, max_epochs=epochs)).metrics
+        for epochs in (1, 12)
+    ]
+    assert metrics[1]["holdout_loss"] <= metrics[0]["holdout_loss"]
+
+
+def test_a_dataset_of_other_dimensions_is_refused():
+    with pytest.raises(ModelMismatch):
+        train_reward_model(preferences(20), RewardConfig(OBSERVATION_DIM, ACTION_DIM, 5, hidden_dim=16), QUICK)
+
+
+def test_a_warm_start_from_another_network_is_refused():
+    other = MAPT(RewardConfig(OBSERVATION_DIM, ACTION_DIM, N_AGENTS, hidden_dim=32))
+    with pytest.raises(ModelMismatch):
+        train_reward_model(preferences(20), CONFIG, QUICK, initial=other)
+
+
+def test_a_device_that_is_not_here_is_named():
+    with pytest.raises(InvalidConfig, match="abacus"):
+        train_reward_model(preferences(20), CONFIG, TrainConfig(device="abacus"))
