@@ -186,6 +186,19 @@ describe("LabellingSession", () => {
     expect(session.view().notice).toContain("someone else");
   });
 
+  test("a heartbeat that crosses the label on its way neither drops the pair nor the count", async () => {
+    server.heartbeat = async (id) => {
+      await new Promise((resolve) => setTimeout(resolve, 100));
+      if (server.labels.has(id)) throw new ApiError(409, "query_closed", "It has its label.");
+    };
+    const session = open();
+    await settle(20_000 - 50); // the heartbeat leaves in 50 ms and is answered 100 ms later, while the answer is outlined
+    await settle(100);
+    session.answer("left", 2);
+    await settle();
+    expect([onScreen(session), session.view().labelled, session.view().notice]).toEqual(["b", 1, null]);
+  });
+
   test("someone who went away gives the pairs up, and takes them up again on return", async () => {
     const session = open();
     const beats = vi.spyOn(server, "heartbeat");

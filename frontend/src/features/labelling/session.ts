@@ -68,9 +68,13 @@ export class LabellingSession {
     };
     this.#unlisten = parts.outbox.listen((outcome) => this.#delivered(outcome));
     this.#leases = new Leases({
-      held: () => this.#queue.pairs.filter(({ id }) => !parts.outbox.holds(id)),
+      held: () => this.#queue.pairs.filter(({ id }) => !this.#isBeingSettled(id)),
       heartbeat: (id) => parts.server.heartbeat(id),
-      lost: (id) => this.#lose(id, "That pair went to someone else, since it was open for long."),
+      lost: (id) => {
+        // A heartbeat that crossed the label on its way finds the query closed: by us.
+        if (this.#isBeingSettled(id)) return;
+        this.#lose(id, "That pair went to someone else, since it was open for long.");
+      },
     });
     void this.#refill();
   }
@@ -139,6 +143,11 @@ export class LabellingSession {
     this.#leases.stop();
     const ours = this.#queue.pairs.filter(({ id }) => !this.#settled.has(id));
     for (const { id } of ours) this.#parts.server.release(id);
+  }
+
+  /** Answered here, or a label or undo of it on its way: its lease is no longer ours to keep. */
+  #isBeingSettled(id: string): boolean {
+    return this.#settled.has(id) || this.#parts.outbox.holds(id);
   }
 
   #advance(answer: Answer): void {
