@@ -10,6 +10,7 @@ import httpx
 from accord.domain.errors import AccordError, Unavailable
 from accord.workers.backoff import Backoff
 
+_OWN_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
 _BUSY = frozenset({429, 502, 503, 504})
 #: a service that starts again is back within this
 _PATIENCE_SECONDS = 60.0
@@ -37,13 +38,22 @@ class Api:
             token: bearer token.
             patience_seconds: how long to go on asking a service that is busy or does not answer.
             stopped: whether to give up at once.
+
+        Raises:
+            Unavailable: if the URL is none.
         """
         self._url = url.rstrip("/")
         self._patience_seconds = patience_seconds
         self._stopped = stopped
         self._rng = random.Random()
+        if not url.startswith(("http://", "https://")):
+            raise Unavailable(f"{url!r} is no URL of a service. One looks like http://127.0.0.1:8000.")
         self._client = httpx.Client(
-            base_url=f"{self._url}/api/v1", headers={"Authorization": f"Bearer {token}"}, timeout=30.0
+            base_url=f"{self._url}/api/v1",
+            headers={"Authorization": f"Bearer {token}"},
+            timeout=30.0,
+            # A proxy that the environment names cannot reach this machine's own services.
+            trust_env=httpx.URL(self._url).host not in _OWN_HOSTS,
         )
 
     def get(self, path: str, **query: Any) -> Any:
@@ -69,8 +79,6 @@ class Api:
                 problem = (
                     f"{self._url} does not answer ({error}). Is `accord up` running there? Give its address with --url."
                 )
-            except httpx.InvalidURL as error:
-                raise Unavailable(f"{self._url!r} is no URL: {error}. It looks like http://127.0.0.1:8000.") from error
             else:
                 if response.status_code not in _BUSY:
                     return _answer(response)

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.markup import escape
 
 #: what was asked for
-out = Console(highlight=False, soft_wrap=True)
+out = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 100)
 #: what went wrong
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 

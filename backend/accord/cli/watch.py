@@ -1,6 +1,7 @@
 """What the terminal of `accord up` says about the workers."""
 
 import time
+from collections.abc import Iterable
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -9,6 +10,7 @@ from accord.domain.errors import AccordError
 from accord.domain.words import WorkerRole
 from accord.services import workers
 from accord.store.database import Database
+from accord.workers.children import ChildSpec
 from accord.workers.loop import RETRY_WORDS
 from accord.workers.supervisor import Death
 
@@ -22,6 +24,13 @@ class Watch:
         self._database = database
         self._said: dict[str, str] = {}
         self._next_look = 0.0
+
+    def begin(self, specs: Iterable[ChildSpec]) -> None:
+        """Count the restarts of these workers from 0."""
+        with self._database.transaction() as session:
+            for spec in specs:
+                if spec.role:
+                    workers.report(session, spec.name, WorkerRole(spec.role), 0, "starting", restarts=0)
 
     def died(self, death: Death) -> None:
         """Print a death and write it on the worker's row, where the page finds it."""

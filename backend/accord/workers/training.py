@@ -84,10 +84,10 @@ class PolicyRun:
         if waiting and not untouched:
             self._wait(waiting)
             return False
-        if self._rollout is None:
-            self._collect()
-            return True
-        self._update(self._rollout, seen)
+        rollout = self._rollout or self._collect()
+        # Only the very first rollout is kept while it waits: its segments are what the first labels are about.
+        if not waiting:
+            self._update(rollout, seen)
         return True
 
     def waiting(self, seen: "_Seen") -> str | None:
@@ -114,13 +114,14 @@ class PolicyRun:
             row = experiments.get(session, self._id)
             return _Seen(row.status, row.label_count, publish.newest(session, self._id))
 
-    def _collect(self) -> None:
+    def _collect(self) -> Rollout:
         training = self._training
         self._say(Phase.COLLECTING if training.iteration == 0 else Phase.TRAINING)
         started = time.monotonic()
-        self._rollout = training.learner.collect()
+        rollout = self._rollout = training.learner.collect()
         self._collect_seconds = time.monotonic() - started
-        self._hand_in(self._rollout)
+        self._hand_in(rollout)
+        return rollout
 
     def _hand_in(self, rollout: Rollout) -> None:
         """Give some segments of the rollout to the pool that queries are made from."""

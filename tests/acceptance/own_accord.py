@@ -1,0 +1,203 @@
+"""`accord up` as the acceptance tests use it: started, spoken to over REST, hurt on purpose."""
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+import httpx
+import psutil
+
+DEADLINE_SECONDS = 120.0
+Found = TypeVar("Found")
+
+#: quick to collect, quick to train on; the machine that runs the tests may be busy
+ENVIRONMENT = {
+    "OMP_NUM_THREADS": "1",
+    "ACCORD_TORCH_THREADS": "1",
+    "ACCORD_POLL_SECONDS": "0.05",
+    # a killed worker's work is taken over after this
+    "ACCORD_WORKER_LEASE_SECONDS": "3",
+}
+TINY_POLICY = {"n_envs": 4, "rollout_steps": 50, "epochs": 2, "minibatches": 2}
+STEPS_PER_ITERATION = 200
+TINY: dict[str, Any] = {
+    "task": "HalfCheetah-6x1",
+    "segment_steps": 10,
+    "total_steps": 40 * STEPS_PER_ITERATION,
+    "label_budget": 40,
+    "initial_labels": 8,
+    "labels_per_version": 8,
+    "policy": TINY_POLICY,
+}
+
+
+def until(condition: Callable[[], Found | None], what: str, seconds: float = DEADLINE_SECONDS) -> Found:
+    """The condition's value once it is true."""
+    deadline = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < deadline, f"not in {seconds:.0f} s: {what}"
+        time.sleep(0.02)
+    return found
+
+
+class Accord:
+    """One home; its service may be started, ended and killed again and again."""
+
+    def __init__(self, home: Path) -> None:
+        self.home = home
+        self.log = home.parent / "up.log"
+        self._supervisor: psutil.Popen | None = None
+        self._seen: dict[int, psutil.Process] = {}
+
+    def start(self, environment: Mapping[str, str] | None = None) -> None:
+        """Start it and wait until the API answers."""
+        (self.home / "url").unlink(missing_ok=True)
+        command = [sys.executable, "-m", "accord.cli", "up", "--home", str(self.home), "--port", "0", "--no-example"]
+        with self.log.open("ab") as log:
+            self._supervisor = psutil.Popen(
+                command, env=os.environ | ENVIRONMENT | dict(environment or {}), stdout=log, stderr=log
+            )
+        until(self._answers, "the API answers")
+
+    def _answers(self) -> bool:
+        assert self.supervisor.is_running(), self.log.read_text()
+        assert self.supervisor.status() != psutil.STATUS_ZOMBIE, self.log.read_text()
+        with suppress(httpx.TransportError, FileNotFoundError):
+            return httpx.get(f"{self.url}/api/v1/health", trust_env=False, timeout=5.0).is_success
+        return False
+
+    @property
+    def supervisor(self) -> psutil.Popen:
+        assert self._supervisor is not None
+        return self._supervisor
+
+    @property
+    def url(self) -> str:
+        return (self.home / "url").read_text().strip()
+
+    def processes(self) -> dict[str, psutil.Process]:
+        """Its processes by role: api, policy, reward, render, and child: what the render worker draws in."""
+        found: dict[str, psutil.Process] = {}
+        with suppress(psutil.NoSuchProcess):
+            for process in self.supervisor.children(recursive=True):
+                with suppress(psutil.NoSuchProcess):
+                    words = process.cmdline()
+                    for module, role in _ROLES.items():
+                        if module in words and alive(process):
+                            found[role] = process
+                            self._seen[process.pid] = process
+        return found
+
+    def all_up(self) -> dict[str, psutil.Process] | None:
+        found = self.processes()
+        return found if found.keys() >= set(_ROLES.values()) else None
+
+    def all_listening(self) -> dict[str, psutil.Process] | None:
+        """All processes, once every worker is past its imports and takes signals."""
+        found = self.all_up()
+        states = [state for (state,) in self.rows("SELECT state FROM workers")] if found else []
+        return found if len(states) == 3 and "starting" not in states else None
+
+    def ask_to_end(self, number: signal.Signals = signal.SIGTERM) -> None:
+        self.supervisor.send_signal(number)
+
+    def kill_everything(self) -> None:
+        """SIGKILL to all that runs, each by its own id."""
+        if self._supervisor is None:
+            return
+        self.processes()
+        for process in (self._supervisor, *self._seen.values()):
+            with suppress(psutil.NoSuchProcess):
+                process.kill()
+        with suppress(subprocess.TimeoutExpired, psutil.TimeoutExpired):
+            self._supervisor.wait(20)
+
+    def run(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """Another command on the same home."""
+        command = [sys.executable, "-m", "accord.cli", *arguments, "--home", str(self.home)]
+        environment = os.environ | ENVIRONMENT
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
+
+    def token(self, name: str, role: str) -> str:
+        done = self.run("user", "add", name, "--role", role)
+        assert done.returncode == 0, done.stderr
+        return dict(line.split() for line in done.stdout.splitlines())["token"]
+
+    def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
+        """What the database holds, read past the API."""
+        with closing(sqlite3.connect(self.home / "accord.db", timeout=20)) as connection:
+            return connection.execute(statement, values).fetchall()
+
+
+_ROLES = {
+    "accord.cli.serve": "api",
+    "accord.workers.policy": "policy",
+    "accord.workers.reward": "reward",
+    "accord.workers.render": "render",
+    "accord.rendering.child": "child",
+}
+
+
+def alive(process: psutil.Process) -> bool:
+    """Whether it still runs. One that nobody has waited for yet does not."""
+    with suppress(psutil.NoSuchProcess):
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    return False
+
+
+class Person:
+    """A client of the REST API that tries again when a process was killed under it, as the page does."""
+
+    def __init__(self, accord: Accord, token: str) -> None:
+        self._accord = accord
+        self._headers = {"Authorization": f"Bearer {token}"}
+
+    def ask(self, method: str, path: str, body: Any = None, **query: Any) -> Any:
+        """The JSON of a successful answer."""
+
+        def attempt() -> httpx.Response | None:
+            with suppress(httpx.TransportError, FileNotFoundError):
+                answer = httpx.request(
+                    method,
+                    f"{self._accord.url}/api/v1{path}",
+                    json=body,
+                    params=query,
+                    headers=self._headers,
+                    trust_env=False,
+                    timeout=10.0,
+                )
+                return None if answer.status_code == 503 else answer
+            return None
+
+        answer = until(attempt, f"{method} {path} is answered")
+        assert answer.is_success, f"{method} {path}: {answer.status_code} {answer.text}"
+        return answer.json()
+
+    def begin(self, **changes: Any) -> str:
+        """Start a tiny experiment; returns its id."""
+        return self.ask("POST", "/experiments", {"name": "tiny", **TINY, **changes})["id"]
+
+    def experiment(self, id: str) -> dict[str, Any]:
+        return self.ask("GET", f"/experiments/{id}")
+
+    def label_some(self, id: str, most: int = 4) -> dict[str, float]:
+        """Label what is open by true return, a few queries at most. Returns what the service acknowledged."""
+        queries = self.ask("POST", f"/experiments/{id}/queries/next", count=most, returns=True)["items"]
+        labels = {query["id"]: _better(query) for query in queries}
+        if not labels:
+            return {}
+        batch = [{"query_id": query_id, "label": label} for query_id, label in labels.items()]
+        outcomes = self.ask("POST", f"/experiments/{id}/labels", {"labels": batch})["items"]
+        return {outcome["query_id"]: labels[outcome["query_id"]] for outcome in outcomes if outcome["ok"]}
+
+
+def _better(query: dict[str, Any]) -> float:
+    first, second = sorted((query["left"], query["right"]), key=lambda side: side["index"])
+    return 1.0 if first["true_return"] > second["true_return"] else 0.0

@@ -1,0 +1,117 @@
+"""A start that cannot be: one sentence with the fix, status 2, no traceback."""
+
+import os
+import socket
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from acceptance.own_accord import Accord, until
+from accord.store.database import Database
+
+
+def up(home: Path, *options: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "accord.cli", "up", "--home", str(home), "--no-example", *options]
+    return subprocess.run(
+        command, env=os.environ | environment, capture_output=True, text=True, check=False, timeout=120
+    )
+
+
+def assert_refused(done: subprocess.CompletedProcess[str], *words: str) -> None:
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    for word in words:
+        assert word in done.stderr
+
+
+def test_a_port_in_use_is_named_with_another_to_try(tmp_path: Path) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        done = up(tmp_path, "--port", str(port))
+    assert_refused(done, f"127.0.0.1:{port} is in use", f"accord up --port {port + 1}")
+
+
+def test_an_address_of_another_machine_is_refused(tmp_path: Path) -> None:
+    assert_refused(up(tmp_path, "--host", "203.0.113.7", "--port", "0"), "203.0.113.7", "--host")
+
+
+def test_a_file_where_the_blobs_should_be_is_named(tmp_path: Path) -> None:
+    (tmp_path / "blobs").write_text("not a folder")
+    assert_refused(up(tmp_path, "--port", "0"), str(tmp_path / "blobs"))
+
+
+def test_a_file_where_the_home_should_be_is_named(tmp_path: Path) -> None:
+    (tmp_path / "home").write_text("not a folder")
+    assert_refused(up(tmp_path / "home", "--port", "0"), str(tmp_path / "home"), "--home")
+
+
+def mounted(folder: Path, options: str) -> Iterator[Path]:
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"no right to mount a file system here: {done.stderr.strip()}")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.fixture
+def read_only(tmp_path: Path) -> Iterator[Path]:
+    yield from mounted(tmp_path / "read-only", "ro,size=64k")
+
+
+@pytest.fixture
+def full(tmp_path: Path) -> Iterator[Path]:
+    for folder in mounted(tmp_path / "full", "size=64k"):
+        with (folder / "everything").open("wb", buffering=0) as file:
+            while True:
+                try:
+                    file.write(bytes(4096))
+                except OSError:
+                    break
+        yield folder
+
+
+def test_a_read_only_blob_folder_is_refused(tmp_path: Path, read_only: Path) -> None:
+    done = up(tmp_path / "home", "--port", "0", ACCORD_BLOB_URL=f"file://{read_only}/blobs")
+    assert_refused(done, "read-only", "Give it write permission")
+
+
+def test_a_full_disk_is_refused(tmp_path: Path, full: Path) -> None:
+    done = up(tmp_path / "home", "--port", "0", ACCORD_BLOB_URL=f"file://{full}/blobs")
+    assert_refused(done, "is full", "Free some space")
+
+
+def test_a_database_of_a_newer_version_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "accord.db"
+    database = Database.open(f"sqlite:///{path}")
+    database.migrate()
+    database.close()
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("UPDATE alembic_version SET version_num = 'from_the_future'")
+    assert_refused(up(tmp_path, "--port", "0"), "from_the_future", "Start that version")
+
+
+def test_a_setting_that_makes_no_sense_is_named(tmp_path: Path) -> None:
+    assert_refused(up(tmp_path, "--port", "0", ACCORD_POLL_SECONDS="soon"), "ACCORD_POLL_SECONDS")
+
+
+def test_without_egl_the_start_says_what_to_install_and_the_api_stays_up(accord: Accord) -> None:
+    accord.start({"__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent", "LD_LIBRARY_PATH": "/nonexistent"})
+    until(lambda: "apt-get install" in accord.log.read_text(), "the terminal says what to install")
+    assert "No clip can be drawn" in accord.log.read_text()
+
+    def backing_off() -> bool:
+        [(state, detail)] = accord.rows("SELECT state, detail FROM workers WHERE id = 'render-0'")
+        return state == "backing_off" and "apt-get install" in detail
+
+    until(backing_off, "the worker's row says so too")
+    assert accord.processes().keys() >= {"api", "policy", "reward"}
