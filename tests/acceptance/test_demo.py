@@ -1,0 +1,68 @@
+"""The whole loop without a person, by the commands that people use."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from acceptance.own_accord import ENVIRONMENT, TINY, Accord, Person, until
+
+
+def test_demo_runs_the_whole_loop_and_leaves_table_curves_and_plot(tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    options = ["--steps", "10000", "--labels", "24", "--seed", "3", "--output", str(output)]
+    done = subprocess.run(
+        [sys.executable, "-m", "accord.cli", "demo", *options],
+        env=os.environ | ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=280,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    for heading in ("untrained", "learned", "share", "labels", "versions"):
+        assert heading in done.stdout
+    baseline, learned = json.loads((output / "results.json").read_text())["runs"]
+    assert [run["plan"]["reward_source"] for run in (baseline, learned)] == ["true", "preferences"]
+    assert baseline["untrained"] == learned["untrained"], "one seed, one untrained policy"
+    assert learned["labels"] == 24
+    assert learned["versions"][-1]["label_count"] == 24
+    assert learned["steps"] >= 10_000
+    with (output / "curves.csv").open() as file:
+        assert {"learned_return"} <= {row["curve"] for row in csv.DictReader(file)}
+    assert (output / "returns.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_teach_labels_until_the_budget_is_met_through_rest_alone(accord: Accord) -> None:
+    accord.start()
+    person = Person(accord, accord.token("ada", "researcher"))
+    id = person.begin(total_steps=1000, render_clips=False)
+    token = accord.token("oracle", "teacher")
+    done = accord.run("teach", "--experiment", id, "--token", token)
+    assert done.returncode == 0, done.stderr
+    assert f"{TINY['label_budget']} labels given" in done.stdout
+    until(lambda: person.experiment(id)["status"] == "finished", "the experiment finishes")
+    wrong = """
+        SELECT count(*) FROM labels JOIN queries ON queries.id = query_id
+        JOIN segments a ON a.id = segment_0_id JOIN segments b ON b.id = segment_1_id
+        WHERE labels.value != CASE WHEN a.true_return > b.true_return THEN 1.0 ELSE 0.0 END
+    """
+    assert accord.rows(wrong) == [(0,)]
+
+
+def test_teach_says_in_a_sentence_what_was_wrong(accord: Accord) -> None:
+    accord.start()
+    token = accord.token("grace", "labeller")
+    person = Person(accord, accord.token("ada", "researcher"))
+    id = person.begin()
+    for arguments, words in (
+        (("--experiment", id, "--token", "wrong"), "token is wrong"),
+        (("--experiment", id, "--token", token), "never for labellers"),
+        (("--experiment", "exp_" + "0" * 24, "--token", token), "There is no experiment"),
+    ):
+        done = accord.run("teach", *arguments)
+        assert done.returncode == 2
+        assert words in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1

@@ -1,0 +1,82 @@
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from accord.cli.main import app, main
+from accord.cli.options import load_settings, service_url, url_of
+from accord.cli.up import environment_of
+from accord.domain.errors import DatabaseTooNew
+from accord.settings import Settings
+
+
+def leaves(command: Any, path: str) -> Iterator[tuple[str, Any]]:
+    inner = getattr(command, "commands", None)
+    if inner is None:
+        yield path, command
+        return
+    for name, child in inner.items():
+        yield from leaves(child, f"{path} {name}")
+
+
+COMMANDS = dict(leaves(typer.main.get_command(app), "accord"))
+
+
+def test_the_commands_are_those_of_the_documents():
+    assert set(COMMANDS) == {
+        "accord up",
+        "accord link",
+        "accord teach",
+        "accord demo",
+        "accord doctor",
+        "accord user add",
+    }
+
+
+@pytest.mark.parametrize("path", COMMANDS)
+def test_every_option_says_what_it_is_for(path):
+    for parameter in COMMANDS[path].params:
+        if parameter.name != "help":
+            assert getattr(parameter, "help", None), f"{path} {parameter.name}"
+
+
+def test_an_error_of_ours_is_one_sentence_and_status_2(monkeypatch, capsys):
+    def fail() -> None:
+        raise DatabaseTooNew("The database [x] is too new.")
+
+    monkeypatch.setattr(sys.modules["accord.cli.main"], "app", fail)
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 2
+    assert capsys.readouterr().err == "accord: The database [x] is too new.\n"
+
+
+def test_children_read_the_same_settings_from_their_environment(monkeypatch, tmp_path):
+    settings = Settings(home=tmp_path / "home", port=1234, poll_seconds=0.125, public_url="https://a.example")
+    for name, value in environment_of(settings).items():
+        monkeypatch.setenv(name, value)
+    assert Settings() == settings
+
+
+def test_options_go_before_the_environment(monkeypatch, tmp_path):
+    monkeypatch.setenv("ACCORD_PORT", "1111")
+    monkeypatch.setenv("ACCORD_HOME", str(tmp_path))
+    assert load_settings().port == 1111
+    settings = load_settings(home=Path("elsewhere"), port=2222)
+    assert (settings.home, settings.port) == (Path("elsewhere"), 2222)
+
+
+def test_the_url_is_the_running_services_own(tmp_path):
+    settings = Settings(home=tmp_path)
+    assert service_url(settings) == "http://127.0.0.1:8000"
+    (tmp_path / "url").write_text("http://127.0.0.1:5555\n")
+    assert service_url(settings) == "http://127.0.0.1:5555"
+    assert service_url(settings.model_copy(update={"public_url": "https://a.example/"})) == "https://a.example"
+
+
+def test_a_service_on_all_addresses_is_reached_on_this_machine():
+    assert url_of("0.0.0.0", 80) == "http://127.0.0.1:80"
+    assert url_of("127.0.0.1", 81) == "http://127.0.0.1:81"
