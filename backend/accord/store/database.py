@@ -1,17 +1,17 @@
 """One database: how it is opened, how a transaction begins and ends, how its tables are brought up to date."""
 
-import threading
 from collections.abc import Generator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError, OperationalError
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import Session, sessionmaker
 
 from accord.domain.errors import DatabaseUnreachable
+from accord.store.group_commit import CommitFailed, GroupCommit
 from accord.store.migrate import upgrade
 
 #: a writer of another process may hold SQLite's one write lock this long before we give up
@@ -26,9 +26,7 @@ class Database:
         self.engine = engine
         self._reader = engine.execution_options(accord_begin="BEGIN")
         self._writer = engine.execution_options(accord_begin="BEGIN IMMEDIATE")
-        # SQLite has one writer at a time. Threads of one process queue here, where waking up is immediate, rather
-        # than in SQLite, whose waiters sleep up to 100 ms between looks.
-        self._turn: AbstractContextManager[Any] = threading.Lock() if self.is_sqlite else nullcontext()
+        self._group_commit = GroupCommit(self._writer) if self.is_sqlite else None
 
     @classmethod
     def open(cls, url: str) -> "Database":
@@ -69,13 +67,13 @@ class Database:
         Raises:
             DatabaseUnreachable: if the database cannot be reached, is locked, is full or cannot be written.
         """
-        with (
-            self._errors_named(),
-            self._turn,
-            Session(self._writer, expire_on_commit=False) as session,
-            session.begin(),
-        ):
+        with self._errors_named(), self._writing() as session:
             yield session
+
+    def _writing(self) -> AbstractContextManager[Session]:
+        if self._group_commit is not None:
+            return self._group_commit.session()
+        return sessionmaker(self._writer, expire_on_commit=False).begin()
 
     @contextmanager
     def reading(self) -> Generator[Session]:
@@ -104,15 +102,17 @@ class Database:
     def _errors_named(self) -> Generator[None]:
         try:
             yield
-        except DatabaseError as error:
+        except (DatabaseError, CommitFailed) as failure:
+            error = failure.__cause__ if isinstance(failure, CommitFailed) else failure
             # its other subclasses tell of a mistake of ours, not of the machine
             if type(error) not in (OperationalError, DatabaseError):
                 raise
+            assert isinstance(error, DatabaseError)
             url = self.engine.url.render_as_string(hide_password=True)
             raise DatabaseUnreachable(
                 f"The database {url} did not do it: {error.orig}. "
                 "Check that it is there, running, writable and not full."
-            ) from error
+            ) from failure
 
 
 def _sqlite(url: URL) -> Engine:

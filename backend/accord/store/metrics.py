@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from sqlalchemy import delete, insert, select
 from sqlalchemy.orm import Session
 
-from accord.store.tables import MetricRow
+from accord.store.tables import MetricRow, utc_now
 
 
 def replace(
@@ -26,6 +26,7 @@ def replace(
                 "step": step,
                 "value": value,
                 "reward_version_id": reward_version_id,
+                "created_at": utc_now(),
             }
             for name, value in values.items()
         ],

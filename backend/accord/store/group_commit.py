@@ -1,0 +1,116 @@
+"""SQLite transactions that are committed together.
+
+A commit waits for the disk, a millisecond on a good day and ten on a bad one, and SQLite has one writer at a time: one
+commit for each of 16 labellers' requests would make all of them wait for 16 turns of the disk. Here the threads of a
+process that want to write at the same moment go one after the other through one open transaction, each within a
+savepoint of its own, and the last of them commits for all. Each still waits for that commit before it goes on: what a
+block has written is on disk when the block has ended, or the block raises.
+"""
+
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
+
+from sqlalchemy import Connection, Engine
+from sqlalchemy.orm import Session
+
+#: after so many the transaction is committed even if more are waiting: other processes want to write as well
+LARGEST_GROUP = 64
+
+
+class CommitFailed(Exception):
+    """The commit that several blocks shared failed; none of them has written anything. `__cause__` says why."""
+
+
+class _Group:
+    """One open transaction and the blocks that ran in it."""
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
+        self.members = 0
+        self._ended = threading.Event()
+        self._error: Exception | None = None
+
+    def end(self) -> None:
+        """Commits for all members."""
+        try:
+            self.connection.commit()
+        except Exception as error:  # noqa: BLE001 (every member raises it)
+            self._error = error
+        finally:
+            # rolls back what was not committed
+            self.connection.close()
+            self._ended.set()
+
+    def wait(self) -> None:
+        """Raises CommitFailed if this group's commit failed."""
+        self._ended.wait()
+        if self._error is not None:
+            raise CommitFailed(str(self._error)) from self._error
+
+
+class GroupCommit:
+    """Sessions over one SQLite database whose writes are committed in groups."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._turn = threading.Lock()
+        self._owner: int | None = None
+        self._waiting = 0
+        self._waiting_lock = threading.Lock()
+        self._group: _Group | None = None
+
+    @contextmanager
+    def session(self) -> Generator[Session]:
+        """A session whose writes are committed when the block has ended, or undone if it raises.
+
+        Raises:
+            CommitFailed: if they could not be committed.
+            RuntimeError: if this thread is in such a block already: it would wait for itself.
+        """
+        if self._owner == threading.get_ident():
+            raise RuntimeError("this thread has a transaction open already")
+        group: _Group | None = None
+        self._count(1)
+        try:
+            with self._turn:
+                self._count(-1)
+                self._owner = threading.get_ident()
+                try:
+                    group = self._group or self._begin()
+                    with (
+                        Session(
+                            group.connection, expire_on_commit=False, join_transaction_mode="create_savepoint"
+                        ) as session,
+                        session.begin(),
+                    ):
+                        yield session
+                finally:
+                    self._owner = None
+                    if group is not None:
+                        self._leave(group)
+        finally:
+            # Also when the block raised: what made it raise may have been written by a member before it.
+            if group is not None:
+                group.wait()
+
+    def _count(self, change: int) -> None:
+        with self._waiting_lock:
+            self._waiting += change
+
+    def _begin(self) -> _Group:
+        connection = self._engine.connect()
+        try:
+            connection.begin()
+        except BaseException:
+            connection.close()
+            raise
+        self._group = _Group(connection)
+        return self._group
+
+    def _leave(self, group: _Group) -> None:
+        """Commits, unless another thread waits for its turn: then that one will, or the one after it."""
+        group.members += 1
+        if self._waiting == 0 or group.members >= LARGEST_GROUP:
+            self._group = None
+            group.end()
