@@ -24,9 +24,9 @@ class MappoConfig:
     #: Passes over a rollout per update.
     epochs: int = 10
     #: Gradient steps per pass; must divide n_envs * rollout_steps.
-    minibatches: int = 8
+    minibatches: int = 16
     #: Adam's learning rate at the start.
-    learning_rate: float = 3e-4
+    learning_rate: float = 1e-3
     #: Environment steps over which the learning rate falls linearly to a tenth; 0 keeps it.
     anneal_steps: int = 0
     #: Largest change of an action's probability that still earns, PPO's epsilon.
@@ -48,7 +48,7 @@ class MappoConfig:
     #: Log of the actions' standard deviation at the start.
     initial_log_std: float = -0.5
     #: One actor for all agents, or one each.
-    shared_actor: bool = True
+    shared_actor: bool = False
     #: Weight of the newest rollout in the statistics of returns.
     value_statistics_rate: float = 0.1
     #: Decides every draw of the learner and of its task.

@@ -71,7 +71,7 @@ def test_a_checkpoint_of_a_later_format_is_refused(learner: MappoLearner) -> Non
         MappoLearner.from_bytes(later, IdentityTask(4))
 
 
-@pytest.mark.parametrize("change", [{"hidden": (9,)}, {"shared_actor": False}, {"n_envs": 8}])
+@pytest.mark.parametrize("change", [{"hidden": (9,)}, {"shared_actor": True}, {"n_envs": 8}])
 def test_tensors_of_another_configuration_are_refused(learner: MappoLearner, change: dict) -> None:
     config = replace(CONFIG, **change)
     other = MappoLearner(IdentityTask(config.n_envs), config)
