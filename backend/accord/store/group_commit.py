@@ -37,8 +37,9 @@ class _Group:
             self.connection.commit()
         except Exception as error:  # noqa: BLE001 (every member raises it)
             self._error = error
+            # Nobody knows what state it is in; closing it for good undoes what it had open.
+            self.connection.invalidate(error)
         finally:
-            # rolls back what was not committed
             self.connection.close()
             self._ended.set()
 

@@ -1,0 +1,134 @@
+"""Blobs: written once, whole or not at all, and a sentence when they cannot be."""
+
+import errno
+import os
+import secrets
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from accord.domain.errors import BlobMissing, BlobsNotWritable
+from accord.store.blobs import BlobStore, open_blobs
+
+PUTTING = Path(__file__).with_name("putting.py")
+
+
+@pytest.fixture(params=["folder", "memory"])
+def blobs(request: pytest.FixtureRequest, tmp_path: Path) -> BlobStore:
+    if request.param == "memory":
+        return open_blobs(f"memory://{secrets.token_hex(8)}")
+    return open_blobs(f"file://{tmp_path / 'blobs'}")
+
+
+def test_a_blob_is_read_as_it_was_stored(blobs: BlobStore) -> None:
+    content = os.urandom(10_000)
+    blobs.put("some/folder/blob.bin", content)
+    assert blobs.exists("some/folder/blob.bin")
+    assert blobs.size("some/folder/blob.bin") == 10_000
+    assert blobs.read("some/folder/blob.bin") == content
+
+
+@pytest.mark.parametrize(("start", "stop"), [(0, 3), (2, 5), (4, 100), (3, 3), (10, 20), (7, 2)])
+def test_a_range_is_that_slice(blobs: BlobStore, start: int, stop: int) -> None:
+    blobs.put("key", b"abcdefgh")
+    assert blobs.read_range("key", start, stop) == b"abcdefgh"[start:stop]
+
+
+def test_a_stored_blob_keeps_its_first_bytes(blobs: BlobStore) -> None:
+    blobs.put("key", b"first")
+    blobs.put("key", b"second")
+    assert blobs.read("key") == b"first"
+
+
+def test_a_missing_blob_is_named(blobs: BlobStore) -> None:
+    assert not blobs.exists("no/such")
+    for read in (
+        lambda: blobs.read("no/such"),
+        lambda: blobs.size("no/such"),
+        lambda: blobs.read_range("no/such", 0, 1),
+    ):
+        with pytest.raises(BlobMissing, match="no/such"):
+            read()
+
+
+def test_a_deleted_blob_is_gone_and_can_be_deleted_again(blobs: BlobStore) -> None:
+    blobs.put("key", b"x")
+    blobs.delete("key")
+    blobs.delete("key")
+    assert not blobs.exists("key")
+
+
+@pytest.mark.parametrize(
+    "key", ["", "../secret", "/etc/passwd", "a/../b", "a//b", ".hidden", "a/.b", "a\0b", "a/", "ä"]
+)
+def test_a_key_that_could_leave_the_store_is_refused(blobs: BlobStore, key: str) -> None:
+    with pytest.raises(ValueError, match="no blob key"):
+        blobs.put(key, b"x")
+    with pytest.raises(ValueError, match="no blob key"):
+        blobs.read(key)
+
+
+def test_a_good_store_is_writable_and_stays_empty(blobs: BlobStore) -> None:
+    blobs.check_writable()
+
+
+def test_a_writer_killed_at_any_moment_leaves_only_whole_blobs(tmp_path: Path) -> None:
+    url = f"file://{tmp_path}"
+    acknowledged = -1
+    for _ in range(5):
+        with subprocess.Popen([sys.executable, str(PUTTING), url], stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                acknowledged = max(acknowledged, int(line))
+                if acknowledged % 11 == 10:
+                    process.kill()
+    blobs = open_blobs(url)
+    for number in range(acknowledged + 1):
+        assert blobs.read(f"folder-{number % 7}/{number}") == bytes([number % 256]) * 300_000
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become a user without permission")
+def test_a_read_only_folder_is_named_with_what_to_do(tmp_path: Path) -> None:
+    folder = tmp_path / "blobs"
+    folder.mkdir()
+    for each in (tmp_path, *tmp_path.parents):
+        if each.is_relative_to("/tmp") and each != Path("/tmp"):
+            each.chmod(0o755)
+    code = (
+        "import os, sys; from accord.store.blobs import open_blobs; from accord.domain.errors import BlobsNotWritable\n"
+        "os.setgid(65534); os.setuid(65534)\n"
+        "try: open_blobs(sys.argv[1]).check_writable()\n"
+        "except BlobsNotWritable as error: print(error)"
+    )
+    printed = subprocess.run(
+        [sys.executable, "-c", code, f"file://{folder}"], check=True, capture_output=True, text=True
+    ).stdout
+    assert "read-only" in printed
+    assert str(folder) in printed
+    assert "ACCORD_HOME" in printed
+
+
+def test_a_full_disk_is_named_and_leaves_no_half_blob(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blobs = open_blobs(f"file://{tmp_path / 'blobs'}")
+
+    def no_space(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", no_space)
+    with pytest.raises(BlobsNotWritable, match="full"):
+        blobs.put("key", b"x")
+    assert [path for path in (tmp_path / "blobs").rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.parametrize("url", ["nosuch://bucket/prefix"])
+def test_a_url_of_an_unknown_kind_is_named(url: str) -> None:
+    with pytest.raises(BlobsNotWritable, match="nosuch"):
+        open_blobs(url)
+
+
+def test_a_folder_below_a_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BlobsNotWritable, match="file"):
+        open_blobs(f"file://{tmp_path / 'file' / 'blobs'}")

@@ -1,0 +1,189 @@
+"""Transactions: whole or not at all, many at once, and a sentence when the database is not to be had."""
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from sqlalchemy import Engine, event, text
+from sqlalchemy.orm import Session
+
+from accord.domain.errors import DatabaseUnreachable
+from accord.services import workers
+from accord.store.database import Database
+from accord.store.group_commit import CommitFailed
+from support.stores import Stores
+
+COUNTING = Path(__file__).with_name("counting.py")
+
+
+def names(database: Database) -> set[str]:
+    with database.reading() as session:
+        return {row.id for row in workers.all(session)}
+
+
+def add(session: Session, name: str) -> None:
+    workers.report(session, name, "render", 1, "idle")
+    session.flush()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
+def test_what_a_block_wrote_is_there_when_it_has_ended(both: Stores) -> None:
+    with both.database.transaction() as session:
+        add(session, "kept")
+    assert names(both.database) == {"kept"}
+
+
+def test_what_a_block_wrote_is_gone_when_it_raises(both: Stores) -> None:
+    def write_and_fail() -> None:
+        with both.database.transaction() as session:
+            add(session, "lost")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_and_fail()
+    assert names(both.database) == set()
+
+
+def test_sqlite_is_opened_as_the_design_says(sqlite: Stores) -> None:
+    with sqlite.database.reading() as session:
+        settings = {
+            name: session.execute(text(f"PRAGMA {name}")).scalar_one()
+            for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
+        }
+    assert settings == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "busy_timeout": 20_000}
+
+
+def test_processes_that_read_and_then_write_never_fail_and_lose_nothing(sqlite: Stores) -> None:
+    with sqlite.database.transaction() as session:
+        add(session, "counter")
+    processes = [subprocess.Popen([sys.executable, str(COUNTING), sqlite.database_url, "50"]) for _ in range(4)]
+    assert [process.wait(120) for process in processes] == [0, 0, 0, 0]
+    with sqlite.database.reading() as session:
+        assert workers.all(session)[0].restarts == 200
+
+
+def test_a_reader_does_not_wait_for_a_writer(sqlite: Stores) -> None:
+    with sqlite.database.transaction() as session:
+        add(session, "not yet")
+        assert names(sqlite.database) == set()
+    assert names(sqlite.database) == {"not yet"}
+
+
+class Crowd:
+    """Threads that all want to write while a first one is still at it."""
+
+    def __init__(self, database: Database, size: int) -> None:
+        self.database = database
+        self.raised: dict[int, BaseException] = {}
+        group_commit = database._group_commit  # pyright: ignore[reportPrivateUsage]
+        assert group_commit is not None
+        self._waiting = lambda: group_commit._waiting  # pyright: ignore[reportPrivateUsage]
+        self.size = size
+
+    def write(self, number: int) -> None:
+        try:
+            with self.database.transaction() as session:
+                add(session, f"writer {number}")
+                if number == 0:
+                    until(lambda: self._waiting() == self.size - 1)
+                if number == 1:
+                    raise ZeroDivisionError
+        except BaseException as error:  # noqa: BLE001
+            self.raised[number] = error
+
+    def run(self) -> None:
+        threads = [threading.Thread(target=self.write, args=(number,)) for number in range(self.size)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(30)
+            assert not thread.is_alive()
+
+
+def commits_of(engine: Engine) -> list[object]:
+    commits: list[object] = []
+    event.listen(engine, "commit", commits.append)
+    return commits
+
+
+def test_writers_that_come_together_share_one_commit(sqlite: Stores) -> None:
+    commits = commits_of(sqlite.database.engine)
+    crowd = Crowd(sqlite.database, 20)
+    crowd.run()
+    # the first holds the turn until all others wait; from then on nobody else comes
+    assert len(commits) == 1
+    assert list(crowd.raised) == [1]
+    assert names(sqlite.database) == {f"writer {number}" for number in range(20) if number != 1}
+
+
+def test_a_group_is_committed_before_it_grows_without_end(sqlite: Stores) -> None:
+    commits = commits_of(sqlite.database.engine)
+    Crowd(sqlite.database, 100).run()
+    assert len(commits) == 2
+    assert len(names(sqlite.database)) == 99
+
+
+def test_when_the_shared_commit_fails_every_writer_is_told(sqlite: Stores) -> None:
+    class DiskGone(Exception):
+        pass
+
+    def fail(_connection: object) -> None:
+        raise DiskGone
+
+    event.listen(sqlite.database.engine, "commit", fail)
+    crowd = Crowd(sqlite.database, 8)
+    crowd.run()
+    event.remove(sqlite.database.engine, "commit", fail)
+    assert {number: type(error) for number, error in crowd.raised.items()} == dict.fromkeys(range(8), CommitFailed)
+    assert names(sqlite.database) == set()
+    with sqlite.database.transaction() as session:
+        add(session, "afterwards")
+    assert names(sqlite.database) == {"afterwards"}
+
+
+def test_a_thread_that_would_wait_for_itself_is_told_so(sqlite: Stores) -> None:
+    with sqlite.database.transaction() as session:
+        add(session, "outer")
+        with pytest.raises(RuntimeError, match="open already"), sqlite.database.transaction():
+            pass
+    assert names(sqlite.database) == {"outer"}
+
+
+def test_a_file_that_is_no_database_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "accord.db"
+    path.write_text("a shopping list, long enough to be read as a page of a database" * 100)
+    database = Database.open(f"sqlite:///{path}")
+    with pytest.raises(DatabaseUnreachable, match=r"accord\.db.*not a database"):
+        database.migrate()
+    database.close()
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DatabaseUnreachable, match="ACCORD_HOME"):
+        Database.open(f"sqlite:///{tmp_path / 'file' / 'accord.db'}")
+
+
+@pytest.mark.parametrize("url", ["what", "nosuch://host/name", ""])
+def test_a_url_that_makes_no_sense_is_named(url: str) -> None:
+    with pytest.raises(DatabaseUnreachable, match="no database URL"):
+        Database.open(url)
+
+
+def test_a_postgres_that_does_not_answer_is_named_without_its_password() -> None:
+    pytest.importorskip("psycopg", reason="psycopg is not installed: pip install 'accord[postgres]'")
+    database = Database.open("postgresql+psycopg://ada:secret@127.0.0.1:1/accord")
+    with pytest.raises(DatabaseUnreachable, match=r"127\.0\.0\.1") as caught:
+        database.migrate()
+    assert "secret" not in str(caught.value)
+    database.close()

@@ -1,0 +1,77 @@
+"""The migrations make exactly the tables that the code has, on both databases."""
+
+import re
+import threading
+from pathlib import Path
+
+import pytest
+from alembic import command
+from alembic.autogenerate import compare_metadata
+from alembic.runtime.migration import MigrationContext
+from sqlalchemy import inspect, text
+
+from accord.domain.errors import DatabaseTooNew
+from accord.store import migrate
+from accord.store.database import Database
+from accord.store.tables import Base
+from support.stores import Stores
+
+
+def test_migrated_tables_are_those_of_the_code(both: Stores) -> None:
+    with both.database.reading() as session:
+        context = MigrationContext.configure(session.connection())
+        assert compare_metadata(context, Base.metadata) == []
+
+
+def test_migrating_again_changes_nothing(both: Stores) -> None:
+    with both.database.transaction() as session:
+        session.execute(text("INSERT INTO claims VALUES ('subject', 'holder', '2030-01-01')"))
+    both.database.migrate()
+    with both.database.reading() as session:
+        assert session.execute(text("SELECT count(*) FROM claims")).scalar_one() == 1
+
+
+def test_migrations_can_be_undone_and_done_again(both: Stores) -> None:
+    with both.database.engine.begin() as connection:
+        command.downgrade(migrate.config(connection), "base")
+    assert inspect(both.database.engine).get_table_names() == ["alembic_version"]
+    both.database.migrate()
+    with both.database.reading() as session:
+        assert compare_metadata(MigrationContext.configure(session.connection()), Base.metadata) == []
+
+
+def test_a_database_of_a_newer_version_is_refused_with_what_to_do(both: Stores) -> None:
+    with both.database.transaction() as session:
+        session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    with pytest.raises(DatabaseTooNew, match=r"'9999'.*Start that version"):
+        both.database.migrate()
+
+
+def test_two_that_migrate_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path / 'accord.db'}"
+    errors: list[BaseException] = []
+    ready = threading.Barrier(4)
+
+    def start() -> None:
+        database = Database.open(url)
+        try:
+            ready.wait()
+            database.migrate()
+        except BaseException as error:  # noqa: BLE001
+            errors.append(error)
+        finally:
+            database.close()
+
+    threads = [threading.Thread(target=start) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert errors == []
+
+
+def test_every_migration_says_what_it_does() -> None:
+    scripts = list((Path(migrate.__file__).parent / "migrations" / "versions").glob("[0-9]*.py"))
+    assert scripts
+    for script in scripts:
+        assert re.match(r'"""\w.+\."""', script.read_text()), script.name
