@@ -1,0 +1,183 @@
+import pytest
+
+from accord.domain.words import ExperimentStatus
+from accord.services import experiments
+from accord.workers.policy import PolicyWorker
+from accord.workers.pulse import ClaimLost
+from accord.workers.reward import RewardWorker
+from integration.workers.workplace import STEPS_PER_ITERATION, Workplace
+
+
+def status_of(place: Workplace, id: str) -> tuple[str, str, str, int]:
+    [row] = place.rows("SELECT status, phase, phase_detail, steps FROM experiments WHERE id = ?", id)
+    return row
+
+
+def drain(run) -> None:
+    while run.step():
+        pass
+
+
+def first_version(place: Workplace, id: str) -> None:
+    """Collect, ask, label, train: up to the first reward version."""
+    reward = RewardWorker(place.context)
+    with place.training(id) as run:
+        drain(run)
+    assert reward.work()
+    place.label(id, 8)
+    assert reward.work()
+
+
+def test_first_rollout_gives_segments_and_then_waits_for_labels(place: Workplace):
+    id = place.begin()
+    with place.training(id) as run:
+        drain(run)
+        assert status_of(place, id) == (
+            "running",
+            "waiting_for_labels",
+            "0 of 8 labels for the first reward version.",
+            0,
+        )
+        [(count, length, iteration)] = place.rows(
+            "SELECT count(*), max(length_steps), max(policy_iteration) FROM segments"
+        )
+        assert (count, length, iteration) == (8, 10, 0)
+        assert not run.step()
+
+
+def test_segments_are_handed_in_once_however_often_the_process_is_killed(place: Workplace):
+    id = place.begin()
+    for _ in range(2):
+        with place.training(id) as run:
+            drain(run)
+    assert place.rows("SELECT count(*) FROM segments") == [(8,)]
+
+
+def test_each_iteration_names_the_reward_version_it_learned_from(place: Workplace):
+    id = place.begin(label_budget=8)
+    first_version(place, id)
+    with place.training(id) as run:
+        drain(run)
+    assert status_of(place, id)[0] == "finished"
+    named = place.rows("SELECT DISTINCT reward_version_id FROM metrics WHERE name = 'learned_return'")
+    assert named == place.rows("SELECT id FROM reward_versions")
+    assert list(place.curve(id, "learned_return")) == [STEPS_PER_ITERATION * (n + 1) for n in range(6)]
+    assert list(place.curve(id, "true_return_untrained")) == [0]
+    assert list(place.curve(id, "true_return_final")) == [6 * STEPS_PER_ITERATION]
+
+
+def test_policy_waits_until_due_labels_are_in_and_trained_on(place: Workplace):
+    id = place.begin()
+    first_version(place, id)
+    with place.training(id) as run:
+        drain(run)
+        waiting = status_of(place, id)
+        assert waiting[1] == "waiting_for_labels"
+        assert waiting[3] < 6 * STEPS_PER_ITERATION
+        reward = RewardWorker(place.context)
+        reward.work()
+        place.label(id, 8)
+        drain(run)
+        assert "the reward model trains" in status_of(place, id)[2]
+        assert reward.work()
+        drain(run)
+    assert status_of(place, id)[0] == "finished"
+    used = [number for _, number in sorted(place.curve(id, "reward_version").items())]
+    assert used == sorted(used)
+    assert set(used) == {1.0, 2.0}
+
+
+def test_an_interrupted_run_goes_on_as_if_it_had_not_been(place: Workplace):
+    """Killed before a checkpoint, left with one: the curves are those of an undisturbed run, bit for bit."""
+    whole, broken = (place.begin(name, label_budget=8, seed=4) for name in ("whole", "broken"))
+    # the same segments, queries and labels make the same first version
+    for id in (whole, broken):
+        first_version(place, id)
+    with place.training(whole) as run:
+        drain(run)
+    with place.training(broken) as run:
+        for _ in range(2):
+            run.step()
+        run.leave()
+        run.step()  # and no checkpoint of this one
+    with place.training(broken) as run:
+        assert run.step()
+    with place.training(broken) as run:
+        drain(run)
+    for name in ("learned_return", "policy_loss", "value_loss", "true_reward_correlation"):
+        assert place.curve(whole, name) == place.curve(broken, name)
+    assert place.curve(whole, "true_return_final") == place.curve(broken, "true_return_final")
+
+
+def test_true_reward_asks_for_no_labels(place: Workplace):
+    id = place.begin(reward_source="true")
+    with place.training(id) as run:
+        drain(run)
+    assert status_of(place, id)[0] == "finished"
+    assert place.rows("SELECT count(*) FROM segments") == [(0,)]
+    assert place.curve(id, "true_reward_correlation")[STEPS_PER_ITERATION] == pytest.approx(1.0)
+
+
+def test_a_pause_is_obeyed_between_iterations_and_kept_in_a_checkpoint(place: Workplace):
+    id = place.begin(reward_source="true")
+    with place.training(id) as run:
+        run.step()
+        with place.database.transaction() as session:
+            experiments.pause(session, id)
+        assert not run.step()
+        assert run.over
+        run.leave()
+    assert place.rows("SELECT steps FROM policy_checkpoints") == [(STEPS_PER_ITERATION,)]
+    with place.database.transaction() as session:
+        experiments.resume(session, id)
+    with place.training(id) as run:
+        drain(run)
+    assert status_of(place, id)[0] == ExperimentStatus.FINISHED
+
+
+def test_who_lost_the_claim_writes_nothing_more(place: Workplace):
+    id = place.begin(reward_source="true")
+    with place.training(id) as run:
+        run.step()
+        before = place.rows("SELECT count(*) FROM metrics")
+        with place.database.transaction() as session:
+            session.connection().exec_driver_sql("UPDATE claims SET holder = 'another'")
+        with pytest.raises(ClaimLost):
+            run.step()
+        run.leave()
+    assert place.rows("SELECT count(*) FROM metrics") == before
+    assert place.rows("SELECT count(*) FROM policy_checkpoints") == [(0,)]
+    assert place.rows("SELECT holder FROM claims") == [("another",)]
+
+
+def test_settings_that_cannot_be_fail_the_experiment_with_a_sentence(place: Workplace):
+    id = place.begin(policy={"n_environments": 4})
+    assert PolicyWorker(place.context).work()
+    status, _, detail, _ = status_of(place, id)
+    assert status == "failed"
+    assert "n_environments" in detail
+
+
+def test_while_one_waits_for_labels_another_is_trained(place: Workplace):
+    waiting, ready = place.begin("waiting"), place.begin("ready", reward_source="true", total_steps=100)
+    worker = PolicyWorker(place.context)
+    for _ in range(2):
+        assert worker.work()
+    assert status_of(place, waiting)[1] == "waiting_for_labels"
+    assert status_of(place, ready)[0] == "finished"
+
+
+def test_nothing_to_do_is_said_so(place: Workplace):
+    assert not PolicyWorker(place.context).work()
+
+
+def test_old_checkpoints_are_forgotten_with_their_blobs(place: Workplace):
+    id = place.begin(reward_source="true")
+    with place.training(id) as run:
+        for _ in range(5):
+            run.step()
+            run.leave()
+    kept = {key for (key,) in place.rows("SELECT blob_key FROM policy_checkpoints")}
+    there = {str(path.relative_to(place.home / "blobs")) for path in (place.home / "blobs" / "policies").rglob("*.*")}
+    assert len(kept) == 3
+    assert kept == there
