@@ -96,7 +96,8 @@ class MAPT(nn.Module):
         h, agent_rewards = self._encode(inputs, None)
         rewards = agent_rewards.mean(dim=2)
         weigh = self.step_weights
-        weights = equal_weights(mask) if weigh is None else weigh(h.mean(dim=2), agent_rewards, mask)
+        # Without the gain, the keys are of the size of other activations, and weights move as gently as they.
+        weights = equal_weights(mask) if weigh is None else weigh(h.mean(dim=2), agent_rewards / REWARD_GAIN, mask)
         return RewardOutput(agent_rewards, rewards, weights, (weights * rewards).sum(dim=1))
 
     def agent_rewards(self, observations: Tensor, actions: Tensor, band: Band | None = None) -> Tensor:
