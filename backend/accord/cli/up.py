@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.markup import escape
 
 from accord.cli.options import Home, address_file, load_settings, url_of
 from accord.cli.output import note, on_terminal, out, say
@@ -73,7 +74,7 @@ def _serve(ready: Ready, stop: Stop) -> None:
             supervisor.tick()
             line = watch.look()
             if status and line:
-                status.update(line)
+                status.update(escape(line))
     finally:
         if status:
             status.stop()
