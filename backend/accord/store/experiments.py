@@ -74,7 +74,7 @@ def skip_counts(session: Session, experiment_ids: Sequence[str]) -> dict[str, in
         .where(LabelRow.experiment_id.in_(experiment_ids), LabelRow.state == "skip")
         .group_by(LabelRow.experiment_id)
     )
-    return dict(rows.tuples().all())
+    return dict(rows.all())
 
 
 def reward_numbers(session: Session, experiment_ids: Sequence[str]) -> dict[str, int]:
@@ -84,4 +84,4 @@ def reward_numbers(session: Session, experiment_ids: Sequence[str]) -> dict[str,
         .where(RewardVersionRow.experiment_id.in_(experiment_ids))
         .group_by(RewardVersionRow.experiment_id)
     )
-    return dict(rows.tuples().all())
+    return dict(rows.all())

@@ -31,4 +31,4 @@ def of_experiment(session: Session, experiment_id: str, segment_ids: Sequence[st
 def blob_keys(session: Session, segment_ids: Sequence[str]) -> dict[str, str]:
     """Segment id -> blob key."""
     rows = session.execute(select(SegmentRow.id, SegmentRow.blob_key).where(SegmentRow.id.in_(segment_ids)))
-    return dict(rows.tuples().all())
+    return dict(rows.all())

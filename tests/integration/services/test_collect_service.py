@@ -1,0 +1,60 @@
+"""Segments: arrays to a blob, then the row."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from accord.domain.errors import BlobMissing, Invalid
+from accord.services import collect
+from accord.store.tables import SegmentRow
+from support.scenes import scene, segment
+from support.stores import Stores
+
+
+def test_arrays_come_back_as_they_were_handed_in(both: Stores) -> None:
+    made = scene(both.database, both.blobs, segments=0, queries=0)
+    rng = np.random.default_rng(0)
+    new = collect.NewSegment(
+        observations=rng.normal(size=(7, 6, 9)).astype(np.float32),
+        actions=rng.normal(size=(7, 6, 1)).astype(np.float32),
+        rewards=rng.normal(size=7),
+        qpos=rng.normal(size=(7, 9)),
+        qvel=rng.normal(size=(7, 9)),
+        policy_iteration=3,
+        policy_steps=1234,
+    )
+    stored = collect.store_arrays(both.blobs, made.experiment.id, new)
+    with both.database.transaction() as session:
+        collect.collect(session, made.experiment.id, [stored])
+    with both.database.reading() as session:
+        row = session.get(SegmentRow, stored.id)
+        assert row is not None
+        assert (row.policy_iteration, row.policy_steps, row.length_steps) == (3, 1234, 7)
+        assert row.true_return == new.rewards.sum()
+        assert row.mujoco_version == mujoco.__version__
+        arrays = collect.load_arrays(both.blobs, row.blob_key)
+    assert set(arrays) == {"observations", "actions", "rewards", "qpos", "qvel"}
+    for name, array in arrays.items():
+        expected = getattr(new, name)
+        assert array.dtype == expected.dtype
+        np.testing.assert_array_equal(array, expected)
+
+
+def test_arrays_of_different_lengths_are_refused(sqlite: Stores) -> None:
+    new = segment()
+    with pytest.raises(Invalid, match="qpos"):
+        collect.store_arrays(
+            sqlite.blobs,
+            "exp",
+            collect.NewSegment(new.observations, new.actions, new.rewards, new.qpos[1:], new.qvel, 0, 0),
+        )
+
+
+def test_a_number_that_is_not_finite_is_refused(sqlite: Stores) -> None:
+    with pytest.raises(Invalid, match="rewards"):
+        collect.store_arrays(sqlite.blobs, "exp", segment(reward=float("nan")))
+
+
+def test_a_blob_that_was_lost_is_named(sqlite: Stores) -> None:
+    with pytest.raises(BlobMissing, match="segments/x"):
+        collect.load_arrays(sqlite.blobs, "segments/x")

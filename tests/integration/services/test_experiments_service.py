@@ -1,0 +1,191 @@
+"""An experiment's life, and what is refused at its start."""
+
+from collections.abc import Callable
+
+import pytest
+from sqlalchemy import event
+from sqlalchemy.orm import Session
+
+from accord.domain.errors import (
+    ExperimentNotActive,
+    ExperimentNotFound,
+    Invalid,
+    InvalidExperiment,
+    NameTaken,
+    UnknownTask,
+)
+from accord.domain.ids import new_id
+from accord.domain.words import Phase, Role
+from accord.services import experiments
+from accord.services.experiments import LabelCounts
+from accord.store.tables import ExperimentRow
+from support.scenes import config, scene, user
+from support.stores import Stores
+
+
+def create(stores: Stores, name: str = "one", instructions: str | None = None, **changes: object) -> str:
+    with stores.database.transaction() as session:
+        owner, _ = user(session, f"owner of {name}", Role.RESEARCHER)
+        return experiments.create(session, owner.id, name, config(**changes), instructions).id
+
+
+def test_a_new_experiment_is_running_and_keeps_its_settings(both: Stores) -> None:
+    settings = config(label_budget=77, seed=3)
+    experiment_id = create(both, label_budget=77, seed=3)
+    with both.database.reading() as session:
+        row = experiments.get(session, experiment_id)
+        assert (row.status, row.phase, row.steps) == ("running", "queued", 0)
+        assert experiments.config_of(row) == settings
+        assert "cheetah" in row.instructions
+        assert experiments.running(session) == [row]
+
+
+def test_a_task_that_does_not_exist_is_refused_with_those_that_do(both: Stores) -> None:
+    with pytest.raises(UnknownTask, match="HalfCheetah-6x1"):
+        create(both, task="Walker")
+
+
+def test_a_segment_longer_than_an_episode_is_refused(both: Stores) -> None:
+    with pytest.raises(InvalidExperiment, match="lasts 1000 steps"):
+        create(both, segment_steps=1001)
+
+
+def test_two_experiments_cannot_have_the_same_name(both: Stores) -> None:
+    create(both, "run")
+    with pytest.raises(NameTaken, match="'run'"), both.database.transaction() as session:
+        experiments.create(session, "usr", "  run ", config(), None)
+
+
+@pytest.mark.parametrize("name", ["", "   ", "two\nlines", "nul\0", "half \ud800 a character", "x" * 201])
+def test_a_name_that_cannot_be_shown_is_refused(sqlite: Stores, name: str) -> None:
+    with pytest.raises(Invalid, match="one line"):
+        create(sqlite, name)
+
+
+def test_instructions_may_have_lines_but_nothing_that_cannot_be_shown(sqlite: Stores) -> None:
+    create(sqlite, "good", "Run.\n\nDo not fall.")
+    with pytest.raises(Invalid, match="instructions"):
+        create(sqlite, "bad", "Run.\0")
+
+
+STEERING: list[tuple[str, str, str | None]] = [
+    ("running", "pause", "paused"),
+    ("running", "resume", "running"),
+    ("running", "cancel", "cancelled"),
+    ("paused", "pause", "paused"),
+    ("paused", "resume", "running"),
+    ("paused", "cancel", "cancelled"),
+    ("cancelled", "pause", None),
+    ("cancelled", "resume", None),
+    ("cancelled", "cancel", "cancelled"),
+    ("finished", "pause", None),
+    ("finished", "resume", None),
+    ("finished", "cancel", None),
+    ("failed", "pause", None),
+    ("failed", "resume", "running"),
+    ("failed", "cancel", None),
+]
+
+
+@pytest.mark.parametrize(("status", "verb", "becomes"), STEERING)
+def test_steering_follows_the_states(sqlite: Stores, status: str, verb: str, becomes: str | None) -> None:
+    experiment_id = create(sqlite)
+    with sqlite.database.transaction() as session:
+        experiments.get(session, experiment_id).status = status
+    steer: Callable[[Session, str], ExperimentRow] = getattr(experiments, verb)
+    with sqlite.database.transaction() as session:
+        if becomes is None:
+            with pytest.raises(ExperimentNotActive, match=status):
+                steer(session, experiment_id)
+        else:
+            assert steer(session, experiment_id).status == becomes
+    with sqlite.database.reading() as session:
+        row = experiments.get(session, experiment_id)
+        assert row.status == (becomes or status)
+        if becomes == "running":
+            assert row.ended_at is None
+
+
+def test_a_cancelled_experiment_says_when_and_a_resumed_one_forgets(both: Stores) -> None:
+    cancelled, failed = create(both, "one"), create(both, "two")
+    with both.database.transaction() as session:
+        first = experiments.cancel(session, cancelled).ended_at
+        assert first is not None
+        assert experiments.cancel(session, cancelled).ended_at == first
+        experiments.fail(session, failed, "no disk")
+        assert experiments.resume(session, failed).ended_at is None
+
+
+def test_a_worker_reports_only_on_a_running_experiment(both: Stores) -> None:
+    experiment_id = create(both)
+    with both.database.transaction() as session:
+        assert experiments.report(session, experiment_id, phase=Phase.TRAINING, detail="update 3", steps=400)
+        experiments.pause(session, experiment_id)
+        assert not experiments.report(session, experiment_id, phase=Phase.EVALUATING, detail="late", steps=500)
+        assert not experiments.finish(session, experiment_id)
+    with both.database.reading() as session:
+        row = experiments.get(session, experiment_id)
+        assert (row.phase, row.phase_detail, row.steps) == ("training", "update 3", 400)
+
+
+def test_a_finished_and_a_failed_experiment_say_when_and_why(both: Stores) -> None:
+    finished, failed = create(both, "one"), create(both, "two")
+    with both.database.transaction() as session:
+        assert experiments.finish(session, finished)
+        assert experiments.fail(session, failed, "the disk is full")
+    with both.database.reading() as session:
+        rows = [experiments.get(session, each) for each in (finished, failed)]
+        assert [(row.status, row.phase, row.phase_detail) for row in rows] == [
+            ("finished", "done", ""),
+            ("failed", "done", "the disk is full"),
+        ]
+        assert all(row.ended_at is not None for row in rows)
+
+
+def test_an_absent_experiment_is_named(both: Stores) -> None:
+    absent = new_id("exp")
+    for verb in (experiments.get, experiments.pause, experiments.resume, experiments.cancel, experiments.finish):
+        with pytest.raises(ExperimentNotFound, match=absent), both.database.transaction() as session:
+            verb(session, absent)
+
+
+def test_pages_go_through_all_experiments_newest_first(both: Stores) -> None:
+    made = [create(both, f"run {number}") for number in range(7)]
+    seen: list[str] = []
+    cursor: str | None = None
+    with both.database.reading() as session:
+        while True:
+            page = experiments.list_page(session, 3, cursor)
+            seen += [row.id for row in page.rows]
+            cursor = page.next_cursor
+            if cursor is None:
+                break
+    assert seen == sorted(made, reverse=True)
+
+
+def test_counts_tell_how_far_the_labelling_is(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=4)
+    waiting = scene(both.database, both.blobs, queries=3, ready=False)
+    with both.database.reading() as session:
+        rows = experiments.list_page(session, 10, None).rows
+        counts = experiments.label_counts_of(session, rows)
+        assert counts == {row.id: experiments.label_counts(session, row) for row in rows}
+    assert counts[made.experiment.id] == LabelCounts(20, 0, 0, 10, 4, 0)
+    assert counts[waiting.experiment.id] == LabelCounts(20, 0, 0, 10, 0, 3)
+
+
+def test_counts_take_the_same_statements_for_one_experiment_and_for_many(sqlite: Stores) -> None:
+    statements: list[str] = []
+    for number in range(6):
+        create(sqlite, f"run {number}")
+    event.listen(sqlite.database.engine, "before_cursor_execute", lambda *args: statements.append(args[2]))
+
+    def count(limit: int) -> int:
+        with sqlite.database.reading() as session:
+            rows = experiments.list_page(session, limit, None).rows
+            statements.clear()
+            experiments.label_counts_of(session, rows)
+            experiments.reward_numbers(session, rows)
+        return len(statements)
+
+    assert count(1) == count(6) == 3

@@ -1,0 +1,217 @@
+"""Queries are offered to one labeller at a time, on sides drawn by lot."""
+
+import subprocess
+import sys
+import threading
+from itertools import combinations
+from pathlib import Path
+
+import pytest
+
+from accord.domain.errors import ExperimentNotFound, LeaseLost, QueryClosed, QueryNotFound
+from accord.domain.ids import new_id
+from accord.domain.words import Role
+from accord.services import experiments, label, offer
+from accord.services.offer import Offer
+from accord.store.tables import QueryRow, UserRow
+from support.scenes import Scene, scene, user
+from support.stores import Stores
+
+LABELLING = Path(__file__).with_name("labelling.py")
+
+
+def person(stores: Stores, name: str = "ada", role: Role = Role.LABELLER) -> UserRow:
+    with stores.database.transaction() as session:
+        return user(session, name, role)[0]
+
+
+def ask(stores: Stores, who: UserRow, made: Scene, count: int = 1, lease_seconds: float = 60.0) -> Offer:
+    with stores.database.transaction() as session:
+        return offer.next_queries(session, who, made.experiment.id, count, lease_seconds)
+
+
+def ids(found: Offer) -> list[str]:
+    return [item.id for item in found.items]
+
+
+def test_queries_come_by_their_numbers(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=4)
+    found = ask(both, person(both), made, 3)
+    assert ids(found) == made.query_ids[:3]
+    assert found.reason == ""
+    assert [item.number for item in found.items] == [1, 2, 3]
+
+
+def test_asking_again_gives_the_same_queries_on_the_same_sides(both: Stores) -> None:
+    made = scene(both.database, both.blobs, segments=8, queries=16)
+    ada = person(both)
+    first = ask(both, ada, made, 16)
+    again = ask(both, ada, made, 16)
+    assert again == first
+    assert ask(both, ada, made, 3).items == first.items[:3]
+
+
+def test_both_sides_are_drawn(both: Stores) -> None:
+    made = scene(both.database, both.blobs, segments=10, queries=45, label_budget=45, initial_labels=45)
+    sides = [item.left_segment for item in ask(both, person(both), made, 45).items]
+    # the chance that 45 fair coins show fewer than 6 of one side is below 1e-7
+    assert 6 <= sum(sides) <= 39
+
+
+def test_what_one_holds_no_other_gets(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=4)
+    ada, bob = person(both, "ada"), person(both, "bob")
+    assert ids(ask(both, ada, made, 3)) == made.query_ids[:3]
+    assert ids(ask(both, bob, made, 3)) == made.query_ids[3:]
+
+
+def test_a_lease_that_ran_out_is_anothers_to_take_and_lost_to_the_first(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=1)
+    ada, bob = person(both, "ada"), person(both, "bob")
+    ask(both, ada, made, lease_seconds=0.0)
+    assert ids(ask(both, bob, made)) == made.query_ids
+    with both.database.transaction() as session, pytest.raises(LeaseLost):
+        offer.heartbeat(session, ada, made.query_ids[0], 60)
+    with both.database.transaction() as session, pytest.raises(LeaseLost):
+        label.put_label(session, ada, made.query_ids[0], 1.0)
+
+
+def test_a_lease_that_ran_out_and_nobody_took_is_still_good(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=1)
+    ada = person(both)
+    ask(both, ada, made, lease_seconds=0.0)
+    with both.database.transaction() as session:
+        offer.heartbeat(session, ada, made.query_ids[0], 0.0)
+        assert label.put_label(session, ada, made.query_ids[0], 1.0).created
+
+
+def test_a_heartbeat_keeps_a_query(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=1)
+    ada, bob = person(both, "ada"), person(both, "bob")
+    ask(both, ada, made, lease_seconds=0.0)
+    with both.database.transaction() as session:
+        offer.heartbeat(session, ada, made.query_ids[0], 60.0)
+    assert ids(ask(both, bob, made)) == []
+
+
+def test_heartbeats_for_what_is_not_held_are_refused(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=2)
+    ada, absent = person(both, role=Role.TEACHER), new_id("qry")
+    with both.database.transaction() as session:
+        label.put_label(session, ada, made.query_ids[0], 1.0)
+        with pytest.raises(QueryClosed):
+            offer.heartbeat(session, ada, made.query_ids[0], 60.0)
+        with pytest.raises(LeaseLost):
+            offer.heartbeat(session, ada, made.query_ids[1], 60.0)
+        with pytest.raises(QueryNotFound, match=absent):
+            offer.heartbeat(session, ada, absent, 60.0)
+
+
+def test_a_query_given_back_is_free_at_once(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=1)
+    ada, bob = person(both, "ada"), person(both, "bob")
+    ask(both, ada, made)
+    with both.database.transaction() as session:
+        offer.release(session, bob, made.query_ids[0])
+    assert ids(ask(both, bob, made)) == []
+    with both.database.transaction() as session:
+        offer.release(session, ada, made.query_ids[0])
+    assert ids(ask(both, bob, made)) == made.query_ids
+
+
+def test_who_skipped_a_query_is_not_asked_again_but_others_are(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=1)
+    ada, bob = person(both, "ada"), person(both, "bob")
+    ask(both, ada, made)
+    with both.database.transaction() as session:
+        label.put_label(session, ada, made.query_ids[0], None)
+    assert ids(ask(both, ada, made)) == []
+    assert ids(ask(both, bob, made)) == made.query_ids
+
+
+def test_an_undone_query_is_the_next_one(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=4)
+    ada = person(both)
+    before = ask(both, ada, made).items[0]
+    with both.database.transaction() as session:
+        label.put_label(session, ada, before.id, 1.0, "shown")
+    assert ids(ask(both, ada, made)) == made.query_ids[1:2]
+    with both.database.transaction() as session:
+        label.undo(session, ada, before.id)
+    assert ask(both, ada, made).items == [before]
+
+
+def test_why_there_are_no_queries_is_said(both: Stores) -> None:
+    rendering = scene(both.database, both.blobs, queries=2, ready=False)
+    ada = person(both)
+    assert ask(both, ada, rendering) == Offer("HalfCheetah-6x1", [], "rendering")
+    training = scene(both.database, both.blobs, segments=0, queries=0)
+    assert ask(both, ada, training).reason == "policy_training"
+    for verb, reason in ((experiments.pause, "paused"), (experiments.cancel, "experiment_over")):
+        with both.database.transaction() as session:
+            verb(session, training.experiment.id)
+        assert ask(both, ada, training) == Offer("HalfCheetah-6x1", [], reason)  # type: ignore[arg-type]
+    taught = scene(both.database, both.blobs, queries=1, reward_source="true")
+    assert ask(both, ada, taught).reason == "all_labelled"
+
+
+def test_when_the_budget_is_spent_no_more_are_offered(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=4, label_budget=2, initial_labels=2)
+    teacher = person(both, role=Role.TEACHER)
+    with both.database.transaction() as session:
+        for query_id in made.query_ids[:2]:
+            label.put_label(session, teacher, query_id, 0.5)
+    assert ask(both, teacher, made) == Offer("HalfCheetah-6x1", [], "all_labelled")
+
+
+def test_fewer_than_asked_for_come_with_a_reason(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=2)
+    found = ask(both, person(both), made, 5)
+    assert (len(found.items), found.reason) == (2, "policy_training")
+
+
+def test_an_absent_experiment_offers_nothing(both: Stores) -> None:
+    ada = person(both)
+    with both.database.transaction() as session, pytest.raises(ExperimentNotFound):
+        offer.next_queries(session, ada, new_id("exp"), 1, 60)
+
+
+def test_labellers_that_ask_at_once_never_get_the_same_query(both: Stores) -> None:
+    made = scene(both.database, both.blobs, segments=12, queries=60, label_budget=60, initial_labels=60)
+    people = [person(both, f"labeller {number}") for number in range(8)]
+    ready, held = threading.Barrier(8), [set[str]() for _ in people]
+
+    def take(number: int) -> None:
+        ready.wait()
+        for count in range(1, 12):
+            held[number] |= set(ids(ask(both, people[number], made, count)))
+
+    threads = [threading.Thread(target=take, args=(number,)) for number in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(a.isdisjoint(b) for a, b in combinations(held, 2))
+    assert len(set.union(*held)) == 60
+
+
+def test_processes_that_label_at_once_label_each_query_once(both: Stores) -> None:
+    queries = 60
+    made = scene(both.database, both.blobs, segments=12, queries=queries, label_budget=queries, initial_labels=queries)
+    with both.database.transaction() as session:
+        tokens = [user(session, f"labeller {number}")[1] for number in range(4)]
+    processes = [
+        subprocess.Popen(
+            [sys.executable, str(LABELLING), both.database_url, made.experiment.id, token],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for token in tokens
+    ]
+    labelled = [process.communicate(timeout=120)[0].split() for process in processes]
+    assert [process.returncode for process in processes] == [0, 0, 0, 0]
+    assert sorted(each for one in labelled for each in one) == sorted(made.query_ids)
+    with both.database.reading() as session:
+        row = experiments.get(session, made.experiment.id)
+        assert (row.label_count, row.label_revision) == (queries, queries)
+        assert {session.get(QueryRow, each).status for each in made.query_ids} == {"closed"}  # type: ignore[union-attr]
