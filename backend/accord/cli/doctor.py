@@ -101,8 +101,14 @@ def check_database(settings: Settings) -> list[Check]:
         database.migrate()
         database.close()
     except AccordError as error:
-        return [Check("database", False, str(error), "see above")]
+        return [_failed("database", error)]
     return [Check("database", True, "reachable and up to date")]
+
+
+def _failed(name: str, error: AccordError) -> Check:
+    """An error's first sentence is what was found, the rest what to do."""
+    detail, _, fix = str(error).partition(". ")
+    return Check(name, False, detail, fix or None)
 
 
 def check_blobs(settings: Settings) -> list[Check]:
@@ -111,7 +117,7 @@ def check_blobs(settings: Settings) -> list[Check]:
     try:
         open_blobs(settings.resolved_blob_url).check_writable()
     except AccordError as error:
-        return [Check("blobs", False, str(error), "see above")]
+        return [_failed("blobs", error)]
     return [Check("blobs", True, f"{settings.resolved_blob_url} can be written")]
 
 

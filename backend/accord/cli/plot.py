@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 
 mpl.use("Agg")
 
@@ -41,8 +42,9 @@ def draw(results: Path, picture: Path) -> None:
 
 def _mark_versions(axes: Any, run: dict[str, Any], points: list[list[float]]) -> None:
     for version in run["versions"]:
-        before = [value for step, value in points if step <= version["policy_steps"]]
-        height = before[-1] if before else run["untrained"]
+        # On the line, between the two episodes' ends about it.
+        steps, returns = np.array(points, dtype=float).reshape(-1, 2).T
+        height = np.interp(version["policy_steps"], steps, returns) if points else run["untrained"]
         axes.plot([version["policy_steps"]], [height], marker="o", markersize=4, color=_COLOURS["preferences"])
 
 

@@ -1,0 +1,75 @@
+import socket
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+from accord.cli import doctor
+from accord.cli.doctor import check_blobs, check_database, check_machine, check_packages, check_port, check_python
+from accord.domain.checks import Check
+from accord.settings import Settings
+from accord.store.database import Database
+
+
+def test_this_machine_has_the_versions_it_was_installed_with(tmp_path: Path):
+    found = [*check_python(Settings(home=tmp_path)), *check_packages(Settings(home=tmp_path))]
+    assert [check.name for check in found] == ["Python", "torch", "mujoco", "numpy"]
+    assert all(check.ok and check.fix is None for check in found)
+
+
+def test_another_python_is_named_with_the_fix(monkeypatch, tmp_path: Path):
+    monkeypatch.setattr(doctor, "_PYTHON", (3, 99))
+    [found] = check_python(Settings(home=tmp_path))
+    assert not found.ok
+    assert found.fix is not None
+    assert "3.99" in found.fix
+
+
+def test_a_missing_package_is_named_with_the_fix(monkeypatch):
+    found = doctor._check_package("no-such-package")
+    assert found == Check("no-such-package", False, "not installed", "pip install --force-reinstall accord")
+
+
+def test_too_little_room_is_told_where_it_is_missing(monkeypatch, tmp_path: Path):
+    monkeypatch.setattr(doctor, "_FREE_BYTES", 10**18)
+    disk, memory = check_machine(Settings(home=tmp_path / "not" / "yet"))
+    assert not disk.ok
+    assert str(tmp_path) in disk.detail
+    assert disk.fix is not None
+    assert memory.ok
+
+
+def test_a_home_that_is_not_there_yet_is_no_fault(tmp_path: Path):
+    settings = Settings(home=tmp_path / "home")
+    assert all(check.ok for check in [*check_database(settings), *check_blobs(settings)])
+    assert not (tmp_path / "home").exists()
+
+
+def test_a_database_of_a_newer_version_is_a_fault(tmp_path: Path):
+    settings = Settings(home=tmp_path)
+    database = Database.open(settings.resolved_database_url)
+    database.migrate()
+    database.close()
+    assert check_database(settings)[0].ok
+    with closing(sqlite3.connect(tmp_path / "accord.db")) as connection, connection:
+        connection.execute("UPDATE alembic_version SET version_num = 'from_the_future'")
+    [found] = check_database(settings)
+    assert not found.ok
+    assert "from_the_future" in found.detail
+
+
+def test_a_file_in_place_of_the_blob_folder_is_a_fault(tmp_path: Path):
+    (tmp_path / "blobs").write_text("no folder")
+    [found] = check_blobs(Settings(home=tmp_path))
+    assert not found.ok
+
+
+def test_a_port_in_use_is_a_fault_with_another_to_try(tmp_path: Path):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        [found] = check_port(Settings(home=tmp_path, port=port))
+    assert not found.ok
+    assert found.fix is not None
+    assert f"--port {port + 1}" in found.fix
+    assert check_port(Settings(home=tmp_path, port=port))[0].ok
