@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from accord.domain.errors import InvalidExperiment
 from accord.domain.experiment import ExperimentConfig
 from accord.services import checkpoints
 from accord.store.blobs import BlobStore
@@ -32,9 +33,15 @@ def start_or_restore(
 
     Raises:
         mapt.policies.InvalidConfig: if `config.policy` makes no sense.
+        InvalidExperiment: if a rollout is too short for a segment.
         BlobMissing, mapt.policies.InvalidCheckpoint: if the checkpoint is gone, or damaged.
     """
     settings = learner_config(config, n_threads)
+    if config.reward_source == "preferences" and settings.rollout_steps < config.segment_steps:
+        raise InvalidExperiment(
+            f"segment_steps is {config.segment_steps}, but a rollout has {settings.rollout_steps} steps of each "
+            f"environment, so no segment fits. Set policy.rollout_steps to {config.segment_steps} or more."
+        )
     task = make_task(config.task, settings.n_envs, n_threads=n_threads)
     with database.reading() as session:
         row = checkpoints.newest(session, experiment_id)

@@ -158,6 +158,14 @@ def test_settings_that_cannot_be_fail_the_experiment_with_a_sentence(place: Work
     assert "n_environments" in detail
 
 
+def test_a_rollout_too_short_for_a_segment_fails_the_experiment_with_a_sentence(place: Workplace):
+    id = place.begin(segment_steps=26)
+    assert PolicyWorker(place.context).work()
+    status, _, detail, _ = status_of(place, id)
+    assert status == "failed"
+    assert "policy.rollout_steps to 26" in detail
+
+
 def test_while_one_waits_for_labels_another_is_trained(place: Workplace):
     waiting, ready = place.begin("waiting"), place.begin("ready", reward_source="true", total_steps=100)
     worker = PolicyWorker(place.context)
