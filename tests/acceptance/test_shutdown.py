@@ -16,7 +16,7 @@ def test_one_signal_ends_all_processes_in_good_order(accord: Accord, number: sig
     family = list(until(accord.all_listening, "all processes listen").values())
     accord.ask_to_end(number)
     assert accord.supervisor.wait(30) == 0
-    assert [process for process in family if alive(process)] == []
+    until(lambda: not any(alive(process) for process in family), "all have ended", seconds=5)
     assert accord.rows("SELECT 1 FROM policy_checkpoints"), "the policy left without a checkpoint"
     assert accord.rows("SELECT DISTINCT state FROM workers") == [("stopped",)]
     assert not (accord.home / "url").exists()
@@ -29,7 +29,7 @@ def test_a_worker_that_does_not_listen_is_killed_in_the_end(accord: Accord) -> N
     accord.ask_to_end()
     assert accord.supervisor.wait(40) == 0
     assert "killed: policy-0" in accord.log.read_text()
-    assert [process for process in family.values() if alive(process)] == []
+    until(lambda: not any(alive(process) for process in family.values()), "all have ended", seconds=5)
 
 
 def test_asked_twice_it_waits_for_nobody(accord: Accord) -> None:

@@ -66,7 +66,7 @@ def _serve(ready: Ready, stop: Stop) -> None:
     watch, specs = Watch(ready.database), child_specs(ready)
     watch.begin(specs)
     supervisor = Supervisor(specs, ready.settings.home / "logs", watch.died)
-    status = out.status("starting") if on_terminal() else None
+    status = out.status("starting", refresh_per_second=2) if on_terminal() else None
     try:
         if status:
             status.start()

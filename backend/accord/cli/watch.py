@@ -64,9 +64,7 @@ class Watch:
             return f"The database does not answer: {error}"
         for id, state, detail in rows:
             self._say_failure(id, state, detail)
-        return " · ".join(
-            f"{id} {state}" + (f" ({detail})" if state == "working" else "") for id, state, detail in rows
-        )
+        return " · ".join(f"{id}: {detail if state == 'working' and detail else state}" for id, state, detail in rows)
 
     def _say_failure(self, id: str, state: str, detail: str) -> None:
         if state == "working":
