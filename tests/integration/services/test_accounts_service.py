@@ -1,0 +1,122 @@
+"""Who is who: tokens are stored hashed, links work once, sessions end."""
+
+import hashlib
+import threading
+
+import pytest
+from sqlalchemy import select as sql_select
+
+from accord.domain.errors import Invalid, NameTaken, Unauthenticated, UserNotFound
+from accord.domain.ids import new_id
+from accord.domain.words import Role
+from accord.services import accounts
+from accord.store.tables import TokenRow
+from support.stores import Stores
+
+
+def test_a_new_user_is_known_by_their_token_alone(both: Stores) -> None:
+    with both.database.transaction() as session:
+        ada, token = accounts.create_user(session, " Ada ", Role.RESEARCHER)
+    with both.database.reading() as session:
+        found = accounts.authenticate(session, token)
+        assert (found.id, found.name, found.role) == (ada.id, "Ada", "researcher")
+        for wrong in ("", token[:-1], token + "x", "ü", "\0", accounts.hash_of(token)):
+            with pytest.raises(Unauthenticated):
+                accounts.authenticate(session, wrong)
+
+
+def test_only_the_hash_of_a_token_is_stored(both: Stores) -> None:
+    with both.database.transaction() as session:
+        ada, token = accounts.create_user(session, "Ada", Role.ADMIN)
+        link = accounts.make_link(session, ada.id, 5)
+    with both.database.reading() as session:
+        stored = {row.hash for row in session.scalars(sql_select(TokenRow))}
+    assert stored == {hashlib.sha256(each.encode()).hexdigest() for each in (token, link)}
+
+
+def test_names_are_unique_and_can_be_shown(both: Stores) -> None:
+    with both.database.transaction() as session:
+        accounts.create_user(session, "Ada", Role.LABELLER)
+        with pytest.raises(NameTaken):
+            accounts.create_user(session, "Ada ", Role.LABELLER)
+        for bad in ("", " ", "a\0b", "a\nb"):
+            with pytest.raises(Invalid):
+                accounts.create_user(session, bad, Role.LABELLER)
+
+
+def test_a_link_signs_in_once(both: Stores) -> None:
+    with both.database.transaction() as session:
+        ada, _ = accounts.create_user(session, "Ada", Role.LABELLER)
+        link = accounts.make_link(session, ada.id, 5)
+    with both.database.transaction() as session:
+        user, token = accounts.redeem_link(session, link, 30)
+        assert user.id == ada.id
+        assert accounts.authenticate(session, token).id == ada.id
+        with pytest.raises(Unauthenticated, match="once"):
+            accounts.redeem_link(session, link, 30)
+        with pytest.raises(Unauthenticated):
+            # a link is no token for the API
+            accounts.authenticate(session, link)
+
+
+def test_of_browsers_that_open_a_link_at_once_one_is_signed_in(both: Stores) -> None:
+    with both.database.transaction() as session:
+        ada, _ = accounts.create_user(session, "Ada", Role.LABELLER)
+        link = accounts.make_link(session, ada.id, 5)
+    ready, outcomes = threading.Barrier(6), list[str]()
+
+    def open_link() -> None:
+        ready.wait()
+        try:
+            with both.database.transaction() as session:
+                accounts.redeem_link(session, link, 30)
+            outcomes.append("in")
+        except Unauthenticated:
+            outcomes.append("out")
+
+    threads = [threading.Thread(target=open_link) for _ in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(outcomes) == ["in"] + ["out"] * 5
+
+
+def test_links_and_sessions_expire(both: Stores) -> None:
+    with both.database.transaction() as session:
+        ada, _ = accounts.create_user(session, "Ada", Role.LABELLER)
+        late = accounts.make_link(session, ada.id, -1)
+        with pytest.raises(Unauthenticated):
+            accounts.redeem_link(session, late, 30)
+        _, token = accounts.redeem_link(session, accounts.make_link(session, ada.id, 5), -1)
+        with pytest.raises(Unauthenticated):
+            accounts.authenticate(session, token)
+
+
+def test_a_signed_out_token_is_worthless(both: Stores) -> None:
+    with both.database.transaction() as session:
+        _, token = accounts.create_user(session, "Ada", Role.LABELLER)
+        accounts.sign_out(session, token)
+        with pytest.raises(Unauthenticated):
+            accounts.authenticate(session, token)
+
+
+def test_there_is_one_first_admin(both: Stores) -> None:
+    with both.database.transaction() as session:
+        first = accounts.ensure_admin(session)
+        assert accounts.ensure_admin(session).id == first.id
+        assert accounts.authenticate(session, accounts.new_bearer(session, first.id)).role == "admin"
+
+
+def test_the_first_admin_is_made_even_where_the_name_is_taken(sqlite: Stores) -> None:
+    with sqlite.database.transaction() as session:
+        accounts.create_user(session, "admin", Role.LABELLER)
+        assert accounts.ensure_admin(session).role == "admin"
+
+
+def test_links_are_for_users_that_exist(both: Stores) -> None:
+    absent = new_id("usr")
+    with both.database.transaction() as session:
+        for make in (lambda: accounts.make_link(session, absent, 5), lambda: accounts.new_bearer(session, absent)):
+            with pytest.raises(UserNotFound, match=absent):
+                make()
