@@ -81,7 +81,7 @@ class Actor(nn.Module):
         agent_first = torch.from_numpy(observations).to(self.log_std.device).transpose(0, 1)
         actions = self.means(agent_first)
         if noise is not None:
-            actions = actions + self.log_std.exp() * noise
+            actions = actions + self.log_std.exp() * noise.to(actions.device)
         return actions.transpose(0, 1)
 
     def bounded(self, actions: Tensor) -> Tensor:
