@@ -23,12 +23,12 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 import numpy as np
 import psutil
-from support.scenes import scene, user
-from support.servers import running_server
 
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from support.scenes import scene, user
+from support.servers import running_server
 
 #: enough for a server several times as fast as today's
 SEGMENTS, QUERIES = 190, 17_000
@@ -100,7 +100,7 @@ def ask_until(port: int, token: str, _experiment_id: str, seconds: float, start:
         times.append(time.perf_counter() - began)
 
 
-def _client_process(work, port, token, experiment_id, seconds, start, results) -> None:  # noqa: ANN001, PLR0917
+def _client_process(work, port, token, experiment_id, seconds, start, results) -> None:
     times: list[float] = []
     try:
         work(port, token, experiment_id, seconds, start, times)
@@ -108,7 +108,7 @@ def _client_process(work, port, token, experiment_id, seconds, start, results) -
         results.put(times)
 
 
-def drive(work, port: int, tokens: list[str], experiment_id: str, seconds: float) -> tuple[float, list[list[float]]]:  # noqa: ANN001
+def drive(work, port: int, tokens: list[str], experiment_id: str, seconds: float) -> tuple[float, list[list[float]]]:
     """Runs one client process per token; returns the seconds they took together and each one's times."""
     spawn = multiprocessing.get_context("spawn")
     start, results = spawn.Barrier(len(tokens) + 1), spawn.Queue()

@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError, OperationalError
-from sqlalchemy.orm import Session, sessionmaker
+from sqlalchemy.orm import Session
 
 from accord.domain.errors import DatabaseUnreachable
 from accord.store.group_commit import CommitFailed, GroupCommit
@@ -73,7 +73,18 @@ class Database:
     def _writing(self) -> AbstractContextManager[Session]:
         if self._group_commit is not None:
             return self._group_commit.session()
-        return sessionmaker(self._writer, expire_on_commit=False).begin()
+        return self._alone()
+
+    @contextmanager
+    def _alone(self) -> Generator[Session]:
+        with Session(self._writer, expire_on_commit=False) as session:
+            yield session
+            try:
+                session.commit()
+            except BaseException:
+                # Nobody knows what state the connection is in: the pool must not hand it out again.
+                session.invalidate()
+                raise
 
     @contextmanager
     def reading(self) -> Generator[Session]:

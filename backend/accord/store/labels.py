@@ -90,7 +90,7 @@ def count_after(session: Session, experiment_id: str, revision: int) -> int:
 
 
 def up_to(session: Session, experiment_id: str, revision: int) -> list[LabelledPair]:
-    """Labels that count, with a revision up to this one, in the order of their queries."""
+    """Labels that count, with a revision up to this one, in the order in which they were first given."""
     segment_0, segment_1 = aliased(SegmentRow), aliased(SegmentRow)
     rows = session.execute(
         select(
@@ -106,6 +106,7 @@ def up_to(session: Session, experiment_id: str, revision: int) -> list[LabelledP
         .join(segment_0, segment_0.id == QueryRow.segment_0_id)
         .join(segment_1, segment_1.id == QueryRow.segment_1_id)
         .where(LabelRow.experiment_id == experiment_id, LabelRow.revision <= revision, LabelRow.state == "label")
-        .order_by(QueryRow.number, LabelRow.id)
+        # by when each was first given: a label that comes late moves no other across the hold-out split
+        .order_by(LabelRow.created_at, LabelRow.id)
     )
     return [LabelledPair(*row) for row in rows]

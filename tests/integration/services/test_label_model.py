@@ -18,7 +18,7 @@ from accord.store.tables import LabelRevisionRow, LabelRow, QueryRow
 from support.scenes import scene, user
 from support.stores import stores
 
-PEOPLE, QUERIES = 3, 4
+PEOPLE, QUERIES = 3, 2
 VALUES = st.sampled_from([1.0, 0.5, 0.0, None])
 
 
@@ -30,7 +30,7 @@ class Labelling(RuleBasedStateMachine):
         self.folder = tempfile.TemporaryDirectory(prefix="accord-labels-")
         self.context = stores(Path(self.folder.name))
         self.stores = self.context.__enter__()
-        made = scene(self.stores.database, self.stores.blobs, segments=4, queries=QUERIES, render_clips=False)
+        made = scene(self.stores.database, self.stores.blobs, segments=3, queries=QUERIES, render_clips=False)
         self.experiment_id, self.query_ids = made.experiment.id, made.query_ids
         with self.stores.database.transaction() as session:
             # the last one is a program, which needs no lease
@@ -148,6 +148,6 @@ def state_and_value(word: float | str | None) -> tuple[str, float | None]:
 
 
 Labelling.TestCase.settings = settings(
-    max_examples=25, stateful_step_count=25, deadline=None, suppress_health_check=list(HealthCheck)
+    max_examples=30, stateful_step_count=30, deadline=None, suppress_health_check=list(HealthCheck)
 )
 TestAnySequenceOfLabels = Labelling.TestCase

@@ -1,0 +1,285 @@
+"""Bad input: each has its status, a stable code and a sentence that helps."""
+
+import json
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import httpx
+import pytest
+from sqlalchemy import event
+
+from accord.domain import errors as domain_errors
+from accord.domain.errors import AccordError
+from accord.domain.ids import new_id
+from support.scenes import scene
+from support.served import Served, served
+from support.stores import Stores
+
+NEW = {"name": "one", "task": "HalfCheetah-6x1"}
+
+
+def refusal(response: httpx.Response, status: int, code: str, *words: str) -> None:
+    """The body every failure has."""
+    assert response.status_code == status, response.text
+    body = response.json()
+    assert set(body) == {"error"}
+    assert set(body["error"]) == {"code", "message", "details"}
+    assert body["error"]["code"] == code
+    message = body["error"]["message"]
+    assert len(message) > 20
+    for word in words:
+        assert word in message
+
+
+def test_a_label_of_seven_tenths(api: Served) -> None:
+    made = scene(api.stores.database, api.stores.blobs)
+    path = f"/api/v1/queries/{made.query_ids[0]}/label"
+    refusal(api.teacher.put(path, json={"label": 0.7}), 422, "invalid_label", "0.7", "0.5 (equal)")
+    nan = api.teacher.put(path, content=b'{"label": NaN}', headers={"Content-Type": "application/json"})
+    refusal(nan, 422, "invalid_label", "nan")
+
+
+@pytest.mark.parametrize("label", ["1", True, [1], {}])
+def test_a_label_that_is_no_number(api: Served, label: object) -> None:
+    path = f"/api/v1/queries/{new_id('qry')}/label"
+    refusal(api.teacher.put(path, json={"label": label}), 422, "invalid_request", "body.label")
+
+
+def test_a_label_for_a_query_that_is_closed(both_api: Served) -> None:
+    made = scene(both_api.stores.database, both_api.stores.blobs)
+    path = f"/api/v1/queries/{made.query_ids[0]}/label"
+    assert both_api.teacher.put(path, json={"label": 1}).status_code == 201
+    refusal(both_api.researcher.put(path, json={"label": 1}), 409, "query_closed", "next query")
+
+
+def test_a_label_for_a_query_that_another_holds(both_api: Served) -> None:
+    made = scene(both_api.stores.database, both_api.stores.blobs)
+    both_api.labeller.post(f"/api/v1/experiments/{made.experiment.id}/queries/next")
+    path = f"/api/v1/queries/{made.query_ids[0]}/label"
+    refusal(both_api.teacher.put(path, json={"label": 1}), 410, "lease_lost", "next query")
+
+
+def test_a_label_of_an_experiment_that_is_over(api: Served) -> None:
+    made = scene(api.stores.database, api.stores.blobs)
+    assert api.researcher.post(f"/api/v1/experiments/{made.experiment.id}/cancel").status_code == 200
+    path = f"/api/v1/queries/{made.query_ids[0]}/label"
+    refusal(api.teacher.put(path, json={"label": 1}), 409, "experiment_not_active", "cancelled")
+
+
+def test_nothing_to_undo(api: Served) -> None:
+    made = scene(api.stores.database, api.stores.blobs)
+    refusal(api.teacher.delete(f"/api/v1/queries/{made.query_ids[0]}/label"), 404, "label_not_found")
+
+
+def test_a_segment_longer_than_an_episode(api: Served) -> None:
+    response = api.researcher.post("/api/v1/experiments", json=NEW | {"segment_steps": 2000})
+    refusal(response, 422, "invalid_experiment", "1000 steps")
+
+
+def test_a_task_that_does_not_exist(api: Served) -> None:
+    response = api.researcher.post("/api/v1/experiments", json=NEW | {"task": "Walker"})
+    refusal(response, 422, "unknown_task", "'Walker'", "HalfCheetah-6x1")
+
+
+def test_settings_that_make_no_sense(api: Served) -> None:
+    for wrong in ({"total_steps": 0}, {"initial_labels": 900}, {"seed": -1}):
+        refusal(api.researcher.post("/api/v1/experiments", json=NEW | wrong), 422, "invalid_experiment", *wrong)
+    for wrong in ({"pacing": "fast"}, {"total_steps": "many"}, {"total_step": 5}):
+        refusal(api.researcher.post("/api/v1/experiments", json=NEW | wrong), 422, "invalid_request", *wrong)
+
+
+def test_a_name_that_is_taken(api: Served) -> None:
+    assert api.researcher.post("/api/v1/experiments", json=NEW).status_code == 201
+    refusal(api.researcher.post("/api/v1/experiments", json=NEW), 409, "name_taken", "'one'")
+
+
+@pytest.mark.parametrize(
+    ("method", "path"),
+    [
+        ("GET", "/api/v1/experiments/{}"),
+        ("POST", "/api/v1/experiments/{}/pause"),
+        ("GET", "/api/v1/experiments/{}/metrics"),
+        ("GET", "/api/v1/experiments/{}/reward-versions"),
+        ("GET", "/api/v1/experiments/{}/events"),
+        ("POST", "/api/v1/experiments/{}/queries/next"),
+        ("PUT", "/api/v1/queries/{}/lease"),
+        ("DELETE", "/api/v1/queries/{}/lease"),
+        ("DELETE", "/api/v1/queries/{}/label"),
+        ("GET", "/api/v1/clips/{}.mp4"),
+    ],
+)
+def test_malformed_and_absent_ids(api: Served, method: str, path: str) -> None:
+    kind = {"experiments": "exp", "queries": "qry", "clips": "clp"}[path.split("/")[3]]
+    for bad in ("1", f"{kind}_", f"{kind}_{'g' * 24}", new_id("zzz"), "%00", "..", f"{kind}_{'0' * 24}%0a"):
+        if bad == "..":
+            continue  # a client takes it for the folder above
+        refusal(api.admin.request(method, path.format(bad)), 422, "invalid_id", kind)
+    name = {"exp": "experiment", "qry": "query", "clp": "clip"}[kind]
+    refusal(api.admin.request(method, path.format(new_id(kind))), 404, f"{name}_not_found", name)
+
+
+def test_a_cursor_that_is_none(api: Served) -> None:
+    refusal(api.admin.get("/api/v1/experiments", params={"cursor": "x"}), 422, "invalid_id")
+
+
+@pytest.mark.parametrize("token", [None, "", "wrong", "ü", "x" * 5000])
+def test_a_missing_or_wrong_token(api: Served, token: str | None) -> None:
+    headers = {} if token is None else {"Authorization": f"Bearer {token}".strip().encode()}
+    for method, path in (("GET", "/api/v1/me"), ("POST", "/api/v1/users"), ("GET", "/api/v1/experiments")):
+        json_body = {"name": "x", "role": "admin"} if method == "POST" else None
+        response = api.anyone.request(method, path, headers=headers, json=json_body)
+        refusal(response, 401, "unauthenticated")
+        assert response.headers["WWW-Authenticate"].startswith("Bearer")
+
+
+def test_a_labeller_that_asks_for_returns(api: Served) -> None:
+    made = scene(api.stores.database, api.stores.blobs)
+    path = f"/api/v1/experiments/{made.experiment.id}/queries/next"
+    refusal(api.labeller.post(path, params={"returns": True}), 403, "returns_hidden", "labellers")
+
+
+def test_what_a_role_may_not(api: Served) -> None:
+    made = scene(api.stores.database, api.stores.blobs)
+    experiment = f"/api/v1/experiments/{made.experiment.id}"
+    for client in (api.labeller, api.teacher):
+        refusal(client.post("/api/v1/experiments", json=NEW), 403, "forbidden", "start experiments")
+        for verb in ("pause", "resume", "cancel"):
+            refusal(client.post(f"{experiment}/{verb}"), 403, "forbidden", verb)
+    for client in (api.labeller, api.teacher, api.researcher):
+        response = client.post("/api/v1/users", json={"name": "x", "role": "admin"})
+        refusal(response, 403, "forbidden", "add users")
+    batch = {"labels": [{"query_id": made.query_ids[0], "label": 1}]}
+    refusal(api.labeller.post(f"{experiment}/labels", json=batch), 403, "forbidden", "batches")
+
+
+def test_addresses_and_methods_that_do_not_exist(api: Served) -> None:
+    for path in ("/api", "/api/", "/api/v1", "/api/v2/me", "/api/v1/nothing", "/api/v1/me/"):
+        refusal(api.admin.get(path), 404, "not_found", "/api/docs")
+    response = api.admin.delete("/api/v1/me")
+    refusal(response, 405, "method_not_allowed")
+    assert response.headers["Allow"] == "GET"
+    refusal(api.admin.post("/elsewhere"), 405, "method_not_allowed")
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"label": 1', b'{"label": 1e999}'])
+def test_a_body_that_cannot_be_read(api: Served, content: bytes) -> None:
+    response = api.teacher.put(
+        f"/api/v1/queries/{new_id('qry')}/label", content=content, headers={"Content-Type": "application/json"}
+    )
+    assert response.status_code == 422
+    assert response.json()["error"]["code"] in {"invalid_request", "invalid_label"}
+
+
+@pytest.mark.parametrize("name", ["nul\u0000", "half \ud800", "two\nlines", " "])
+def test_texts_that_no_database_takes(both_api: Served, name: str) -> None:
+    content = json.dumps({"name": name, "task": "HalfCheetah-6x1"}).encode()
+    response = both_api.researcher.post(
+        "/api/v1/experiments", content=content, headers={"Content-Type": "application/json"}
+    )
+    assert response.status_code == 422
+    assert response.json()["error"]["code"] in {"invalid", "invalid_request"}
+
+
+def test_strange_but_storable_descriptions_of_a_teacher(both_api: Served) -> None:
+    made = scene(both_api.stores.database, both_api.stores.blobs)
+    for query_id, teacher in zip(
+        made.query_ids,
+        ('{"a": "nul \\u0000"}', '{"\\ud800": 1}', '{"n": 123456789012345678901234567890}'),
+        strict=False,
+    ):
+        response = both_api.teacher.put(
+            f"/api/v1/queries/{query_id}/label",
+            content=f'{{"label": 1, "teacher": {teacher}}}'.encode(),
+            headers={"Content-Type": "application/json"},
+        )
+        assert response.status_code in {201, 422}, response.text
+    refused = both_api.teacher.put(
+        f"/api/v1/queries/{made.query_ids[3]}/label",
+        content=b'{"label": 1, "teacher": {"beta": Infinity}}',
+        headers={"Content-Type": "application/json"},
+    )
+    refusal(refused, 422, "invalid", "teacher")
+
+
+def pieces(size: int) -> Iterator[bytes]:
+    piece = b" " * 50_000
+    for _ in range(size // len(piece)):
+        yield piece
+
+
+def test_a_body_of_a_hundred_megabytes(api: Served) -> None:
+    path = f"/api/v1/queries/{new_id('qry')}/label"
+    headers = {"Content-Type": "application/json"}
+    for content in (b"{" + b" " * 3_000_000 + b"}", pieces(3_000_000)):
+        refusal(api.teacher.put(path, content=content, headers=headers), 413, "body_too_large", "smaller")
+    # announced, and then cut off as soon as the server has answered
+    with api.client(None) as client:
+        request = client.build_request("PUT", path, content=pieces(100_000_000), headers=headers)
+        # it may hang up while we are still sending: it does not read the rest
+        with suppress(httpx.WriteError):
+            refusal(client.send(request), 413, "body_too_large")
+    assert api.anyone.get("/api/v1/health").status_code == 200
+
+
+def test_a_body_as_large_as_allowed_is_read(sqlite: Stores, tmp_path: Path) -> None:
+    with served(sqlite, tmp_path, max_body_bytes=1000) as api:
+        path, good = f"/api/v1/queries/{new_id('qry')}/label", b'{"label": 1}'
+        headers = {"Content-Type": "application/json"}
+        exactly = api.teacher.put(path, content=good.ljust(1000), headers=headers)
+        refusal(exactly, 404, "query_not_found")
+        refusal(api.teacher.put(path, content=good.ljust(1001), headers=headers), 413, "body_too_large", "1000")
+
+
+def test_something_unforeseen_is_told_with_the_id_it_has_in_the_log(
+    api: Served, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(_connection: object) -> None:
+        raise ZeroDivisionError("a secret")
+
+    event.listen(api.stores.database.engine, "commit", fail)
+    response = api.admin.post("/api/v1/users", json={"name": "x", "role": "labeller"})
+    event.remove(api.stores.database.engine, "commit", fail)
+    refusal(response, 500, "internal", "err_")
+    assert "secret" not in response.text
+    (details,) = response.json()["error"]["details"]
+    assert details["id"] in caplog.text
+
+
+def test_a_commit_that_fails_is_not_acknowledged(both_api: Served) -> None:
+    made = scene(both_api.stores.database, both_api.stores.blobs)
+    path = f"/api/v1/queries/{made.query_ids[0]}/label"
+
+    def fail(_connection: object) -> None:
+        raise ZeroDivisionError
+
+    event.listen(both_api.stores.database.engine, "commit", fail)
+    response = both_api.teacher.put(path, json={"label": 1})
+    event.remove(both_api.stores.database.engine, "commit", fail)
+    refusal(response, 500, "internal")
+    again = both_api.teacher.put(path, json={"label": 1})
+    assert (again.status_code, again.json()["revision"]) == (201, 1)
+
+
+def test_a_database_that_went_away_is_said_so(api: Served) -> None:
+    path = Path(api.stores.database_url.removeprefix("sqlite:///"))
+    api.stores.database.close()
+    path.unlink()
+    path.write_bytes(b"not a database" * 1000)
+    for companion in (f"{path}-wal", f"{path}-shm"):
+        Path(companion).unlink(missing_ok=True)
+    response = api.admin.get("/api/v1/me")
+    refusal(response, 503, "database_unreachable", "accord.db")
+    assert response.headers["Retry-After"]
+
+
+def test_every_error_has_a_status_and_a_code_of_its_own() -> None:
+    from accord.api.errors import status_of
+
+    kinds = [each for each in vars(domain_errors).values() if isinstance(each, type) and issubclass(each, AccordError)]
+    assert len(kinds) > 20
+    codes = [kind.code for kind in kinds]
+    assert len(codes) == len(set(codes))
+    for kind in kinds:
+        if kind is not AccordError:
+            assert status_of(kind.__new__(kind)) != 500, kind

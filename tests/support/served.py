@@ -1,0 +1,80 @@
+"""The application behind a real HTTP server, in a thread of the test's own process."""
+
+import threading
+import time
+from collections.abc import Generator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import uvicorn
+
+from accord.api.app import create_app
+from accord.api.server import address_of, bound_socket
+from accord.domain.words import Role
+from accord.settings import Settings
+from support.scenes import user
+from support.stores import Stores
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """A server with one user of each role."""
+
+    stores: Stores
+    settings: Settings
+    url: str
+    #: bearer token by role
+    tokens: dict[Role, str]
+    #: without a token
+    anyone: httpx.Client
+    labeller: httpx.Client
+    teacher: httpx.Client
+    researcher: httpx.Client
+    admin: httpx.Client
+
+    def client(self, token: str | None, **options: object) -> httpx.Client:
+        """A client of its own; the caller closes it."""
+        return client(self.url, token, **options)
+
+
+def client(url: str, token: str | None, **options: object) -> httpx.Client:
+    headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+    return httpx.Client(base_url=url, headers=headers, trust_env=False, timeout=30, **options)  # type: ignore[arg-type]
+
+
+@contextmanager
+def served(stores: Stores, home: Path, **changes: object) -> Generator[Served]:
+    """Serves the stores until the block ends."""
+    settings = Settings(home=home, **changes)  # type: ignore[arg-type]
+    app = create_app(settings, stores.database, stores.blobs)
+    config = uvicorn.Config(app, log_level="critical", access_log=False, timeout_graceful_shutdown=1)
+    server = uvicorn.Server(config)
+    with stores.database.transaction() as session:
+        tokens = {role: user(session, f"the {role}", role)[1] for role in Role}
+    with bound_socket("127.0.0.1", 0) as listener, ExitStack() as clients:
+        url = address_of(listener)
+        thread = threading.Thread(target=server.run, args=([listener],))
+        thread.start()
+        try:
+            deadline = time.monotonic() + 30
+            while not server.started:
+                assert thread.is_alive(), "the server did not start"
+                assert time.monotonic() < deadline, "the server does not start"
+                time.sleep(0.005)
+            made = {role: clients.enter_context(client(url, token)) for role, token in tokens.items()}
+            yield Served(
+                stores=stores,
+                settings=settings,
+                url=url,
+                tokens=tokens,
+                anyone=clients.enter_context(client(url, None)),
+                labeller=made[Role.LABELLER],
+                teacher=made[Role.TEACHER],
+                researcher=made[Role.RESEARCHER],
+                admin=made[Role.ADMIN],
+            )
+        finally:
+            server.should_exit = True
+            thread.join(30)
