@@ -97,16 +97,18 @@ class TrainConfig:
     """
 
     #: AdamW's step size for the whole network
-    lr: float = 1e-3
-    #: and at the start of the Markov path's own training, from where it falls to 0 along a cosine
-    markov_lr: float = 5e-3
+    lr: float = 3e-4
+    #: and for the Markov path by itself
+    markov_lr: float = 3e-3
     #: most pairs in one step; fewer where the dataset is small
     batch_pairs: int = 32
-    #: epochs of the Markov path alone, before the whole network is trained; 0 leaves them out
+    #: most epochs of the Markov path alone, before the whole network is trained; 0 leaves them out
     markov_epochs: int = 40
     #: most epochs of the whole network
     max_epochs: int = 30
-    #: epochs of the whole network without a better hold-out loss before training stops
+    #: epochs without a better hold-out loss before the Markov path's own training stops
+    markov_patience: int = 10
+    #: and before that of the whole network stops
     patience: int = 3
     hold_out_fraction: float = 0.2
     #: AdamW's decoupled weight decay
@@ -116,7 +118,7 @@ class TrainConfig:
     device: str = "auto"
 
     def __post_init__(self) -> None:
-        for name in ("batch_pairs", "max_epochs", "patience"):
+        for name in ("batch_pairs", "max_epochs", "markov_patience", "patience"):
             _check_positive_int(name, getattr(self, name))
         if not isinstance(self.seed, int) or isinstance(self.seed, bool) or self.seed < 0:
             raise InvalidConfig(f"seed is {self.seed!r}; it must be a whole number, 0 or more")

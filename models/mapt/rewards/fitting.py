@@ -51,10 +51,8 @@ class Stage:
     weight_decay: float
     batch_pairs: int
     max_epochs: int
-    #: epochs without a better judgement before the stage ends; none: it runs to its end
-    patience: int | None
-    #: let the step size fall to 0 along a cosine over the stage's epochs
-    anneal: bool
+    #: epochs without a better judgement before the stage ends
+    patience: int
 
 
 class Fitting:
@@ -97,30 +95,26 @@ class Fitting:
         self._model.eval()
         best, kept, kept_at = judge_pairs(judge, stage.scorer).loss, self._weights(), 0
         for epoch in range(1, stage.max_epochs + 1):
-            loss = self._epoch(stage, optimiser, epoch)
+            loss = self._epoch(stage, optimiser)
             if self.stopped:
                 break
             self._report(stage, loss)
             judged = judge_pairs(judge, stage.scorer).loss
             if judged < best:
                 best, kept, kept_at = judged, self._weights(), epoch
-            elif stage.patience is not None and epoch - kept_at >= stage.patience:
+            elif epoch - kept_at >= stage.patience:
                 break
         self._model.load_state_dict(kept)
         self._model.eval()
 
-    def _epoch(self, stage: Stage, optimiser: torch.optim.Optimizer, epoch: int) -> float:
+    def _epoch(self, stage: Stage, optimiser: torch.optim.Optimizer) -> float:
         """Mean loss of one pass over the training pairs; NaN when stopped."""
-        batches = list(_batches(len(self._train), stage.batch_pairs, self._shuffle))
         losses: list[float] = []
         self._model.train()
-        for number, index in enumerate(batches):
+        for index in _batches(len(self._train), stage.batch_pairs, self._shuffle):
             self.stopped = self.stopped or (self._stop is not None and self._stop())
             if self.stopped:
                 return math.nan
-            if stage.anneal:
-                done = (epoch - 1 + number / len(batches)) / stage.max_epochs
-                _set_lr(optimiser, stage.lr * 0.5 * (1 + math.cos(math.pi * done)))
             losses.append(self._step(stage, optimiser, index))
         self._model.eval()
         return sum(losses) / len(losses)
@@ -179,11 +173,6 @@ def _optimiser(stage: Stage) -> torch.optim.Optimizer:
         [{"params": matrices, "weight_decay": stage.weight_decay}, {"params": vectors, "weight_decay": 0.0}],
         lr=stage.lr,
     )
-
-
-def _set_lr(optimiser: torch.optim.Optimizer, lr: float) -> None:
-    for group in optimiser.param_groups:
-        group["lr"] = lr
 
 
 def _batches(n_pairs: int, batch_pairs: int, shuffle: torch.Generator) -> Iterator[Tensor]:

@@ -127,8 +127,7 @@ def _run_stages(fitting: Fitting, model: MAPT, segments: SegmentTensors, config:
                 weight_decay=config.weight_decay,
                 batch_pairs=config.batch_pairs,
                 max_epochs=config.markov_epochs,
-                patience=None,
-                anneal=True,
+                patience=config.markov_patience,
             )
         )
         if not fitting.reliable:
@@ -143,7 +142,6 @@ def _run_stages(fitting: Fitting, model: MAPT, segments: SegmentTensors, config:
                 batch_pairs=config.batch_pairs,
                 max_epochs=config.max_epochs,
                 patience=config.patience,
-                anneal=False,
             )
         )
 
