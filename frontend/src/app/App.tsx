@@ -31,6 +31,8 @@ export function App() {
 
 function SignedIn() {
   const me = useQuery({ ...meQuery, refetchInterval: (query) => (query.state.error ? RECONNECT_MS : false) });
+  // First: what was known of a user stays in the cache when the sign-in runs out.
+  if (me.error instanceof ApiError && me.error.status === 401) return <SignedOut />;
   if (me.data) {
     return (
       <OutboxProvider userId={me.data.id}>
@@ -40,7 +42,6 @@ function SignedIn() {
       </OutboxProvider>
     );
   }
-  if (me.error instanceof ApiError && me.error.status === 401) return <SignedOut />;
   if (me.error) {
     return (
       <Message title="Accord does not answer">

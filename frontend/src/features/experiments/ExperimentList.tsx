@@ -1,4 +1,4 @@
-import { useQuery } from "@tanstack/react-query";
+import { useInfiniteQuery } from "@tanstack/react-query";
 import { sentenceOf } from "@/shared/api/errors";
 import { experimentsQuery } from "@/shared/api/queries";
 import { type Experiment, type Me, runsExperiments } from "@/shared/api/types";
@@ -11,7 +11,8 @@ import "./experiments.css";
 
 /** All experiments, with the way to label each. */
 export function ExperimentList({ me }: { me: Me }) {
-  const { data, error } = useQuery(experimentsQuery);
+  const { data, error, hasNextPage, isFetchingNextPage, fetchNextPage } = useInfiniteQuery(experimentsQuery);
+  const experiments = data?.pages.flatMap(({ items }) => items);
   return (
     <main className="page" id="content">
       <div className="page-head">
@@ -23,12 +24,22 @@ export function ExperimentList({ me }: { me: Me }) {
         )}
       </div>
       {error && <Trouble>{sentenceOf(error)}</Trouble>}
-      {data?.items.length === 0 && <Empty me={me} />}
+      {experiments?.length === 0 && <Empty me={me} />}
       <ul className="experiments">
-        {data?.items.map((experiment) => (
+        {experiments?.map((experiment) => (
           <Card key={experiment.id} experiment={experiment} />
         ))}
       </ul>
+      {hasNextPage && (
+        <button
+          type="button"
+          className="button"
+          disabled={isFetchingNextPage}
+          onClick={() => void fetchNextPage()}
+        >
+          Show older ones
+        </button>
+      )}
     </main>
   );
 }

@@ -17,7 +17,12 @@ const BUTTONS = [
   { answer: "right", key: "→", words: "Right is better", hint: "Right arrow" },
 ] as const;
 
-/** The four answers, each with its key. */
+/**
+ * The four answers, each with its key.
+ *
+ * While there is nothing to answer they are `aria-disabled`, not `disabled`: a button that has the focus must not lose
+ * it from one pair to the next.
+ */
 export function AnswerBar({ enabled, skippable, flash, onAnswer }: AnswerBarProps) {
   return (
     <fieldset className="answers" aria-label="Your answer">
@@ -27,12 +32,12 @@ export function AnswerBar({ enabled, skippable, flash, onAnswer }: AnswerBarProp
           type="button"
           className={`button answer answer-${answer}`}
           data-chosen={flash === answer || undefined}
-          disabled={!(answer === "skip" ? skippable : enabled)}
+          aria-disabled={!(answer === "skip" ? skippable : enabled)}
           aria-keyshortcuts={`Arrow${hint.split(" ")[0]}`}
           title={`${words} (${hint})`}
           onClick={(event) => {
             letGo(event);
-            onAnswer(answer);
+            if (answer === "skip" ? skippable : enabled) onAnswer(answer);
           }}
         >
           <Key name={key} />

@@ -5,6 +5,8 @@ import type { Answer } from "./answers";
 
 interface PairStageProps {
   query: Query;
+  /** pairs that are loaded already and follow this one */
+  ahead: number;
   flash: Answer | null;
   player: PairPlayback;
   left: RefObject<HTMLCanvasElement | null>;
@@ -13,7 +15,7 @@ interface PairStageProps {
 }
 
 /** The two clips, side by side, as large as the window allows. */
-export function PairStage({ query, flash, player, left, right, position }: PairStageProps) {
+export function PairStage({ query, ahead, flash, player, left, right, position }: PairStageProps) {
   return (
     <section
       className="stage"
@@ -24,6 +26,7 @@ export function PairStage({ query, flash, player, left, right, position }: PairS
       data-left={query.left.segment_id}
       data-right={query.right.segment_id}
       data-state={player.state}
+      data-ahead={ahead}
       style={{ "--ratio": player.ratio } as React.CSSProperties}
     >
       <Side name="Left" canvas={left} mark={markOf("left", flash)} state={player.state} />

@@ -62,11 +62,11 @@ function Control({ keys, words, disabled, pressed, onPress }: ControlProps) {
     <button
       type="button"
       className="button small control"
-      disabled={disabled}
+      aria-disabled={disabled}
       aria-pressed={pressed}
       onClick={(event) => {
         letGo(event);
-        onPress();
+        if (!disabled) onPress();
       }}
     >
       {keys.map((name) => (

@@ -71,6 +71,7 @@ export function Workbench({ experiment, me, live }: { experiment: Experiment; me
       {current ? (
         <PairStage
           query={current}
+          ahead={upcoming.length}
           flash={view.flash}
           player={player}
           left={left}

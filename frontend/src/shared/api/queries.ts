@@ -1,4 +1,4 @@
-import { queryOptions } from "@tanstack/react-query";
+import { infiniteQueryOptions, queryOptions } from "@tanstack/react-query";
 import { api, unwrap } from "./client";
 import { ApiError, isPassing } from "./errors";
 
@@ -17,9 +17,12 @@ export const tasksQuery = queryOptions({
   staleTime: Number.POSITIVE_INFINITY,
 });
 
-export const experimentsQuery = queryOptions({
+export const experimentsQuery = infiniteQueryOptions({
   queryKey: ["experiments"],
-  queryFn: () => unwrap(api.GET("/api/v1/experiments", { params: { query: { limit: 100 } } })),
+  queryFn: ({ pageParam: cursor }) =>
+    unwrap(api.GET("/api/v1/experiments", { params: { query: { limit: 50, cursor } } })),
+  initialPageParam: null as string | null,
+  getNextPageParam: (page) => page.next_cursor,
   refetchInterval: 5_000,
 });
 

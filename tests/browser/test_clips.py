@@ -1,0 +1,136 @@
+"""Both clips play in step, and every frame on screen is the frame of the file."""
+
+import re
+from base64 import b64decode
+from io import BytesIO
+
+import av
+import httpx
+import imageio.v3 as iio
+import numpy as np
+import numpy.typing as npt
+import pytest
+from playwright.sync_api import Page, expect
+
+from browser.conftest import NewExperiment, SignIn
+from browser.labeller import PATIENCE_MS, Labeller
+from browser.service import SMALL, Service
+
+_FRAMES = SMALL["segment_steps"]
+
+#: samples both canvases before every repaint until the pair has looped so often
+_SAMPLE = """async loops => {
+  const stage = document.querySelector("[data-stage]");
+  const [left, right] = stage.querySelectorAll("canvas");
+  const goal = Number(stage.dataset.loops) + loops;
+  const seen = { left: new Set(), right: new Set(), apart: 0, samples: 0 };
+  while (Number(stage.dataset.loops) < goal) {
+    await new Promise(requestAnimationFrame);
+    seen.left.add(Number(left.dataset.frame));
+    seen.right.add(Number(right.dataset.frame));
+    seen.apart = Math.max(seen.apart, Math.abs(left.dataset.frame - right.dataset.frame));
+    seen.samples += 1;
+  }
+  return { ...seen, left: [...seen.left], right: [...seen.right], maxDrift: Number(stage.dataset.maxDrift) };
+}"""
+
+_PICTURE = "side => document.querySelector(`[data-testid=clip-${side}]`).toDataURL('image/png')"
+
+
+@pytest.fixture
+def watching(service: Service, new_experiment: NewExperiment, sign_in: SignIn, request: pytest.FixtureRequest) -> Page:
+    """A page on which a pair plays."""
+    page = sign_in("Vera")
+    Labeller(page).open(service.url, new_experiment(request.node.name))
+    return page
+
+
+def test_both_clips_show_the_same_frame_at_every_repaint(watching: Page) -> None:
+    seen = watching.evaluate(_SAMPLE, 6)
+    assert seen["apart"] == 0
+    assert seen["maxDrift"] < 1
+    assert seen["samples"] > 6
+    assert set(seen["left"]) == set(seen["right"])
+    assert max(seen["left"]) == _FRAMES - 1
+
+
+def test_frame_steps_show_the_frames_of_the_files(watching: Page) -> None:
+    clips = {side: _decoded(watching, side) for side in ("left", "right")}
+    assert {len(frames) for frames in clips.values()} == {_FRAMES}
+    watching.keyboard.press(" ")
+    expect(watching.get_by_role("button", name="Play")).to_be_visible()
+    for key, count in ((".", 7), (",", 12), (".", 3)):
+        for _ in range(count):
+            watching.keyboard.press(key)
+        for side, frames in clips.items():
+            index = int(watching.get_by_test_id(f"clip-{side}").get_attribute("data-frame") or -1)
+            _assert_shows(_picture(watching, side), frames, index)
+
+
+def test_pause_holds_both_and_speed_is_kept_for_the_next_visit(watching: Page) -> None:
+    watching.keyboard.press("3")
+    watching.keyboard.press(" ")
+    expect(watching.get_by_role("button", name="Play")).to_be_visible()
+    frames = [watching.get_by_test_id(f"clip-{side}").get_attribute("data-frame") for side in ("left", "right")]
+    assert frames[0] == frames[1]
+    watching.evaluate("async () => { for (let n = 0; n < 30; n++) await new Promise(requestAnimationFrame); }")
+    assert watching.get_by_test_id("clip-left").get_attribute("data-frame") == frames[0]
+    watching.reload()
+    expect(watching.get_by_role("button", name=re.compile("^2"))).to_have_attribute("aria-pressed", "true")
+
+
+def test_without_webcodecs_the_same_frames_are_shown(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    """Browsers offer WebCodecs on https and localhost alone; elsewhere a video element is sought."""
+    page = sign_in("Vera")
+    page.add_init_script("delete globalThis.VideoDecoder")
+    Labeller(page).open(service.url, new_experiment("Without WebCodecs"))
+    assert page.evaluate("'VideoDecoder' in globalThis") is False
+    frames = _decoded(page, "left")
+    page.keyboard.press(" ")
+    for _ in range(5):
+        page.keyboard.press(".")
+        index = int(page.get_by_test_id("clip-left").get_attribute("data-frame") or -1)
+        _assert_shows(_picture(page, "left"), frames, index)
+
+
+def test_a_clip_that_does_not_come_is_said_and_can_be_tried_again(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    page = sign_in("Vera")
+    page.route("**/api/v1/clips/*.mp4", lambda route: route.fulfill(status=404, body="gone"))
+    page.goto(f"{service.url}/experiments/{new_experiment('A clip that does not come')}/label")
+    expect(page.get_by_role("alert")).to_contain_text("cannot be played", timeout=PATIENCE_MS)
+    expect(page.get_by_role("button", name="Left is better")).to_be_disabled()
+    page.unroute("**/api/v1/clips/*.mp4")
+    page.get_by_role("button", name="Try again").click()
+    Labeller(page).pair()
+
+
+def _decoded(page: Page, side: str) -> list[npt.NDArray[np.uint8]]:
+    """The frames of the clip on a side, by another decoder: RGB (H,W,3)."""
+    url = page.evaluate(
+        """side => {
+          const [left, right] = performance.getEntriesByType("resource").filter(({ name }) => name.endsWith(".mp4"));
+          return (side === "left" ? left : right).name;
+        }""",
+        side,
+    )
+    cookies = {cookie["name"]: cookie["value"] for cookie in page.context.cookies()}
+    content = httpx.get(url, cookies=cookies, trust_env=False).raise_for_status().content
+    with av.open(BytesIO(content)) as container:
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+def _picture(page: Page, side: str) -> npt.NDArray[np.uint8]:
+    """What a canvas shows: RGB (H,W,3)."""
+    _, _, png = page.evaluate(_PICTURE, side).partition(",")
+    return iio.imread(b64decode(png), extension=".png")[..., :3]
+
+
+def _assert_shows(picture: npt.NDArray[np.uint8], frames: list[npt.NDArray[np.uint8]], index: int) -> None:
+    """The picture is nearest to the frame it claims to be, and near it: two decoders differ by a few grey levels."""
+    distances = [float(np.abs(picture.astype(int) - frame.astype(int)).mean()) for frame in frames]
+    assert int(np.argmin(distances)) == index, distances
+    assert distances[index] < 4.0, distances

