@@ -259,8 +259,9 @@ def test_training_labels_are_those_that_count_as_of_their_watermark(both: Stores
     with both.database.reading() as session:
         found = publish.training_labels(session, made.experiment.id)
         assert found.watermark == 5
-        assert [(each.query_id, each.value) for each in found.items] == [(one, 1.0), (four, 0.0)]
-        assert [found.items[0].segment_0_id, found.items[0].segment_1_id] == made.segment_ids[:2]
+        # in the order in which they were given, not that of the queries: the hold-out split goes by it
+        assert [(each.query_id, each.value) for each in found.items] == [(four, 0.0), (one, 1.0)]
+        assert [found.items[1].segment_0_id, found.items[1].segment_1_id] == made.segment_ids[:2]
         assert both.blobs.exists(found.items[0].segment_0_blob)
         assert publish.new_labels(session, made.experiment.id, 0) == 2
         assert publish.new_labels(session, made.experiment.id, found.watermark) == 0
