@@ -45,7 +45,7 @@ def serve(connection: Connection) -> None:
     while True:
         try:
             job = receive_job(connection)
-        except EOFError:
+        except (EOFError, ConnectionError):  # the parent is gone, or has no more work
             return
         send_reply(connection, answer(job, renderers))
 
