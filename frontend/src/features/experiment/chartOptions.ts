@@ -9,6 +9,9 @@ const WHOLE_STEPS = [
   1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 50_000, 100_000, 1_000_000,
 ];
 
+/** Up to so many points each has a dot: a line through one point would not be seen. */
+const FEW_POINTS = 4;
+
 /** How uPlot draws a chart. It reads `latest` whenever it draws, so that it need not be made anew. */
 export function optionsOf(
   latest: RefObject<ChartProps>,
@@ -51,7 +54,18 @@ export function optionsOf(
         values: (_, ticks) => ticks.map(latest.current.format),
       },
     ],
-    series: [{}, { stroke, width: 2, points: { show: dots ?? false, size: 7, fill: stroke } }],
+    series: [
+      {},
+      {
+        stroke,
+        width: 2,
+        points: {
+          show: () => dots === true || latest.current.curve.x.length < FEW_POINTS,
+          size: 7,
+          fill: stroke,
+        },
+      },
+    ],
     hooks: {
       draw: [(plot) => drawMarks(plot, latest.current, ink)],
       setCursor: [(plot) => showValue(plot, latest.current)],
@@ -67,7 +81,7 @@ function rangeY({ yMin, yMax }: ChartProps, low: number | null, high: number | n
   const from = low ?? 0;
   const to = high ?? 1;
   const margin = (to - from) * FLAT_MARGIN || Math.abs(to) * FLAT_MARGIN || 1;
-  return [yMin === undefined ? from - margin : Math.min(yMin, from), yMax ?? to + margin];
+  return [yMin === undefined || from < yMin ? from - margin : yMin, yMax ?? to + margin];
 }
 
 /** Vertical lines where reward versions came into force. Names that would overlap are left out. */
@@ -81,6 +95,7 @@ function drawMarks(plot: uPlot, { marks }: ChartProps, ink: string): void {
   ctx.lineWidth = ratio;
   ctx.setLineDash([3 * ratio, 3 * ratio]);
   ctx.font = `${11 * ratio}px system-ui`;
+  ctx.textAlign = "left";
   let free = Number.NEGATIVE_INFINITY;
   for (const { x, name } of [...marks].sort((a, b) => a.x - b.x)) {
     const at = Math.round(plot.valToPos(x, "x", true));
