@@ -26,11 +26,11 @@ class MappoConfig:
     #: Gradient steps per pass; must divide n_envs * rollout_steps.
     minibatches: int = 16
     #: Adam's learning rate at the start.
-    learning_rate: float = 1e-3
+    learning_rate: float = 2e-3
     #: Environment steps over which the learning rate falls linearly to a tenth; 0 keeps it.
     anneal_steps: int = 0
     #: Largest change of an action's probability that still earns, PPO's epsilon.
-    clip: float = 0.2
+    clip: float = 0.1
     #: Discount per step.
     gamma: float = 0.99
     #: GAE's lambda.
