@@ -2,9 +2,11 @@
 
 import logging
 import os
+import signal
 import socket
 from collections.abc import Generator
 from contextlib import contextmanager
+from types import FrameType
 
 import uvicorn
 
@@ -53,33 +55,48 @@ def address_of(listener: socket.socket) -> str:
 
 
 def serve(settings: Settings) -> None:
-    """Serves until SIGINT or SIGTERM. Checks first that the database and the blobs can be used.
+    """Serves until SIGINT or SIGTERM.
 
     Raises:
         PortInUse, DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable: each says how to mend it.
     """
     with bound_socket(settings.host, settings.port) as listener:
-        database = Database.open(settings.resolved_database_url)
-        try:
-            database.migrate()
-            blobs = open_blobs(settings.resolved_blob_url)
-            blobs.check_writable()
-            app = create_app(settings, database, blobs)
-            config = uvicorn.Config(
-                app,
-                log_level="warning",
-                access_log=False,
-                timeout_graceful_shutdown=GRACE_SECONDS,
-                proxy_headers=bool(settings.public_url),
-            )
-            log.info("[%d] serves at %s", os.getpid(), address_of(listener))
-            uvicorn.Server(config).run([listener])
-        finally:
-            database.close()
+        serve_on(listener, settings)
+
+
+def serve_on(listener: socket.socket, settings: Settings) -> None:
+    """Serves on a socket that listens already. Checks first that the database and the blobs can be used.
+
+    Raises:
+        DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable: each says how to mend it.
+    """
+    database = Database.open(settings.resolved_database_url)
+    try:
+        database.migrate()
+        blobs = open_blobs(settings.resolved_blob_url)
+        blobs.check_writable()
+        config = uvicorn.Config(
+            create_app(settings, database, blobs),
+            log_config=None,
+            access_log=False,
+            timeout_graceful_shutdown=GRACE_SECONDS,
+            proxy_headers=bool(settings.public_url),
+        )
+        log.info("[%d] serves at %s", os.getpid(), address_of(listener))
+        uvicorn.Server(config).run([listener])
+    finally:
+        database.close()
+
+
+def end_by_exception(_signal: int, _frame: FrameType | None) -> None:
+    """Ends the process by way of every `finally`: uvicorn, when done, raises the signal that stopped it once more."""
+    raise SystemExit(0)
 
 
 def main() -> int:
     """Returns the process's exit status."""
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, end_by_exception)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     logging.getLogger("alembic").setLevel(logging.WARNING)
     try:
@@ -87,8 +104,6 @@ def main() -> int:
     except AccordError as error:
         log.error("%s", error)
         return 1
-    except KeyboardInterrupt:
-        return 0
     return 0
 
 

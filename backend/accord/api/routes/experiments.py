@@ -43,7 +43,7 @@ def list_experiments(
     limit: Annotated[int, Query(ge=1, le=100, description="Most experiments to return.")] = 20,
     cursor: Annotated[str | None, Query(description="`next_cursor` of the page before.")] = None,
 ) -> schemas.ExperimentPage:
-    """Newest first."""
+    """Newest first, a page at a time."""
     if cursor is not None:
         check_id(cursor, "exp")
     with visit.reading() as signed:

@@ -1,0 +1,80 @@
+"""Clips over HTTP: whole, in ranges, and from the browser's cache."""
+
+import pytest
+
+from accord.api.routes.clips import ByteRange, parse_range
+from support.scenes import CLIP_BYTES, scene
+from support.served import Served
+
+SIZE = len(CLIP_BYTES)
+
+
+@pytest.fixture
+def clip(api: Served) -> str:
+    """The address of a clip."""
+    made = scene(api.stores.database, api.stores.blobs)
+    found = api.labeller.post(f"/api/v1/experiments/{made.experiment.id}/queries/next").json()
+    return found["items"][0]["left"]["clip_url"]
+
+
+def test_a_clip_is_sent_whole_and_may_be_kept(api: Served, clip: str) -> None:
+    response = api.labeller.get(clip)
+    assert (response.status_code, response.content) == (200, CLIP_BYTES)
+    assert response.headers["content-type"] == "video/mp4"
+    assert response.headers["accept-ranges"] == "bytes"
+    assert "immutable" in response.headers["cache-control"]
+    assert "private" in response.headers["cache-control"]
+    again = api.labeller.get(clip, headers={"If-None-Match": response.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+
+
+@pytest.mark.parametrize(
+    ("asked", "start", "stop"),
+    [("bytes=0-0", 0, 1), ("bytes=10-19", 10, 20), ("bytes=100-", 100, SIZE), ("bytes=-5", SIZE - 5, SIZE)],
+)
+def test_a_range_is_sent_alone(api: Served, clip: str, asked: str, start: int, stop: int) -> None:
+    response = api.labeller.get(clip, headers={"Range": asked})
+    assert (response.status_code, response.content) == (206, CLIP_BYTES[start:stop])
+    assert response.headers["content-range"] == f"bytes {start}-{stop - 1}/{SIZE}"
+
+
+def test_a_range_outside_of_the_clip_is_refused(api: Served, clip: str) -> None:
+    response = api.labeller.get(clip, headers={"Range": f"bytes={SIZE}-"})
+    assert response.status_code == 416
+    assert response.headers["content-range"] == f"bytes */{SIZE}"
+
+
+def test_a_range_of_another_version_gets_the_whole(api: Served, clip: str) -> None:
+    response = api.labeller.get(clip, headers={"Range": "bytes=0-9", "If-Range": '"another"'})
+    assert (response.status_code, response.content) == (200, CLIP_BYTES)
+
+
+def test_a_clip_is_for_those_who_are_signed_in(api: Served, clip: str) -> None:
+    assert api.anyone.get(clip).status_code == 401
+
+
+def test_a_clip_whose_file_was_lost_is_named(api: Served, clip: str) -> None:
+    clip_id = clip.rpartition("/")[2]
+    api.stores.blobs.delete(f"clips/{clip_id}")
+    response = api.labeller.get(clip)
+    assert (response.status_code, response.json()["error"]["code"]) == (503, "blob_missing")
+
+
+@pytest.mark.parametrize(
+    ("header", "expected"),
+    [
+        ("", None),
+        ("bytes=-", None),
+        ("bytes=5-4", None),
+        ("bytes=a-b", None),
+        ("items=0-1", None),
+        ("bytes=0-1,3-4", None),
+        ("bytes=0-999", ByteRange(0, 100)),
+        ("bytes=99-99", ByteRange(99, 100)),
+        ("bytes=100-", ByteRange(100, 100)),
+        ("bytes=-0", ByteRange(100, 100)),
+        ("bytes=-1000", ByteRange(0, 100)),
+    ],
+)
+def test_ranges_are_read_as_the_standard_says(header: str, expected: ByteRange | None) -> None:
+    assert parse_range(header, 100) == expected

@@ -1,0 +1,72 @@
+"""The API describes itself: every route, every field, the same text every time."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from accord.api.openapi import document
+
+
+@pytest.fixture(scope="module")
+def api_document() -> dict[str, Any]:
+    return json.loads(document())
+
+
+def operations(api_document: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    return [
+        (f"{method} {path}", operation)
+        for path, methods in api_document["paths"].items()
+        for method, operation in methods.items()
+    ]
+
+
+def test_every_route_says_what_it_does(api_document: dict[str, Any]) -> None:
+    for address, operation in operations(api_document):
+        assert operation.get("summary"), address
+        assert len(operation.get("description", "")) > 20, address
+        assert operation.get("tags"), address
+        for parameter in operation.get("parameters", []):
+            assert parameter.get("description"), (address, parameter["name"])
+
+
+def test_every_field_says_what_it_is(api_document: dict[str, Any]) -> None:
+    schemas = api_document["components"]["schemas"]
+    assert len(schemas) > 20
+    for name, schema in schemas.items():
+        if name in {"HTTPValidationError", "ValidationError"}:
+            continue  # the framework's own
+        assert schema.get("description"), name
+        for field, described in schema.get("properties", {}).items():
+            # a reference alone is described where it leads
+            assert described.get("description") or set(described) == {"$ref"}, f"{name}.{field}"
+
+
+def test_every_answer_has_a_type(api_document: dict[str, Any]) -> None:
+    for address, operation in operations(api_document):
+        for status, response in operation["responses"].items():
+            if status in {"204", "304", "416"}:
+                continue
+            assert response.get("content"), (address, status)
+
+
+def test_names_of_operations_are_unique_and_short(api_document: dict[str, Any]) -> None:
+    names = [operation["operationId"] for _, operation in operations(api_document)]
+    assert len(names) == len(set(names))
+    assert all(name.isidentifier() and len(name) < 30 for name in names)
+
+
+def test_all_but_health_needs_sign_in(api_document: dict[str, Any]) -> None:
+    assert api_document["security"]
+    open_to_all = [address for address, operation in operations(api_document) if operation.get("security") == []]
+    assert open_to_all == ["get /api/v1/health"]
+
+
+def test_the_document_is_the_same_from_run_to_run(tmp_path: Path) -> None:
+    file = tmp_path / "openapi.json"
+    subprocess.run([sys.executable, "-m", "accord.api.openapi", str(file)], check=True, cwd=tmp_path)
+    assert file.read_text() == document()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["openapi.json"]

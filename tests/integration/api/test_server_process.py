@@ -1,0 +1,137 @@
+"""The server as a process: what it acknowledged survives kill -9; what it cannot start with, it says."""
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import httpx
+import pytest
+from sqlalchemy import select, text
+
+from accord.domain.words import Role
+from accord.settings import Settings
+from accord.store.blobs import open_blobs
+from accord.store.database import Database
+from accord.store.tables import LabelRow
+from support.scenes import scene, user
+from support.served import client
+from support.servers import running_server
+
+
+def start(home: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Runs a server that is expected to refuse."""
+    return subprocess.run(
+        [sys.executable, "-m", "accord.api.server"],
+        env=os.environ | {"ACCORD_HOME": str(home), "ACCORD_PORT": "0"} | environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("kill_after", [1, 40, 120])
+def test_an_acknowledged_label_survives_a_kill(tmp_path: Path, kill_after: int) -> None:
+    settings = Settings(home=tmp_path)
+    database, blobs = Database.open(settings.resolved_database_url), open_blobs(settings.resolved_blob_url)
+    database.migrate()
+    made = scene(database, blobs, segments=21, queries=200, label_budget=200, initial_labels=200)
+    with database.transaction() as session:
+        tokens = [user(session, f"labeller {number}")[1] for number in range(4)]
+    acknowledged: dict[str, float] = {}
+    enough = threading.Event()
+
+    def label(url: str, token: str) -> None:
+        with client(url, token) as labeller:
+            try:
+                while True:
+                    found = labeller.post(f"/api/v1/experiments/{made.experiment.id}/queries/next").json()["items"]
+                    response = labeller.put(
+                        f"/api/v1/queries/{found[0]['id']}/label", json={"label": 1, "order": "shown"}
+                    )
+                    if response.status_code == 201:
+                        acknowledged[found[0]["id"]] = response.json()["label"]
+                    if len(acknowledged) >= kill_after:
+                        enough.set()
+            except httpx.TransportError:
+                return
+
+    with running_server(tmp_path) as server:
+        threads = [threading.Thread(target=label, args=(server.url, token)) for token in tokens]
+        for thread in threads:
+            thread.start()
+        assert enough.wait(60)
+        server.kill()
+        for thread in threads:
+            thread.join()
+    with database.reading() as session:
+        stored = {row.query_id: row.value for row in session.scalars(select(LabelRow))}
+        count = session.execute(text("SELECT label_count FROM experiments")).scalar_one()
+    assert len(acknowledged) >= kill_after
+    assert acknowledged.items() <= stored.items()
+    assert count == len(stored)
+    database.close()
+    # and the next server goes on with them
+    with running_server(tmp_path) as server, client(server.url, made.owner_token) as researcher:
+        labels = researcher.get(f"/api/v1/experiments/{made.experiment.id}").json()["labels"]
+        assert labels["labels"] == len(stored)
+
+
+def test_it_ends_cleanly_when_asked(tmp_path: Path) -> None:
+    with running_server(tmp_path) as server:
+        assert server.stop() == 0
+    assert "Traceback" not in server.log.read_text()
+
+
+def test_a_port_in_use_is_said_with_what_to_do(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        refused = start(tmp_path, ACCORD_PORT=str(port))
+    assert refused.returncode == 1
+    assert f"127.0.0.1:{port} is in use" in refused.stderr
+    assert f"--port {port + 1}" in refused.stderr
+    assert "Traceback" not in refused.stderr
+
+
+def test_an_address_that_is_not_this_machines_is_said(tmp_path: Path) -> None:
+    refused = start(tmp_path, ACCORD_HOST="no.such.host.invalid")
+    assert refused.returncode == 1
+    assert "no address of this machine" in refused.stderr
+
+
+def test_a_database_of_a_newer_version_is_said(tmp_path: Path) -> None:
+    database = Database.open(Settings(home=tmp_path).resolved_database_url)
+    database.migrate()
+    with database.transaction() as session:
+        session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    database.close()
+    refused = start(tmp_path)
+    assert refused.returncode == 1
+    assert "'9999'" in refused.stderr
+    assert "Traceback" not in refused.stderr
+
+
+def test_blobs_that_cannot_be_written_are_said(tmp_path: Path) -> None:
+    (tmp_path / "blobs").write_text("a file where the folder should be")
+    refused = start(tmp_path)
+    assert refused.returncode == 1
+    assert "blobs" in refused.stderr
+    assert "Traceback" not in refused.stderr
+
+
+def test_a_role_that_is_unknown_cannot_be_given(tmp_path: Path) -> None:
+    with running_server(tmp_path) as server:
+        settings = Settings(home=tmp_path)
+        database = Database.open(settings.resolved_database_url)
+        with database.transaction() as session:
+            _, token = user(session, "root", Role.ADMIN)
+        database.close()
+        with client(server.url, token) as admin:
+            response = admin.post("/api/v1/users", json={"name": "x", "role": "king"})
+            assert response.status_code == 422
+            assert "labeller" in response.json()["error"]["message"]
