@@ -123,3 +123,39 @@ def test_unsent_labels_survive_a_reload_of_the_page(
 def _labelled(service: Service, experiment: str) -> set[str]:
     rows = service.rows("select query_id from labels where experiment_id = ? and state = 'label'", experiment)
     return {query for (query,) in rows}
+
+
+def test_a_label_counts_although_its_lease_was_given_back_meanwhile(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    """As when a page that closes gives its pairs back after the next page has taken them."""
+    experiment = new_experiment("Given back")
+    labeller = Labeller(sign_in("Rita"))
+    pair = labeller.open(service.url, experiment)
+    _give_back(labeller, pair.query)
+    assert labeller.press("ArrowLeft") == pair
+    expect(labeller.page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "1")
+    assert _labelled(service, experiment) == {pair.query}
+
+
+def test_a_label_on_a_pair_that_went_to_another_is_said_quietly_and_the_next_pair_follows(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("Gone")
+    anna, berta = Labeller(sign_in("Anna")), Labeller(sign_in("Berta"))
+    pair = anna.open(service.url, experiment)
+    _give_back(anna, pair.query)
+    assert berta.open(service.url, experiment).query == pair.query
+    anna.press("ArrowLeft")
+    expect(anna.page.get_by_test_id("status")).to_contain_text("A label was not taken")
+    expect(anna.page.get_by_test_id("mine")).to_have_text("0")
+    assert anna.pair().query != pair.query
+    assert berta.press("ArrowRight") == pair
+    anna.press("ArrowUp")
+    expect(anna.page.get_by_test_id("mine")).to_have_text("1")
+
+
+def _give_back(labeller: Labeller, query: str) -> None:
+    path = f"/api/v1/queries/{query}/lease"
+    status = labeller.page.evaluate("path => fetch(path, { method: 'DELETE' }).then(({ status }) => status)", path)
+    assert status == 204

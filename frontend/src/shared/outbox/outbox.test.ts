@@ -72,6 +72,21 @@ describe("Outbox", () => {
     expect(outbox.state()).toEqual({ unsent: 0, trouble: null });
   });
 
+  test("trouble is over only when everything that waited is sent", async () => {
+    const outbox = open();
+    server.down = true;
+    outbox.put(label("a"));
+    outbox.put(label("b"));
+    await settle();
+    const states: string[] = [];
+    outbox.watch(() =>
+      states.push(`${outbox.state().unsent} ${outbox.state().trouble ? "trouble" : "well"}`),
+    );
+    server.down = false;
+    await settle();
+    expect(states).toEqual(["1 trouble", "0 well"]);
+  });
+
   test("a reload goes on where the last page stopped, in the same order", async () => {
     server.down = true;
     const before = open();

@@ -14,7 +14,7 @@ export type NewOperation =
 export interface OutboxState {
   /** labels the server has not acknowledged */
   unsent: number;
-  /** why the last attempt failed; null while all goes well */
+  /** why an attempt failed; null when all that has waited since has been sent */
   trouble: string | null;
 }
 
@@ -121,7 +121,7 @@ export class Outbox {
       }
       this.#wait = FIRST_WAIT_SECONDS;
       this.#remove(next);
-      this.#publish(null);
+      this.#publish(this.#operations.length > 0 ? this.#state.trouble : null);
       for (const listener of this.#listeners) listener({ operation: next, refused });
     }
   }
