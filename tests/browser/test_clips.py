@@ -2,10 +2,7 @@
 
 import re
 from base64 import b64decode
-from io import BytesIO
 
-import av
-import httpx
 import imageio.v3 as iio
 import numpy as np
 import numpy.typing as npt
@@ -117,10 +114,7 @@ def _decoded(page: Page, side: str) -> list[npt.NDArray[np.uint8]]:
         }""",
         side,
     )
-    cookies = {cookie["name"]: cookie["value"] for cookie in page.context.cookies()}
-    content = httpx.get(url, cookies=cookies, trust_env=False).raise_for_status().content
-    with av.open(BytesIO(content)) as container:
-        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    return list(iio.imread(page.request.get(url).body(), plugin="pyav"))
 
 
 def _picture(page: Page, side: str) -> npt.NDArray[np.uint8]:

@@ -33,7 +33,7 @@ export interface paths {
         };
         /**
          * List experiments
-         * @description Newest first.
+         * @description Newest first, a page at a time.
          */
         get: operations["list_experiments"];
         put?: never;
