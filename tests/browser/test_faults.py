@@ -1,7 +1,9 @@
 """Reloads, rivals, and a server that dies while someone labels."""
 
+import re
 from collections.abc import Iterator
 
+import psutil
 import pytest
 from playwright.sync_api import expect
 
@@ -65,6 +67,23 @@ def test_a_pause_is_said_and_labelling_goes_on_by_itself(
         expect(waiting).to_contain_text("paused")
         api.post(f"/experiments/{experiment}/resume").raise_for_status()
     labeller.pair()
+
+
+def test_a_worker_that_died_shows_on_the_page_and_comes_back(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("A dead worker")
+    page = sign_in("Rosa", "researcher")
+    page.goto(f"{service.url}/experiments/{experiment}")
+    workers = page.get_by_role("region", name="Workers")
+    row = workers.get_by_role("listitem").filter(has_text="render-0")
+    expect(row).to_contain_text(re.compile("idle|working"), timeout=PATIENCE_MS)
+    ((pid,),) = service.rows("select pid from workers where id = 'render-0'")
+    psutil.Process(pid).kill()
+    expect(row).to_contain_text("1 restart", timeout=PATIENCE_MS)
+    expect(row).to_contain_text(re.compile("idle|working"), timeout=PATIENCE_MS)
+    ((successor,),) = service.rows("select pid from workers where id = 'render-0'")
+    assert successor != pid
 
 
 @pytest.fixture
