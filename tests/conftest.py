@@ -1,0 +1,8 @@
+"""What every test needs, before torch is imported."""
+
+import os
+
+# A thread of torch that waits spins by default. Beside the servers and workers of the tests, which share two cores,
+# that made a training ten times slower; one thread that sleeps when it waits is also what the workers are given.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
