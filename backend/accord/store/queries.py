@@ -106,7 +106,8 @@ _LEASED = (
     .where(
         QueryRow.leased_by == bindparam("user"),
         QueryRow.experiment_id == bindparam("experiment"),
-        QueryRow.status == "open",
+        # Nothing is said of the status: only open queries are leased, and saying it would make SQLite walk through all
+        # open queries instead of this user's.
         QueryRow.leased_until > bindparam("now"),
     )
     .order_by(QueryRow.number)

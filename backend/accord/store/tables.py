@@ -183,7 +183,7 @@ class QueryRow(Base):
         UniqueConstraint("experiment_id", "segment_0_id", "segment_1_id"),
         Index("ix_queries_offered", "experiment_id", "status", "number"),
         # one user's leases, read with every request for the next query
-        Index("ix_queries_leased", "leased_by", "experiment_id"),
+        Index("ix_queries_leased", "leased_by", "experiment_id", "number"),
         Index("ix_queries_segment_1", "segment_1_id"),
     )
 

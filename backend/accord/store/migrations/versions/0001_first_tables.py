@@ -191,7 +191,7 @@ def upgrade() -> None:
             "experiment_id", "segment_0_id", "segment_1_id", name="uq_queries_experiment_id_segment_0_id_segment_1_id"
         ),
     )
-    op.create_index("ix_queries_leased", "queries", ["leased_by", "experiment_id"], unique=False)
+    op.create_index("ix_queries_leased", "queries", ["leased_by", "experiment_id", "number"], unique=False)
     op.create_index("ix_queries_offered", "queries", ["experiment_id", "status", "number"], unique=False)
     op.create_index("ix_queries_segment_1", "queries", ["segment_1_id"], unique=False)
 
