@@ -105,11 +105,11 @@ class TrainConfig:
     #: most epochs of the Markov path alone, before the whole network is trained; 0 leaves them out
     markov_epochs: int = 40
     #: most epochs of the whole network
-    max_epochs: int = 30
+    max_epochs: int = 8
     #: epochs without a better hold-out loss before the Markov path's own training stops
     markov_patience: int = 10
     #: and before that of the whole network stops
-    patience: int = 3
+    patience: int = 2
     hold_out_fraction: float = 0.2
     #: AdamW's decoupled weight decay
     weight_decay: float = 0.01

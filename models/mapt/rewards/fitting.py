@@ -53,6 +53,8 @@ class Stage:
     max_epochs: int
     #: epochs without a better judgement before the stage ends
     patience: int
+    #: keep what was learned only if it beats what the stage began with by more than chance would
+    must_convince: bool = False
 
 
 class Fitting:
@@ -93,18 +95,21 @@ class Fitting:
         judge = self._hold_out if self.reliable else self._train
         optimiser = _optimiser(stage)
         self._model.eval()
-        best, kept, kept_at = judge_pairs(judge, stage.scorer).loss, self._weights(), 0
+        before = pair_losses(judge, stage.scorer)
+        initial = kept = self._weights()
+        best, kept_at, after = before.mean().item(), 0, before
         for epoch in range(1, stage.max_epochs + 1):
             loss = self._epoch(stage, optimiser)
             if self.stopped:
                 break
             self._report(stage, loss)
-            judged = judge_pairs(judge, stage.scorer).loss
-            if judged < best:
-                best, kept, kept_at = judged, self._weights(), epoch
+            judged = pair_losses(judge, stage.scorer)
+            if judged.mean().item() < best:
+                best, kept, kept_at, after = judged.mean().item(), self._weights(), epoch, judged
             elif epoch - kept_at >= stage.patience:
                 break
-        self._model.load_state_dict(kept)
+        gained = not stage.must_convince or exceeds_chance(before - after)
+        self._model.load_state_dict(kept if gained else initial)
         self._model.eval()
 
     def _epoch(self, stage: Stage, optimiser: torch.optim.Optimizer) -> float:
@@ -150,6 +155,19 @@ class Judgement:
     #: over decided pairs
     accuracy: float
     calibration_error: float
+
+
+def pair_losses(pairs: PairTensors, scorer: Scorer) -> Tensor:
+    """Loss of each pair, nats, (P,)."""
+    return F.binary_cross_entropy_with_logits(pairs.logits(scorer), pairs.labels, reduction="none")
+
+
+def exceeds_chance(gains: Tensor) -> bool:
+    """Whether the mean of `gains` (P,) is more than one standard error above 0.
+
+    The best of several epochs on a hundred pairs beats its start by luck alone more often than not.
+    """
+    return gains.mean().item() > gains.std().item() / math.sqrt(len(gains))
 
 
 def judge_pairs(pairs: PairTensors, scorer: Scorer) -> Judgement:

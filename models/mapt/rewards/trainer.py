@@ -142,6 +142,8 @@ def _run_stages(fitting: Fitting, model: MAPT, segments: SegmentTensors, config:
                 batch_pairs=config.batch_pairs,
                 max_epochs=config.max_epochs,
                 patience=config.patience,
+                # Without a Markov path there is nothing good to fall back to.
+                must_convince=model.markov is not None and fitting.reliable,
             )
         )
 
