@@ -6,6 +6,7 @@ import {
   formatCompact,
   formatCount,
   formatPercent,
+  isOver,
   phaseWords,
   plural,
   workersTrouble,
@@ -47,8 +48,9 @@ function Legend({ experiment: { task } }: { experiment: Experiment }) {
   );
 }
 
-function Progress({ experiment: { labels }, labelled }: { experiment: Experiment; labelled: number }) {
-  const due = Math.max(0, labels.due - labels.labels);
+function Progress({ experiment, labelled }: { experiment: Experiment; labelled: number }) {
+  const { labels } = experiment;
+  const due = isOver(experiment) ? 0 : Math.max(0, labels.due - labels.labels);
   return (
     <section className="card" aria-labelledby="progress-title">
       <h2 id="progress-title">Labels</h2>

@@ -2,6 +2,7 @@ import { useCallback, useEffect, useRef, useState } from "react";
 import type { Experiment, Me } from "@/shared/api/types";
 import { Clips } from "@/shared/media/clips";
 import { usePairPlayer } from "@/shared/media/usePairPlayer";
+import { isOver } from "@/shared/ui/words";
 import { AnswerBar } from "./AnswerBar";
 import type { Answer, Command } from "./answers";
 import { PairStage } from "./PairStage";
@@ -23,7 +24,9 @@ export function Workbench({ experiment, me, live }: { experiment: Experiment; me
   const left = useRef<HTMLCanvasElement>(null);
   const right = useRef<HTMLCanvasElement>(null);
   const position = useRef<HTMLDivElement>(null);
-  const { current, upcoming, last } = view;
+  const { upcoming, last } = view;
+  const over = isOver(experiment);
+  const current = over ? null : view.current;
   const player = usePairPlayer(
     clips,
     current && sourceOf(current.left),
@@ -79,7 +82,12 @@ export function Workbench({ experiment, me, live }: { experiment: Experiment; me
           position={position}
         />
       ) : (
-        <Waiting experiment={experiment} reason={view.reason} trouble={view.trouble} ratio={player.ratio} />
+        <Waiting
+          experiment={experiment}
+          reason={over ? "experiment_over" : view.reason}
+          trouble={view.trouble}
+          ratio={player.ratio}
+        />
       )}
       <AnswerBar
         enabled={current !== null && player.state === "playing"}

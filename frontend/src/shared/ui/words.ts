@@ -37,6 +37,11 @@ const STATUSES: Readonly<Record<Experiment["status"], string>> = {
 
 export const statusWords = (experiment: Experiment): string => STATUSES[experiment.status];
 
+/** Whether it ended: nothing is asked of anyone any more. */
+export function isOver({ status }: Experiment): boolean {
+  return status === "cancelled" || status === "finished" || status === "failed";
+}
+
 /** What the policy is doing, in two or three words. */
 export function phaseWords(experiment: Experiment): string {
   return experiment.status === "running" ? PHASES[experiment.phase] : STATUSES[experiment.status];
