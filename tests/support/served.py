@@ -11,7 +11,7 @@ import httpx
 import uvicorn
 
 from accord.api.app import create_app
-from accord.api.server import address_of, bound_socket
+from accord.api.server import address_of, listen
 from accord.domain.words import Role
 from accord.settings import Settings
 from support.scenes import user
@@ -53,7 +53,7 @@ def served(stores: Stores, home: Path, **changes: object) -> Generator[Served]:
     server = uvicorn.Server(config)
     with stores.database.transaction() as session:
         tokens = {role: user(session, f"the {role}", role)[1] for role in Role}
-    with bound_socket("127.0.0.1", 0) as listener, ExitStack() as clients:
+    with listen("127.0.0.1", 0) as listener, ExitStack() as clients:
         url = address_of(listener)
         thread = threading.Thread(target=server.run, args=([listener],))
         thread.start()

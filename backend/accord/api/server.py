@@ -1,11 +1,10 @@
 """python -m accord.api.server: the HTTP service alone, as a process. `accord up` starts it beside the workers."""
 
+import errno
 import logging
 import os
 import signal
 import socket
-from collections.abc import Generator
-from contextlib import contextmanager
 from types import FrameType
 
 import uvicorn
@@ -23,29 +22,28 @@ GRACE_SECONDS = 5
 _BACKLOG = 2048
 
 
-@contextmanager
-def bound_socket(host: str, port: int) -> Generator[socket.socket]:
+def listen(host: str, port: int) -> socket.socket:
     """A listening socket; with port 0 the system chooses one, which `getsockname` tells.
 
     Raises:
         PortInUse: if another program listens there.
-        Unavailable: if this machine has no such address, or the port is not for this user.
+        Unavailable: if the address is none of this machine's, or the port needs more rights.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as listener:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listener.bind((host, port))
-            listener.listen(_BACKLOG)
-        except PermissionError as error:
-            raise Unavailable(
-                f"Port {port} is not for this user. Choose one above 1023: accord up --port 8000."
-            ) from error
-        except socket.gaierror as error:
-            raise Unavailable(f"{host!r} is no address of this machine. Use 127.0.0.1, or 0.0.0.0 for all.") from error
-        except OSError as error:
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+        listener.listen(_BACKLOG)
+    except OSError as error:
+        listener.close()
+        if error.errno == errno.EADDRINUSE:
             raise PortInUse(host, port) from error
-        yield listener
+        raise Unavailable(
+            f"Cannot listen on {host}:{port}: it is no address of this machine, or not for this user ({error.strerror}). "
+            "Choose another with --host and --port."
+        ) from error
+    return listener
 
 
 def address_of(listener: socket.socket) -> str:
@@ -60,7 +58,7 @@ def serve(settings: Settings) -> None:
     Raises:
         PortInUse, DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable: each says how to mend it.
     """
-    with bound_socket(settings.host, settings.port) as listener:
+    with listen(settings.host, settings.port) as listener:
         serve_on(listener, settings)
 
 

@@ -72,28 +72,34 @@ class GroupCommit:
         if self._owner == threading.get_ident():
             raise RuntimeError("this thread has a transaction open already")
         group: _Group | None = None
-        self._count(1)
+        self._queue_up()
         try:
-            with self._turn:
-                self._count(-1)
+            try:
                 self._owner = threading.get_ident()
-                try:
-                    group = self._group or self._begin()
-                    with (
-                        Session(
-                            group.connection, expire_on_commit=False, join_transaction_mode="create_savepoint"
-                        ) as session,
-                        session.begin(),
-                    ):
-                        yield session
-                finally:
-                    self._owner = None
-                    if group is not None:
-                        self._leave(group)
+                group = self._group or self._begin()
+                with (
+                    Session(
+                        group.connection, expire_on_commit=False, join_transaction_mode="create_savepoint"
+                    ) as session,
+                    session.begin(),
+                ):
+                    yield session
+            finally:
+                if group is not None:
+                    self._leave(group)
+                self._owner = None
+                self._turn.release()
         finally:
             # Also when the block raised: what made it raise may have been written by a member before it.
             if group is not None:
                 group.wait()
+
+    def _queue_up(self) -> None:
+        self._count(1)
+        try:
+            self._turn.acquire()
+        finally:
+            self._count(-1)
 
     def _count(self, change: int) -> None:
         with self._waiting_lock:
