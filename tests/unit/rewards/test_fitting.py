@@ -8,8 +8,7 @@ from mapt.rewards.pair_tensors import PairTensors
 
 def test_a_steady_gain_convinces_and_a_lucky_one_does_not():
     assert exceeds_chance(torch.tensor([0.2, 0.1, 0.3, 0.2]))
-    # One pair of eight gained; mean and standard error are equal but for rounding.
-    assert not exceeds_chance(torch.tensor([1.0] + [0.0] * 7))
+    assert not exceeds_chance(torch.tensor([1.0, -0.5, 0.1, -0.1, 0.0, 0.0, 0.0, 0.0]))
     assert not exceeds_chance(torch.tensor([-0.2, -0.1, -0.3]))
 
 
