@@ -31,7 +31,7 @@ bench: $(INSTALLED) ## Every timing, beside its ceiling in the same run
 learn: $(INSTALLED) ## The long learning runs behind docs/results.md
 	$(BIN)/python -m pytest -m learn tests/learning --timeout 0
 
-$(INSTALLED): pyproject.toml frontend/hatch_build.py $(PAGE_SOURCES) | system
+$(INSTALLED): pyproject.toml frontend/hatch_build.py frontend/build_page.py $(PAGE_SOURCES) | system
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable ".[dev]"
 	touch $@

@@ -8,7 +8,8 @@ from starlette.types import Receive, Scope, Send
 
 FOLDER = Path(__file__).parent.parent / "static"
 _NOT_BUILT = (
-    "The page was not built into this installation. Build it with `python frontend/build_page.py`, or reinstall from a wheel. "
+    "The page was not built into this installation. Build it with `python frontend/build_page.py`, or reinstall from a "
+    "wheel. "
     "The API works without it and is described at /api/docs."
 )
 #: the build puts a hash of the content into the names of these

@@ -40,8 +40,8 @@ def listen(host: str, port: int) -> socket.socket:
         if error.errno == errno.EADDRINUSE:
             raise PortInUse(host, port) from error
         raise Unavailable(
-            f"Cannot listen on {host}:{port}: it is no address of this machine, or not for this user ({error.strerror}). "
-            "Choose another with --host and --port."
+            f"Cannot listen on {host}:{port} ({error.strerror}): it is no address of this machine, or not for this "
+            "user. Choose another with --host and --port."
         ) from error
     return listener
 

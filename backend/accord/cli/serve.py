@@ -8,16 +8,9 @@ import logging
 import socket
 import sys
 
-import uvicorn
-
-from accord.api.app import create_app
+from accord.api.server import serve_on
 from accord.settings import Settings
-from accord.store.blobs import open_blobs
-from accord.store.database import Database
 from accord.workers.lifeline import follow_parent
-
-#: live events never end by themselves: at a stop they are cut after this long
-_DRAIN_SECONDS = 2
 
 
 def main() -> int:
@@ -27,15 +20,8 @@ def main() -> int:
     arguments = parser.parse_args()
     follow_parent(arguments.parent)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
-    settings = Settings()
-    database = Database.open(settings.resolved_database_url)
-    app = create_app(settings, database, open_blobs(settings.resolved_blob_url))
-    config = uvicorn.Config(
-        app, log_config=None, access_log=False, timeout_graceful_shutdown=_DRAIN_SECONDS, lifespan="on"
-    )
     with socket.socket(fileno=arguments.fd) as listener:
-        uvicorn.Server(config).run(sockets=[listener])
-    database.close()
+        serve_on(listener, Settings())
     return 0
 
 

@@ -1,12 +1,12 @@
 """What `accord up` makes sure of before it starts anything: each failure says how to mend it."""
 
-import errno
 import os
 import socket
 from dataclasses import dataclass
 
+from accord.api.server import listen
 from accord.cli.options import url_of
-from accord.domain.errors import NameTaken, PortInUse, Unavailable
+from accord.domain.errors import NameTaken, Unavailable
 from accord.domain.experiment import ExperimentConfig
 from accord.services import accounts, experiments
 from accord.settings import Settings
@@ -77,29 +77,6 @@ def make_home(settings: Settings) -> None:
             f"The home folder {settings.home} cannot be written. Give this user the right to, "
             "or choose another with --home."
         )
-
-
-def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens there.
-
-    Raises:
-        PortInUse: if another program does.
-        Unavailable: if the address is none of this machine's, or the port needs more rights.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind((host, port))
-        listener.listen(2048)
-    except OSError as error:
-        listener.close()
-        if error.errno == errno.EADDRINUSE:
-            raise PortInUse(host, port) from error
-        raise Unavailable(
-            f"Cannot listen on {host}:{port}: {error.strerror}. Choose another address with --host and --port."
-        ) from error
-    return listener
 
 
 def sign_in_link(ready: Ready) -> str:
