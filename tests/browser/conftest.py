@@ -1,4 +1,8 @@
-"""A real Chromium before the real service: page, API and worker processes, clips rendered by EGL."""
+"""A real Chromium before the real service: page, API and worker processes, clips rendered by EGL.
+
+Browser and service end with each module: Playwright keeps an event loop open in this thread, in which no other test
+could run one of its own, and the service's workers would train beside every test that follows.
+"""
 
 import shutil
 from collections.abc import Callable, Iterator
@@ -25,7 +29,7 @@ NewExperiment = Callable[..., str]
 SignIn = Callable[..., Page]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
@@ -36,7 +40,7 @@ def browser() -> Iterator[Browser]:
         launched.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     if not (FOLDER / "index.html").is_file():
         pytest.skip("the page is not built: python frontend/build_page.py")
@@ -46,7 +50,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     service.stop()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def researcher(service: Service) -> str:
     """A researcher's bearer token."""
     return service.add_user("Rosa", "researcher")[0]
