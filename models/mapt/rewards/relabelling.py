@@ -17,7 +17,7 @@ from mapt.rewards.network import MAPT
 Credit = Literal["shared", "individual"]
 # Agent-steps in one pass: enough to fill the vector units, small enough that activations stay in cache
 # and memory does not grow with the number of environments.
-AGENT_STEPS_PER_PASS = 1 << 15
+AGENT_STEPS_PER_PASS = 1 << 13
 
 
 class RolloutRelabeller:
