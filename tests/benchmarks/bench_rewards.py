@@ -15,9 +15,10 @@ import numpy as np
 import torch
 
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
+from mapt.rewards.config import PresetName, RewardConfig
 from mapt.rewards.network import MAPT
 from mapt.rewards.relabelling import RolloutRelabeller
+from mapt.rewards.train_config import TrainConfig
 from mapt.rewards.trainer import train_reward_model
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 6, 24, 1

@@ -4,7 +4,8 @@ import numpy as np
 import torch
 
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.rewards.config import RewardConfig, TrainConfig
+from mapt.rewards.config import RewardConfig
+from mapt.rewards.train_config import TrainConfig
 from mapt.rewards.trainer import train_reward_model
 
 N_STEPS, N_AGENTS, OBSERVATION_DIM = 8, 2, 3

@@ -6,7 +6,7 @@ Run by `make learn`; prints the figures it judges by.
 import pytest
 
 from learning.reward_study import labelled_pairs, markov_config, measure, record_replay, small_config
-from mapt.rewards.config import TrainConfig
+from mapt.rewards.train_config import TrainConfig
 from mapt.rewards.trainer import train_reward_model
 
 REPLAY_STEPS = 600_000

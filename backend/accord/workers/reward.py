@@ -17,9 +17,10 @@ from accord.workers.querying import choose_pairs
 from accord.workers.reward_blobs import read_reward_model, store_reward_model
 from accord.workers.sentence import sentence
 from mapt.preferences.dataset import PreferenceDataset
-from mapt.rewards.config import RewardConfig, TrainConfig
+from mapt.rewards.config import RewardConfig
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
 from mapt.rewards.network import MAPT
+from mapt.rewards.train_config import TrainConfig
 from mapt.rewards.trainer import TrainedReward, TrainProgress, train_reward_model
 
 log = logging.getLogger(__name__)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.rewards.config import RewardConfig, TrainConfig
+from mapt.rewards.config import RewardConfig
 from mapt.rewards.device import resolve_device
 from mapt.rewards.errors import ModelMismatch
 from mapt.rewards.fitting import Fitting, Stage, TrainProgress, judge_pairs
@@ -21,6 +21,7 @@ from mapt.rewards.pair_tensors import (
     step_rewards,
     whole_scorer,
 )
+from mapt.rewards.train_config import TrainConfig
 
 __all__ = ["TrainProgress", "TrainedReward", "train_reward_model"]
 

@@ -7,9 +7,10 @@ import torch
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.errors import NotEnoughPairs
 from mapt.preferences.teachers import OracleTeacher
-from mapt.rewards.config import RewardConfig, TrainConfig
+from mapt.rewards.config import RewardConfig
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
 from mapt.rewards.network import MAPT
+from mapt.rewards.train_config import TrainConfig
 from mapt.rewards.trainer import train_reward_model
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 2, 4, 1
