@@ -11,10 +11,11 @@ from safetensors.torch import load, save
 
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.errors import DamagedCheckpoint, InvalidConfig, NewerCheckpoint
-from mapt.rewards.network import MAPT
+from mapt.rewards.model import RewardModel, build_reward_model
 
 FORMAT = "mapt.reward"
-FORMAT_VERSION = 1
+# 2 added `architecture` and `discrete_actions` to the settings; a model of format 1 has their defaults.
+FORMAT_VERSION = 2
 POLARITY = "label is P(segment 0 preferred): 1 segment 0, 0 segment 1, 0.5 equal; P = sigmoid(score_0 - score_1)"
 WEIGHTS_FILE = "reward.safetensors"
 CARD_FILE = "reward.json"
@@ -40,11 +41,11 @@ class SavedRewardModel:
 class LoadedRewardModel:
     """A reward model read back, in evaluation mode on the CPU."""
 
-    model: MAPT
+    model: RewardModel
     metrics: dict[str, float]
 
 
-def save_reward_model(model: MAPT, metrics: Mapping[str, float]) -> SavedRewardModel:
+def save_reward_model(model: RewardModel, metrics: Mapping[str, float]) -> SavedRewardModel:
     """Serialise a model; reading it back gives the same bits."""
     weights = save({name: tensor.contiguous().cpu() for name, tensor in model.state_dict().items()})
     card = {
@@ -84,12 +85,12 @@ def load_reward_model(weights: bytes | Path, card: bytes | Path) -> LoadedReward
     return LoadedRewardModel(_build(described, weight_bytes), _metrics(described))
 
 
-def _build(described: Mapping[str, object], weights: bytes) -> MAPT:
+def _build(described: Mapping[str, object], weights: bytes) -> RewardModel:
     settings = described.get("config")
     if not isinstance(settings, dict):
         raise DamagedCheckpoint("its card holds no settings")
     try:
-        model = MAPT(RewardConfig.from_dict(settings))
+        model = build_reward_model(RewardConfig.from_dict(settings))
         model.load_state_dict(load(weights))
     except (InvalidConfig, SafetensorError) as error:
         raise DamagedCheckpoint(str(error)) from error

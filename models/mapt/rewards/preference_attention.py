@@ -39,24 +39,37 @@ class LinearReadOut(nn.Module):
 
 
 class TemporalAwareAttention(nn.Module):
-    """Weights of the steps from h and the individual rewards (TPA; paper, eq. 5 and 6).
+    """How each step of a segment attends to its steps (TPA; paper, the softmax of eq. 5).
 
     Its query starts at zero: every step then weighs the same until data asks otherwise.
+
+    Args:
+        dim: of what a step asks with, D.
+        hidden_dim: d.
+        key_dim: of what a step is asked by, K: N in MAPT, whose keys are the individual rewards.
     """
 
-    def __init__(self, dim: int, hidden_dim: int, n_agents: int) -> None:
+    def __init__(self, dim: int, hidden_dim: int, key_dim: int) -> None:
         super().__init__()
         self.query = zeroed(nn.Linear(dim, hidden_dim))
-        self.key = nn.Linear(n_agents, hidden_dim)
+        self.key = nn.Linear(key_dim, hidden_dim)
         self.scale = 1 / math.sqrt(hidden_dim)
 
-    def forward(self, team: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor:
-        """Team mean of h (S, T, 2d), rewards (S, T, N), mask (S, T) -> weights (S, T), 0 where masked, sum 1."""
-        query, key = self.query(team), self.key(agent_rewards)
-        logits = (query @ key.transpose(1, 2)) * self.scale  # (S, step that asks, step asked)
-        shares = logits.masked_fill(~mask[:, None], float("-inf")).softmax(dim=-1)
-        votes = mask.to(shares.dtype)
-        return (shares * votes[..., None]).sum(dim=1) / votes.sum(dim=1, keepdim=True)
+    def forward(self, asking: Tensor, asked: Tensor, mask: Tensor) -> Tensor:
+        """What steps ask with (S, T, D), what they are asked by (S, T, K), mask (S, T) -> (S, asks, asked)."""
+        query, key = self.query(asking), self.key(asked)
+        logits = (query @ key.transpose(1, 2)) * self.scale
+        return logits.masked_fill(~mask[:, None], float("-inf")).softmax(dim=-1)
+
+
+def votes(shares: Tensor, mask: Tensor) -> Tensor:
+    """Weights (S, T) of steps, the mean of what the real steps of `mask` (S, T) give them; 0 where masked, sum 1.
+
+    Args:
+        shares: how each step shares its vote, (S, step that asks, step asked).
+    """
+    voters = mask.to(shares.dtype)
+    return (shares * voters[..., None]).sum(dim=1) / voters.sum(dim=1, keepdim=True)
 
 
 def equal_weights(mask: Tensor) -> Tensor:

@@ -35,7 +35,7 @@ def test_the_card_tells_a_reader_what_the_numbers_mean(build):
     model = build()
     model.set_reward_scale(0.5, 2.0)
     card = json.loads(save_reward_model(model, METRICS).card)
-    assert card["format_version"] == 1
+    assert card["format_version"] == 2
     assert "1 segment 0" in card["polarity"]
     assert (card["reward_mean"], card["reward_deviation"]) == (0.5, 2.0)
     assert card["config"]["n_agents"] == 3
@@ -47,8 +47,18 @@ def edited(card: bytes, **changes: object) -> bytes:
 
 def test_a_newer_format_asks_for_an_update(build):
     saved = save_reward_model(build(), METRICS)
-    with pytest.raises(NewerCheckpoint, match=r"format 2.*up to 1"):
-        load_reward_model(saved.weights, edited(saved.card, format_version=2))
+    with pytest.raises(NewerCheckpoint, match=r"format 3.*up to 2"):
+        load_reward_model(saved.weights, edited(saved.card, format_version=3))
+
+
+def test_a_model_of_the_first_format_is_still_read(build):
+    model = build()
+    saved = save_reward_model(model, METRICS)
+    config = json.loads(saved.card)["config"]
+    for later in ("architecture", "discrete_actions"):
+        del config[later]
+    loaded = load_reward_model(saved.weights, edited(saved.card, format_version=1, config=config)).model
+    assert loaded.config == model.config
 
 
 @pytest.mark.parametrize(
