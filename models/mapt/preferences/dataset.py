@@ -1,7 +1,8 @@
 """Segments stored once, and the labelled pairs that point at them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -112,6 +113,39 @@ def _pad(name: str, parts: Sequence[ArrayLike]) -> tuple[FloatArray, list[int]]:
     return padded, n_steps
 
 
+class SegmentSource(Protocol):
+    """S segments of equal dimensions, read by index: `SegmentArrays` in memory, `SegmentFolder` on disk.
+
+    Whatever asks for a batch of segments at a time, and never for all of them, works on either.
+    """
+
+    def __len__(self) -> int: ...
+
+    @property
+    def n_steps(self) -> int:
+        """T, the longest a segment can be."""
+        ...
+
+    @property
+    def n_agents(self) -> int: ...
+
+    @property
+    def observation_dim(self) -> int: ...
+
+    @property
+    def action_dim(self) -> int: ...
+
+    def take(self, indices: ArrayLike) -> SegmentArrays:
+        """The segments at `indices`, int (B,) in [0, S), in that order; one named twice comes twice."""
+        ...
+
+
+def in_batches(segments: SegmentSource, size: int) -> Iterator[SegmentArrays]:
+    """All the segments in order, `size` at a time: one pass in the memory of one batch."""
+    for first in range(0, len(segments), size):
+        yield segments.take(np.arange(first, min(first + size, len(segments))))
+
+
 @dataclass(frozen=True, slots=True)
 class PreferenceDataset:
     """Labelled pairs of segments.
@@ -122,7 +156,8 @@ class PreferenceDataset:
         ShapeError, InvalidPair, InvalidLabel: naming the first pair that is wrong.
     """
 
-    segments: SegmentArrays
+    #: in memory or on disk
+    segments: SegmentSource
     #: int (P, 2), indices into `segments`: (segment 0, segment 1)
     pairs: IntArray
     #: float32 (P,), P(segment 0 preferred)
