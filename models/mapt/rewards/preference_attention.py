@@ -1,4 +1,8 @@
-"""The two preference attentions of MAPT: who matters within a step, and which step matters."""
+"""The two preference attentions of MAPT: who matters within a step, and which step matters.
+
+Both end in few numbers, so that two of their linear maps in a row are one smaller map. Parameters are those of
+the paper's equations; the products are taken anew in every forward pass.
+"""
 
 import math
 
@@ -9,7 +13,11 @@ from mapt.rewards.attention import zeroed
 
 
 class CooperationAwareAttention(nn.Module):
-    """Individual rewards from h by one head of attention among agents (CPA; paper, eq. 4)."""
+    """Individual rewards from h by one head of attention among agents (CPA; paper, eq. 4).
+
+    An attended value goes through one Linear to a scalar. A softmax sums to 1, so that attending scalars gives the
+    same: value and reward are one map from 2d to 1, instead of one from 2d to d for every agent and step.
+    """
 
     def __init__(self, dim: int, hidden_dim: int) -> None:
         super().__init__()
@@ -17,13 +25,18 @@ class CooperationAwareAttention(nn.Module):
         self.key = nn.Linear(dim, hidden_dim)
         self.value = nn.Linear(dim, hidden_dim)
         self.reward = nn.Linear(hidden_dim, 1)
+        self.scale = 1 / math.sqrt(hidden_dim)
 
     def forward(self, h: Tensor) -> Tensor:
         """h (S, T, N, 2d) -> (S, T, N)."""
-        s, t, n, _ = h.shape
-        query, key, value = (layer(h).view(s * t, 1, n, -1) for layer in (self.query, self.key, self.value))
-        attended = F.scaled_dot_product_attention(query, key, value)
-        return self.reward(attended).view(s, t, n)
+        weight, bias = self.reward.weight @ self.value.weight, self.reward(self.value.bias)
+        return (self.shares(h) @ F.linear(h, weight, bias)).squeeze(-1)
+
+    def shares(self, h: Tensor) -> Tensor:
+        """How each agent attends to the agents of its step, (S, T, agent that asks, agent asked), sum 1."""
+        # For few agents this is several times as fast on a CPU as a fused attention, which is made for long sequences.
+        query, key = self.query(h) * self.scale, self.key(h)
+        return (query @ key.transpose(2, 3)).softmax(dim=-1)
 
 
 class LinearReadOut(nn.Module):
@@ -41,7 +54,9 @@ class LinearReadOut(nn.Module):
 class TemporalAwareAttention(nn.Module):
     """How each step of a segment attends to its steps (TPA; paper, the softmax of eq. 5).
 
-    Its query starts at zero: every step then weighs the same until data asks otherwise.
+    Its query starts at zero: every step then weighs the same until data asks otherwise. A key of fewer numbers than d
+    is not mapped to d: <Q, W r + b> = <W'Q, r> + <Q, b>, and the last term, the same for every step asked,
+    leaves the softmax as it is. So the bias of the key is never learned; it is kept for the models stored with it.
 
     Args:
         dim: of what a step asks with, D.
@@ -54,12 +69,16 @@ class TemporalAwareAttention(nn.Module):
         self.query = zeroed(nn.Linear(dim, hidden_dim))
         self.key = nn.Linear(key_dim, hidden_dim)
         self.scale = 1 / math.sqrt(hidden_dim)
+        self.folds = key_dim < hidden_dim
 
     def forward(self, asking: Tensor, asked: Tensor, mask: Tensor) -> Tensor:
         """What steps ask with (S, T, D), what they are asked by (S, T, K), mask (S, T) -> (S, asks, asked)."""
-        query, key = self.query(asking), self.key(asked)
-        logits = (query @ key.transpose(1, 2)) * self.scale
-        return logits.masked_fill(~mask[:, None], float("-inf")).softmax(dim=-1)
+        if self.folds:
+            fold = self.key.weight.T * self.scale
+            query, key = F.linear(asking, fold @ self.query.weight, fold @ self.query.bias), asked
+        else:
+            query, key = self.query(asking) * self.scale, self.key(asked)
+        return (query @ key.transpose(1, 2)).masked_fill(~mask[:, None], float("-inf")).softmax(dim=-1)
 
 
 def votes(shares: Tensor, mask: Tensor) -> Tensor:

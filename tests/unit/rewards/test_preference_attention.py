@@ -1,0 +1,75 @@
+import math
+
+import pytest
+import torch
+from torch import nn
+
+from mapt.rewards.preference_attention import (
+    CooperationAwareAttention,
+    TemporalAwareAttention,
+    equal_weights,
+    votes,
+)
+
+S, T, N, D = 4, 7, 3, 16
+
+
+@pytest.fixture(autouse=True)
+def _same_draws():
+    torch.manual_seed(0)
+
+
+def drawn(layer: nn.Module, seed: int = 0) -> nn.Module:
+    generator = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        for parameter in layer.parameters():
+            parameter.copy_(torch.randn(parameter.shape, generator=generator) * 0.5)
+    return layer
+
+
+def gradients(layer: nn.Module, output: torch.Tensor, x: torch.Tensor) -> dict[str, torch.Tensor]:
+    parameters = dict(layer.named_parameters())
+    found = torch.autograd.grad(output.square().sum(), [x, *parameters.values()], allow_unused=True)
+    zeros = [torch.zeros_like(value) for value in (x, *parameters.values())]
+    return {
+        name: zero if gradient is None else gradient
+        for name, gradient, zero in zip(("x", *parameters), found, zeros, strict=True)
+    }
+
+
+def test_rewards_of_agents_are_those_of_the_equation_written_out():
+    layer, h = drawn(CooperationAwareAttention(2 * D, D)), torch.randn(S, T, N, 2 * D, requires_grad=True)
+    shares = (layer.query(h) @ layer.key(h).transpose(2, 3) / math.sqrt(D)).softmax(dim=-1)
+    plain = layer.reward(shares @ layer.value(h)).squeeze(-1)
+    torch.testing.assert_close(layer(h), plain, rtol=1e-5, atol=1e-5)
+    expected = gradients(layer, plain, h)
+    for name, gradient in gradients(layer, layer(h), h).items():
+        torch.testing.assert_close(gradient, expected[name], rtol=1e-4, atol=1e-3, msg=name)
+
+
+@pytest.mark.parametrize("key_dim", [N, 2 * D], ids=["keys-of-rewards", "keys-of-features"])
+def test_weights_of_steps_are_those_of_the_equation_written_out(key_dim):
+    layer = drawn(TemporalAwareAttention(2 * D, D, key_dim))
+    asking, asked = torch.randn(S, T, 2 * D, requires_grad=True), torch.randn(S, T, key_dim)
+    mask = torch.arange(T) < torch.tensor([7, 1, 4, 6])[:, None]
+    logits = layer.query(asking) @ layer.key(asked).transpose(1, 2) / math.sqrt(D)
+    plain = logits.masked_fill(~mask[:, None], float("-inf")).softmax(dim=-1)
+    shares = layer(asking, asked, mask)
+    torch.testing.assert_close(shares, plain, rtol=1e-5, atol=1e-6)
+    expected = gradients(layer, plain, asking)
+    for name, gradient in gradients(layer, shares, asking).items():
+        torch.testing.assert_close(gradient, expected[name], rtol=1e-4, atol=1e-4, msg=name)
+
+
+def test_padded_steps_neither_vote_nor_are_voted_for():
+    mask = torch.tensor([[True, True, False]])
+    shares = torch.tensor([[[0.75, 0.25, 0.0], [0.25, 0.75, 0.0], [1.0, 0.0, 0.0]]])
+    torch.testing.assert_close(votes(shares, mask), torch.tensor([[0.5, 0.5, 0.0]]))
+    torch.testing.assert_close(equal_weights(mask), torch.tensor([[0.5, 0.5, 0.0]]))
+
+
+def test_an_untrained_attention_over_steps_favours_none():
+    layer = TemporalAwareAttention(2 * D, D, N)
+    mask = torch.arange(T) < torch.tensor([7, 3])[:, None]
+    shares = layer(torch.randn(2, T, 2 * D), torch.randn(2, T, N), mask)
+    torch.testing.assert_close(votes(shares, mask), equal_weights(mask))
