@@ -1,0 +1,28 @@
+"""Which pairs of segments to ask about next. Numpy alone: an ensemble's scores come in as an array.
+
+`make_selector(name, rng)` gives a selector by name; `ControlledSelector` holds out a uniform share beside it.
+"""
+
+from mapt.preferences.selection.control import ChosenPair, ControlledSelector, control_count
+from mapt.preferences.selection.errors import MissingView, UnknownSelector
+from mapt.preferences.selection.features import segment_features
+from mapt.preferences.selection.protocol import QuerySelector, SegmentView, SelectorName
+from mapt.preferences.selection.registry import make_selector, needs_ensemble, needs_features, selector_names
+from mapt.preferences.selection.uniform import UniformSelector
+
+__all__ = [
+    "ChosenPair",
+    "ControlledSelector",
+    "MissingView",
+    "QuerySelector",
+    "SegmentView",
+    "SelectorName",
+    "UniformSelector",
+    "UnknownSelector",
+    "control_count",
+    "make_selector",
+    "needs_ensemble",
+    "needs_features",
+    "segment_features",
+    "selector_names",
+]
