@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mapt.policies import MappoConfig, MappoLearner, Rollout, train, true_reward
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.preferences.teachers import OracleTeacher
+from mapt.preferences.teachers import Evidence, OracleTeacher
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.metrics import correlation, rank_correlation
 from mapt.rewards.network import MAPT
@@ -55,7 +55,7 @@ class Quality:
 
 def oracle(rewards_0: NDArray[np.float64], rewards_1: NDArray[np.float64]) -> NDArray[np.float32]:
     """The larger return is better."""
-    return OracleTeacher().judge(rewards_0, rewards_1)
+    return OracleTeacher().judge(Evidence(rewards_0), Evidence(rewards_1))
 
 
 def record_replay(total_steps: int, seed: int) -> Replay:

@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import Any
 
 from accord.cli.client import Api
-from mapt.preferences.teachers import OracleTeacher, Teacher
+from mapt.preferences.teachers import Evidence, OracleTeacher, Teacher
 
 #: the API gives at most so many queries at once
 _MOST_QUERIES = 16
@@ -85,6 +85,6 @@ def _label(api: Api, experiment_id: str, teacher: Teacher, name: TeacherName, qu
 def judge(teacher: Teacher, query: dict[str, Any]) -> float | None:
     """The teacher's label in segment order, whatever sides they were drawn on; None to skip."""
     sides = sorted((query["left"], query["right"]), key=lambda side: side["index"])
-    rewards_0, rewards_1 = ([side["true_rewards"]] for side in sides)
-    label = float(teacher.judge(rewards_0, rewards_1)[0])
+    first, second = (Evidence.stack([{"rewards": side["true_rewards"]}]) for side in sides)
+    label = float(teacher.judge(first, second)[0])
     return None if math.isnan(label) else label

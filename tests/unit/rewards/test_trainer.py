@@ -6,7 +6,7 @@ import torch
 
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.errors import NotEnoughPairs
-from mapt.preferences.teachers import OracleTeacher
+from mapt.preferences.teachers import Evidence, OracleTeacher
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
 from mapt.rewards.network import MAPT
@@ -28,7 +28,7 @@ def preferences(n_pairs, n_steps=8, seed=0, labels=None):
     pairs = np.arange(2 * n_pairs).reshape(n_pairs, 2)
     rewards = observations[..., 0].mean(axis=2)
     if labels is None:
-        labels = OracleTeacher().judge(rewards[pairs[:, 0]], rewards[pairs[:, 1]])
+        labels = OracleTeacher().judge(Evidence(rewards[pairs[:, 0]]), Evidence(rewards[pairs[:, 1]]))
     return PreferenceDataset(segments, pairs, labels)
 
 
