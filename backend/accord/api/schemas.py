@@ -5,6 +5,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from accord.domain.experiment import Credit, Pacing, QuerySelection, RewardPreset, RewardSource
+from accord.domain.schedule import LabelScheduleName
 from accord.domain.words import ExperimentStatus, Phase, Role
 
 
@@ -72,16 +74,28 @@ class NewExperiment(Schema):
     initial_labels: int = Field(default=100, description="Labels before the first reward version.")
     labels_per_version: int = Field(default=50, description="New labels after which the next version is trained.")
     lookahead_queries: int = Field(default=8, description="Queries kept open beyond those due.")
-    pacing: Literal["wait", "free"] = Field(
+    label_schedule: LabelScheduleName = Field(
+        default="power",
+        description="How labels due grow with the policy's steps. power: at a gently falling rate. constant: evenly. "
+        "decaying: at a rate that has fallen to half after a tenth of the run.",
+    )
+    query_selection: QuerySelection = Field(
+        default="uniform",
+        description="How pairs are chosen, from the second round on. disagreement, entropy: those that an ensemble of "
+        "reward models is least sure of. k_center: those least like pairs asked about. *_k_center: both, in turn.",
+    )
+    control_share: float = Field(
+        default=0.2, description="Share of queries that stay uniform whatever query_selection is, 0 to 1."
+    )
+    ensemble_members: int = Field(default=3, description="Reward models in the ensemble, where one is needed.")
+    pacing: Pacing = Field(
         default="wait", description="wait: the policy halts until due labels are in. free: it trains on meanwhile."
     )
-    reward_source: Literal["preferences", "true"] = Field(
+    reward_source: RewardSource = Field(
         default="preferences", description="true: the task's own reward teaches the policy; no labels are asked for."
     )
-    reward_preset: str = Field(default="small", max_length=40, description="Size of the reward model: small or paper.")
-    credit: Literal["shared", "individual"] = Field(
-        default="shared", description="Whether every agent gets the mean reward, or each its own."
-    )
+    reward_preset: RewardPreset = Field(default="small", description="Size of the reward model.")
+    credit: Credit = Field(default="shared", description="Whether every agent gets the mean reward, or each its own.")
     render_clips: bool = Field(default=True, description="False where programs alone label: no clips are made.")
     policy: dict[str, int | float | bool | str] = Field(
         default_factory=dict[str, "int | float | bool | str"],

@@ -5,8 +5,8 @@
     ├── Forbidden                     you may not
     │   └── ReturnsHidden
     ├── NotFound                      there is no such thing
-    │   ├── ExperimentNotFound, QueryNotFound, ClipNotFound, LabelNotFound,
-    │   └── RewardVersionNotFound, SegmentNotFound, UserNotFound, CheckpointNotFound
+    │   ├── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound,
+    │   └── UserNotFound
     ├── WrongState                    it is there, but not in the state this needs
     │   ├── ExperimentNotActive, QueryClosed, LabelConflict, NameTaken
     ├── LeaseLost                     you held it once, or never
@@ -87,16 +87,6 @@ class ClipNotFound(NotFound):
 class LabelNotFound(NotFound):
     code = "label_not_found"
     thing = "label of yours on query"
-
-
-class RewardVersionNotFound(NotFound):
-    code = "reward_version_not_found"
-    thing = "reward version"
-
-
-class CheckpointNotFound(NotFound):
-    code = "checkpoint_not_found"
-    thing = "policy checkpoint"
 
 
 class UserNotFound(NotFound):

@@ -1,13 +1,18 @@
 """What a researcher sets when starting an experiment."""
 
 from dataclasses import asdict, dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from accord.domain.errors import InvalidExperiment
-from accord.domain.schedule import LabelSchedule
+from accord.domain.schedule import LabelSchedule, LabelScheduleName
 
 Pacing = Literal["wait", "free"]
 RewardSource = Literal["preferences", "true"]
+#: the presets of `mapt.rewards`
+RewardPreset = Literal["small", "paper"]
+Credit = Literal["shared", "individual"]
+#: the selectors of `mapt.preferences.selection`
+QuerySelection = Literal["uniform", "disagreement", "entropy", "k_center", "disagreement_k_center", "entropy_k_center"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,14 +33,22 @@ class ExperimentConfig:
     labels_per_version: int = 50
     #: queries kept open beyond those due, so that a labeller never waits for a clip
     lookahead_queries: int = 8
+    #: how the labels due grow with the policy's steps
+    label_schedule: LabelScheduleName = "power"
+    #: how pairs are chosen from the second round on; the first round is uniform
+    query_selection: QuerySelection = "uniform"
+    #: the share of queries that stay uniform whatever `query_selection` is, to measure it by
+    control_share: float = 0.2
+    #: M, reward models whose disagreement chooses queries; trained where `query_selection` needs them
+    ensemble_members: int = 3
     #: `wait`: the policy halts until due labels are in; `free`: it trains on with the newest version
     pacing: Pacing = "wait"
     #: `true` trains the same learner on the task's own reward, as a baseline; it asks for no labels
     reward_source: RewardSource = "preferences"
-    #: preset of `mapt.rewards`: small or paper
-    reward_preset: str = "small"
+    #: size of the reward model and how it is trained
+    reward_preset: RewardPreset = "small"
     #: whether every agent gets the mean reward, or each its own
-    credit: Literal["shared", "individual"] = "shared"
+    credit: Credit = "shared"
     #: whether clips are made for every query; a scripted teacher alone needs none
     render_clips: bool = True
     #: fields of `mapt.policies.MappoConfig` that differ from its defaults
@@ -56,6 +69,8 @@ class ExperimentConfig:
             ("label_budget", 0, 10**7),
             ("labels_per_version", 1, 10**6),
             ("lookahead_queries", 1, 1000),
+            ("control_share", 0, 1),
+            ("ensemble_members", 2, 16),
             ("seed", 0, 2**31 - 1),
         ):
             value = getattr(self, name)
@@ -65,6 +80,19 @@ class ExperimentConfig:
             raise InvalidExperiment(
                 f"initial_labels is {self.initial_labels}; it must be from 2 to label_budget ({self.label_budget})."
             )
+
+    def check_names(self) -> None:
+        """Checks the settings that are one of a few words, when an experiment is made.
+
+        Not when one is read: an experiment of another version of Accord, whose words were others, can still be seen.
+
+        Raises:
+            InvalidExperiment: naming the setting, its value and the known ones.
+        """
+        for name, known in _KNOWN.items():
+            value = getattr(self, name)
+            if value not in known:
+                raise InvalidExperiment(f"{name} is {value!r}; it must be one of: {', '.join(known)}.")
 
     def check_horizon(self, horizon_steps: int) -> None:
         """Raises InvalidExperiment if a segment would not fit into an episode."""
@@ -76,7 +104,17 @@ class ExperimentConfig:
 
     @property
     def schedule(self) -> LabelSchedule:
-        return LabelSchedule(self.label_budget, self.initial_labels, self.total_steps)
+        return LabelSchedule(self.label_budget, self.initial_labels, self.total_steps, name=self.label_schedule)
 
     def to_dict(self) -> dict[str, object]:
         return asdict(self)
+
+
+_KNOWN: dict[str, tuple[str, ...]] = {
+    "pacing": get_args(Pacing),
+    "reward_source": get_args(RewardSource),
+    "reward_preset": get_args(RewardPreset),
+    "credit": get_args(Credit),
+    "label_schedule": get_args(LabelScheduleName),
+    "query_selection": get_args(QuerySelection),
+}

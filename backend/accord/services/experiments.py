@@ -54,10 +54,11 @@ def create(
 
     Raises:
         UnknownTask: if no task has this name.
-        InvalidExperiment: if a segment would not fit into an episode.
+        InvalidExperiment: if a setting has an unknown word, or a segment would not fit into an episode.
         NameTaken: if another experiment has this name.
         Invalid: if a text is empty, too long, or holds characters that cannot be shown.
     """
+    config.check_names()
     line = check_line(name, "name of an experiment", 200)
     try:
         spec = task_spec(config.task)

@@ -84,10 +84,23 @@ def test_a_task_that_does_not_exist(api: Served) -> None:
 
 
 def test_settings_that_make_no_sense(api: Served) -> None:
-    for wrong in ({"total_steps": 0}, {"initial_labels": 900}, {"seed": -1}):
+    for wrong in ({"total_steps": 0}, {"initial_labels": 900}, {"seed": -1}, {"control_share": 2}):
         refusal(api.researcher.post("/api/v1/experiments", json=NEW | wrong), 422, "invalid_experiment", *wrong)
     for wrong in ({"pacing": "fast"}, {"total_steps": "many"}, {"total_step": 5}):
         refusal(api.researcher.post("/api/v1/experiments", json=NEW | wrong), 422, "invalid_request", *wrong)
+
+
+@pytest.mark.parametrize(
+    ("setting", "known"),
+    [
+        ("reward_preset", ("small", "paper")),
+        ("query_selection", ("uniform", "disagreement", "entropy", "k_center")),
+        ("label_schedule", ("power", "constant", "decaying")),
+    ],
+)
+def test_an_unknown_word_is_refused_with_the_known_ones(api: Served, setting: str, known: tuple[str, ...]) -> None:
+    response = api.researcher.post("/api/v1/experiments", json=NEW | {setting: "huge"})
+    refusal(response, 422, "invalid_request", f"body.{setting}", *known)
 
 
 def test_a_name_that_is_taken(api: Served) -> None:

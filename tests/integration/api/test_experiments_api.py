@@ -13,12 +13,13 @@ NEW = {"name": "one", "task": "HalfCheetah-6x1"}
 
 def test_an_experiment_is_started_looked_at_and_steered(both_api: Served) -> None:
     client = both_api.researcher
-    made = client.post("/api/v1/experiments", json=NEW | {"label_budget": 200, "policy": {"learning_rate": 0.01}})
+    chosen = {"query_selection": "disagreement", "control_share": 0.25, "ensemble_members": 5}
+    settings = {"label_budget": 200, "policy": {"learning_rate": 0.01}, "label_schedule": "decaying"} | chosen
+    made = client.post("/api/v1/experiments", json=NEW | settings)
     assert made.status_code == 201
     experiment = made.json()
     assert (experiment["status"], experiment["phase"], experiment["steps"]) == ("running", "queued", 0)
-    assert experiment["config"]["label_budget"] == 200
-    assert experiment["config"]["policy"] == {"learning_rate": 0.01}
+    assert experiment["config"].items() >= settings.items()
     assert experiment["task"]["n_agents"] == len(experiment["task"]["agent_colours"]) == 6
     assert experiment["labels"]["due"] == 100
     path = f"/api/v1/experiments/{experiment['id']}"

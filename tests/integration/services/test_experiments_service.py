@@ -50,6 +50,13 @@ def test_a_segment_longer_than_an_episode_is_refused(both: Stores) -> None:
         create(both, segment_steps=1001)
 
 
+def test_an_unknown_word_in_a_setting_is_refused_before_anything_is_stored(both: Stores) -> None:
+    with pytest.raises(InvalidExperiment, match="reward_preset is 'huge'; it must be one of: small, paper"):
+        create(both, reward_preset="huge")
+    with both.database.reading() as session:
+        assert experiments.list_page(session, 10, None).rows == []
+
+
 def test_two_experiments_cannot_have_the_same_name(both: Stores) -> None:
     create(both, "run")
     with pytest.raises(NameTaken, match="'run'"), both.database.transaction() as session:

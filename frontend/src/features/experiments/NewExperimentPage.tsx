@@ -89,6 +89,27 @@ function ExperimentForm({ tasks }: { tasks: Task[] }) {
             />
             <NumberField {...of("seed")} label="Seed" hint="The same seed, the same run." />
             <ChoiceField
+              {...of("query_selection")}
+              label="Pairs are chosen"
+              choices={[
+                { value: "uniform", words: "at random" },
+                { value: "disagreement", words: "where reward models disagree" },
+                { value: "entropy", words: "where reward models are unsure" },
+                { value: "k_center", words: "unlike those before" },
+                { value: "disagreement_k_center", words: "by disagreement, then spread out" },
+                { value: "entropy_k_center", words: "by unsureness, then spread out" },
+              ]}
+            />
+            <ChoiceField
+              {...of("label_schedule")}
+              label="Labels are asked for"
+              choices={[
+                { value: "power", words: "somewhat more often early on" },
+                { value: "constant", words: "evenly over the run" },
+                { value: "decaying", words: "much more often early on" },
+              ]}
+            />
+            <ChoiceField
               {...of("pacing")}
               label="When labels are late"
               choices={[

@@ -14,6 +14,8 @@ test("the request carries numbers as numbers and leaves the empty ones to the se
     task: "HalfCheetah-6x1",
     total_steps: 20000,
     instructions: null,
+    query_selection: "uniform",
+    label_schedule: "power",
   });
   expect(request).not.toHaveProperty("seed");
 });

@@ -807,6 +807,12 @@ export interface components {
          */
         NewExperiment: {
             /**
+             * Control Share
+             * @description Share of queries that stay uniform whatever query_selection is, 0 to 1.
+             * @default 0.2
+             */
+            control_share: number;
+            /**
              * Credit
              * @description Whether every agent gets the mean reward, or each its own.
              * @default shared
@@ -819,6 +825,12 @@ export interface components {
              * @default auto
              */
             device: string;
+            /**
+             * Ensemble Members
+             * @description Reward models in the ensemble, where one is needed.
+             * @default 3
+             */
+            ensemble_members: number;
             /**
              * Initial Labels
              * @description Labels before the first reward version.
@@ -836,6 +848,13 @@ export interface components {
              * @default 500
              */
             label_budget: number;
+            /**
+             * Label Schedule
+             * @description How labels due grow with the policy's steps. power: at a gently falling rate. constant: evenly. decaying: at a rate that has fallen to half after a tenth of the run.
+             * @default power
+             * @enum {string}
+             */
+            label_schedule: "power" | "constant" | "decaying";
             /**
              * Labels Per Version
              * @description New labels after which the next version is trained.
@@ -868,6 +887,13 @@ export interface components {
                 [key: string]: number | boolean | string;
             };
             /**
+             * Query Selection
+             * @description How pairs are chosen, from the second round on. disagreement, entropy: those that an ensemble of reward models is least sure of. k_center: those least like pairs asked about. *_k_center: both, in turn.
+             * @default uniform
+             * @enum {string}
+             */
+            query_selection: "uniform" | "disagreement" | "entropy" | "k_center" | "disagreement_k_center" | "entropy_k_center";
+            /**
              * Render Clips
              * @description False where programs alone label: no clips are made.
              * @default true
@@ -875,10 +901,11 @@ export interface components {
             render_clips: boolean;
             /**
              * Reward Preset
-             * @description Size of the reward model: small or paper.
+             * @description Size of the reward model.
              * @default small
+             * @enum {string}
              */
-            reward_preset: string;
+            reward_preset: "small" | "paper";
             /**
              * Reward Source
              * @description true: the task's own reward teaches the policy; no labels are asked for.
