@@ -1,19 +1,62 @@
+"""Teachers by name, and the habits of B-Pref's."""
+
+import json
+import math
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mapt.preferences.errors import ShapeError
-from mapt.preferences.teachers import Evidence, OracleTeacher
+from mapt.preferences.teachers import (
+    PRESETS,
+    RULES,
+    Evidence,
+    Habits,
+    InvalidTeacher,
+    OracleTeacher,
+    Phase,
+    Return,
+    ScriptedTeacher,
+    UnknownTeacher,
+    make_teacher,
+    teacher_names,
+)
+
+MANY = 20_000
 
 
 def evidence(rewards, mask=None):
     return Evidence(np.array(rewards, dtype=np.float64), None if mask is None else np.array(mask))
 
 
+def many_pairs(gap, n_pairs=MANY, base=10.0):
+    """Pairs of one-step segments whose returns differ by `gap`."""
+    return evidence(np.full((n_pairs, 1), base + gap)), evidence(np.full((n_pairs, 1), base))
+
+
+def random_pairs(n_pairs, seed=0, mean=5.0, n_steps=6):
+    rng = np.random.default_rng(seed)
+    return tuple(evidence(rng.normal(mean, 1, size=(n_pairs, n_steps))) for _ in range(2))
+
+
+def within_binomial_bounds(share, probability, n=MANY):
+    return abs(share - probability) < 4 * math.sqrt(probability * (1 - probability) / n)
+
+
 def test_oracle_prefers_the_larger_return():
     first, second = evidence([[1.0, 5.0], [0.0, 0.0], [2.0, 1.0]]), evidence([[3.0, 1.0], [1.0, 0.0], [1.0, 2.0]])
-    labels = OracleTeacher().judge(first, second)
-    assert labels.tolist() == [1.0, 0.0, 0.5]
-    assert labels.dtype == np.float32
+    for teacher in (OracleTeacher(), make_teacher("oracle")):
+        labels = teacher.judge(first, second)
+        assert labels.tolist() == [1.0, 0.0, 0.5]
+        assert labels.dtype == np.float32
+
+
+def test_oracle_names_the_worse_segment_as_the_paper_does():
+    first, second = random_pairs(50)
+    worse = np.argmin([first.rewards.sum(1), second.rewards.sum(1)], axis=0)
+    assert make_teacher("oracle").judge(first, second).tolist() == worse.tolist()
 
 
 def test_oracle_counts_real_steps_alone():
@@ -28,3 +71,259 @@ def test_segments_may_differ_in_length():
 def test_sides_of_different_numbers_of_segments_are_refused():
     with pytest.raises(ShapeError):
         OracleTeacher().judge(evidence([[1.0]]), evidence([[1.0], [2.0]]))
+
+
+@pytest.mark.parametrize("gap", [-2.0, -0.5, 0.0, 1.0])
+@pytest.mark.parametrize("beta", [0.5, 1.0, 3.0])
+def test_a_stochastic_teacher_follows_the_sigmoid(gap, beta):
+    labels = make_teacher("stochastic", beta=beta).judge(*many_pairs(gap))
+    assert set(labels.tolist()) <= {0.0, 1.0}
+    assert within_binomial_bounds(labels.mean(), 1 / (1 + math.exp(-beta * gap)))
+
+
+def test_differences_of_any_size_are_no_overflow():
+    teacher = make_teacher("stochastic", beta=1e6)
+    assert teacher.judge(*many_pairs(1e9, 10)).tolist() == [1.0] * 10
+    assert teacher.judge(*many_pairs(-1e9, 10)).tolist() == [0.0] * 10
+
+
+def test_mistakes_come_at_their_rate_in_both_directions():
+    for gap, right in ((1.0, 1.0), (-1.0, 0.0)):
+        labels = make_teacher("mistake").judge(*many_pairs(gap))
+        assert within_binomial_bounds((labels != right).mean(), 0.1)
+
+
+def test_a_mistake_about_equal_segments_is_none():
+    assert set(make_teacher("mistake", mistake=1.0).judge(*many_pairs(0.0, 20)).tolist()) == {0.5}
+
+
+def test_mistakes_are_laid_over_noise():
+    labels = make_teacher("stochastic", mistake=0.2).judge(*many_pairs(1.0))
+    right = 1 / (1 + math.exp(-1))
+    assert within_binomial_bounds(labels.mean(), 0.8 * right + 0.2 * (1 - right))
+
+
+def test_a_myopic_teacher_weighs_the_newest_step_by_one():
+    # 0.9 x 1.05 < 1: late rewards win against larger early ones, wherever the padding ends.
+    first, second = evidence([[0.0, 1.0, 0.0]], [[True, True, False]]), evidence([[0.0, 1.05, 0.0]])
+    assert make_teacher("myopic").judge(first, second).tolist() == [1.0]
+    assert make_teacher("oracle").judge(first, second).tolist() == [0.0]
+
+
+@given(st.lists(st.floats(-5, 5), min_size=1, max_size=6), st.floats(0, 1))
+def test_myopic_scores_are_a_slow_loops(rewards, gamma):
+    faded = sum(gamma ** (len(rewards) - 1 - step) * reward for step, reward in enumerate(rewards))
+    judge = make_teacher("myopic", gamma=gamma).judge
+    assert judge(evidence([rewards]), evidence([[faded - 1e-6]])).tolist() == [1.0]
+    assert judge(evidence([rewards]), evidence([[faded + 1e-6]])).tolist() == [0.0]
+
+
+def test_a_skip_needs_both_segments_to_show_nothing():
+    teacher = make_teacher("skip", skip=0.1)
+    teacher.see_episodes(100.0, 20)
+    # T = 2 steps of 20: the threshold is 0.1 x 100 x 2 / 20 = 1.
+    first = evidence([[0.5, 0.5], [0.5, 0.5], [0.0, 0.0]])
+    second = evidence([[0.0, 0.0], [0.6, 0.5], [0.0, 1.0]])
+    assert np.isnan(teacher.judge(first, second)).tolist() == [True, False, True]
+
+
+def test_equal_is_said_below_the_threshold_alone():
+    teacher = make_teacher("equal", equal=0.1)
+    teacher.see_episodes(100.0, 20)
+    first, second = evidence([[4.0, 0.9], [4.0, 1.0], [0.0, 0.0]]), evidence([[4.0, 0.0]] * 3)
+    assert teacher.judge(first, second).tolist() == [0.5, 1.0, 0.0]
+
+
+def test_eps_enters_once():
+    teacher = make_teacher("equal", equal=0.5)
+    teacher.see_episodes(8.0, 1)
+    assert teacher.judge(evidence([[13.9], [14.1]]), evidence([[10.0], [10.0]])).tolist() == [0.5, 1.0]
+    teacher.see_episodes(8.0, 1)
+    assert teacher.judge(evidence([[13.9], [14.1]]), evidence([[10.0], [10.0]])).tolist() == [0.5, 1.0]
+
+
+def test_equal_overrides_mistakes_and_skip_comes_before_all():
+    teacher = make_teacher("equal", equal=0.1, mistake=1.0)
+    teacher.see_episodes(10.0, 1)
+    assert teacher.judge(evidence([[5.0], [5.0]]), evidence([[5.5], [7.0]])).tolist() == [0.5, 1.0]
+    teacher = make_teacher("equal", equal=10.0, skip=0.1, mistake=1.0)
+    teacher.see_episodes(10.0, 1)
+    assert np.isnan(teacher.judge(evidence([[0.9]]), evidence([[1.0]]))).all()
+
+
+def test_skips_look_at_whole_returns_and_equal_at_faded_ones():
+    early, late = evidence([[2.0, 0.0]]), evidence([[0.0, 0.1]])
+    skipping = make_teacher("myopic", gamma=0.0, skip=1.0)
+    skipping.see_episodes(1.0, 2)
+    assert skipping.judge(early, late).tolist() == [0.0]
+    equalling = make_teacher("myopic", gamma=0.0, equal=1.0)
+    equalling.see_episodes(1.0, 2)
+    assert equalling.judge(early, late).tolist() == [0.5]
+
+
+def test_without_word_of_episodes_the_segments_seen_are_the_measure():
+    first, second = random_pairs(400)
+    told, untold = make_teacher("equal", equal=0.02), make_teacher("equal", equal=0.02)
+    told.see_episodes(5.0, 1)
+    same = told.judge(first, second) == untold.judge(first, second)
+    assert same.mean() > 0.98
+    assert 0.05 < (untold.judge(first, second) == 0.5).mean() < 0.5
+
+
+@pytest.mark.parametrize("mean", [-50.0, 0.0])
+def test_returns_that_are_not_positive_leave_skip_and_equal_at_work(mean):
+    first, second = random_pairs(2000, mean=mean)
+    skipping, equalling = make_teacher("skip", skip=0.1), make_teacher("equal", equal=0.1)
+    if mean < 0:
+        # Both below mean - 0.9 spreads: 18.4 % of a normal distribution, squared.
+        assert np.isnan(skipping.judge(first, second)).mean() == pytest.approx(0.034, abs=0.02)
+        # |difference| < 0.1 spreads, where a difference has sqrt(2) of them.
+        assert (equalling.judge(first, second) == 0.5).mean() == pytest.approx(0.056, abs=0.025)
+    assert 0 < np.isnan(skipping.judge(first, second)).mean() < 0.5
+
+
+def test_a_shift_of_negative_returns_changes_nothing():
+    rewards = [np.random.default_rng(side).normal(-3, 1, size=(300, 4)) for side in (0, 1)]
+    labels = [
+        make_teacher("skip", skip=0.3, equal=0.2).judge(*(evidence(each - shift) for each in rewards))
+        for shift in (0.0, 100.0)
+    ]
+    np.testing.assert_array_equal(*labels)
+
+
+def test_the_scale_runs_with_the_last_pairs():
+    teacher = make_teacher("equal", equal=0.1)
+    teacher.judge(*random_pairs(500, mean=1000.0))
+    before = (teacher.judge(*random_pairs(1, mean=5.0)) == 0.5).mean()
+    for seed in range(10):
+        labels = teacher.judge(*random_pairs(200, seed=seed, mean=5.0))
+    assert before == 1.0
+    assert (labels == 0.5).mean() < 0.9
+
+
+@pytest.mark.parametrize("name", [*teacher_names(), "best-second+mistake", "phase+stochastic", "recency+skip"])
+def test_labels_do_not_depend_on_how_pairs_come_in_batches(name):
+    rng = np.random.default_rng(3)
+
+    def made():
+        shape = (700, 8)
+        rewards, observations = rng.normal(1, 2, size=shape), rng.normal(size=(*shape, 6, 9))
+        return Evidence(rewards, None, observations, rng.normal(size=(*shape, 6, 1)))
+
+    first, second = made(), made()
+    whole = make_teacher(name, seed=5).judge(first, second)
+    teacher, parts = make_teacher(name, seed=5), np.split(np.arange(700), [1, 2, 40, 600])
+    np.testing.assert_array_equal(
+        whole, np.concatenate([teacher.judge(first.take(part), second.take(part)) for part in parts])
+    )
+
+
+def test_chance_is_the_seeds():
+    pairs = many_pairs(0.0, 100)
+    labels = [make_teacher("stochastic", seed=seed).judge(*pairs).tolist() for seed in (0, 0, 1)]
+    assert labels[0] == labels[1] != labels[2]
+
+
+def test_a_rules_noise_is_measured_in_spreads_of_its_scores():
+    first, second = random_pairs(MANY)
+    labels = [
+        make_teacher("recency+stochastic", window_steps=2).judge(
+            *(evidence(each.rewards * unit) for each in (first, second))
+        )
+        for unit in (1.0, 1000.0)
+    ]
+    np.testing.assert_array_equal(*labels)
+    right = make_teacher("recency", window_steps=2).judge(first, second)
+    assert 0.6 < (labels[0] == right).mean() < 0.8
+
+
+def test_mistakes_over_a_rule_come_at_their_rate():
+    first, second = random_pairs(MANY)
+    mistaken, right = (
+        make_teacher(name, window_steps=2).judge(first, second) for name in ("best-second+mistake", "best-second")
+    )
+    assert within_binomial_bounds((mistaken != right).mean(), 0.1)
+
+
+def test_names_are_presets_then_rules():
+    assert teacher_names() == (*PRESETS, *list(RULES)[1:])
+    assert len(set(teacher_names())) == len(teacher_names())
+
+
+@pytest.mark.parametrize("name", [*teacher_names(), "phase+mistake", "return+equal"])
+def test_parameters_are_plain_json_and_make_the_same_teacher(name):
+    changes = {"seed": 7, "equal": 0.25}
+    parameters = make_teacher(name, **changes).parameters()
+    assert json.loads(json.dumps(parameters, allow_nan=False)) == parameters
+    assert (parameters["name"], parameters["seed"], parameters["equal"]) == (name, 7, 0.25)
+    told = {key: value for key, value in parameters.items() if key not in {"name", "rule"}}
+    assert make_teacher(name, **told).parameters() == parameters
+
+
+def test_parameters_name_rule_and_habits():
+    assert make_teacher("phase+mistake", column=3).parameters() == {
+        "name": "phase+mistake",
+        "rule": "phase",
+        "seed": 0,
+        "beta": None,
+        "gamma": 1.0,
+        "mistake": 0.1,
+        "skip": 0.0,
+        "equal": 0.0,
+        "column": 3,
+        "first_agent": 0,
+        "second_agent": -1,
+        "want": "opposite",
+    }
+
+
+@pytest.mark.parametrize("name", ["", "nobody", "phase+", "+mistake", "mistake+phase", "phase+phase", "oracle+mistake"])
+def test_an_unknown_name_is_told_the_known_ones(name):
+    with pytest.raises(UnknownTeacher, match="best-second"):
+        make_teacher(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        ("oracle", {"window_steps": 3}),
+        ("phase", {"colour": 3}),
+        ("phase", {"want": "sideways"}),
+        ("phase", {"column": 1.5}),
+        ("phase", {"column": True}),
+        ("phase", {"column": "1"}),
+        ("smoothness", {"columns": 3}),
+        ("smoothness", {"columns": [1.5]}),
+        ("recency", {"above_mean": None}),
+        ("recency", {"window_steps": 0}),
+        ("oracle", {"beta": 0}),
+        ("oracle", {"beta": math.inf}),
+        ("oracle", {"beta": math.nan}),
+        ("oracle", {"gamma": 1.1}),
+        ("oracle", {"mistake": -0.1}),
+        ("oracle", {"skip": -1}),
+        ("oracle", {"equal": math.inf}),
+        ("phase", {"gamma": 0.9}),
+        ("phase+myopic", {}),
+    ],
+)
+def test_parameters_that_make_no_sense_are_refused(name, parameters):
+    with pytest.raises(InvalidTeacher):
+        make_teacher(name, **parameters)
+
+
+def test_whole_numbers_pass_for_either_kind():
+    assert make_teacher("recency", window_steps=4.0, above_mean=1).parameters()["window_steps"] == 4
+    assert make_teacher("smoothness", columns=[1, 2]).parameters()["columns"] == [1, 2]
+
+
+def test_a_teacher_may_be_put_together_by_hand():
+    teacher = ScriptedTeacher(Phase(column=0), Habits(mistake=1.0), np.random.default_rng(0))
+    assert teacher.parameters()["mistake"] == 1.0
+    assert ScriptedTeacher(Return(), Habits(), np.random.default_rng(0)).judge(*many_pairs(1.0, 2)).tolist() == [1, 1]
+
+
+@pytest.mark.parametrize(("mean", "length"), [(math.nan, 10), (1.0, 0), (1.0, math.inf)])
+def test_episodes_that_cannot_be_are_refused(mean, length):
+    with pytest.raises(InvalidTeacher):
+        make_teacher("skip").see_episodes(mean, length)

@@ -126,8 +126,8 @@ class ScriptedTeacher:
         if self.habits.beta is None:
             return 0.5 + 0.5 * np.sign(difference)
         logit = self.habits.beta * np.divide(difference, unit, out=np.zeros_like(difference), where=unit > 0)
-        # log-odds of a uniform draw, so that no large difference overflows
-        return (np.log(choosing) - np.log1p(-choosing) < logit).astype(np.float64)
+        # the sigmoid of any logit without overflow
+        return (choosing < 0.5 + 0.5 * np.tanh(logit / 2)).astype(np.float64)
 
     def _bounds(self, scores: Float64s, lengths: NDArray[np.int64]) -> "_Bounds":
         mean, spread, length = self._scale.see(scores, lengths)

@@ -1,0 +1,227 @@
+"""Every rule against a slow loop over one segment's real steps."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mapt.preferences.teachers import (
+    RULES,
+    BestSecond,
+    Evidence,
+    EvidenceMissing,
+    InvalidTeacher,
+    Never,
+    NobodyIdle,
+    Phase,
+    Recency,
+    Return,
+    SharedLoad,
+    Smoothness,
+    WorstSecond,
+    make_teacher,
+)
+
+N_AGENTS, OBSERVATION_DIM, ACTION_DIM, N_STEPS = 4, 6, 2, 12
+every_rule = pytest.mark.parametrize("rule", RULES.values(), ids=RULES.keys())
+
+
+def segment(n_steps, rng):
+    """Arrays of one segment with some character, so that scores differ."""
+    drift = rng.normal(size=(1, N_AGENTS, OBSERVATION_DIM)) * np.linspace(-1, 1, n_steps)[:, None, None]
+    return {
+        "rewards": rng.normal(size=n_steps) + rng.normal(),
+        "observations": rng.normal(size=(n_steps, N_AGENTS, OBSERVATION_DIM)) * 0.3 + drift,
+        "actions": rng.normal(size=(n_steps, N_AGENTS, ACTION_DIM)) * rng.uniform(0.1, 2, size=(N_AGENTS, 1)),
+    }
+
+
+def segments(n_segments, seed=0):
+    rng = np.random.default_rng(seed)
+    return [segment(int(rng.integers(1, N_STEPS + 1)), rng) for _ in range(n_segments)]
+
+
+def windows(values, width):
+    width = min(width, len(values))
+    return [np.mean(values[start : start + width], axis=0) for start in range(len(values) - width + 1)]
+
+
+def slow_return(_rule, rewards, _observations, _actions):
+    return sum(rewards)
+
+
+def slow_best(rule, rewards, _observations, _actions):
+    return max(windows(rewards, rule.window_steps)) - rule.above_mean * np.mean(rewards)
+
+
+def slow_worst(rule, rewards, _observations, _actions):
+    return min(windows(rewards, rule.window_steps)) - rule.above_mean * np.mean(rewards)
+
+
+def slow_recency(rule, rewards, _observations, _actions):
+    return np.mean(rewards[-rule.window_steps :]) - rule.above_mean * np.mean(rewards)
+
+
+def slow_smoothness(rule, _rewards, observations, actions):
+    course = observations[..., list(rule.columns)] if rule.columns else actions
+    change = deviation = 0.0
+    for agent in range(N_AGENTS):
+        for column in range(course.shape[2]):
+            values = course[:, agent, column]
+            change += sum((after - before) ** 2 for before, after in pairwise(values))
+            deviation += sum((value - np.mean(values)) ** 2 for value in values)
+    return -change / deviation if deviation > 1e-20 else 0.0
+
+
+def slow_never(rule, _rewards, observations, _actions):
+    kept, broken, worst = None, 0, -np.inf
+    for step, team in enumerate(observations[..., rule.column]):
+        amount = {"above": max(team), "below": -min(team), "beyond": max(abs(team))}[rule.side]
+        excess = amount - (-rule.limit if rule.side == "below" else rule.limit)
+        worst = max(worst, excess)
+        if excess > 0:
+            kept, broken = step if kept is None else kept, broken + 1
+    length, distance = len(observations), abs(worst) / (1 + abs(worst))
+    if kept is None:
+        return 1 + distance / 2 / length
+    return (kept - (broken - 1 + distance) / (length + 1) / 2) / length
+
+
+def slow_phase(rule, _rewards, observations, _actions):
+    second = rule.second_agent if rule.second_agent >= 0 else rule.first_agent + N_AGENTS // 2
+    first, other = observations[:, rule.first_agent, rule.column], observations[:, second, rule.column]
+    if len(first) == 1:
+        return 0.0
+    return np.corrcoef(first, other)[0, 1] * (-1 if rule.want == "opposite" else 1)
+
+
+def slow_efforts(rule, observations, actions):
+    efforts = np.zeros(observations.shape[:2])
+    for step, agent in np.ndindex(*efforts.shape):
+        for joint in range(ACTION_DIM):
+            force, velocity = abs(actions[step, agent, joint]), abs(observations[step, agent, 2 * joint + 1])
+            efforts[step, agent] += {"power": force * velocity, "action": force, "speed": velocity}[rule.effort]
+    return efforts
+
+
+def slow_shared_load(rule, _rewards, observations, actions):
+    totals = slow_efforts(rule, observations, actions).sum(axis=0)
+    return -np.std(totals) / np.mean(totals)
+
+
+def slow_nobody_idle(rule, _rewards, observations, actions):
+    return min(min(each) / np.mean(each) for each in windows(slow_efforts(rule, observations, actions), 3))
+
+
+CASES = [
+    (Return(), slow_return),
+    (BestSecond(window_steps=3), slow_best),
+    (BestSecond(window_steps=5, above_mean=0.0), slow_best),
+    (WorstSecond(window_steps=3), slow_worst),
+    (WorstSecond(window_steps=1, above_mean=0.5), slow_worst),
+    (Recency(window_steps=4), slow_recency),
+    (Recency(window_steps=4, above_mean=0.0), slow_recency),
+    (Smoothness(), slow_smoothness),
+    (Smoothness(columns=(1, 4)), slow_smoothness),
+    (Never(column=4, limit=0.5, side="above"), slow_never),
+    (Never(column=4, limit=-0.5, side="below"), slow_never),
+    (Never(column=0, limit=0.9, side="beyond"), slow_never),
+    (Never(column=0, limit=5.0, side="beyond"), slow_never),
+    (Phase(), slow_phase),
+    (Phase(column=3, first_agent=1, second_agent=2, want="equal"), slow_phase),
+    *((SharedLoad(effort), slow_shared_load) for effort in ("power", "action", "speed")),
+    *((NobodyIdle(effort, window_steps=3), slow_nobody_idle) for effort in ("power", "action", "speed")),
+]
+
+
+@pytest.mark.parametrize(("rule", "slow"), CASES)
+def test_scores_are_those_of_a_slow_loop(rule, slow):
+    made = segments(60)
+    expected = [slow(rule, each["rewards"], each["observations"], each["actions"]) for each in made]
+    np.testing.assert_allclose(rule.scores(Evidence.stack(made)), expected, rtol=1e-9, atol=1e-9)
+
+
+@every_rule
+def test_padding_changes_no_score(rule):
+    made = Evidence.stack(segments(20))
+    wider = np.pad(made.mask, ((0, 0), (0, 5)))
+    filled = {
+        name: np.pad(getattr(made, name), ((0, 0), (0, 5), *[(0, 0)] * (getattr(made, name).ndim - 2)))
+        for name in ("rewards", "observations", "actions")
+    }
+    for array in filled.values():
+        array[~wider] = 1e3
+    np.testing.assert_allclose(rule.scores(Evidence(mask=wider, **filled)), rule.scores(made), rtol=1e-12, atol=1e-12)
+
+
+@every_rule
+def test_scores_of_a_segment_do_not_depend_on_the_others(rule):
+    made = segments(20)
+    alone = [rule.scores(Evidence.stack([each]))[0] for each in made]
+    np.testing.assert_allclose(rule.scores(Evidence.stack(made)), alone, rtol=1e-9, atol=1e-12)
+
+
+@every_rule
+def test_rules_read_what_they_say_and_no_more(rule):
+    made = Evidence.stack(segments(10))
+    shown = {name: getattr(made, name) for name in ("observations", "actions") if name in rule.reads}
+    rewards = made.rewards if "rewards" in rule.reads else np.zeros_like(made.rewards)
+    np.testing.assert_array_equal(rule.scores(Evidence(rewards, made.mask, **shown)), rule.scores(made))
+    for name in shown:
+        rest = {other: array for other, array in shown.items() if other != name}
+        with pytest.raises(EvidenceMissing):
+            rule.scores(Evidence(rewards, made.mask, **rest))
+
+
+@every_rule
+@given(seed=st.integers(0, 10_000))
+def test_turning_a_pair_round_turns_the_label_round(rule, seed):
+    name = next(name for name, each in RULES.items() if each is rule)
+    first, second = (Evidence.stack(segments(3, [seed, side])) for side in (0, 1))
+    labels, turned = (
+        make_teacher("oracle" if name == "return" else name).judge(*pair) for pair in ((first, second), (second, first))
+    )
+    np.testing.assert_array_equal(labels + turned, 1)
+
+
+@every_rule
+def test_a_segment_of_one_step_and_a_team_at_rest_have_scores(rule):
+    one = Evidence.stack([segment(1, np.random.default_rng(0))])
+    rest = Evidence(
+        np.zeros((1, 5)),
+        observations=np.zeros((1, 5, N_AGENTS, OBSERVATION_DIM)),
+        actions=np.zeros((1, 5, N_AGENTS, 1)),
+    )
+    assert np.isfinite(rule.scores(one)).all()
+    assert np.isfinite(rule.scores(rest)).all()
+
+
+def test_no_sum_over_steps_knows_the_best_second():
+    # The same rewards in another order: every sum over steps is the same.
+    together, apart = [0, 0, 1, 1, 0, 0], [1, 0, 0, 0, 0, 1]
+    judge = make_teacher("best-second", window_steps=2).judge
+    assert judge(Evidence(np.array([together])), Evidence(np.array([apart]))).tolist() == [1.0]
+
+
+def test_opposite_swings_are_in_phase_with_the_rule():
+    swing = np.sin(np.arange(20))
+    observations = np.zeros((2, 20, 2, 2))
+    observations[:, :, 0, 1] = swing
+    observations[0, :, 1, 1], observations[1, :, 1, 1] = -swing, swing
+    scores = Phase().scores(Evidence(np.zeros((2, 20)), observations=observations))
+    np.testing.assert_allclose(scores, [1, -1])
+
+
+def test_among_those_that_fall_the_later_then_the_fewer_then_the_less_deep_is_better():
+    heights = np.array([[0, 0, -2, -2], [0, -2, 0, 0], [0, -2, 0, -2], [0, -9, 0, -2], [0, 0, 0, 0], [1, 1, 1, 1]])
+    evidence = Evidence(np.zeros((6, 4)), observations=heights[:, :, None, None].astype(float))
+    scores = Never(column=0, limit=-1.0, side="below").scores(evidence)
+    assert np.argsort(-scores).tolist() == [5, 4, 0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("rule", [BestSecond, WorstSecond, Recency, NobodyIdle])
+def test_a_window_has_a_step_at_least(rule):
+    with pytest.raises(InvalidTeacher):
+        rule(window_steps=0)
