@@ -1,4 +1,4 @@
-"""A preference dataset as tensors on one device, scored in fused passes."""
+"""The pairs of a preference dataset as tensors, and what scores their segments in fused passes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,36 +8,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.rewards.network import MAPT
-
-# Segments scored at once when no gradient is taken.
-EVALUATION_SEGMENTS = 256
+from mapt.preferences.dataset import PreferenceDataset
+from mapt.rewards.base import RewardModel
+from mapt.rewards.segment_reader import EVALUATION_SEGMENTS, SegmentReader, SegmentTensors, evaluation_parts
 
 #: From indices of segments (B,) to their scores (B,).
 Scorer = Callable[[Tensor], Tensor]
-
-
-@dataclass(frozen=True, slots=True)
-class SegmentTensors:
-    """`SegmentArrays` on a device."""
-
-    observations: Tensor
-    actions: Tensor
-    mask: Tensor
-
-    @classmethod
-    def of(cls, segments: SegmentArrays, device: torch.device) -> "SegmentTensors":
-        return cls(
-            torch.as_tensor(segments.observations, dtype=torch.float32, device=device),
-            torch.as_tensor(segments.actions, dtype=torch.float32, device=device),
-            torch.as_tensor(segments.mask, device=device),
-        )
-
-    def chunks(self) -> "list[SegmentTensors]":
-        """The segments in order, a few hundred at a time."""
-        parts = (tensor.split(EVALUATION_SEGMENTS) for tensor in (self.observations, self.actions, self.mask))
-        return [SegmentTensors(*part) for part in zip(*parts, strict=True)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +30,10 @@ class PairTensors:
     def __len__(self) -> int:
         return len(self.labels)
 
+    def first(self, n_pairs: int) -> "PairTensors":
+        """The first pairs, all of them if there are no more than `n_pairs`."""
+        return PairTensors(self.pairs[:n_pairs], self.labels[:n_pairs])
+
     def scores(self, scorer: Scorer, index: Tensor) -> tuple[Tensor, Tensor]:
         """Scores (B,) of segment 0 and of segment 1 of the pairs at `index`, both in one pass."""
         first, second = scorer(self.pairs[index].T.reshape(-1)).chunk(2)
@@ -67,17 +47,17 @@ class PairTensors:
         return score[:, 0] - score[:, 1]
 
 
-def whole_scorer(model: MAPT, segments: SegmentTensors) -> Scorer:
+def whole_scorer(model: RewardModel, segments: SegmentReader) -> Scorer:
     """Scores by the whole network."""
 
     def score(index: Tensor) -> Tensor:
-        return model(segments.observations[index], segments.actions[index], segments.mask[index]).score
+        return model(*segments.take(index).inputs).score
 
     return score
 
 
 @torch.no_grad()
-def markov_scorer(model: MAPT, segments: SegmentTensors) -> Scorer:
+def markov_scorer(model: RewardModel, segments: SegmentReader) -> Scorer:
     """Scores in which only the Markov path moves: the attention path's rewards and the weights of the steps
     stay what they are now, so that they need one pass over the segments for the whole training."""
 
@@ -86,23 +66,23 @@ def markov_scorer(model: MAPT, segments: SegmentTensors) -> Scorer:
         return (weights * rewards).sum(dim=1)
 
     fixed_weights, fixed_score = [], []
-    for part in segments.chunks():
-        output = model(part.observations, part.actions, part.mask)
+    for part in evaluation_parts(segments, torch.arange(len(segments))):
+        output = model(*part.inputs)
         fixed_weights.append(output.weights)
         fixed_score.append(output.score - markov_score(part, output.weights))
     weights, offset = torch.cat(fixed_weights), torch.cat(fixed_score)
 
     def score(index: Tensor) -> Tensor:
-        part = SegmentTensors(segments.observations[index], segments.actions[index], segments.mask[index])
-        return offset[index] + markov_score(part, weights[index])
+        return offset[index] + markov_score(segments.take(index), weights[index])
 
     return score
 
 
 @torch.no_grad()
-def step_rewards(model: MAPT, segments: SegmentTensors) -> NDArray[np.float32]:
-    """Shared rewards r-hat_t of every real step of the segments, one flat array."""
+def step_rewards(model: RewardModel, segments: SegmentReader, index: Tensor) -> NDArray[np.float32]:
+    """Shared rewards r-hat_t of every real step of the segments at `index`, one flat array."""
     rewards = [
-        model.agent_rewards(part.observations, part.actions).mean(dim=2)[part.mask] for part in segments.chunks()
+        model.agent_rewards(part.observations, part.actions).mean(dim=2)[part.mask]
+        for part in evaluation_parts(segments, index)
     ]
     return torch.cat(rewards).cpu().numpy()

@@ -30,7 +30,12 @@ class TrainConfig:
     markov_patience: int = 10
     #: and before that of the whole network stops
     patience: int = 2
+    #: most epochs of either stage when a version goes on from the one before, which knows most of it already
+    warm_markov_epochs: int = 8
+    warm_epochs: int = 2
     hold_out_fraction: float = 0.2
+    #: share of the labels that the loss takes to be mistakes; see `mapt.preferences.loss`
+    label_noise: float = 0.0
     #: AdamW's decoupled weight decay
     weight_decay: float = 0.01
     seed: int = 0
@@ -38,15 +43,18 @@ class TrainConfig:
     device: str = "auto"
 
     def __post_init__(self) -> None:
-        for name in ("batch_pairs", "max_epochs", "markov_patience", "patience"):
+        for name in ("batch_pairs", "max_epochs", "markov_patience", "patience", "warm_epochs"):
             check_positive_int(name, getattr(self, name))
         if not isinstance(self.seed, int) or isinstance(self.seed, bool) or self.seed < 0:
             raise InvalidConfig(f"seed is {self.seed!r}; it must be a whole number, 0 or more")
-        if not isinstance(self.markov_epochs, int) or self.markov_epochs < 0:
-            raise InvalidConfig(f"markov_epochs is {self.markov_epochs!r}; it must be a whole number, 0 or more")
+        for name in ("markov_epochs", "warm_markov_epochs"):
+            epochs = getattr(self, name)
+            if not isinstance(epochs, int) or isinstance(epochs, bool) or epochs < 0:
+                raise InvalidConfig(f"{name} is {epochs!r}; it must be a whole number, 0 or more")
         check_range("lr", self.lr, 1e-8, 1.0)
         check_range("markov_lr", self.markov_lr, 1e-8, 1.0)
         check_range("hold_out_fraction", self.hold_out_fraction, 0.01, 0.5)
+        check_range("label_noise", self.label_noise, 0.0, 0.49)
         check_range("weight_decay", self.weight_decay, 0.0, 10.0)
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Train MAPT on labelled pairs: first its Markov path, then the whole network."""
+"""Train a reward model on labelled pairs: first its Markov path, then the whole network."""
 
 import copy
 import math
@@ -8,29 +8,30 @@ from dataclasses import dataclass
 
 import torch
 
-from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
+from mapt.preferences.dataset import PreferenceDataset, SegmentSource
+from mapt.rewards.base import RewardModel
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.device import resolve_device
 from mapt.rewards.errors import ModelMismatch
 from mapt.rewards.fitting import Fitting, Stage, TrainProgress, judge_pairs
-from mapt.rewards.network import MAPT
-from mapt.rewards.pair_tensors import (
-    PairTensors,
-    SegmentTensors,
-    markov_scorer,
-    step_rewards,
-    whole_scorer,
-)
+from mapt.rewards.model import build_reward_model
+from mapt.rewards.pair_tensors import PairTensors, markov_scorer, step_rewards, whole_scorer
+from mapt.rewards.segment_reader import SegmentReader, segment_reader
 from mapt.rewards.train_config import TrainConfig
 
 __all__ = ["TrainProgress", "TrainedReward", "train_reward_model"]
+
+# What is measured over all segments or pairs is measured over no more of them than these: a mean over so many is
+# exact to a percent of its deviation, and 50,000 pairs must not be read again for it.
+MOST_SEGMENTS_MEASURED = 4096
+MOST_PAIRS_JUDGED = 2000
 
 
 @dataclass(frozen=True, slots=True)
 class TrainedReward:
     """A trained model, in evaluation mode on the CPU, and how its training went."""
 
-    model: MAPT
+    model: RewardModel
     #: see `train_reward_model`
     metrics: dict[str, float]
     history: tuple[TrainProgress, ...]
@@ -41,24 +42,26 @@ def train_reward_model(
     config: RewardConfig,
     train_config: TrainConfig,
     *,
-    initial: MAPT | None = None,
-    reference: SegmentArrays | None = None,
+    initial: RewardModel | None = None,
+    reference: SegmentSource | None = None,
     progress: Callable[[TrainProgress], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> TrainedReward:
-    """Train MAPT on labelled pairs; the same arguments give the same model on the same machine.
+    """Train the model of `config` on labelled pairs; the same arguments give the same model on the same machine.
 
     Args:
-        dataset: at least two labelled pairs.
+        dataset: at least two labelled pairs. Segments on disk stay there when they are many: the memory is
+            then that of a batch.
         config: the network; its dimensions must be the dataset's.
-        initial: a model of the same `config` to go on from; it is left as it is.
+        initial: a model of the same `config` to go on from, for `warm_markov_epochs` and `warm_epochs` at most;
+            it is left as it is.
         reference: segments over which rewards are normalised to mean 0 and deviation 1; the dataset's own
             when not given.
         progress: called after every epoch.
         stop: asked before every step; true ends the training with the best weights so far.
 
     Returns:
-        The model and its metrics: `loss` and `accuracy` on the training pairs, `holdout_loss`,
+        The model and its metrics: `loss` and `accuracy` on the training pairs (the first 2,000), `holdout_loss`,
         `holdout_accuracy`, `ece` (of the hold-out), `epochs`, `seconds`, `labels`, `holdout_labels`,
         `holdout_reliable` (1 when the hold-out was large enough to choose weights by, else 0), `stopped` (1
         when `stop` ended it). A number that cannot be measured, such as the accuracy over ties alone, is
@@ -71,29 +74,32 @@ def train_reward_model(
     _check_fit(dataset, config, initial)
     started = time.perf_counter()
     device = resolve_device(train_config.device)
-    segments = SegmentTensors.of(dataset.segments, device)
+    segments = segment_reader(dataset.segments, device)
     train, hold_out = (
         PairTensors.of(part, device) for part in dataset.split(train_config.hold_out_fraction, train_config.seed)
     )
     # Initial weights and dropout draw from torch's global generators: seeded here, and given back as they were.
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         torch.manual_seed(train_config.seed)
-        model = (MAPT(config) if initial is None else copy.deepcopy(initial)).to(device)
-        model.measure_inputs(segments.observations, segments.actions, segments.mask, keep_function=initial is not None)
+        model = (build_reward_model(config) if initial is None else copy.deepcopy(initial)).to(device)
+        sample = segments.take(_spread(len(segments)))
+        model.measure_inputs(*sample.inputs, keep_function=initial is not None)
         fitting = Fitting(
             model,
             train,
             hold_out,
             seed=train_config.seed,
-            max_epochs=train_config.markov_epochs + train_config.max_epochs,
+            max_epochs=sum(_epochs(model, train_config, warm=initial is not None)),
             progress=progress,
             stop=stop,
         )
-        _run_stages(fitting, model, segments, train_config)
-    rewards = step_rewards(model, segments if reference is None else SegmentTensors.of(reference, device))
+        _run_stages(fitting, model, segments, train_config, warm=initial is not None)
+    judged = segments if reference is None else segment_reader(reference, device)
+    rewards = step_rewards(model, judged, _spread(len(judged)))
     model.set_reward_scale(float(rewards.mean()), float(rewards.std()))
-    scorer = whole_scorer(model, segments)
-    learned, held_out = judge_pairs(train, scorer), judge_pairs(hold_out, scorer)
+    scorer, noise = whole_scorer(model, segments), train_config.label_noise
+    learned = judge_pairs(train.first(MOST_PAIRS_JUDGED), scorer, noise)
+    held_out = judge_pairs(hold_out, scorer, noise)
     metrics = {
         "loss": learned.loss,
         "accuracy": learned.accuracy,
@@ -111,7 +117,9 @@ def train_reward_model(
     return TrainedReward(model.cpu(), measured, tuple(fitting.history))
 
 
-def _run_stages(fitting: Fitting, model: MAPT, segments: SegmentTensors, config: TrainConfig) -> None:
+def _run_stages(
+    fitting: Fitting, model: RewardModel, segments: SegmentReader, config: TrainConfig, *, warm: bool
+) -> None:
     """The Markov path by itself, while the rest is held still; then everything, as far as the hold-out agrees.
 
     The Markov path takes a tenth of the time of the whole network and, where the true reward is Markov, all
@@ -119,7 +127,8 @@ def _run_stages(fitting: Fitting, model: MAPT, segments: SegmentTensors, config:
     where the hold-out gains by it; a hold-out too small to tell that lets nothing be added.
     """
     model.eval()
-    if model.markov is not None and config.markov_epochs:
+    markov_epochs, whole_epochs = _epochs(model, config, warm=warm)
+    if model.markov is not None and markov_epochs:
         fitting.run(
             Stage(
                 list(model.markov.parameters()),
@@ -127,13 +136,14 @@ def _run_stages(fitting: Fitting, model: MAPT, segments: SegmentTensors, config:
                 lr=config.markov_lr,
                 weight_decay=config.weight_decay,
                 batch_pairs=config.batch_pairs,
-                max_epochs=config.markov_epochs,
+                max_epochs=markov_epochs,
                 patience=config.markov_patience,
+                label_noise=config.label_noise,
             )
         )
         if not fitting.reliable:
             return
-    if not fitting.stopped:
+    if whole_epochs and not fitting.stopped:
         fitting.run(
             Stage(
                 list(model.parameters()),
@@ -141,15 +151,33 @@ def _run_stages(fitting: Fitting, model: MAPT, segments: SegmentTensors, config:
                 lr=config.lr,
                 weight_decay=config.weight_decay,
                 batch_pairs=config.batch_pairs,
-                max_epochs=config.max_epochs,
+                max_epochs=whole_epochs,
                 patience=config.patience,
+                label_noise=config.label_noise,
                 # Without a Markov path there is nothing good to fall back to.
                 must_convince=model.markov is not None and fitting.reliable,
             )
         )
 
 
-def _check_fit(dataset: PreferenceDataset, config: RewardConfig, initial: MAPT | None) -> None:
+def _epochs(model: RewardModel, config: TrainConfig, *, warm: bool) -> tuple[int, int]:
+    """Most epochs of the Markov path by itself, and of the whole network."""
+    markov, whole = (config.warm_markov_epochs if warm else config.markov_epochs), config.max_epochs
+    if warm:
+        whole = config.warm_epochs
+    if model.markov is None:
+        return 0, whole
+    # A Markov model is its Markov path: once that is trained, so is all of it.
+    return markov, 0 if markov and model.config.architecture == "mlp" else whole
+
+
+def _spread(n_segments: int) -> torch.Tensor:
+    """Indices of up to `MOST_SEGMENTS_MEASURED` segments, evenly spread: all ages of a replay have their say."""
+    n_taken = min(n_segments, MOST_SEGMENTS_MEASURED)
+    return torch.linspace(0, n_segments - 1, n_taken, dtype=torch.float64).round().long()
+
+
+def _check_fit(dataset: PreferenceDataset, config: RewardConfig, initial: RewardModel | None) -> None:
     segments = dataset.segments
     expected = (config.n_agents, config.observation_dim, config.action_dim)
     found = (segments.n_agents, segments.observation_dim, segments.action_dim)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapt.preferences.errors import ShapeError
-from mapt.preferences.loss import preference_loss
+from mapt.preferences.loss import preference_loss, preference_losses
 
 finite = st.floats(-50, 50, width=32)
 probability = st.floats(0, 1, width=32)
@@ -41,3 +41,20 @@ def test_loss_stays_finite_for_scores_far_apart():
 def test_shapes_that_disagree_are_refused(n_scores, n_labels):
     with pytest.raises(ShapeError, match="expected that of"):
         preference_loss(torch.zeros(2), torch.zeros(n_scores), torch.zeros(n_labels))
+
+
+@given(st.floats(-20, 20, width=32), probability, st.floats(0.01, 0.49))
+def test_noisy_labels_are_explained_by_a_mixture(logit, label, noise):
+    p = 1 / (1 + math.exp(-logit))
+    seen = (1 - noise) * p + noise * (1 - p)
+    expected = -label * math.log(seen) - (1 - label) * math.log(1 - seen)
+    loss = preference_losses(torch.tensor([logit]), torch.tensor([label]), noise)
+    assert loss.item() == pytest.approx(expected, rel=1e-3, abs=1e-4)
+
+
+def test_a_sure_mistake_costs_no_more_than_its_noise_allows_and_stops_pulling():
+    logit = torch.tensor([60.0], requires_grad=True)
+    loss = preference_losses(logit, torch.zeros(1), 0.1).sum()
+    loss.backward()
+    assert loss.item() == pytest.approx(math.log(10), rel=1e-4)
+    assert logit.grad.abs().item() < 1e-6

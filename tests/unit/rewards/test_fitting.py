@@ -2,7 +2,8 @@ import math
 
 import torch
 
-from mapt.rewards.fitting import exceeds_chance, judge_pairs, pair_losses
+from mapt.preferences.loss import preference_losses
+from mapt.rewards.fitting import exceeds_chance, judge_pairs
 from mapt.rewards.pair_tensors import PairTensors
 
 
@@ -20,7 +21,8 @@ def test_losses_of_pairs_average_to_their_judgement():
     scores = torch.tensor([0.5, -1.0, 2.0])
     pairs = PairTensors(torch.tensor([[0, 1], [2, 0], [1, 2]]), torch.tensor([1.0, 0.5, 0.0]))
     judgement = judge_pairs(pairs, lambda index: scores[index])
-    assert math.isclose(pair_losses(pairs, lambda index: scores[index]).mean().item(), judgement.loss, rel_tol=1e-6)
+    losses = preference_losses(pairs.logits(lambda index: scores[index]), pairs.labels)
+    assert math.isclose(losses.mean().item(), judgement.loss, rel_tol=1e-6)
     assert judgement.accuracy == 1.0
 
 

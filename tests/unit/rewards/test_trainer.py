@@ -1,4 +1,5 @@
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,8 +7,11 @@ import torch
 
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.errors import NotEnoughPairs
+from mapt.preferences.loss import preference_losses
+from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
 from mapt.preferences.teachers import Evidence, OracleTeacher
-from mapt.rewards.config import RewardConfig
+from mapt.rewards import segment_reader
+from mapt.rewards.config import MODEL_NAMES, RewardConfig
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
 from mapt.rewards.network import MAPT
 from mapt.rewards.train_config import TrainConfig
@@ -148,6 +152,43 @@ def test_a_warm_start_goes_on_from_the_model_and_leaves_it_alone():
     assert all(torch.equal(tensor, before[name]) for name, tensor in first.state_dict().items())
 
 
+def test_a_warm_start_takes_fewer_epochs():
+    settings = TrainConfig(markov_epochs=6, max_epochs=4, warm_markov_epochs=2, warm_epochs=1, device="cpu")
+    first = train_reward_model(preferences(60), CONFIG, settings)
+    warm = train_reward_model(preferences(80), CONFIG, settings, initial=first.model)
+    assert warm.metrics["epochs"] <= 3 < first.metrics["epochs"]
+
+
+def test_segments_left_on_disk_train_the_same_model(tmp_path, monkeypatch):
+    dataset = preferences(60)
+    layout = SegmentLayout(n_steps=8, n_agents=N_AGENTS, observation_dim=OBSERVATION_DIM, action_dim=ACTION_DIM)
+    with SegmentWriter.create(tmp_path / "segments", layout) as writer:
+        writer.append(dataset.segments)
+    folder = SegmentFolder.open(tmp_path / "segments")
+    kept = train_reward_model(dataset, CONFIG, QUICK)
+    monkeypatch.setattr(segment_reader, "MOST_NUMBERS_KEPT", 0)
+    streamed = train_reward_model(PreferenceDataset(folder, dataset.pairs, dataset.labels), CONFIG, QUICK)
+    assert same_weights(kept.model, streamed.model)
+
+
+def test_a_loss_that_expects_mistakes_learns_more_from_them():
+    clean, fresh = preferences(600), preferences(300, seed=1)
+    wrong = np.random.default_rng(2).random(600) < 0.3
+    labels = np.where(wrong, 1 - clean.labels, clean.labels)
+    noisy = PreferenceDataset(clean.segments, clean.pairs, labels)
+
+    def loss_on_fresh_pairs(label_noise):
+        settings = TrainConfig(markov_epochs=20, max_epochs=1, label_noise=label_noise, device="cpu")
+        trained = train_reward_model(noisy, CONFIG, settings).model
+        with torch.inference_mode():
+            arrays = fresh.segments.observations, fresh.segments.actions, fresh.segments.mask
+            score = trained(*(torch.as_tensor(x) for x in arrays)).score
+        logits = score[fresh.pairs[:, 0]] - score[fresh.pairs[:, 1]]
+        return preference_losses(logits, torch.as_tensor(fresh.labels)).mean().item()
+
+    assert loss_on_fresh_pairs(0.3) < 0.8 * loss_on_fresh_pairs(0.0)
+
+
 def test_progress_is_reported_after_every_epoch():
     seen = []
     trained = train_reward_model(preferences(60), CONFIG, QUICK, progress=seen.append)
@@ -172,6 +213,14 @@ def test_a_stopped_training_ends_at_once_with_what_it_has():
 def test_a_model_stopped_before_its_first_step_is_whole():
     trained = train_reward_model(preferences(60), CONFIG, QUICK, stop=lambda: True)
     assert (trained.metrics["epochs"], trained.metrics["stopped"]) == (0, 1)
+
+
+@pytest.mark.parametrize("name", MODEL_NAMES)
+def test_every_model_of_the_tables_learns(name):
+    dims = {"observation_dim": OBSERVATION_DIM, "action_dim": ACTION_DIM, "n_agents": N_AGENTS}
+    config = replace(RewardConfig.named(name, **dims), hidden_dim=16)
+    trained = train_reward_model(preferences(80), config, TrainConfig(lr=3e-3, markov_epochs=4, max_epochs=12))
+    assert trained.metrics["loss"] < 0.65
 
 
 @pytest.mark.parametrize("settings", [{"markov_path": False}, {"temporal": "lstm"}, {"cpa": False, "tpa": False}])

@@ -1,0 +1,92 @@
+"""Segments as tensors on one device: kept there when they fit, read from disk batch by batch when they do not."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mapt.preferences.dataset import SegmentArrays, SegmentSource
+
+# Segments scored at once when no gradient is taken.
+EVALUATION_SEGMENTS = 256
+# A source of fewer numbers than this is copied to the device whole: 2 GiB of float32.
+MOST_NUMBERS_KEPT = 1 << 29
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentTensors:
+    """`SegmentArrays` on a device."""
+
+    observations: Tensor
+    actions: Tensor
+    mask: Tensor
+
+    @classmethod
+    def of(cls, segments: SegmentArrays, device: torch.device) -> "SegmentTensors":
+        return cls(
+            torch.as_tensor(segments.observations, dtype=torch.float32, device=device),
+            torch.as_tensor(segments.actions, dtype=torch.float32, device=device),
+            torch.as_tensor(segments.mask, device=device),
+        )
+
+    @property
+    def inputs(self) -> tuple[Tensor, Tensor, Tensor]:
+        """What a reward model's `forward` takes."""
+        return self.observations, self.actions, self.mask
+
+
+class SegmentReader(Protocol):
+    """Gives segments by index, as tensors."""
+
+    def __len__(self) -> int: ...
+
+    def take(self, index: Tensor) -> SegmentTensors:
+        """The segments at `index`, int64 (B,)."""
+        ...
+
+
+class KeptSegments:
+    """All segments on the device."""
+
+    def __init__(self, segments: SegmentArrays, device: torch.device) -> None:
+        self._segments = SegmentTensors.of(segments, device)
+
+    def __len__(self) -> int:
+        return len(self._segments.mask)
+
+    def take(self, index: Tensor) -> SegmentTensors:
+        """See `SegmentReader.take`."""
+        return SegmentTensors(*(tensor[index] for tensor in self._segments.inputs))
+
+
+class StreamedSegments:
+    """Segments read from their source each time they are asked for, in the memory of one batch."""
+
+    def __init__(self, source: SegmentSource, device: torch.device) -> None:
+        self._source, self._device = source, device
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def take(self, index: Tensor) -> SegmentTensors:
+        """See `SegmentReader.take`."""
+        return SegmentTensors.of(self._source.take(index.cpu().numpy()), self._device)
+
+
+def segment_reader(source: SegmentSource, device: torch.device) -> SegmentReader:
+    """The reader that fits the size of `source`."""
+    numbers = len(source) * source.n_steps * source.n_agents * (source.observation_dim + source.action_dim)
+    if isinstance(source, SegmentArrays):
+        return KeptSegments(source, device)
+    if numbers <= MOST_NUMBERS_KEPT:
+        return KeptSegments(source.take(np.arange(len(source))), device)
+    return StreamedSegments(source, device)
+
+
+def evaluation_parts(reader: SegmentReader, index: Tensor) -> Iterator[SegmentTensors]:
+    """The segments at `index`, in that order, a few hundred at a time."""
+    for part in index.split(EVALUATION_SEGMENTS):
+        yield reader.take(part)
