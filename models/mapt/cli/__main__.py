@@ -1,0 +1,6 @@
+"""`python -m mapt.cli`, for where the script is not on the path."""
+
+from mapt.cli.main import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,41 @@
+"""Commands put together, and what a failure looks like: one sentence, status 2, no traceback."""
+
+import sys
+
+import typer
+
+from mapt.cli import dataset, table
+from mapt.cli.output import complain
+from mapt.policies import PolicyError
+from mapt.preferences.errors import PreferenceError
+from mapt.rewards.errors import RewardModelError
+from mapt.studies.errors import StudyError
+from mapt.tasks import TaskError
+
+app = typer.Typer(
+    name="mapt",
+    help="Learn rewards of teams of agents from preferences, and see how good they are.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+app.command("dataset")(dataset.dataset)
+app.command("table")(table.table)
+
+
+# typer makes a lone command the whole program; with this there are always commands.
+@app.callback()
+def _commands() -> None:
+    """Learn rewards of teams of agents from preferences, and see how good they are."""
+
+
+def main() -> None:
+    """The entry point of the script `mapt`."""
+    try:
+        app()
+    except (StudyError, TaskError, PreferenceError, RewardModelError, PolicyError) as error:
+        complain(str(error))
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)

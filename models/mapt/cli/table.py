@@ -1,0 +1,131 @@
+"""mapt table: models by labels, teachers and seeds, on segments that none of them was trained on."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from mapt.cli.dataset import record_all
+from mapt.cli.options import PolicySteps, Preset, Seeds, Segments, SegmentSteps, Task, numbers, words
+from mapt.cli.output import complain, note, on_terminal, out, say
+from mapt.rewards.config import MODEL_NAMES
+from mapt.studies.cell_folder import Cell, CellFolder, code_fingerprint
+from mapt.studies.plan import TablePlan, replay_folder, table_jobs
+from mapt.studies.pool import Job, run_jobs
+from mapt.studies.recording import Recording
+from mapt.studies.replay import Replay
+from mapt.studies.summary import Summary, summarise
+from mapt.studies.table_plot import draw_table
+from mapt.studies.tables import markdown, write_cells, write_comparisons
+
+
+def table(
+    *,
+    output: Annotated[
+        Path, typer.Option(help="Folder of table.md, cells.csv, comparisons.csv, table.png and the finished cells.")
+    ],
+    task: Task = "HalfCheetah-6x1",
+    models: Annotated[
+        str,
+        typer.Option(help="Models, with commas between; NAME:setting=value differs from NAME in a setting."),
+    ] = ",".join(MODEL_NAMES),
+    teachers: Annotated[str, typer.Option(help="Scripted teachers, with commas between.")] = "oracle",
+    labels: Annotated[str, typer.Option(help="Numbers of labels, with commas between.")] = "500,2000,10000",
+    seeds: Seeds = "0,1,2",
+    baseline: Annotated[
+        str | None,
+        typer.Option(help="Model that the others are tested against.  [default: MA-MLP, or the first model]"),
+    ] = None,
+    replay: Annotated[
+        Path | None,
+        typer.Option(help="Folder of replays, as `mapt dataset` leaves it.  [default: replays, in the output folder]"),
+    ] = None,
+    preset: Annotated[Preset, typer.Option(help="Size of the networks and their training.")] = Preset.SMALL,
+    segment_steps: SegmentSteps = 50,
+    policy_steps: PolicySteps = 800_000,
+    segments: Segments = 6000,
+    test_pairs: Annotated[int, typer.Option(min=1, help="Fresh pairs that each cell is tested on.")] = 4000,
+    device: Annotated[str, typer.Option(help="Where models are trained: cpu, cuda or auto.")] = "cpu",
+    workers: Annotated[int, typer.Option(min=1, help="Cells made at once, each in a process of one thread.")] = 1,
+    same_code: Annotated[
+        bool, typer.Option("--same-code", help="Make cells anew that another state of the code made.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Make no cell: write the table of those that are finished.")
+    ] = False,
+) -> None:
+    """Train every model on every number of labels of every teacher, and compare them on fresh pairs.
+
+    A run that was ended goes on where it was when the same command is given again.
+    """
+    names = words("--models", models)
+    plan = TablePlan(
+        task=task,
+        models=names,
+        teachers=words("--teachers", teachers),
+        labels=numbers("--labels", labels, 2),
+        seeds=numbers("--seeds", seeds, 0),
+        preset=preset.value,
+        test_pairs=test_pairs,
+        device=device,
+        baseline=baseline or ("MA-MLP" if "MA-MLP" in names else names[0]),
+    )
+    root = replay or output / "replays"
+    recordings = [Recording(task, policy_steps, segment_steps, segments, seed) for seed in plan.seeds]
+    jobs = table_jobs(plan, _replays(recordings, root))
+    folder = CellFolder(output / "cells")
+    if not dry_run:
+        _make(jobs, folder, workers, same_code)
+    summary = summarise(plan, [cell for job in jobs if (cell := folder.read(job.settings)) is not None])
+    for path in write(summary, output):
+        say(f"[dim]{path}[/dim]")
+    if summary.missing and not dry_run:
+        complain(f"{summary.missing} cells are missing; the same command makes them.")
+        raise typer.Exit(1)
+
+
+def write(summary: Summary, output: Path) -> list[Path]:
+    """Write the table in all its forms. Returns their paths."""
+    output.mkdir(parents=True, exist_ok=True)
+    paths = [output / name for name in ("table.md", "cells.csv", "comparisons.csv", "table.png")]
+    paths[0].write_text(markdown(summary))
+    write_cells(summary, paths[1])
+    write_comparisons(summary, paths[2])
+    draw_table(summary, paths[3])
+    return paths
+
+
+def _replays(recordings: Sequence[Recording], root: Path) -> dict[int, Replay]:
+    """The replays that are there, and the others recorded now."""
+    absent = [recording for recording in recordings if not replay_folder(root, recording.seed).exists()]
+    record_all(absent, root)
+    return {recording.seed: Replay.open(replay_folder(root, recording.seed)) for recording in recordings}
+
+
+def _make(jobs: Sequence[Job], folder: CellFolder, workers: int, same_code: bool) -> None:
+    wanted = [job for job in jobs if not _finished(folder.read(job.settings), same_code)]
+    note(f"{len(jobs)} cells, {len(jobs) - len(wanted)} of them finished; {workers} at once")
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(
+        *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=out, disable=not on_terminal()
+    ) as progress:
+        bar = progress.add_task("cells", total=len(jobs), completed=len(jobs) - len(wanted))
+        started: dict[str, float] = {}
+        for done in run_jobs(wanted, folder.path, workers, lambda job: started.update({job.settings.key: time.time()})):
+            settings = done.job.settings
+            name = f"{settings.model}, {settings.teacher}, {settings.labels:,} labels, seed {settings.seed}"
+            if done.failure:
+                complain(f"{name}: {done.failure}")
+                continue
+            progress.advance(bar)
+            cell = folder.read(settings)
+            if cell is not None:
+                seconds = time.time() - started[settings.key]
+                note(f"{name}: accuracy {cell.result.metrics.get('accuracy', float('nan')):.4f}, {seconds:.0f} s")
+
+
+def _finished(cell: Cell | None, same_code: bool) -> bool:
+    return cell is not None and (not same_code or cell.code == code_fingerprint())

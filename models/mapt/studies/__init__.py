@@ -1,0 +1,1 @@
+"""Studies of reward models: recorded replays, the table of variants, the report on a trained model."""

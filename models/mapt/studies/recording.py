@@ -1,0 +1,115 @@
+"""Record the replay of a team that learns a task with its true reward."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapt.policies import MappoConfig, MappoLearner, Rollout, train, true_reward
+from mapt.preferences.dataset import SegmentArrays
+from mapt.preferences.storage import SegmentLayout, SegmentWriter
+from mapt.studies.errors import InvalidStudy
+from mapt.studies.replay import Replay
+from mapt.tasks import TaskSpec, make_task
+
+Number = TypeVar("Number", bound=np.floating)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What to record."""
+
+    task: str
+    #: environment steps of the policy's training
+    policy_steps: int
+    #: T, at most the steps of one rollout
+    segment_steps: int
+    #: how many segments to keep, spread evenly over the training
+    segments: int
+    seed: int
+
+
+def record_replay(recording: Recording, path: Path, progress: Callable[[int, float], None] | None = None) -> Replay:
+    """Train a team on the true reward and keep segments of every rollout, none across an episode's start.
+
+    They go to disk as they come: memory does not grow with their number.
+
+    Args:
+        path: of the new folder.
+        progress: called after each rollout with the steps so far and the mean true reward of a step.
+
+    Raises:
+        InvalidStudy: if a number is out of its range.
+        UnknownTask: if no task has this name.
+        AlreadyThere: if the folder holds anything.
+    """
+    config = MappoConfig(seed=recording.seed, device="cpu")
+    if not 1 <= recording.segment_steps <= config.rollout_steps:
+        raise InvalidStudy(f"segments of {recording.segment_steps} steps; a rollout has {config.rollout_steps}")
+    if recording.segments < 1 or recording.policy_steps < 1:
+        raise InvalidStudy("segments and policy steps must be 1 or more")
+    rng = np.random.default_rng([recording.seed, 3])
+    about = asdict(recording) | {"policy": config.to_dict()}
+    task = make_task(recording.task, config.n_envs)
+    try:
+        with SegmentWriter.create(path, layout_of(task.spec, recording.segment_steps), about=about) as writer:
+
+            def keep(learner: MappoLearner, rollout: Rollout, _metrics: dict[str, float]) -> None:
+                done = min(1.0, learner.steps / recording.policy_steps)
+                wanted = round(recording.segments * done) - len(writer)
+                append(writer, rollout, places(rollout, recording.segment_steps, wanted, rng))
+                if progress is not None:
+                    progress(learner.steps, float(rollout.rewards.mean()))
+
+            train(MappoLearner(task, config), true_reward, recording.policy_steps, keep)
+    finally:
+        task.close()
+    return Replay.open(path)
+
+
+def layout_of(spec: TaskSpec, n_steps: int) -> SegmentLayout:
+    """How segments of this task are kept."""
+    return SegmentLayout(
+        n_steps=n_steps,
+        n_agents=spec.n_agents,
+        observation_dim=spec.observation_dim,
+        action_dim=spec.action_dim,
+        discrete=spec.discrete_actions,
+        rewards=True,
+        qpos_dim=spec.nq,
+        qvel_dim=spec.nv,
+    )
+
+
+def places(rollout: Rollout, n_steps: int, count: int, rng: np.random.Generator) -> list[tuple[slice, int]]:
+    """(steps, environment) of at most `count` segments that do not overlap, drawn at random.
+
+    No segment holds the start of an episode after its first step.
+    """
+    length, n_envs = rollout.rewards.shape
+    free = [
+        (slice(first, first + n_steps), env)
+        for first in range(0, length - n_steps + 1, n_steps)
+        for env in range(n_envs)
+        if not rollout.episode_start[first + 1 : first + n_steps, env].any()
+    ]
+    chosen = rng.choice(len(free), min(max(0, count), len(free)), replace=False)
+    return [free[i] for i in np.sort(chosen)]
+
+
+def append(writer: SegmentWriter, rollout: Rollout, cuts: list[tuple[slice, int]]) -> None:
+    """Write these parts of a rollout."""
+    if not cuts:
+        return
+
+    def cut(values: NDArray[Number]) -> NDArray[Number]:
+        return np.stack([values[place] for place in cuts])
+
+    states = {
+        name: cut(getattr(rollout, name)) for name in ("rewards", "qpos", "qvel") if name in writer.layout.columns
+    }
+    whole = np.ones((len(cuts), writer.layout.n_steps), np.bool_)
+    writer.append(SegmentArrays(cut(rollout.observations), cut(rollout.actions), whole), **states)

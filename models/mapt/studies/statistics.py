@@ -1,0 +1,112 @@
+"""Tests of whether two models differ: over seeds, and over the pairs that both were tested on."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_BOOTSTRAP_DRAWS = 2000
+_INTERVAL = (2.5, 97.5)
+
+
+@dataclass(frozen=True, slots=True)
+class PairedTest:
+    """Student's test of paired differences."""
+
+    #: differences
+    n: int
+    mean: float
+    #: sample standard deviation; NaN with fewer than two
+    deviation: float
+    #: two-sided; NaN with fewer than two differences
+    p: float
+
+
+def paired_test(differences: ArrayLike) -> PairedTest:
+    """Whether the mean of `differences` (n,) could be 0 by chance."""
+    values = np.asarray(differences, dtype=np.float64)
+    n, mean = len(values), float(values.mean()) if len(values) else math.nan
+    if n < 2:
+        return PairedTest(n, mean, math.nan, math.nan)
+    deviation = float(values.std(ddof=1))
+    if deviation == 0:
+        return PairedTest(n, mean, 0.0, 1.0 if mean == 0 else 0.0)
+    return PairedTest(n, mean, deviation, student_p(mean / (deviation / math.sqrt(n)), n - 1))
+
+
+def student_p(t: float, degrees: int) -> float:
+    """Two-sided p of Student's t with a whole number of degrees of freedom.
+
+    By the finite series for whole degrees (Abramowitz and Stegun, 26.7.3 and 26.7.4).
+    """
+    angle = math.atan2(abs(t), math.sqrt(degrees))
+    cosine_squared = math.cos(angle) ** 2
+    odd = degrees % 2
+    term = math.cos(angle) if odd else 1.0
+    total = 0.0
+    for k in range(odd, degrees - 1, 2):
+        total += term
+        term *= cosine_squared * (k + 1) / (k + 2)
+    within = math.sin(angle) * total
+    return max(0.0, 1 - (2 / math.pi * (angle + within) if odd else within))
+
+
+@dataclass(frozen=True, slots=True)
+class McNemar:
+    """Pairs on which one model is right and the other wrong."""
+
+    #: only the model is right; only the baseline
+    gained: int
+    lost: int
+    #: two-sided, exact
+    p: float
+
+
+def mcnemar(right: ArrayLike, baseline_right: ArrayLike) -> McNemar:
+    """McNemar's exact test on pairs (P,) told rightly or wrongly by a model and by a baseline."""
+    own, other = np.asarray(right, dtype=np.bool_), np.asarray(baseline_right, dtype=np.bool_)
+    gained, lost = int((own & ~other).sum()), int((other & ~own).sum())
+    return McNemar(gained, lost, binomial_p(min(gained, lost), gained + lost))
+
+
+def binomial_p(k: int, n: int) -> float:
+    """Two-sided p of at most k heads, k <= n / 2, in n throws of a fair coin."""
+    if n == 0:
+        return 1.0
+    # In logarithms: n may be thousands.
+    logs = [math.lgamma(n + 1) - math.lgamma(i + 1) - math.lgamma(n - i + 1) - n * math.log(2) for i in range(k + 1)]
+    return min(1.0, 2 * math.fsum(math.exp(value) for value in logs))
+
+
+@dataclass(frozen=True, slots=True)
+class TestedPairs:
+    """How a model did against a baseline on one seed's fresh pairs."""
+
+    #: (P,): 1 where only the model is right, -1 where only the baseline, else 0
+    difference: NDArray[np.float64]
+    #: int64 (P, 2): the segments
+    pairs: NDArray[np.int64]
+
+
+def bootstrap_interval(tested: Sequence[TestedPairs], seed: int = 0) -> tuple[float, float]:
+    """95% interval of the mean difference, averaged over seeds, if other segments had been drawn for testing.
+
+    Segments are drawn anew, not pairs: pairs that share a segment say less than as many pairs of their own.
+    """
+    rng = np.random.default_rng(seed)
+    means = [_bootstrap_means(one, rng) for one in tested]
+    low, high = np.percentile(np.mean(means, axis=0), _INTERVAL)
+    return float(low), float(high)
+
+
+def _bootstrap_means(tested: TestedPairs, rng: np.random.Generator) -> NDArray[np.float64]:
+    segments, place = np.unique(tested.pairs, return_inverse=True)
+    first, second = place.reshape(-1, 2).T
+    means = np.empty(_BOOTSTRAP_DRAWS)
+    for draw in range(_BOOTSTRAP_DRAWS):
+        times_drawn = np.bincount(rng.integers(len(segments), size=len(segments)), minlength=len(segments))
+        weight = times_drawn[first] * times_drawn[second]
+        means[draw] = weight @ tested.difference / max(1, weight.sum())
+    return means
