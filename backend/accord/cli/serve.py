@@ -5,10 +5,11 @@ The socket is the parent's, so a request that comes while this process is starte
 
 import argparse
 import logging
+import signal
 import socket
 import sys
 
-from accord.api.server import serve_on
+from accord.api.server import end_by_exception, serve_on
 from accord.settings import Settings
 from accord.workers.lifeline import follow_parent
 
@@ -18,6 +19,9 @@ def main() -> int:
     parser.add_argument("--fd", type=int, required=True, help="descriptor of the listening socket")
     parser.add_argument("--parent", type=int, default=0, help="pid to end with; 0 for none")
     arguments = parser.parse_args()
+    # uvicorn raises once more the signal that stopped it: without this the database would not be closed.
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, end_by_exception)
     follow_parent(arguments.parent)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     with socket.socket(fileno=arguments.fd) as listener:

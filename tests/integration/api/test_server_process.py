@@ -11,6 +11,7 @@ import httpx
 import pytest
 from sqlalchemy import select, text
 
+from accord.api.server import address_of, listen
 from accord.domain.words import Role
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
@@ -135,3 +136,21 @@ def test_a_role_that_is_unknown_cannot_be_given(tmp_path: Path) -> None:
             response = admin.post("/api/v1/users", json={"name": "x", "role": "king"})
             assert response.status_code == 422
             assert "labeller" in response.json()["error"]["message"]
+
+
+def test_the_server_of_accord_up_closes_its_database_when_asked_to_end(tmp_path: Path) -> None:
+    with listen("127.0.0.1", 0) as listener:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "accord.cli.serve", "--fd", str(listener.fileno())],
+            env=os.environ | {"ACCORD_HOME": str(tmp_path)},
+            pass_fds=[listener.fileno()],
+        )
+        try:
+            assert httpx.get(f"{address_of(listener)}/api/v1/health", timeout=60).status_code == 200
+            process.terminate()
+            assert process.wait(30) == 0
+        finally:
+            process.kill()
+            process.wait()
+    # SQLite removes its log when the last connection is closed.
+    assert not (tmp_path / "accord.db-wal").exists()
