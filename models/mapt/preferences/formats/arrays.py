@@ -1,0 +1,59 @@
+"""Foreign arrays, checked, as ours."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapt.preferences.dataset import FloatArray
+from mapt.preferences.errors import NotReadable
+
+
+def as_array(path: Path | str, where: str, values: object) -> NDArray[Any]:
+    """Raises NotReadable for lists that are no array."""
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise NotReadable(path, f"{where} is no array ({error})") from error
+
+
+def numbers(path: Path | str, where: str, values: object, n_dims: int) -> NDArray[Any]:
+    """An array of numbers with as many dimensions, none of them 0.
+
+    Args:
+        where: what it is called in an error.
+
+    Raises:
+        NotReadable: if it is not.
+    """
+    array = as_array(path, where, values)
+    if array.dtype.kind not in "biuf":
+        raise NotReadable(path, f"{where} holds {array.dtype}, not numbers")
+    if array.ndim != n_dims or 0 in array.shape:
+        raise NotReadable(path, f"{where} has shape {array.shape}, not {n_dims} dimensions")
+    return array
+
+
+def finite_floats(path: Path | str, where: str, values: object, n_dims: int) -> FloatArray:
+    """As `numbers`, float32 and without NaN or infinity."""
+    array = numbers(path, where, values, n_dims)
+    with np.errstate(over="ignore"):
+        floats = array.astype(np.float32)
+    if not np.isfinite(floats).all():
+        raise NotReadable(path, f"{where} holds NaN, infinity or a number beyond float32")
+    return floats
+
+
+def numbered_actions(path: Path | str, where: str, values: object, n_actions: int) -> FloatArray:
+    """Discrete actions (T, N) or (T, N, 1), one-hot (T, N, A).
+
+    Raises:
+        NotReadable: if one is not in [0, `n_actions`).
+    """
+    array = as_array(path, where, values)
+    array = numbers(path, where, array[..., 0] if array.ndim == 3 and array.shape[2] == 1 else array, 2)
+    codes = array.astype(np.int64)
+    if (codes != array).any() or (codes < 0).any() or (codes >= n_actions).any():
+        raise NotReadable(path, f"{where} holds an action that is none of {n_actions}")
+    return np.eye(n_actions, dtype=np.float32)[codes]

@@ -1,0 +1,281 @@
+"""Foreign pickles, read as data: arrays, scalars and containers, nothing that runs.
+
+Not even numpy's own functions are called with what the file says: an array's dtype, shape and bytes are taken
+down as they come, checked, and made into an array at the end.
+"""
+
+import pickle
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapt.preferences.errors import NotReadable, TooLarge, Truncated, UnsafePickle
+
+#: The largest pickle that is read: all of it lies in memory at once.
+MAX_BYTES = 8 << 30
+#: bool, integers, floats, complex, bytes, text, object
+_DTYPE = re.compile(r"[<>|=]?(?:[biufcSU?]\d{0,9}|O8?)")
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """An instance of a foreign class: its name and what it held."""
+
+    name: str
+    fields: Mapping[str, Any]
+
+
+def load_pickle(path: Path | str, classes: tuple[str, ...] = (), *, max_bytes: int = MAX_BYTES) -> Any:
+    """What a pickle holds: None, bool, numbers, text, bytes, list, tuple, dict, set, numpy arrays and scalars.
+
+    Args:
+        classes: "module.Class" names whose instances may come, each as a `Record`; no code of theirs runs.
+
+    Raises:
+        UnsafePickle: if it asks for anything else.
+        TooLarge: if the file has more than `max_bytes`.
+        Truncated: if it ends too early.
+        NotReadable: if it is no pickle, or an array in it is not what it says.
+    """
+    path = Path(path)
+    try:
+        size = path.stat().st_size
+        if size > max_bytes:
+            raise TooLarge(path, f"{size} bytes", max_bytes)
+        with path.open("rb") as file:
+            return _Resolving().resolve(_Unpickler(file, path, classes).load())
+    except OSError as error:
+        raise NotReadable(path, f"cannot be read ({error.strerror})") from error
+    except EOFError as error:
+        raise Truncated(path) from error
+    except pickle.UnpicklingError as error:
+        if "truncated" in str(error):
+            raise Truncated(path) from error
+        raise NotReadable(path, f"is no pickle of data ({error})") from error
+    except NotReadable:
+        raise
+    except RecursionError as error:
+        raise NotReadable(path, "is nested too deeply") from error
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, MemoryError) as error:
+        raise NotReadable(path, f"is no pickle of data ({type(error).__name__}: {error})") from error
+
+
+class _Allowed:
+    """A callable that a pickle may name. It cannot be changed, whatever the pickle tries."""
+
+    __slots__ = ("_call",)
+
+    def __init__(self, call: Callable[..., Any]) -> None:
+        self._call = call
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._call(*arguments)
+
+    def __setstate__(self, _state: object) -> NoReturn:
+        raise pickle.UnpicklingError("a function cannot be changed")
+
+
+class _Dtype:
+    """Stands for np.dtype: what `dtype.__reduce__` says, of simple types alone."""
+
+    __slots__ = ("code",)
+
+    def __init__(self, code: object, *_flags: object) -> None:
+        if not isinstance(code, str) or not _DTYPE.fullmatch(code):
+            raise pickle.UnpicklingError(f"dtype {code!r}")
+        self.code = code.lstrip("<>|=")
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        # (version, byte order, subarray, names, fields, size, alignment, flags)
+        byte_order, *structure = state[1:5]
+        if byte_order not in ("<", ">", "|", "=") or any(part is not None for part in structure):
+            raise pickle.UnpicklingError(f"dtype {state!r}")
+        self.code = byte_order + self.code
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        return np.dtype(self.code)
+
+
+class _Array:
+    """Stands for an array until all of the pickle is read."""
+
+    __slots__ = ("state",)
+
+    def __init__(self) -> None:
+        self.state: tuple[Any, ...] = ()
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        # (version, shape, dtype, Fortran order, bytes or a list of objects)
+        self.state = state[-4:]
+
+    def parts(self) -> tuple[tuple[int, ...], np.dtype[Any], bool, Any]:
+        """(shape, dtype, Fortran order, bytes or list), checked."""
+        shape, dtype, fortran, content = self.state
+        if not isinstance(dtype, _Dtype) or not isinstance(shape, tuple):
+            raise pickle.UnpicklingError("an array without a dtype")
+        if not all(isinstance(length, int) and length >= 0 for length in shape):
+            raise pickle.UnpicklingError(f"shape {shape!r}")
+        return shape, dtype.dtype, bool(fortran), content
+
+
+class _Scalar:
+    """Stands for a numpy scalar."""
+
+    __slots__ = ("content", "dtype")
+
+    def __init__(self, dtype: object, content: object) -> None:
+        if not isinstance(dtype, _Dtype):
+            raise pickle.UnpicklingError("a scalar without a dtype")
+        self.dtype, self.content = dtype, content
+
+
+class _Foreign:
+    """Stands for an instance of a named class; only its state is kept."""
+
+    name = ""
+    __slots__ = ("fields",)
+
+    def __init__(self) -> None:
+        raise pickle.UnpicklingError("a class cannot be called")
+
+    def __setstate__(self, state: object) -> None:
+        if not isinstance(state, dict) or not all(isinstance(key, str) for key in state):
+            raise pickle.UnpicklingError(f"{self.name} without named fields")
+        self.fields = state
+
+
+def _reconstruct(kind: object, shape: object, _code: object) -> _Array:
+    if kind is not _NDARRAY or shape != (0,):
+        raise pickle.UnpicklingError("an array that is none")
+    return _Array()
+
+
+def _from_buffer(content: object, dtype: object, shape: object, order: object) -> _Array:
+    array = _Array()
+    array.state = (shape, dtype, order == "F", content)
+    return array
+
+
+def _latin1(text: object, encoding: object) -> bytes:
+    # How protocols 0 to 2 write bytes.
+    if not isinstance(text, str) or encoding != "latin1":
+        raise pickle.UnpicklingError(f"bytes encoded as {encoding!r}")
+    return text.encode("latin1")
+
+
+def _refuse(*_arguments: object) -> NoReturn:
+    raise pickle.UnpicklingError("an array that is none")
+
+
+def _checked_bytes(content: object) -> bytes | bytearray:
+    # bytearray(2 ** 40) would take as much memory.
+    if not isinstance(content, bytes | bytearray):
+        raise pickle.UnpicklingError("bytes that are none")
+    return content
+
+
+_NDARRAY = _Allowed(_refuse)
+_MULTIARRAY = {"_reconstruct": _Allowed(_reconstruct), "scalar": _Allowed(_Scalar)}
+_BUILTINS = {
+    "bytes": _Allowed(lambda content=b"": bytes(_checked_bytes(content))),
+    "bytearray": _Allowed(lambda content=b"": bytes(_checked_bytes(content))),
+    "set": _Allowed(lambda items=(): set(items)),
+    "frozenset": _Allowed(lambda items=(): frozenset(items)),
+}
+_ALLOWED: dict[str, Any] = {
+    "numpy.ndarray": _NDARRAY,
+    "numpy.dtype": _Allowed(_Dtype),
+    **{f"numpy.core.multiarray.{name}": call for name, call in _MULTIARRAY.items()},
+    **{f"numpy._core.multiarray.{name}": call for name, call in _MULTIARRAY.items()},
+    "numpy.core.numeric._frombuffer": _Allowed(_from_buffer),
+    "numpy._core.numeric._frombuffer": _Allowed(_from_buffer),
+    "_codecs.encode": _Allowed(_latin1),
+    "collections.OrderedDict": _Allowed(lambda items=(): dict(items)),
+    # builtins under the names of Python 3 and of Python 2
+    **{f"{module}.{name}": call for module in ("builtins", "__builtin__") for name, call in _BUILTINS.items()},
+}
+
+
+# The one reader of pickles: it admits nothing that is not in the table above or named by its caller.
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, file: BinaryIO, path: Path, classes: tuple[str, ...]) -> None:
+        super().__init__(file)
+        self._path = path
+        self._classes = {name: type("Foreign", (_Foreign,), {"name": name, "__slots__": ()}) for name in classes}
+
+    def find_class(self, module_name: str, global_name: str, /) -> Any:
+        name = f"{module_name}.{global_name}"
+        found = _ALLOWED.get(name) or self._classes.get(name)
+        if found is None:
+            raise UnsafePickle(self._path, name)
+        return found
+
+    def persistent_load(self, pid: object) -> NoReturn:
+        raise UnsafePickle(self._path, f"an object outside of the file ({pid!r})")
+
+
+class _Resolving:
+    """Puts arrays in the place of what stands for them; each object once, however often it is named."""
+
+    def __init__(self) -> None:
+        self._done: dict[int, Any] = {}
+        # What was seen must live as long as its id is remembered.
+        self._seen: list[Any] = []
+
+    def resolve(self, value: Any) -> Any:
+        if id(value) in self._done:
+            return self._done[id(value)]
+        self._seen.append(value)
+        if isinstance(value, list):
+            self._done[id(value)] = value
+            value[:] = [self.resolve(each) for each in value]
+            return value
+        if isinstance(value, dict):
+            self._done[id(value)] = value
+            items = [(self.resolve(key), self.resolve(each)) for key, each in value.items()]
+            value.clear()
+            value.update(items)
+            return value
+        made = self._made(value)
+        self._done[id(value)] = made
+        return made
+
+    def _made(self, value: Any) -> Any:
+        match value:
+            case tuple():
+                return tuple(self.resolve(each) for each in value)
+            case set() | frozenset():
+                return type(value)(self.resolve(each) for each in value)
+            case _Array():
+                return self._array(value)
+            case _Scalar():
+                return self._scalar(value)
+            case _Foreign():
+                return Record(value.name, self.resolve(value.fields))
+            case _Allowed() | _Dtype() | type():
+                raise pickle.UnpicklingError("a function or a type where data should be")
+        return value
+
+    def _array(self, array: _Array) -> NDArray[Any]:
+        shape, dtype, fortran, content = array.parts()
+        if dtype.hasobject:
+            if not isinstance(content, list):
+                raise pickle.UnpicklingError("an array of objects without objects")
+            made = np.empty(len(content), dtype=object)
+            for index, each in enumerate(content):
+                made[index] = self.resolve(each)
+        else:
+            made = np.frombuffer(_checked_bytes(content), dtype)
+        return made.reshape(shape, order="F" if fortran else "C")
+
+    def _scalar(self, scalar: _Scalar) -> Any:
+        dtype = scalar.dtype.dtype
+        if dtype.hasobject:
+            return self.resolve(scalar.content)
+        return np.frombuffer(_checked_bytes(scalar.content), dtype).reshape(())[()]
