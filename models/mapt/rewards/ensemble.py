@@ -1,0 +1,190 @@
+"""Train an ensemble of reward models in one vectorised pass.
+
+Members begin with weights of their own and see the pairs in an order of their own, or a draw of their own. Where labels
+settle the matter they agree; where they do not, the spread of their predictions says so.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mapt.preferences.dataset import PreferenceDataset, SegmentSource
+from mapt.rewards.config import RewardConfig
+from mapt.rewards.device import resolve_device
+from mapt.rewards.ensemble_fitting import (
+    EnsembleFitting,
+    EnsembleStage,
+    IndexedPairs,
+    StackScorer,
+    bernoulli_losses,
+    mean_accuracy,
+    pair_logits,
+)
+from mapt.rewards.ensemble_scorers import (
+    markov_stack_scorer,
+    measure_reward_scales,
+    spread_sample,
+    whole_stack_scorer,
+)
+from mapt.rewards.errors import ModelMismatch
+from mapt.rewards.fitting import TrainProgress
+from mapt.rewards.members import RewardEnsemble, check_fit, segment_tensors
+from mapt.rewards.model import build_reward_model
+from mapt.rewards.settings import check_positive_int
+from mapt.rewards.stacked import StackedModels
+from mapt.rewards.train_config import TrainConfig
+
+__all__ = ["RewardEnsemble", "train_reward_ensemble"]
+
+# Statistics of inputs are taken from at most this many segments, spread evenly over all.
+MEASURED_SEGMENTS = 2048
+
+
+def train_reward_ensemble(
+    dataset: PreferenceDataset,
+    config: RewardConfig,
+    train_config: TrainConfig,
+    members: int,
+    *,
+    initial: RewardEnsemble | None = None,
+    reference: SegmentSource | None = None,
+    resampled: bool = False,
+    progress: Callable[[TrainProgress], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> RewardEnsemble:
+    """Train M models at once; the same arguments give the same ensemble on the same machine.
+
+    Stages, patience and what must convince the hold-out are those of `train_reward_model`; every member is judged
+    by itself, on the same hold-out.
+
+    Args:
+        dataset: at least two labelled pairs.
+        config: of every member; its dimensions must be the dataset's.
+        members: M, 1 or more.
+        initial: an ensemble of the same `config` and M to go on from; it is left as it is.
+        reference: segments over which each member's rewards are normalised; the dataset's own when not given.
+        resampled: each member learns from its own draw, with replacement, of the training pairs (a bootstrap). That
+            costs each a third of the pairs; without it, members differ by their initial weights and order.
+        progress: called after every epoch, with means over members.
+        stop: asked before every step; true ends the training with each member's best weights so far.
+
+    Returns:
+        The ensemble. Its metrics are means over members: `loss`, `accuracy`, `holdout_loss`, `holdout_accuracy`; of the
+        mean of the members' probabilities: `ensemble_holdout_loss`, `ensemble_holdout_accuracy`; and `members`,
+        `labels`, `holdout_labels`, `holdout_reliable`, `epochs`, `seconds`, `stopped`. What cannot be measured is
+        left out.
+
+    Raises:
+        InvalidConfig: if `members` is no positive whole number.
+        NotEnoughPairs: with fewer than two pairs.
+        ModelMismatch: if dataset, config and `initial` do not fit each other.
+    """
+    check_positive_int("members", members)
+    check_fit(config, dataset.segments)
+    _check_initial(initial, config, members)
+    started = time.perf_counter()
+    device = resolve_device(train_config.device)
+    train, hold_out = (
+        IndexedPairs(torch.as_tensor(part.pairs, device=device), torch.as_tensor(part.labels, device=device))
+        for part in dataset.split(train_config.hold_out_fraction, train_config.seed)
+    )
+    segments = dataset.segments
+    with _seeded(train_config.seed, device):
+        models = [build_reward_model(config) if initial is None else initial.member(i) for i in range(members)]
+        observed = segment_tensors(segments.take(spread_sample(segments, MEASURED_SEGMENTS)), torch.device("cpu"))
+        for model in models:
+            model.measure_inputs(*observed, keep_function=initial is not None)
+        stack = StackedModels(models)
+        stack.to(device)
+        fitting = EnsembleFitting(
+            stack,
+            train,
+            hold_out,
+            seed=train_config.seed,
+            max_epochs=train_config.markov_epochs + train_config.max_epochs,
+            resampled=resampled,
+            progress=progress,
+            stop=stop,
+        )
+        used = torch.as_tensor(np.unique(dataset.pairs), device=device)
+        _run_stages(fitting, stack, segments, used, train_config)
+    measure_reward_scales(stack, segments if reference is None else reference, device)
+    metrics = {
+        **_judged(whole_stack_scorer(stack, segments), train, hold_out),
+        "members": float(members),
+        "labels": float(len(dataset)),
+        "holdout_labels": float(len(hold_out)),
+        "holdout_reliable": float(fitting.reliable),
+        "epochs": float(fitting.epochs),
+        "stopped": float(fitting.stopped),
+        "seconds": time.perf_counter() - started,
+    }
+    stack.to(torch.device("cpu"))
+    return RewardEnsemble(stack, {name: value for name, value in metrics.items() if math.isfinite(value)})
+
+
+def _run_stages(
+    fitting: EnsembleFitting, stack: StackedModels, segments: SegmentSource, used: Tensor, config: TrainConfig
+) -> None:
+    """The Markov paths by themselves, then everything, as far as the hold-out agrees; as `train_reward_model`."""
+    markov = [name for name in stack.parameters if name.startswith("markov.")]
+    if markov and config.markov_epochs:
+        fitting.run(
+            EnsembleStage(
+                markov,
+                markov_stack_scorer(stack, segments, used),
+                lr=config.markov_lr,
+                weight_decay=config.weight_decay,
+                batch_pairs=config.batch_pairs,
+                max_epochs=config.markov_epochs,
+                patience=config.markov_patience,
+            )
+        )
+        if not fitting.reliable:
+            return
+    if not fitting.stopped:
+        fitting.run(
+            EnsembleStage(
+                list(stack.parameters),
+                whole_stack_scorer(stack, segments),
+                lr=config.lr,
+                weight_decay=config.weight_decay,
+                batch_pairs=config.batch_pairs,
+                max_epochs=config.max_epochs,
+                patience=config.patience,
+                must_convince=bool(markov) and fitting.reliable,
+            )
+        )
+
+
+def _judged(scorer: StackScorer, train: IndexedPairs, hold_out: IndexedPairs) -> dict[str, float]:
+    logits, held_out = pair_logits(train, scorer), pair_logits(hold_out, scorer)
+    together = held_out.sigmoid().mean(dim=0, keepdim=True).logit(eps=1e-6)
+    return {
+        "loss": bernoulli_losses(logits, train.labels).mean().item(),
+        "accuracy": mean_accuracy(logits, train.labels),
+        "holdout_loss": bernoulli_losses(held_out, hold_out.labels).mean().item(),
+        "holdout_accuracy": mean_accuracy(held_out, hold_out.labels),
+        "ensemble_holdout_loss": bernoulli_losses(together, hold_out.labels).mean().item(),
+        "ensemble_holdout_accuracy": mean_accuracy(together, hold_out.labels),
+    }
+
+
+def _check_initial(initial: RewardEnsemble | None, config: RewardConfig, members: int) -> None:
+    if initial is not None and initial.config != config:
+        raise ModelMismatch("settings of the initial ensemble", config, initial.config)
+    if initial is not None and len(initial) != members:
+        raise ModelMismatch("members of the initial ensemble", members, len(initial))
+
+
+@contextmanager
+def _seeded(seed: int, device: torch.device) -> Iterator[None]:
+    """Seed torch's global generators, of which initial weights and dropout draw, and give them back as they were."""
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        torch.manual_seed(seed)
+        yield

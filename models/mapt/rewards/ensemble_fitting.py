@@ -1,0 +1,230 @@
+"""The training loop of an ensemble: every step moves every member, each on pairs of its own.
+
+One step, from top to bottom: draw a batch for each member, score both segments of all of them in one pass, take
+the Bradley-Terry loss, clip each member's gradient by itself, step one AdamW over the stacked parameters.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from mapt.rewards.fitting import (
+    FEWEST_BATCH_PAIRS,
+    FEWEST_HOLD_OUT_PAIRS,
+    FEWEST_STEPS_PER_EPOCH,
+    GRADIENT_NORM_LIMIT,
+    TrainProgress,
+)
+from mapt.rewards.stacked import StackedModels
+
+#: From indices of segments, (B,) or (M, B), to the members' scores of them, (M, B).
+StackScorer = Callable[[Tensor], Tensor]
+# Segments in one pass over all members when no gradient is taken.
+SEGMENTS_PER_PASS = 64
+
+
+@dataclass(frozen=True, slots=True)
+class IndexedPairs:
+    """Pairs (P, 2) of segments and their labels (P,), on the members' device."""
+
+    pairs: Tensor
+    labels: Tensor
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+@dataclass(frozen=True, slots=True)
+class EnsembleStage:
+    """What one run of the loop trains, and how long; as `mapt.rewards.fitting.Stage`."""
+
+    #: names of the stacked parameters it moves
+    names: Sequence[str]
+    scorer: StackScorer
+    lr: float
+    weight_decay: float
+    batch_pairs: int
+    max_epochs: int
+    patience: int
+    must_convince: bool = False
+
+
+class EnsembleFitting:
+    """Trains the members of a stack, stage by stage; each ends a stage with the weights that judged best for it.
+
+    A stage ends when the patience of all members has run out. Until then those that wait are trained on, and may yet
+    find better weights.
+
+    Args:
+        resampled: whether each member learns from its own draw, with replacement, of the training pairs.
+        progress: called after every epoch, with means over members.
+        stop: asked before every step; true ends this stage and all that follow.
+    """
+
+    def __init__(
+        self,
+        stack: StackedModels,
+        train: IndexedPairs,
+        hold_out: IndexedPairs,
+        *,
+        seed: int,
+        max_epochs: int,
+        resampled: bool = False,
+        progress: Callable[[TrainProgress], None] | None = None,
+        stop: Callable[[], bool] | None = None,
+    ) -> None:
+        self._stack, self._train, self._hold_out = stack, train, hold_out
+        self._draws = torch.Generator().manual_seed(seed)
+        self._max_epochs = max_epochs
+        self._progress, self._stop = progress, stop
+        self._started = time.perf_counter()
+        shape = len(stack), len(train)
+        self._known = (
+            torch.randint(len(train), shape, generator=self._draws)
+            if resampled
+            else torch.arange(len(train)).expand(shape)
+        )
+        self.epochs = 0
+        self.stopped = False
+
+    @property
+    def reliable(self) -> bool:
+        """Whether the hold-out is large enough to judge by."""
+        return len(self._hold_out) >= FEWEST_HOLD_OUT_PAIRS
+
+    def run(self, stage: EnsembleStage) -> None:
+        """Train the parameters that `stage` names, and leave the members in evaluation mode."""
+        judge = self._hold_out if self.reliable else self._train
+        trained = {name: self._stack.parameters[name] for name in stage.names}
+        optimiser = stacked_optimiser(trained.values(), stage.lr, stage.weight_decay)
+        before = after = pair_losses(judge, stage.scorer)
+        initial, kept = _copies(trained), _copies(trained)
+        best, kept_at = before.mean(dim=1), torch.zeros(len(before), dtype=torch.int64, device=before.device)
+        for epoch in range(1, stage.max_epochs + 1):
+            loss = self._epoch(stage, optimiser)
+            if self.stopped:
+                break
+            self._report(stage, loss)
+            judged = pair_losses(judge, stage.scorer)
+            better = judged.mean(dim=1) < best
+            best, kept_at = torch.where(better, judged.mean(dim=1), best), torch.where(better, epoch, kept_at)
+            after = torch.where(better[:, None], judged, after)
+            kept = {name: where_member(better, trained[name].detach(), kept[name]) for name in trained}
+            if (epoch - kept_at >= stage.patience).all():
+                break
+        gained = exceeds_chance(before - after) if stage.must_convince else torch.ones_like(best, dtype=torch.bool)
+        with torch.no_grad():
+            for name, parameter in trained.items():
+                parameter.copy_(where_member(gained, kept[name], initial[name]))
+
+    def _epoch(self, stage: EnsembleStage, optimiser: torch.optim.Optimizer) -> float:
+        """Mean loss of one pass over the training pairs; NaN when stopped."""
+        losses: list[float] = []
+        self._stack.train(True)
+        for index in self._batches(stage.batch_pairs):
+            self.stopped = self.stopped or (self._stop is not None and self._stop())
+            if self.stopped:
+                break
+            losses.append(ensemble_step(self._train, stage.scorer, optimiser, index))
+        self._stack.train(False)
+        return math.nan if self.stopped else sum(losses) / len(losses)
+
+    def _batches(self, batch_pairs: int) -> Iterator[Tensor]:
+        """Indices (M, B) of pairs: every member sees each of its pairs once, in its own order."""
+        n_pairs = len(self._train)
+        size = min(batch_pairs, max(FEWEST_BATCH_PAIRS, n_pairs // FEWEST_STEPS_PER_EPOCH))
+        order = torch.rand(self._known.shape, generator=self._draws).argsort(dim=1)
+        order = self._known.gather(1, order).to(self._train.labels.device)
+        yield from order.tensor_split(math.ceil(n_pairs / size), dim=1)
+
+    def _report(self, stage: EnsembleStage, loss: float) -> None:
+        self.epochs += 1
+        if self._progress is None:
+            return
+        logits, labels = pair_logits(self._hold_out, stage.scorer), self._hold_out.labels
+        self._progress(
+            TrainProgress(
+                epoch=self.epochs,
+                max_epochs=self._max_epochs,
+                loss=loss,
+                holdout_loss=bernoulli_losses(logits, labels).mean().item(),
+                holdout_accuracy=mean_accuracy(logits, labels),
+                seconds=time.perf_counter() - self._started,
+            )
+        )
+
+
+def ensemble_step(train: IndexedPairs, scorer: StackScorer, optimiser: torch.optim.Optimizer, index: Tensor) -> float:
+    """Move every member by one step on its own pairs `index` (M, B); the mean of their losses before it, nats."""
+    first, second = scorer(train.pairs[index].movedim(-1, 1).flatten(1)).chunk(2, dim=1)
+    # A sum over members: the gradient of each is that of its own mean loss.
+    losses = bernoulli_losses(first - second, train.labels[index]).mean(dim=1)
+    optimiser.zero_grad(set_to_none=True)
+    losses.sum().backward()
+    clip_each_member(parameter for group in optimiser.param_groups for parameter in group["params"])
+    optimiser.step()
+    return losses.mean().item()
+
+
+def clip_each_member(parameters: Iterable[Tensor]) -> None:
+    """Scale each member's gradient to a norm of at most `GRADIENT_NORM_LIMIT`."""
+    gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+    squares = torch.stack([gradient.flatten(1).square().sum(dim=1) for gradient in gradients])
+    scale = (GRADIENT_NORM_LIMIT / (squares.sum(dim=0).sqrt() + 1e-6)).clamp(max=1.0)
+    for gradient in gradients:
+        gradient.mul_(scale.view(-1, *(1 for _ in gradient.shape[1:])))
+
+
+def stacked_optimiser(parameters: Iterable[Tensor], lr: float, decay: float) -> torch.optim.AdamW:
+    """AdamW over stacked parameters, each with its member axis in front; biases and norms are not shrunk."""
+    stacked = list(parameters)
+    return torch.optim.AdamW(
+        [
+            {"params": [parameter for parameter in stacked if parameter.dim() >= 3], "weight_decay": decay},
+            {"params": [parameter for parameter in stacked if parameter.dim() < 3], "weight_decay": 0.0},
+        ],
+        lr=lr,
+    )
+
+
+def bernoulli_losses(logits: Tensor, labels: Tensor) -> Tensor:
+    """Loss of each pair, nats, (M, P), by logits (M, P); labels are (P,) or (M, P)."""
+    return F.binary_cross_entropy_with_logits(logits, labels.expand_as(logits), reduction="none")
+
+
+def pair_losses(pairs: IndexedPairs, scorer: StackScorer) -> Tensor:
+    """Loss of each pair by each member, nats, (M, P)."""
+    return bernoulli_losses(pair_logits(pairs, scorer), pairs.labels)
+
+
+@torch.no_grad()
+def pair_logits(pairs: IndexedPairs, scorer: StackScorer) -> Tensor:
+    """score_0 - score_1 of every pair by each member, (M, P), without gradient; each segment is scored once."""
+    used, position = torch.unique(pairs.pairs, return_inverse=True)
+    score = torch.cat([scorer(part) for part in used.split(SEGMENTS_PER_PASS)], dim=1)
+    return score[:, position[:, 0]] - score[:, position[:, 1]]
+
+
+def mean_accuracy(logits: Tensor, labels: Tensor) -> float:
+    """Share of decided pairs told rightly, mean over members; NaN without any."""
+    right = ((logits > 0) == (labels > 0.5))[:, labels != 0.5]
+    return right.float().mean().item()
+
+
+def exceeds_chance(gains: Tensor) -> Tensor:
+    """Whether each member's mean gain, of `gains` (M, P), is more than one standard error above 0; bool (M,)."""
+    return gains.mean(dim=1) > gains.std(dim=1) / math.sqrt(gains.shape[1])
+
+
+def where_member(chosen: Tensor, first: Tensor, second: Tensor) -> Tensor:
+    """`first` (M, ...) for the members `chosen` (M,), `second` for the others."""
+    return torch.where(chosen.view(-1, *(1 for _ in first.shape[1:])), first, second)
+
+
+def _copies(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {name: tensor.detach().clone() for name, tensor in tensors.items()}
