@@ -1,0 +1,167 @@
+"""The columns of our three Parquet tables, and what their metadata says."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from mapt.preferences.errors import MissingPart, NotReadable, SchemaTooNew
+from mapt.preferences.formats.records import POLARITY
+from mapt.preferences.storage import SegmentLayout
+
+FORMAT = "accord preferences"
+SCHEMA_VERSION = 1
+SEGMENTS, QUERIES, LABELS = "segments", "queries", "labels"
+_KEY = b"accord"
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentRow:
+    """What is said of a segment beside its arrays."""
+
+    segment_id: str
+    #: iteration and environment steps of the policy that made it
+    policy_iteration: int | None = None
+    policy_steps: int | None = None
+    #: the physics that made its simulator states
+    mujoco_version: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class QueryRow:
+    """Two segments to be compared."""
+
+    query_id: str
+    segment_0_id: str
+    segment_1_id: str
+    #: name of the selector that chose it
+    selector: str | None = None
+    #: the reward version whose scores it was chosen by
+    reward_version_id: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LabelRow:
+    """The newest word of one teacher on one query."""
+
+    query_id: str
+    #: an identifier, no name
+    teacher_id: str
+    #: label | skip
+    state: str
+    #: P(segment 0 preferred); None for a skip
+    label: float | None
+    #: the segment, 0 or 1, that was shown on the left; None for a program
+    left_segment: int | None = None
+    #: from both clips playing to the answer
+    response_seconds: float | None = None
+    #: a scripted teacher's name and parameters
+    teacher: Mapping[str, Any] = field(default_factory=dict)
+    #: goes up with every word said in the experiment
+    revision: int | None = None
+    #: UTC
+    labelled_at: datetime | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TableMetadata:
+    """What all three tables of an export say of themselves."""
+
+    layout: SegmentLayout
+    #: where it comes from: experiment, task, versions
+    about: Mapping[str, Any]
+
+    def encode(self, table: str) -> dict[bytes, bytes]:
+        document = {
+            "format": FORMAT,
+            "schema_version": SCHEMA_VERSION,
+            "table": table,
+            "polarity": POLARITY,
+            "layout": asdict(self.layout),
+            "about": dict(self.about),
+        }
+        return {_KEY: json.dumps(document, allow_nan=False).encode()}
+
+    @classmethod
+    def decode(cls, path: Path, table: str, metadata: Mapping[bytes, bytes] | None) -> "TableMetadata":
+        """
+        Raises:
+            MissingPart: if there is no word of ours in it: another program's table.
+            SchemaTooNew: if a newer version wrote it.
+            NotReadable: if it is of another table or another polarity, or makes no sense.
+        """
+        if metadata is None or _KEY not in metadata:
+            raise MissingPart(path, f"metadata {_KEY.decode()!r}: it is no table of an Accord export")
+        try:
+            document = json.loads(metadata[_KEY])
+            version = document["schema_version"]
+            if not isinstance(version, int) or version > SCHEMA_VERSION:
+                raise SchemaTooNew(path, version, SCHEMA_VERSION)
+            for name, wanted in (("format", FORMAT), ("table", table), ("polarity", POLARITY)):
+                if document[name] != wanted:
+                    raise NotReadable(path, f"has {name} {document[name]!r}, not {wanted!r}")
+            return cls(SegmentLayout(**document["layout"]), dict(document["about"]))
+        except NotReadable:
+            raise
+        except (ValueError, TypeError, KeyError) as error:
+            raise NotReadable(path, f"has metadata that makes no sense ({error!r})") from error
+
+
+def schema_of(table: str, metadata: TableMetadata) -> pa.Schema:
+    """Columns of a table. Arrays are flat lists of a segment's real steps, last dimension fastest."""
+    return pa.schema(_COLUMNS[table] + (_arrays(metadata.layout) if table == SEGMENTS else []), metadata.encode(table))
+
+
+def array_shapes(layout: SegmentLayout) -> dict[str, tuple[int, ...]]:
+    """Each array of a segment and the dimensions of one of its steps."""
+    shapes: dict[str, tuple[int, ...]] = {
+        "observations": (layout.n_agents, layout.observation_dim),
+        "actions": (layout.n_agents,) if layout.discrete else (layout.n_agents, layout.action_dim),
+    }
+    if layout.rewards:
+        shapes["rewards"] = ()
+    for name, size in (("qpos", layout.qpos_dim), ("qvel", layout.qvel_dim)):
+        if size:
+            shapes[name] = (size,)
+    return shapes
+
+
+def _arrays(layout: SegmentLayout) -> list[pa.Field]:
+    types = {"observations": pa.float32(), "actions": pa.uint16() if layout.discrete else pa.float32()}
+    return [
+        pa.field(name, pa.list_(pa.field("element", types.get(name, pa.float64()), nullable=False)), nullable=False)
+        for name in array_shapes(layout)
+    ]
+
+
+_COLUMNS: dict[str, list[pa.Field]] = {
+    SEGMENTS: [
+        pa.field("segment_id", pa.string(), nullable=False),
+        pa.field("length_steps", pa.int32(), nullable=False),
+        pa.field("policy_iteration", pa.int64()),
+        pa.field("policy_steps", pa.int64()),
+        pa.field("mujoco_version", pa.string()),
+    ],
+    QUERIES: [
+        pa.field("query_id", pa.string(), nullable=False),
+        pa.field("segment_0_id", pa.string(), nullable=False),
+        pa.field("segment_1_id", pa.string(), nullable=False),
+        pa.field("selector", pa.string()),
+        pa.field("reward_version_id", pa.string()),
+    ],
+    LABELS: [
+        pa.field("query_id", pa.string(), nullable=False),
+        pa.field("teacher_id", pa.string(), nullable=False),
+        pa.field("state", pa.string(), nullable=False),
+        pa.field("label", pa.float32()),
+        pa.field("left_segment", pa.int8()),
+        pa.field("response_seconds", pa.float64()),
+        pa.field("teacher", pa.string(), nullable=False),
+        pa.field("revision", pa.int64()),
+        pa.field("labelled_at", pa.timestamp("us", tz="UTC")),
+    ],
+}

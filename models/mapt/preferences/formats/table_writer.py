@@ -1,0 +1,163 @@
+"""Writes our Parquet tables, in the memory of one row group; they are there whole or not at all."""
+
+import json
+import os
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from mapt.preferences.errors import AlreadyThere, NotOneHot, ShapeError
+from mapt.preferences.formats.records import SegmentRecords
+from mapt.preferences.formats.table_schemas import (
+    LABELS,
+    QUERIES,
+    SEGMENTS,
+    LabelRow,
+    QueryRow,
+    SegmentRow,
+    TableMetadata,
+    array_shapes,
+    schema_of,
+)
+from mapt.preferences.storage import SegmentLayout
+from mapt.preferences.storage_layout import sync_folder
+
+#: A row group is what writer and reader hold at once.
+ROW_GROUP_BYTES = 32 << 20
+ROW_GROUP_ROWS = 50_000
+
+
+class TableWriter:
+    """segments.parquet, queries.parquet and labels.parquet in a folder that appears when the block ends.
+
+        with TableWriter(path, layout, about={"task": "half-cheetah-6x1"}) as tables:
+            tables.add_segments(rows, records)
+            tables.add_queries(queries)
+            tables.add_labels(labels)
+
+    A block that raises, or a crash, leaves nothing at `path`.
+
+    Args:
+        layout: which arrays the segments have; `n_steps` is the longest.
+
+    Raises:
+        AlreadyThere: if there is something at `path`.
+    """
+
+    def __init__(self, path: Path | str, layout: SegmentLayout, *, about: Mapping[str, Any] | None = None) -> None:
+        self._path, self._layout = Path(path), layout
+        if self._path.exists():
+            raise AlreadyThere(self._path)
+        self._metadata = TableMetadata(layout, about or {})
+        #: segments that fill a row group: fewer at a time make smaller ones
+        self.rows_per_group = max(1, ROW_GROUP_BYTES // replace(layout, discrete=False).segment_bytes)
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._folder = self._path.with_name(f".{self._path.name}.{os.getpid()}")
+        shutil.rmtree(self._folder, ignore_errors=True)
+        self._folder.mkdir()
+        self._schemas = {table: schema_of(table, self._metadata) for table in (SEGMENTS, QUERIES, LABELS)}
+        # Noise of 32 bits hardly shrinks; zstd takes what there is at little cost.
+        self._writers = {
+            table: pq.ParquetWriter(self._folder / f"{table}.parquet", schema, compression="zstd")
+            for table, schema in self._schemas.items()
+        }
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            for writer in self._writers.values():
+                writer.close()
+            if kind is None:
+                self._publish()
+        finally:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def add_segments(self, rows: Sequence[SegmentRow], records: SegmentRecords) -> None:
+        """
+        Args:
+            rows: one for each segment of `records`.
+
+        Raises:
+            ShapeError, NotOneHot: if they are not as many, or the arrays not of the layout.
+        """
+        if len(rows) != len(records):
+            raise ShapeError("rows", (len(rows),), f"one for each of {len(records)} segments")
+        self._check(records)
+        for first in range(0, len(rows), self.rows_per_group):
+            part = rows[first : first + self.rows_per_group]
+            arrays = _array_columns(records.take(np.arange(first, first + len(part))), self._layout)
+            self._write(SEGMENTS, [asdict(row) for row in part], arrays)
+
+    def add_queries(self, queries: Iterable[QueryRow]) -> None:
+        self._add(QUERIES, [asdict(query) for query in queries])
+
+    def add_labels(self, labels: Iterable[LabelRow]) -> None:
+        rows = [asdict(label) for label in labels]
+        for row in rows:
+            row["teacher"] = json.dumps(dict(row["teacher"]), allow_nan=False)
+        self._add(LABELS, rows)
+
+    def _add(self, table: str, rows: list[dict[str, Any]]) -> None:
+        for first in range(0, len(rows), ROW_GROUP_ROWS):
+            self._write(table, rows[first : first + ROW_GROUP_ROWS], {})
+
+    def _write(self, table: str, rows: list[dict[str, Any]], arrays: Mapping[str, pa.Array]) -> None:
+        schema = self._schemas[table]
+        columns = [
+            arrays[field.name] if field.name in arrays else pa.array([row[field.name] for row in rows], field.type)
+            for field in schema
+        ]
+        self._writers[table].write_table(pa.Table.from_arrays(columns, schema=schema))
+
+    def _check(self, records: SegmentRecords) -> None:
+        found, layout = records.layout(discrete=self._layout.discrete), self._layout
+        for name in ("n_agents", "observation_dim", "action_dim", "rewards", "qpos_dim", "qvel_dim"):
+            if getattr(found, name) != getattr(layout, name):
+                raise ShapeError(name, (getattr(found, name),), f"the layout's {getattr(layout, name)}")
+        if records.lengths.max(initial=0) > layout.n_steps:
+            raise ShapeError("segments", (int(records.lengths.max()),), f"at most the layout's {layout.n_steps} steps")
+
+    def _publish(self) -> None:
+        for file in self._folder.iterdir():
+            with file.open("rb") as content:
+                os.fsync(content.fileno())
+        sync_folder(self._folder)
+        self._folder.rename(self._path)
+        sync_folder(self._path.parent)
+
+
+def _array_columns(records: SegmentRecords, layout: SegmentLayout) -> dict[str, pa.Array]:
+    mask, lengths = records.segments.mask, records.lengths
+    arrays: dict[str, NDArray[Any]] = {
+        "observations": records.segments.observations,
+        "actions": _codes(records) if layout.discrete else records.segments.actions,
+        **records.extras(),
+    }
+    columns: dict[str, pa.Array] = {"length_steps": pa.array(lengths.astype(np.int32))}
+    for name, shape in array_shapes(layout).items():
+        # Real steps alone: the padding says nothing.
+        flat = arrays[name][mask].reshape(-1)
+        offsets = np.concatenate(([0], np.cumsum(lengths * int(np.prod(shape, dtype=np.int64)))))
+        element = pa.field("element", pa.from_numpy_dtype(flat.dtype), nullable=False)
+        columns[name] = pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(flat), type=pa.list_(element))
+    return columns
+
+
+def _codes(records: SegmentRecords) -> NDArray[np.uint16]:
+    actions, mask = records.segments.actions, records.segments.mask
+    one_hot = (((actions == 0) | (actions == 1)).all(axis=-1) & (actions.sum(axis=-1) == 1)).all(axis=-1) | ~mask
+    if not one_hot.all():
+        raise NotOneHot(int((~one_hot).any(axis=1).argmax()))
+    return actions.argmax(axis=-1).astype(np.uint16)

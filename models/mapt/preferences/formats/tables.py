@@ -1,0 +1,275 @@
+"""Our own export: three Parquet tables that pandas, polars, DuckDB and HuggingFace read too.
+
+`segments.parquet`: one row a segment, its real steps flat in `observations` (T, N, C), `actions` (T, N, A), or (T, N)
+numbers where actions are discrete, `rewards` (T,), `qpos` (T, nq), `qvel` (T, nv). `queries.parquet`: which two
+segments are compared. `labels.parquet`: the newest word of each teacher on each query, skips included. The metadata
+of each file, under the key "accord", is JSON: schema version, polarity, dimensions, and what is known of the source.
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
+from mapt.preferences.errors import AlreadyThere, MissingPart, NotEnoughPairs, NotReadable, TooLarge, UnknownLabel
+from mapt.preferences.formats.records import Comparisons, SegmentRecords, save_records
+from mapt.preferences.formats.table_schemas import (
+    LABELS,
+    QUERIES,
+    SEGMENTS,
+    LabelRow,
+    QueryRow,
+    SegmentRow,
+    TableMetadata,
+    array_shapes,
+    schema_of,
+)
+from mapt.preferences.formats.table_writer import TableWriter
+from mapt.preferences.storage import SegmentLayout
+
+__all__ = ["LabelRow", "PreferenceTables", "QueryRow", "SegmentRow", "TableWriter", "write_tables"]
+
+#: The largest row group that is read: all of it lies in memory at once. Ours have 32 MiB.
+MAX_ROW_GROUP_BYTES = 1 << 30
+
+
+@dataclass(frozen=True, slots=True)
+class PreferenceTables:
+    """An export, opened: its metadata is checked, its rows are read when they are asked for."""
+
+    path: Path
+    layout: SegmentLayout
+    #: what the exporter said of it
+    about: Mapping[str, Any]
+    n_segments: int
+    max_row_group_bytes: int
+
+    @classmethod
+    def open(cls, path: Path | str, *, max_row_group_bytes: int = MAX_ROW_GROUP_BYTES) -> "PreferenceTables":
+        """
+        Raises:
+            MissingPart: if a table or a column is not there.
+            SchemaTooNew: if a newer version wrote it.
+            NotReadable: if a file is cut, is no Parquet, or is of another table, type or polarity.
+        """
+        path = Path(path)
+        metadata: list[TableMetadata] = []
+        n_segments = 0
+        for table in (SEGMENTS, QUERIES, LABELS):
+            with _file(path, table) as file:
+                metadata.append(TableMetadata.decode(_name(path, table), table, file.schema_arrow.metadata))
+                _check_columns(_name(path, table), file.schema_arrow, schema_of(table, metadata[-1]))
+                n_segments = file.metadata.num_rows if table == SEGMENTS else n_segments
+        _check_memory(_name(path, SEGMENTS), 1, metadata[0].layout, max_row_group_bytes)
+        return cls(path, metadata[0].layout, metadata[0].about, n_segments, max_row_group_bytes)
+
+    def queries(self) -> list[QueryRow]:
+        """Raises NotReadable."""
+        return [QueryRow(**row) for row in self._rows(QUERIES)]
+
+    def labels(self) -> list[LabelRow]:
+        """Raises NotReadable; UnknownLabel for a label that is not 1, 0 or 0.5, or a state that is not ours."""
+        labels: list[LabelRow] = []
+        path = _name(self.path, LABELS)
+        for index, row in enumerate(self._rows(LABELS)):
+            if (row["label"], row["state"]) not in ((1, "label"), (0, "label"), (0.5, "label"), (None, "skip")):
+                said = f"{row['label']!r} with state {row['state']!r}"
+                raise UnknownLabel(path, index, said, '1, 0 and 0.5 with state "label", none with "skip"')
+            labels.append(LabelRow(**{**row, "teacher": _teacher(path, index, row["teacher"])}))
+        return labels
+
+    def segments(self) -> Iterator[tuple[list[SegmentRow], SegmentRecords]]:
+        """All segments, a row group at a time.
+
+        Raises:
+            TooLarge: if a row group would take more than `max_row_group_bytes`.
+            NotReadable: if an array has not the size that its length and the layout say.
+        """
+        path = _name(self.path, SEGMENTS)
+        names = [field.name for field in fields(SegmentRow)]
+        for table in self._groups(SEGMENTS):
+            _check_memory(path, len(table), self.layout, self.max_row_group_bytes)
+            rows = [SegmentRow(**row) for row in table.select(names).to_pylist()]
+            if rows:
+                yield rows, _records(path, table, self.layout)
+
+    def load(self, folder: Path | str) -> PreferenceDataset:
+        """Put the segments into a new folder on disk, and the labels that count with them, to train on.
+
+        Each teacher's label on a query is a pair of its own; skips are left out. Runs in the memory of one row
+        group, and of the labels.
+
+        Raises:
+            AlreadyThere: if there is something at `folder`.
+            NotReadable: as above, or if a label or query names what is not there. No folder is left then.
+            NotEnoughPairs: if nothing is labelled.
+        """
+        place: dict[str, int] = {}
+        if Path(folder).exists():
+            raise AlreadyThere(folder)
+        queries = {query.query_id: query for query in self.queries()}
+        said = [label for label in self.labels() if label.label is not None]
+        for label in said:
+            if label.query_id not in queries:
+                raise NotReadable(_name(self.path, LABELS), f"labels query {label.query_id!r}, which is not there")
+        for query in queries.values():
+            if query.segment_0_id == query.segment_1_id:
+                raise NotReadable(_name(self.path, QUERIES), f"compares {query.segment_0_id!r} with itself")
+        if not said:
+            raise NotEnoughPairs(0, 1)
+
+        def counted() -> Iterator[SegmentRecords]:
+            for rows, records in self.segments():
+                place.update({row.segment_id: len(place) + index for index, row in enumerate(rows)})
+                yield records
+            if len(place) != self.n_segments:
+                raise NotReadable(_name(self.path, SEGMENTS), "names a segment twice")
+            for query in queries.values():
+                missing = {query.segment_0_id, query.segment_1_id} - place.keys()
+                if missing:
+                    raise NotReadable(_name(self.path, QUERIES), f"asks about {min(missing)!r}, which is not there")
+
+        kept = save_records(
+            folder, counted(), n_steps=self.layout.n_steps, discrete=self.layout.discrete, about=self.about
+        )
+        chosen = [queries[label.query_id] for label in said]
+        pairs = [(place[query.segment_0_id], place[query.segment_1_id]) for query in chosen]
+        labels = np.array([label.label for label in said], dtype=np.float32)
+        return PreferenceDataset(kept, np.array(pairs, dtype=np.int64), labels)
+
+    def _rows(self, table: str) -> Iterator[dict[str, Any]]:
+        for group in self._groups(table):
+            yield from group.to_pylist()
+
+    def _groups(self, table: str) -> Iterator[pa.Table]:
+        path = _name(self.path, table)
+        with _file(self.path, table) as file:
+            for index in range(file.metadata.num_row_groups):
+                _check_size(path, file.metadata.row_group(index), self.max_row_group_bytes)
+                group = _read_group(path, file, index)
+                for field in schema_of(table, TableMetadata(self.layout, {})):
+                    if not field.nullable and group.column(field.name).null_count:
+                        raise NotReadable(path, f"has a row without {field.name}")
+                yield group
+
+
+def write_tables(path: Path | str, comparisons: Comparisons, *, about: Mapping[str, Any] | None = None) -> None:
+    """Write comparisons that come from elsewhere as our tables.
+
+    Raises:
+        AlreadyThere: if there is something at `path`.
+    """
+    records, labels = comparisons.records, comparisons.labels.tolist()
+    with TableWriter(path, records.layout(), about=about) as tables:
+        tables.add_segments([SegmentRow(f"segment-{index}") for index in range(len(records))], records)
+        tables.add_queries(
+            QueryRow(f"query-{index}", f"segment-{first}", f"segment-{second}")
+            for index, (first, second) in enumerate(comparisons.pairs.tolist())
+        )
+        tables.add_labels(
+            LabelRow(f"query-{index}", "imported", "skip", None)
+            if np.isnan(label)
+            else LabelRow(f"query-{index}", "imported", "label", label)
+            for index, label in enumerate(labels)
+        )
+
+
+def _name(path: Path, table: str) -> Path:
+    return path / f"{table}.parquet"
+
+
+def _file(path: Path, table: str) -> pq.ParquetFile:
+    file = _name(path, table)
+    if not file.is_file():
+        raise MissingPart(path, file.name)
+    try:
+        return pq.ParquetFile(file)
+    except (pa.ArrowException, OSError) as error:
+        raise NotReadable(file, f"is no whole Parquet file ({error})") from error
+
+
+def _read_group(path: Path, file: pq.ParquetFile, index: int) -> pa.Table:
+    try:
+        table = file.read_row_group(index)
+        table.validate(full=True)
+    except (pa.ArrowException, OSError, MemoryError) as error:
+        raise NotReadable(path, f"is damaged ({error})") from error
+    return table
+
+
+def _check_columns(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:
+    for field in wanted:
+        if field.name not in found.names:
+            raise MissingPart(path, f"column {field.name!r}")
+        column = found.field(field.name).type
+        same_lists = pa.types.is_list(column) and pa.types.is_list(field.type)
+        # What another program calls the elements of a list, and whether it lets them be null, is its own.
+        if column != field.type and not (same_lists and column.value_type == field.type.value_type):
+            raise NotReadable(path, f"has column {field.name!r} of {column}, not of {field.type}")
+
+
+def _check_size(path: Path, group: Any, limit: int) -> None:
+    # Before anything is decoded: a few bytes of run lengths can stand for billions of numbers.
+    declared = sum(
+        max(column.total_uncompressed_size, column.num_values * 8)
+        for column in (group.column(index) for index in range(group.num_columns))
+    )
+    if declared > limit:
+        raise TooLarge(path, f"a row group of {declared} bytes", limit)
+
+
+def _check_memory(path: Path, n_segments: int, layout: SegmentLayout, limit: int) -> None:
+    # Padding and one-hot actions take memory that is nowhere in the file.
+    padded = n_segments * replace(layout, discrete=False).segment_bytes
+    if padded > limit:
+        raise TooLarge(path, f"{n_segments} segments of {padded} bytes together", limit)
+
+
+def _teacher(path: Path, index: int, text: str) -> dict[str, Any]:
+    try:
+        teacher = json.loads(text)
+    except ValueError as error:
+        raise NotReadable(path, f"has a teacher in row {index} that is no JSON") from error
+    if not isinstance(teacher, dict):
+        raise NotReadable(path, f"has a teacher in row {index} that is no JSON object")
+    return teacher
+
+
+def _records(path: Path, table: pa.Table, layout: SegmentLayout) -> SegmentRecords:
+    lengths = table.column("length_steps").to_numpy().astype(np.int64)
+    if ((lengths < 1) | (lengths > layout.n_steps)).any():
+        raise NotReadable(path, f"has a length_steps that is not within 1 to {layout.n_steps}")
+    mask = np.arange(lengths.max()) < lengths[:, None]
+    arrays = {name: _array(path, table, name, shape, mask) for name, shape in array_shapes(layout).items()}
+    if layout.discrete:
+        codes = arrays["actions"]
+        if codes.max(initial=0) >= layout.action_dim:
+            raise NotReadable(path, f"has an action that is none of {layout.action_dim}")
+        actions = np.eye(layout.action_dim, dtype=np.float32)[codes]
+        actions[~mask] = 0
+        arrays["actions"] = actions
+    return SegmentRecords(SegmentArrays(arrays.pop("observations"), arrays.pop("actions"), mask), **arrays)
+
+
+def _array(path: Path, table: pa.Table, name: str, shape: tuple[int, ...], mask: NDArray[np.bool_]) -> NDArray[Any]:
+    """A column of flat lists as (S, T, ...), zeros in the padding."""
+    column = table.column(name).combine_chunks()
+    lists = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    if lists.flatten().null_count:
+        raise NotReadable(path, f"has a number that is missing in {name}")
+    sizes = np.diff(lists.offsets.to_numpy())
+    if (sizes != mask.sum(axis=1) * int(np.prod(shape, dtype=np.int64))).any():
+        raise NotReadable(path, f"has {name} of another size than length_steps and the layout say")
+    flat = lists.flatten().to_numpy()
+    if not np.isfinite(flat).all():
+        raise NotReadable(path, f"has NaN or infinity in {name}")
+    array = np.zeros((*mask.shape, *shape), dtype=flat.dtype)
+    array[mask] = flat.reshape(-1, *shape)
+    return array

@@ -1,0 +1,343 @@
+import json
+import os
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mapt.preferences.errors import (
+    AlreadyThere,
+    MissingPart,
+    NotEnoughPairs,
+    NotOneHot,
+    NotReadable,
+    SchemaTooNew,
+    ShapeError,
+    TooLarge,
+    UnknownLabel,
+)
+from mapt.preferences.formats.tables import (
+    LabelRow,
+    PreferenceTables,
+    QueryRow,
+    SegmentRow,
+    TableWriter,
+    write_tables,
+)
+from support.comparing import assert_same_segments, everything_in, made_comparisons, made_records
+
+ROWS = [SegmentRow(f"seg_{index}", index, 1000 * index, "4.0.0") for index in range(4)]
+QUERIES = [QueryRow("qry_0", "seg_0", "seg_1", "uniform", "rwv_1"), QueryRow("qry_1", "seg_3", "seg_2")]
+SAID_AT = datetime(2026, 11, 21, 8, 30, 15, 250, tzinfo=UTC)
+LABELS = [
+    LabelRow("qry_0", "usr_a", "label", 1.0, 1, 2.5, {}, 7, SAID_AT),
+    LabelRow("qry_0", "usr_b", "label", 0.5, None, None, {"name": "oracle", "beta": 1.0}),
+    LabelRow("qry_1", "usr_a", "label", 0.0),
+    LabelRow("qry_1", "usr_b", "skip", None, 0, 9.0),
+]
+ABOUT = {"task": "half-cheetah-6x1", "mapt_version": "0.1.0"}
+
+
+def write(path, *, rows=ROWS, queries=QUERIES, labels=LABELS, records=None, discrete=False):
+    records = records or made_records(4, lengths=[4, 2, 1, 3], discrete=discrete)
+    with TableWriter(path, records.layout(discrete=discrete), about=ABOUT) as tables:
+        tables.add_segments(rows, records)
+        tables.add_queries(queries)
+        tables.add_labels(labels)
+    return records
+
+
+def assert_same_records(found, expected):
+    assert_same_segments(found.segments, expected.segments)
+    mask = expected.segments.mask
+    assert found.extras().keys() == expected.extras().keys()
+    for name, values in expected.extras().items():
+        np.testing.assert_array_equal(found.extras()[name][found.segments.mask], values[mask])
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_every_row_and_every_array_comes_back(tmp_path, discrete):
+    records = write(tmp_path / "export", discrete=discrete)
+    tables = PreferenceTables.open(tmp_path / "export")
+    ((rows, found),) = tables.segments()
+    assert rows == ROWS
+    assert_same_records(found, records)
+    assert tables.queries() == QUERIES
+    assert tables.labels() == LABELS
+    assert tables.about == ABOUT
+    assert tables.n_segments == 4
+
+
+@settings(max_examples=25)
+@given(
+    st.lists(st.sampled_from([0.0, 0.5, 1.0, float("nan")]), min_size=1, max_size=6),
+    st.integers(1, 4),
+    st.sets(st.sampled_from(["rewards", "qpos", "qvel"])),
+    st.integers(0, 3),
+)
+def test_comparisons_of_any_kind_come_back(tmp_path_factory, labels, n_agents, known, seed):
+    path = tmp_path_factory.mktemp("any")
+    lengths = np.random.default_rng(seed).integers(1, 5, size=2 * len(labels)).tolist()
+    made = made_comparisons(labels, n_agents=n_agents, lengths=lengths, known=tuple(known), seed=seed)
+    write_tables(path / "export", made)
+    tables = PreferenceTables.open(path / "export")
+    ((_, found),) = tables.segments()
+    assert_same_records(found, made.records)
+    assert [np.nan if label.label is None else label.label for label in tables.labels()] == pytest.approx(
+        labels, nan_ok=True
+    )
+    if np.isnan(labels).all():
+        with pytest.raises(NotEnoughPairs):
+            tables.load(path / "segments")
+        return
+    dataset, expected = tables.load(path / "segments"), made.dataset()
+    np.testing.assert_array_equal(dataset.labels, expected.labels)
+    np.testing.assert_array_equal(dataset.pairs, expected.pairs)
+    assert_same_segments(dataset.segments, expected.segments)
+
+
+def test_labels_are_loaded_with_their_segments_and_skips_are_not(tmp_path):
+    records = write(tmp_path / "export")
+    dataset = PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
+    assert dataset.pairs.tolist() == [[0, 1], [0, 1], [3, 2]]
+    assert dataset.labels.tolist() == [1.0, 0.5, 0.0]
+    assert_same_segments(dataset.segments, records.segments)
+
+
+def test_the_export_says_its_polarity_schema_and_source(tmp_path):
+    write(tmp_path / "export")
+    for table in ("segments", "queries", "labels"):
+        said = json.loads(pq.read_schema(tmp_path / "export" / f"{table}.parquet").metadata[b"accord"])
+        assert said["polarity"] == "1: segment 0 is better; 0: segment 1 is better; 0.5: equal"
+        assert (said["schema_version"], said["table"], said["about"]) == (1, table, ABOUT)
+
+
+def test_another_program_can_read_it(tmp_path):
+    records = write(tmp_path / "export")
+    frame = pq.read_table(tmp_path / "export" / "segments.parquet").to_pydict()
+    assert frame["length_steps"] == [4, 2, 1, 3]
+    np.testing.assert_array_equal(
+        np.array(frame["observations"][1], dtype=np.float32).reshape(2, 2, 3), records.segments.observations[1, :2]
+    )
+
+
+def test_many_segments_become_several_row_groups(tmp_path, monkeypatch):
+    monkeypatch.setattr("mapt.preferences.formats.table_writer.ROW_GROUP_BYTES", 1000)
+    write(tmp_path / "export")
+    assert pq.ParquetFile(tmp_path / "export" / "segments.parquet").metadata.num_row_groups == 2
+    dataset = PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
+    assert dataset.pairs.tolist() == [[0, 1], [0, 1], [3, 2]]
+
+
+def test_an_export_is_there_whole_or_not_at_all(tmp_path):
+    with pytest.raises(ShapeError):
+        write(tmp_path / "export", rows=ROWS[:2])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_export_that_is_there_is_not_written_over(tmp_path):
+    (tmp_path / "export").mkdir()
+    (tmp_path / "export" / "mine").write_bytes(b"")
+    with pytest.raises(AlreadyThere):
+        write(tmp_path / "export")
+    assert everything_in(tmp_path) == {"export/mine": b""}
+
+
+def test_segments_of_another_layout_are_not_written(tmp_path):
+    layout = made_records(4).layout()
+    for other in (replace(layout, n_agents=3), replace(layout, rewards=False), replace(layout, n_steps=2)):
+        with pytest.raises(ShapeError), TableWriter(tmp_path / "export", other) as tables:
+            tables.add_segments(ROWS, made_records(4))
+    with pytest.raises(NotOneHot), TableWriter(tmp_path / "export", replace(layout, discrete=True)) as tables:
+        tables.add_segments(ROWS, made_records(4))
+
+
+def change_table(path, change):
+    table = pq.read_table(path)
+    pq.write_table(change(table), path)
+
+
+def change_metadata(path, **changes):
+    def changed(table):
+        said = json.loads(table.schema.metadata[b"accord"]) | changes
+        return table.replace_schema_metadata({b"accord": json.dumps(said)})
+
+    change_table(path, changed)
+
+
+@pytest.mark.parametrize("table", ["segments", "queries", "labels"])
+def test_a_newer_schema_is_refused_by_its_number(tmp_path, table):
+    write(tmp_path / "export")
+    change_metadata(tmp_path / "export" / f"{table}.parquet", schema_version=2)
+    with pytest.raises(SchemaTooNew, match="version 2"):
+        PreferenceTables.open(tmp_path / "export")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"polarity": "0: segment 0 is better; 1: segment 1 is better"},
+        {"format": "something else"},
+        {"table": "queries"},
+        {"layout": {"n_steps": 4}},
+        {"schema_version": "one"},
+        {"about": 3},
+    ],
+)
+def test_metadata_of_another_meaning_is_refused(tmp_path, changes):
+    write(tmp_path / "export")
+    change_metadata(tmp_path / "export" / "segments.parquet", **changes)
+    with pytest.raises(NotReadable, match=r"segments\.parquet"):
+        PreferenceTables.open(tmp_path / "export")
+
+
+def test_a_table_of_another_program_is_refused(tmp_path):
+    write(tmp_path / "export")
+    pq.write_table(pa.table({"query_id": ["a"]}), tmp_path / "export" / "labels.parquet")
+    with pytest.raises(MissingPart, match="accord"):
+        PreferenceTables.open(tmp_path / "export")
+
+
+@pytest.mark.parametrize(
+    ("table", "column"),
+    [("segments", "observations"), ("segments", "qpos"), ("queries", "segment_1_id"), ("labels", "label")],
+)
+def test_a_missing_column_is_named(tmp_path, table, column):
+    write(tmp_path / "export")
+    change_table(tmp_path / "export" / f"{table}.parquet", lambda whole: whole.drop_columns([column]))
+    with pytest.raises(MissingPart, match=column):
+        PreferenceTables.open(tmp_path / "export")
+
+
+def test_a_missing_table_is_named(tmp_path):
+    write(tmp_path / "export")
+    (tmp_path / "export" / "queries.parquet").unlink()
+    with pytest.raises(MissingPart, match=r"queries\.parquet"):
+        PreferenceTables.open(tmp_path / "export")
+
+
+@pytest.mark.parametrize("table", ["segments", "queries", "labels"])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
+def test_a_file_that_was_cut_is_refused_and_loads_nothing(tmp_path, table, share):
+    write(tmp_path / "export")
+    path = tmp_path / "export" / f"{table}.parquet"
+    os.truncate(path, int(path.stat().st_size * share))
+    before = everything_in(tmp_path)
+    with pytest.raises(NotReadable):
+        PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
+    assert everything_in(tmp_path) == before
+    assert not (tmp_path / "segments").exists()
+
+
+@settings(max_examples=40)
+@given(st.data())
+def test_a_damaged_file_ends_in_an_error_or_in_data_and_leaves_no_half(tmp_path_factory, data):
+    folder = tmp_path_factory.mktemp("damaged")
+    write(folder / "export")
+    path = folder / "export" / "segments.parquet"
+    content = bytearray(path.read_bytes())
+    content[data.draw(st.integers(4, len(content) - 1))] ^= data.draw(st.integers(1, 255))
+    path.write_bytes(content)
+    try:
+        PreferenceTables.open(folder / "export").load(folder / "segments")
+    except (NotReadable, ShapeError):
+        assert not (folder / "segments").exists()
+
+
+def replaced(table, column, values):
+    index = table.schema.get_field_index(column)
+    field = table.schema.field(index)
+    type_ = pa.list_(field.type.value_type) if pa.types.is_list(field.type) else field.type
+    return table.set_column(index, pa.field(column, type_), pa.array(values, type_))
+
+
+@pytest.mark.parametrize(
+    ("label", "state"),
+    [(-1.0, "label"), (2.0, "label"), (0.25, "label"), (None, "label"), (1.0, "skip"), (1.0, "undone")],
+)
+def test_a_label_of_another_polarity_is_refused(tmp_path, label, state):
+    write(tmp_path / "export")
+    path = tmp_path / "export" / "labels.parquet"
+    change_table(path, lambda whole: replaced(whole, "label", [1.0, label, 0.0, None]))
+    change_table(path, lambda whole: replaced(whole, "state", ["label", state, "label", "skip"]))
+    with pytest.raises(UnknownLabel, match="label 1"):
+        PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
+    assert not (tmp_path / "segments").exists()
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "values"),
+    [
+        ("segments", "length_steps", [4, 2, 1, 2]),
+        ("segments", "length_steps", [4, 2, 1, 9]),
+        ("segments", "length_steps", [4, 2, 1, 0]),
+        ("segments", "length_steps", [4, 2, 1, None]),
+        ("segments", "segment_id", ["seg_0", "seg_1", "seg_1", "seg_3"]),
+        ("segments", "observations", [[0.0], [0.0], [0.0], [0.0]]),
+        ("segments", "observations", [None, [0.0], [0.0], [0.0]]),
+        ("segments", "rewards", [[0, 0, 0, float("nan")], [0, 0], [0], [0, 0, 0]]),
+        ("segments", "rewards", [[0, 0, 0, None], [0, 0], [0], [0, 0, 0]]),
+        ("queries", "segment_0_id", ["seg_0", "seg_9"]),
+        ("queries", "segment_0_id", ["seg_1", "seg_3"]),
+        ("queries", "segment_0_id", [None, "seg_3"]),
+        ("labels", "query_id", ["qry_0", "qry_0", "qry_9", "qry_1"]),
+        ("labels", "teacher", ["{}", "no JSON", "{}", "{}"]),
+        ("labels", "teacher", ["{}", "[]", "{}", "{}"]),
+    ],
+)
+def test_rows_that_contradict_each_other_are_refused_and_load_nothing(tmp_path, table, column, values):
+    write(tmp_path / "export")
+    change_table(tmp_path / "export" / f"{table}.parquet", lambda whole: replaced(whole, column, values))
+    before = everything_in(tmp_path)
+    with pytest.raises(NotReadable, match=table):
+        PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
+    assert everything_in(tmp_path) == before
+
+
+def test_an_action_beyond_the_tasks_is_refused(tmp_path):
+    write(tmp_path / "export", discrete=True)
+    sizes = [8, 4, 2, 6]
+    change_table(
+        tmp_path / "export" / "segments.parquet",
+        lambda whole: replaced(whole, "actions", [[5] * size for size in sizes]),
+    )
+    with pytest.raises(NotReadable, match="action"):
+        list(PreferenceTables.open(tmp_path / "export").segments())
+
+
+def test_a_column_of_another_type_is_refused(tmp_path):
+    write(tmp_path / "export")
+    path = tmp_path / "export" / "labels.parquet"
+    change_table(path, lambda whole: whole.set_column(3, "label", pa.array(["1", "0.5", "0", None])))
+    with pytest.raises(NotReadable, match="label"):
+        PreferenceTables.open(tmp_path / "export")
+
+
+def test_a_few_bytes_that_stand_for_billions_of_numbers_are_not_decoded(tmp_path):
+    write(tmp_path / "export")
+    path = tmp_path / "export" / "segments.parquet"
+    change_table(path, lambda whole: replaced(whole, "rewards", [[0.0] * 2_000_000, *([[0.0]] * 3)]))
+    assert path.stat().st_size < 100_000
+    tables = PreferenceTables.open(tmp_path / "export", max_row_group_bytes=1_000_000)
+    with pytest.raises(TooLarge):
+        list(tables.segments())
+
+
+def test_padding_that_would_fill_the_memory_is_refused(tmp_path):
+    write(tmp_path / "export")
+    layout = {"n_steps": 1 << 40, "n_agents": 2, "observation_dim": 3, "action_dim": 2}
+    change_metadata(tmp_path / "export" / "segments.parquet", layout=layout)
+    with pytest.raises(TooLarge):
+        PreferenceTables.open(tmp_path / "export")
+
+
+def test_a_folder_that_is_there_is_not_loaded_over(tmp_path):
+    write(tmp_path / "export")
+    (tmp_path / "segments").mkdir()
+    with pytest.raises(AlreadyThere):
+        PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
