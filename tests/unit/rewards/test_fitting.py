@@ -3,7 +3,7 @@ import math
 import torch
 
 from mapt.preferences.loss import preference_losses
-from mapt.rewards.fitting import exceeds_chance, judge_pairs
+from mapt.rewards.fitting import WeightAverage, exceeds_chance, judge_pairs
 from mapt.rewards.pair_tensors import PairTensors
 
 
@@ -29,3 +29,24 @@ def test_losses_of_pairs_average_to_their_judgement():
 def test_no_pairs_give_no_judgement():
     empty = PairTensors(torch.zeros(0, 2, dtype=torch.int64), torch.zeros(0))
     assert math.isnan(judge_pairs(empty, lambda index: index).loss)
+
+
+def test_an_average_follows_and_lets_go():
+    weight = torch.nn.Parameter(torch.zeros(2))
+    average = WeightAverage([weight])
+    for step in range(1, 2001):
+        weight.data.fill_(1.0 if step % 2 else -1.0)
+        average.follow()
+    with average.in_place():
+        assert weight.abs().max() < 0.05
+    assert torch.equal(weight, torch.full((2,), -1.0))
+
+
+def test_an_average_of_a_weight_that_stands_still_is_that_weight():
+    weight = torch.nn.Parameter(torch.zeros(3))
+    average = WeightAverage([weight])
+    weight.data.fill_(2.0)
+    for _ in range(1500):
+        average.follow()
+    with average.in_place():
+        torch.testing.assert_close(weight, torch.full((3,), 2.0))
