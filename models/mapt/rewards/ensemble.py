@@ -19,9 +19,8 @@ from mapt.rewards.device import resolve_device
 from mapt.rewards.ensemble_fitting import (
     EnsembleFitting,
     EnsembleStage,
-    IndexedPairs,
     StackScorer,
-    bernoulli_losses,
+    logit_losses,
     mean_accuracy,
     pair_logits,
 )
@@ -33,16 +32,20 @@ from mapt.rewards.ensemble_scorers import (
 )
 from mapt.rewards.errors import ModelMismatch
 from mapt.rewards.fitting import TrainProgress
-from mapt.rewards.members import RewardEnsemble, check_fit, segment_tensors
+from mapt.rewards.members import RewardEnsemble, check_fit
 from mapt.rewards.model import build_reward_model
+from mapt.rewards.pair_tensors import PairTensors
+from mapt.rewards.segment_reader import SegmentReader, segment_reader
 from mapt.rewards.settings import check_positive_int
 from mapt.rewards.stacked import StackedModels
 from mapt.rewards.train_config import TrainConfig
 
 __all__ = ["RewardEnsemble", "train_reward_ensemble"]
 
-# Statistics of inputs are taken from at most this many segments, spread evenly over all.
+# Statistics of inputs and rewards are taken from at most this many segments, spread evenly over all.
 MEASURED_SEGMENTS = 2048
+# Training pairs whose loss is reported at the end.
+MOST_PAIRS_JUDGED = 2000
 
 
 def train_reward_ensemble(
@@ -74,10 +77,10 @@ def train_reward_ensemble(
         stop: asked before every step; true ends the training with each member's best weights so far.
 
     Returns:
-        The ensemble. Its metrics are means over members: `loss`, `accuracy`, `holdout_loss`, `holdout_accuracy`; of the
-        mean of the members' probabilities: `ensemble_holdout_loss`, `ensemble_holdout_accuracy`; and `members`,
-        `labels`, `holdout_labels`, `holdout_reliable`, `epochs`, `seconds`, `stopped`. What cannot be measured is
-        left out.
+        The ensemble. Its metrics are means over members: `loss` and `accuracy` (of the first 2,000 training pairs),
+        `holdout_loss`, `holdout_accuracy`; of the mean of the members' probabilities: `ensemble_holdout_loss`,
+        `ensemble_holdout_accuracy`; and `members`, `labels`, `holdout_labels`, `holdout_reliable`, `epochs`,
+        `seconds`, `stopped`. What cannot be measured is left out.
 
     Raises:
         InvalidConfig: if `members` is no positive whole number.
@@ -89,33 +92,34 @@ def train_reward_ensemble(
     _check_initial(initial, config, members)
     started = time.perf_counter()
     device = resolve_device(train_config.device)
+    segments = segment_reader(dataset.segments, device)
     train, hold_out = (
-        IndexedPairs(torch.as_tensor(part.pairs, device=device), torch.as_tensor(part.labels, device=device))
-        for part in dataset.split(train_config.hold_out_fraction, train_config.seed)
+        PairTensors.of(part, device) for part in dataset.split(train_config.hold_out_fraction, train_config.seed)
     )
-    segments = dataset.segments
     with _seeded(train_config.seed, device):
         models = [build_reward_model(config) if initial is None else initial.member(i) for i in range(members)]
-        observed = segment_tensors(segments.take(spread_sample(segments, MEASURED_SEGMENTS)), torch.device("cpu"))
+        observed = segments.take(spread_sample(len(segments), MEASURED_SEGMENTS, device)).inputs
         for model in models:
-            model.measure_inputs(*observed, keep_function=initial is not None)
+            model.to(device).measure_inputs(*observed, keep_function=initial is not None)
         stack = StackedModels(models)
-        stack.to(device)
         fitting = EnsembleFitting(
             stack,
             train,
             hold_out,
             seed=train_config.seed,
-            max_epochs=train_config.markov_epochs + train_config.max_epochs,
+            max_epochs=sum(_epochs(stack, train_config, warm=initial is not None)),
             resampled=resampled,
             progress=progress,
             stop=stop,
         )
         used = torch.as_tensor(np.unique(dataset.pairs), device=device)
-        _run_stages(fitting, stack, segments, used, train_config)
-    measure_reward_scales(stack, segments if reference is None else reference, device)
+        _run_stages(fitting, stack, segments, used, train_config, warm=initial is not None)
+    judged = segments if reference is None else segment_reader(reference, device)
+    measure_reward_scales(stack, judged, spread_sample(len(judged), MEASURED_SEGMENTS, device))
     metrics = {
-        **_judged(whole_stack_scorer(stack, segments), train, hold_out),
+        **_judged(
+            whole_stack_scorer(stack, segments), train.first(MOST_PAIRS_JUDGED), hold_out, train_config.label_noise
+        ),
         "members": float(members),
         "labels": float(len(dataset)),
         "holdout_labels": float(len(hold_out)),
@@ -129,11 +133,18 @@ def train_reward_ensemble(
 
 
 def _run_stages(
-    fitting: EnsembleFitting, stack: StackedModels, segments: SegmentSource, used: Tensor, config: TrainConfig
+    fitting: EnsembleFitting,
+    stack: StackedModels,
+    segments: SegmentReader,
+    used: Tensor,
+    config: TrainConfig,
+    *,
+    warm: bool,
 ) -> None:
     """The Markov paths by themselves, then everything, as far as the hold-out agrees; as `train_reward_model`."""
-    markov = [name for name in stack.parameters if name.startswith("markov.")]
-    if markov and config.markov_epochs:
+    markov = _markov_names(stack)
+    markov_epochs, whole_epochs = _epochs(stack, config, warm=warm)
+    if markov_epochs:
         fitting.run(
             EnsembleStage(
                 markov,
@@ -141,13 +152,14 @@ def _run_stages(
                 lr=config.markov_lr,
                 weight_decay=config.weight_decay,
                 batch_pairs=config.batch_pairs,
-                max_epochs=config.markov_epochs,
+                max_epochs=markov_epochs,
                 patience=config.markov_patience,
+                label_noise=config.label_noise,
             )
         )
         if not fitting.reliable:
             return
-    if not fitting.stopped:
+    if whole_epochs and not fitting.stopped:
         fitting.run(
             EnsembleStage(
                 list(stack.parameters),
@@ -155,22 +167,38 @@ def _run_stages(
                 lr=config.lr,
                 weight_decay=config.weight_decay,
                 batch_pairs=config.batch_pairs,
-                max_epochs=config.max_epochs,
+                max_epochs=whole_epochs,
                 patience=config.patience,
+                label_noise=config.label_noise,
                 must_convince=bool(markov) and fitting.reliable,
             )
         )
 
 
-def _judged(scorer: StackScorer, train: IndexedPairs, hold_out: IndexedPairs) -> dict[str, float]:
+def _markov_names(stack: StackedModels) -> list[str]:
+    return [name for name in stack.parameters if name.startswith("markov.")]
+
+
+def _epochs(stack: StackedModels, config: TrainConfig, *, warm: bool) -> tuple[int, int]:
+    """Most epochs of the Markov paths by themselves, and of the whole networks."""
+    markov, whole = config.markov_epochs, config.max_epochs
+    if warm:
+        markov, whole = config.warm_markov_epochs, config.warm_epochs
+    if not _markov_names(stack):
+        return 0, whole
+    # A Markov model is its Markov path: once that is trained, so is all of it.
+    return markov, 0 if markov and stack.config.architecture == "mlp" else whole
+
+
+def _judged(scorer: StackScorer, train: PairTensors, hold_out: PairTensors, label_noise: float) -> dict[str, float]:
     logits, held_out = pair_logits(train, scorer), pair_logits(hold_out, scorer)
     together = held_out.sigmoid().mean(dim=0, keepdim=True).logit(eps=1e-6)
     return {
-        "loss": bernoulli_losses(logits, train.labels).mean().item(),
+        "loss": logit_losses(logits, train.labels, label_noise).mean().item(),
         "accuracy": mean_accuracy(logits, train.labels),
-        "holdout_loss": bernoulli_losses(held_out, hold_out.labels).mean().item(),
+        "holdout_loss": logit_losses(held_out, hold_out.labels, label_noise).mean().item(),
         "holdout_accuracy": mean_accuracy(held_out, hold_out.labels),
-        "ensemble_holdout_loss": bernoulli_losses(together, hold_out.labels).mean().item(),
+        "ensemble_holdout_loss": logit_losses(together, hold_out.labels, label_noise).mean().item(),
         "ensemble_holdout_accuracy": mean_accuracy(together, hold_out.labels),
     }
 

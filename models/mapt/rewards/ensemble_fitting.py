@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
+from mapt.preferences.loss import preference_losses
 from mapt.rewards.fitting import (
     FEWEST_BATCH_PAIRS,
     FEWEST_HOLD_OUT_PAIRS,
@@ -20,23 +20,13 @@ from mapt.rewards.fitting import (
     GRADIENT_NORM_LIMIT,
     TrainProgress,
 )
+from mapt.rewards.pair_tensors import PairTensors
 from mapt.rewards.stacked import StackedModels
 
 #: From indices of segments, (B,) or (M, B), to the members' scores of them, (M, B).
 StackScorer = Callable[[Tensor], Tensor]
 # Segments in one pass over all members when no gradient is taken.
 SEGMENTS_PER_PASS = 64
-
-
-@dataclass(frozen=True, slots=True)
-class IndexedPairs:
-    """Pairs (P, 2) of segments and their labels (P,), on the members' device."""
-
-    pairs: Tensor
-    labels: Tensor
-
-    def __len__(self) -> int:
-        return len(self.labels)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +41,7 @@ class EnsembleStage:
     batch_pairs: int
     max_epochs: int
     patience: int
+    label_noise: float = 0.0
     must_convince: bool = False
 
 
@@ -69,8 +60,8 @@ class EnsembleFitting:
     def __init__(
         self,
         stack: StackedModels,
-        train: IndexedPairs,
-        hold_out: IndexedPairs,
+        train: PairTensors,
+        hold_out: PairTensors,
         *,
         seed: int,
         max_epochs: int,
@@ -102,7 +93,7 @@ class EnsembleFitting:
         judge = self._hold_out if self.reliable else self._train
         trained = {name: self._stack.parameters[name] for name in stage.names}
         optimiser = stacked_optimiser(trained.values(), stage.lr, stage.weight_decay)
-        before = after = pair_losses(judge, stage.scorer)
+        before = after = pair_losses(judge, stage.scorer, stage.label_noise)
         initial, kept = _copies(trained), _copies(trained)
         best, kept_at = before.mean(dim=1), torch.zeros(len(before), dtype=torch.int64, device=before.device)
         for epoch in range(1, stage.max_epochs + 1):
@@ -110,7 +101,7 @@ class EnsembleFitting:
             if self.stopped:
                 break
             self._report(stage, loss)
-            judged = pair_losses(judge, stage.scorer)
+            judged = pair_losses(judge, stage.scorer, stage.label_noise)
             better = judged.mean(dim=1) < best
             best, kept_at = torch.where(better, judged.mean(dim=1), best), torch.where(better, epoch, kept_at)
             after = torch.where(better[:, None], judged, after)
@@ -124,15 +115,15 @@ class EnsembleFitting:
 
     def _epoch(self, stage: EnsembleStage, optimiser: torch.optim.Optimizer) -> float:
         """Mean loss of one pass over the training pairs; NaN when stopped."""
-        losses: list[float] = []
+        losses: list[Tensor] = []
         self._stack.train(True)
         for index in self._batches(stage.batch_pairs):
             self.stopped = self.stopped or (self._stop is not None and self._stop())
             if self.stopped:
                 break
-            losses.append(ensemble_step(self._train, stage.scorer, optimiser, index))
+            losses.append(ensemble_step(self._train, stage.scorer, optimiser, index, stage.label_noise))
         self._stack.train(False)
-        return math.nan if self.stopped else sum(losses) / len(losses)
+        return math.nan if self.stopped else torch.stack(losses).mean().item()
 
     def _batches(self, batch_pairs: int) -> Iterator[Tensor]:
         """Indices (M, B) of pairs: every member sees each of its pairs once, in its own order."""
@@ -152,23 +143,29 @@ class EnsembleFitting:
                 epoch=self.epochs,
                 max_epochs=self._max_epochs,
                 loss=loss,
-                holdout_loss=bernoulli_losses(logits, labels).mean().item(),
+                holdout_loss=logit_losses(logits, labels, stage.label_noise).mean().item(),
                 holdout_accuracy=mean_accuracy(logits, labels),
                 seconds=time.perf_counter() - self._started,
             )
         )
 
 
-def ensemble_step(train: IndexedPairs, scorer: StackScorer, optimiser: torch.optim.Optimizer, index: Tensor) -> float:
+def ensemble_step(
+    train: PairTensors,
+    scorer: StackScorer,
+    optimiser: torch.optim.Optimizer,
+    index: Tensor,
+    label_noise: float = 0.0,
+) -> Tensor:
     """Move every member by one step on its own pairs `index` (M, B); the mean of their losses before it, nats."""
     first, second = scorer(train.pairs[index].movedim(-1, 1).flatten(1)).chunk(2, dim=1)
     # A sum over members: the gradient of each is that of its own mean loss.
-    losses = bernoulli_losses(first - second, train.labels[index]).mean(dim=1)
+    losses = preference_losses(first - second, train.labels[index], label_noise).mean(dim=1)
     optimiser.zero_grad(set_to_none=True)
     losses.sum().backward()
     clip_each_member(parameter for group in optimiser.param_groups for parameter in group["params"])
     optimiser.step()
-    return losses.mean().item()
+    return losses.detach().mean()
 
 
 def clip_each_member(parameters: Iterable[Tensor]) -> None:
@@ -192,18 +189,18 @@ def stacked_optimiser(parameters: Iterable[Tensor], lr: float, decay: float) -> 
     )
 
 
-def bernoulli_losses(logits: Tensor, labels: Tensor) -> Tensor:
-    """Loss of each pair, nats, (M, P), by logits (M, P); labels are (P,) or (M, P)."""
-    return F.binary_cross_entropy_with_logits(logits, labels.expand_as(logits), reduction="none")
-
-
-def pair_losses(pairs: IndexedPairs, scorer: StackScorer) -> Tensor:
+def pair_losses(pairs: PairTensors, scorer: StackScorer, label_noise: float = 0.0) -> Tensor:
     """Loss of each pair by each member, nats, (M, P)."""
-    return bernoulli_losses(pair_logits(pairs, scorer), pairs.labels)
+    return logit_losses(pair_logits(pairs, scorer), pairs.labels, label_noise)
+
+
+def logit_losses(logits: Tensor, labels: Tensor, label_noise: float = 0.0) -> Tensor:
+    """Loss of each pair, nats, (M, P), by logits (M, P) and labels (P,)."""
+    return preference_losses(logits, labels.expand_as(logits), label_noise)
 
 
 @torch.no_grad()
-def pair_logits(pairs: IndexedPairs, scorer: StackScorer) -> Tensor:
+def pair_logits(pairs: PairTensors, scorer: StackScorer) -> Tensor:
     """score_0 - score_1 of every pair by each member, (M, P), without gradient; each segment is scored once."""
     used, position = torch.unique(pairs.pairs, return_inverse=True)
     score = torch.cat([scorer(part) for part in used.split(SEGMENTS_PER_PASS)], dim=1)

@@ -1,24 +1,21 @@
 """How the members of a stack score segments named by index, wherever the segments lie."""
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from mapt.preferences.dataset import SegmentSource
 from mapt.rewards.ensemble_fitting import SEGMENTS_PER_PASS, StackScorer
-from mapt.rewards.members import segment_tensors
+from mapt.rewards.segment_reader import SegmentReader
 from mapt.rewards.stacked import StackedModels
 
 
-def taken(segments: SegmentSource, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Observations, actions and mask of the segments at `index`, of any shape, on its device."""
-    found = segment_tensors(segments.take(index.flatten().cpu().numpy()), index.device)
+def taken(segments: SegmentReader, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Observations, actions and mask of the segments at `index`, of any shape."""
+    found = segments.take(index.flatten()).inputs
     observations, actions, mask = (tensor.view(*index.shape, *tensor.shape[1:]) for tensor in found)
     return observations, actions, mask
 
 
-def whole_stack_scorer(stack: StackedModels, segments: SegmentSource) -> StackScorer:
+def whole_stack_scorer(stack: StackedModels, segments: SegmentReader) -> StackScorer:
     """Scores by the whole networks."""
 
     def score(index: Tensor) -> Tensor:
@@ -28,7 +25,7 @@ def whole_stack_scorer(stack: StackedModels, segments: SegmentSource) -> StackSc
 
 
 @torch.no_grad()
-def markov_stack_scorer(stack: StackedModels, segments: SegmentSource, used: Tensor) -> StackScorer:
+def markov_stack_scorer(stack: StackedModels, segments: SegmentReader, used: Tensor) -> StackScorer:
     """Scores in which only the Markov paths move: all else keeps what it says now of the segments `used`, int (U,)
     ascending and without repetition, and needs one pass over them for the whole training."""
     fixed = [_fixed(stack, segments, part) for part in used.split(SEGMENTS_PER_PASS)]
@@ -44,7 +41,7 @@ def markov_stack_scorer(stack: StackedModels, segments: SegmentSource, used: Ten
     return score
 
 
-def _fixed(stack: StackedModels, segments: SegmentSource, part: Tensor) -> tuple[Tensor, Tensor]:
+def _fixed(stack: StackedModels, segments: SegmentReader, part: Tensor) -> tuple[Tensor, Tensor]:
     """Weights (M, S, T), and the part (M, S) of the scores that is not the Markov paths'."""
     observations, actions, mask = taken(segments, part)
     score, _, weights = stack.outputs(observations, actions, mask)
@@ -52,17 +49,16 @@ def _fixed(stack: StackedModels, segments: SegmentSource, part: Tensor) -> tuple
 
 
 @torch.no_grad()
-def measure_reward_scales(stack: StackedModels, segments: SegmentSource, device: torch.device) -> None:
-    """Set each member's reward mean and deviation from its shared rewards of the real steps of these segments."""
-    sums = torch.zeros(3, len(stack), dtype=torch.float64, device=device)
-    for part in torch.arange(len(segments), device=device).split(SEGMENTS_PER_PASS):
+def measure_reward_scales(stack: StackedModels, segments: SegmentReader, index: Tensor) -> None:
+    """Set each member's reward mean and deviation from its shared rewards of the real steps of segments."""
+    rewards = []
+    for part in index.split(SEGMENTS_PER_PASS):
         observations, actions, mask = taken(segments, part)
-        rewards = stack.outputs(observations, actions, mask)[1][:, mask].double()
-        sums += torch.stack((torch.ones_like(rewards), rewards, rewards.square())).sum(dim=2)
-    mean = sums[1] / sums[0]
-    stack.set_reward_scales(mean, (sums[2] / sums[0] - mean.square()).clamp(min=0).sqrt())
+        rewards.append(stack.outputs(observations, actions, mask)[1][:, mask])
+    every = torch.cat(rewards, dim=1).double()
+    stack.set_reward_scales(every.mean(dim=1), every.std(dim=1, correction=0))
 
 
-def spread_sample(segments: SegmentSource, most: int) -> NDArray[np.int64]:
-    """Indices of at most `most` segments, spread evenly over all."""
-    return np.unique(np.linspace(0, len(segments) - 1, min(most, len(segments))).round().astype(np.int64))
+def spread_sample(n_segments: int, most: int, device: torch.device) -> Tensor:
+    """Indices of up to `most` segments, evenly spread: all ages of a replay have their say."""
+    return torch.linspace(0, n_segments - 1, min(n_segments, most), dtype=torch.float64).round().long().to(device)

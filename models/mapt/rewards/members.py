@@ -6,12 +6,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mapt.preferences.dataset import SegmentArrays, SegmentSource, in_batches
+from mapt.preferences.dataset import SegmentSource, in_batches
 from mapt.rewards.base import RewardModel
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.device import resolve_device
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
 from mapt.rewards.model import build_reward_model
+from mapt.rewards.segment_reader import SegmentTensors
 from mapt.rewards.stacked import StackedModels
 
 # Segments in one pass over all members.
@@ -80,18 +81,10 @@ class RewardEnsemble:
         on = resolve_device(device)
         self._stack.to(on)
         scores = [
-            self._stack.outputs(*segment_tensors(part, on))[0].cpu().numpy()
+            self._stack.outputs(*SegmentTensors.of(part, on).inputs)[0].cpu().numpy()
             for part in in_batches(segments, SEGMENTS_PER_PASS)
         ]
         return np.concatenate(scores, axis=1) if scores else np.zeros((len(self), 0), dtype=np.float32)
-
-
-def segment_tensors(segments: SegmentArrays, device: torch.device) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Observations, actions and mask of segments, on a device."""
-    observations, actions, mask = (
-        torch.as_tensor(array, device=device) for array in (segments.observations, segments.actions, segments.mask)
-    )
-    return observations, actions, mask
 
 
 def check_fit(config: RewardConfig, segments: SegmentSource) -> None:

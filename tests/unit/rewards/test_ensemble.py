@@ -11,12 +11,14 @@ from mapt.preferences.errors import NotEnoughPairs
 from mapt.preferences.loss import preference_loss
 from mapt.rewards.config import MODEL_NAMES, RewardConfig
 from mapt.rewards.ensemble import RewardEnsemble, train_reward_ensemble
-from mapt.rewards.ensemble_fitting import IndexedPairs, ensemble_step, stacked_optimiser
+from mapt.rewards.ensemble_fitting import ensemble_step, stacked_optimiser
 from mapt.rewards.ensemble_scorers import whole_stack_scorer
 from mapt.rewards.ensemble_storage import FORMAT, load_reward_ensemble, save_reward_ensemble
 from mapt.rewards.errors import DamagedCheckpoint, InvalidConfig, ModelMismatch, NewerCheckpoint
 from mapt.rewards.fitting import GRADIENT_NORM_LIMIT
 from mapt.rewards.model import RewardModel, build_reward_model
+from mapt.rewards.pair_tensors import PairTensors
+from mapt.rewards.segment_reader import segment_reader
 from mapt.rewards.stacked import StackedModels
 from mapt.rewards.train_config import TrainConfig
 
@@ -102,12 +104,14 @@ def test_a_vectorised_step_is_as_many_steps_apart(name):
     stack = StackedModels(models)
     # Adam's first step blows the rounding of gradients that are zero up to the step's size: no way to compare.
     optimiser = torch.optim.SGD(stack.parameters.values(), 0.1)
-    known = IndexedPairs(torch.as_tensor(dataset.pairs), torch.as_tensor(dataset.labels))
+    known = PairTensors.of(dataset, torch.device("cpu"))
     index = torch.stack([torch.randperm(20, generator=torch.Generator().manual_seed(i))[:8] for i in range(3)])
     before = {name: tensor.clone() for name, tensor in stack.state().items()}
-    loss = ensemble_step(known, whole_stack_scorer(stack, dataset.segments), optimiser, index)
+    loss = ensemble_step(
+        known, whole_stack_scorer(stack, segment_reader(dataset.segments, torch.device("cpu"))), optimiser, index
+    )
     losses = [separate_step(model, dataset, rows) for model, rows in zip(models, index, strict=True)]
-    assert loss == pytest.approx(sum(losses) / 3, rel=1e-5)
+    assert loss.item() == pytest.approx(sum(losses) / 3, rel=1e-5)
     for i, model in enumerate(models):
         own = stack.state_of(i)
         assert sum((own[key] - before[key][i]).square().sum() for key in own) > 1e-4
