@@ -8,7 +8,7 @@ from fastapi.routing import APIRoute
 from accord.api import errors
 from accord.api.body_limit import BodyLimit
 from accord.api.pages import Page
-from accord.api.routes import accounts, clips, events, experiments, health, labelling
+from accord.api.routes import accounts, clips, events, experiments, health, labelling, segments
 from accord.api.visit import House
 from accord.settings import Settings
 from accord.store.blobs import BlobStore
@@ -35,7 +35,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
     )
     app.state.house = House(settings, database, blobs)
     # in the order in which they are tried: those that are asked most come first
-    for module in (labelling, clips, experiments, events, accounts, health):
+    for module in (labelling, clips, segments, experiments, events, accounts, health):
         app.include_router(module.router, prefix=PREFIX)
     app.include_router(accounts.pages)
     app.router.default = Page()

@@ -21,9 +21,14 @@ def _clip_id(id: str) -> str:
     return check_id(id, "clp")
 
 
+def _segment_id(id: str) -> str:
+    return check_id(id, "seg")
+
+
 ExperimentId = Annotated[str, AfterValidator(_experiment_id), Path(description="The experiment, exp_...")]
 QueryId = Annotated[str, AfterValidator(_query_id), Path(description="The query, qry_...")]
 ClipId = Annotated[str, AfterValidator(_clip_id), Path(description="The clip, clp_...")]
+SegmentId = Annotated[str, AfterValidator(_segment_id), Path(description="The segment, seg_...")]
 
 
 def answer(model: BaseModel, status: int = 200) -> Response:

@@ -58,16 +58,20 @@ class Api:
 
     def get(self, path: str, **query: Any) -> Any:
         """The JSON at `path`. Raises Refused, Unavailable."""
-        return self._ask("GET", path, params=query)
+        return _json(self._ask("GET", path, params=query))
+
+    def get_bytes(self, path: str) -> bytes:
+        """What is at `path`, as it is. Raises Refused, Unavailable."""
+        return self._ask("GET", path).content
 
     def post(self, path: str, body: Any = None, **query: Any) -> Any:
         """The JSON answer. Raises Refused, Unavailable."""
-        return self._ask("POST", path, json=body, params=query)
+        return _json(self._ask("POST", path, json=body, params=query))
 
     def close(self) -> None:
         self._client.close()
 
-    def _ask(self, method: str, path: str, **request: Any) -> Any:
+    def _ask(self, method: str, path: str, **request: Any) -> httpx.Response:
         deadline = time.monotonic() + self._patience_seconds
         backoff, failures = Backoff(first_seconds=0.2, longest_seconds=5.0), 0
         while True:
@@ -81,7 +85,7 @@ class Api:
                 )
             else:
                 if response.status_code not in _BUSY:
-                    return _answer(response)
+                    return _accepted(response)
                 problem = f"{self._url} is busy: it answered {response.status_code} for {self._patience_seconds:.0f} s."
                 pause = max(pause, _retry_after(response))
             if time.monotonic() + pause > deadline or self._stopped():
@@ -89,9 +93,13 @@ class Api:
             time.sleep(pause)
 
 
-def _answer(response: httpx.Response) -> Any:
+def _json(response: httpx.Response) -> Any:
+    return response.json() if response.content else None
+
+
+def _accepted(response: httpx.Response) -> httpx.Response:
     if response.is_success:
-        return response.json() if response.content else None
+        return response
     try:
         error = response.json()["error"]
         code, message = str(error["code"]), str(error["message"])

@@ -9,11 +9,12 @@ import typer
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from accord.cli.client import Api
+from accord.cli.options import Parameters, TeacherName
 from accord.cli.output import note, on_terminal, out, say
 from accord.cli.results import rows_of, table, write
 from accord.cli.runs import Lesson, RunPlan, RunResult, RunState, run_experiment
 from accord.cli.service import OwnService
-from accord.cli.teaching import TeacherName
+from accord.cli.teaching import TeacherChoice, parse_teacher
 from accord.domain.errors import Invalid
 from accord.domain.words import Role
 from accord.workers.stop import Stop
@@ -25,7 +26,8 @@ _NOTED_SHARE = 0.1
 def demo(
     *,
     task: Annotated[str, typer.Option(help="Task by name; GET /api/v1/tasks lists them.")] = "HalfCheetah-6x1",
-    teacher: Annotated[TeacherName, typer.Option(help="Which scripted teacher labels.")] = TeacherName.ORACLE,
+    teacher: TeacherName = "oracle",
+    parameter: Parameters = None,
     labels: Annotated[int, typer.Option(min=2, help="Labels it gives for each seed.")] = 500,
     steps: Annotated[int, typer.Option(min=1, help="Environment steps of each policy.")] = 1_000_000,
     seed: Annotated[str, typer.Option(help="Seeds, with commas between.")] = "0",
@@ -47,7 +49,7 @@ def demo(
     ] = None,
 ) -> None:
     """Run the whole loop with a scripted teacher and compare the result with the true reward's."""
-    seeds = parse_seeds(seed)
+    seeds, choice = parse_seeds(seed), parse_teacher(teacher, parameter or ())
     folder = output or Path(datetime.now().astimezone().strftime("demo-%Y%m%d-%H%M%S"))
     stop = Stop()
     stop.install()
@@ -68,7 +70,7 @@ def demo(
     ]
     environment = {} if clips else {"ACCORD_RENDER_WORKERS": "0"}
     with OwnService(home or folder / "home", environment, lambda: stop.requested) as service:
-        results = _run_all(service, plans, teacher, stop)
+        results = _run_all(service, plans, choice, stop)
     paths = write(folder, results)
     out.print(table(rows_of(results), f"{task}: true return after {steps:,} steps"))
     say("[dim]" + ", ".join(str(path) for path in paths) + "[/dim]")
@@ -85,7 +87,7 @@ def parse_seeds(text: str) -> list[int]:
     return seeds
 
 
-def _run_all(service: OwnService, plans: Sequence[RunPlan], teacher: TeacherName, stop: Stop) -> list[RunResult]:
+def _run_all(service: OwnService, plans: Sequence[RunPlan], teacher: TeacherChoice, stop: Stop) -> list[RunResult]:
     def stopped() -> bool:
         return stop.requested
 
@@ -93,7 +95,7 @@ def _run_all(service: OwnService, plans: Sequence[RunPlan], teacher: TeacherName
     note("demo", f"service at {url}, data in {service.home}")
     apis = [
         Api(url, service.token(name, role), stopped=stopped)
-        for name, role in (("demo researcher", Role.RESEARCHER), (f"demo {teacher.value}", Role.TEACHER))
+        for name, role in (("demo researcher", Role.RESEARCHER), (f"demo {teacher.name}", Role.TEACHER))
     ]
     lesson = Lesson(apis[0], apis[1], teacher, stopped, service.check)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"), TimeElapsedColumn())

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from accord.settings import Settings
+from mapt.preferences.teachers import PRESETS, teacher_names
 
 Home = Annotated[
     Path | None,
@@ -16,6 +17,19 @@ Token = Annotated[
     str,
     typer.Option(
         envvar="ACCORD_TOKEN", help="Bearer token of a teacher; `accord user add NAME --role teacher` makes one."
+    ),
+]
+TeacherName = Annotated[
+    str,
+    typer.Option(
+        help=f"Which scripted teacher: {', '.join(teacher_names())}; or a rule with one of the first {len(PRESETS)}, "
+        "such as phase+mistake."
+    ),
+]
+Parameters = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--parameter", metavar="KEY=VALUE", help="A parameter of the teacher, such as mistake=0.1; as often as wanted."
     ),
 ]
 

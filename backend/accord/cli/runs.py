@@ -2,11 +2,11 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from accord.cli.client import Api
-from accord.cli.teaching import TeacherName, teach_experiment
+from accord.cli.teaching import TeacherChoice, teach_experiment
 from accord.domain.errors import AccordError, Unavailable
 
 _POLL_SECONDS = 0.5
@@ -64,6 +64,8 @@ class RunResult:
     curves: dict[str, list[list[float]]]
     #: per reward version: number, policy_steps, label_count and its metrics
     versions: list[dict[str, Any]]
+    #: the teacher's name and parameters; empty where there was none
+    teacher: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, fit for JSON."""
@@ -78,7 +80,7 @@ class Lesson:
     researcher: Api
     #: with a teacher's
     teacher: Api
-    teacher_name: TeacherName
+    choice: TeacherChoice
     #: true ends the run
     stopped: Callable[[], bool]
     #: raises when the service is gone
@@ -104,11 +106,12 @@ def run_experiment(lesson: Lesson, plan: RunPlan, show: Callable[[RunState], Non
             shown_at = time.monotonic()
             show(_state(lesson.researcher, experiment_id))
 
-    if plan.reward_source == "preferences":
+    teacher = lesson.choice.teacher(plan.seed) if plan.reward_source == "preferences" else None
+    if teacher is not None:
         teach_experiment(
             lesson.teacher,
             experiment_id,
-            lesson.teacher_name,
+            teacher,
             plan.label_budget,
             on_progress=refresh,
             stopped=lesson.stopped,
@@ -121,7 +124,8 @@ def run_experiment(lesson: Lesson, plan: RunPlan, show: Callable[[RunState], Non
     if experiment["status"] != "finished":
         raise RunFailed(f"{plan.name} is {experiment['status']}: {experiment['phase_detail']}")
     show(_state(lesson.researcher, experiment_id))
-    return _result(lesson.researcher, plan, experiment, time.monotonic() - started)
+    found = _result(lesson.researcher, plan, experiment, time.monotonic() - started)
+    return found if teacher is None else replace(found, teacher=teacher.parameters())
 
 
 def _state(api: Api, experiment_id: str) -> RunState:

@@ -6,9 +6,9 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from accord.cli.client import Api
-from accord.cli.options import Home, Token, Url, load_settings, service_url
+from accord.cli.options import Home, Parameters, TeacherName, Token, Url, load_settings, service_url
 from accord.cli.output import out, say
-from accord.cli.teaching import TeacherName, teach_experiment
+from accord.cli.teaching import parse_teacher, teach_experiment
 from accord.workers.stop import Stop
 
 
@@ -17,9 +17,9 @@ def teach(
     experiment: Annotated[str, typer.Option(help="Id of the experiment to label, exp_...")],
     token: Token,
     url: Url = None,
-    teacher: Annotated[
-        TeacherName, typer.Option(help="Which scripted teacher: oracle prefers the larger true return, without error.")
-    ] = TeacherName.ORACLE,
+    teacher: TeacherName = "oracle",
+    parameter: Parameters = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the teacher's chance.")] = 0,
     labels: Annotated[
         int | None,
         typer.Option(min=1, help="How many labels to give.  [default: what the experiment's budget still lacks]"),
@@ -27,6 +27,7 @@ def teach(
     home: Home = None,
 ) -> None:
     """Label an experiment by a program that knows the true reward. It uses the same API as everyone."""
+    choice = parse_teacher(teacher, parameter or ())
     stop = Stop()
     stop.install()
     api = Api(url or service_url(load_settings(home)), token, stopped=lambda: stop.requested)
@@ -38,7 +39,7 @@ def teach(
         taught = teach_experiment(
             api,
             experiment,
-            teacher,
+            choice.teacher(seed),
             wanted,
             on_progress=lambda given: progress.update(bar, completed=given),
             stopped=lambda: stop.requested,

@@ -1,31 +1,76 @@
 """A scripted teacher at work: next queries, judgement, labels, over the REST API."""
 
+import json
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from enum import StrEnum
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import load
+
 from accord.cli.client import Api
-from mapt.preferences.teachers import Evidence, OracleTeacher, Teacher
+from accord.domain.errors import Invalid
+from mapt.preferences.errors import PreferenceError
+from mapt.preferences.teachers import Evidence, ScriptedTeacher, make_teacher
 
 #: the API gives at most so many queries at once
 _MOST_QUERIES = 16
+#: segments whose arrays are kept: a segment may be in several queries, most often in two soon after another
+_KEPT_SEGMENTS = 256
+#: points of the curve of true returns that make a running mean, as B-Pref's ten episodes
+_RETURN_POINTS = 10
 _IDLE_SECONDS = 0.25
 #: reasons after which no query will ever come
 _OVER = frozenset({"all_labelled", "experiment_over"})
 
 
-class TeacherName(StrEnum):
-    """Scripted teachers by name."""
+@dataclass(frozen=True, slots=True)
+class TeacherChoice:
+    """Which scripted teacher, and with what parameters.
 
-    ORACLE = "oracle"
+    Raises:
+        Invalid: if there is no such teacher, or it has no such parameters.
+    """
+
+    name: str = "oracle"
+    parameters: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    def __post_init__(self) -> None:
+        self.teacher(0)
+
+    def teacher(self, seed: int) -> ScriptedTeacher:
+        """A new one, whose chance is the seed's."""
+        try:
+            return make_teacher(self.name, **{"seed": seed, **self.parameters})
+        except PreferenceError as error:
+            raise Invalid(f"--teacher {self.name}: {error}.") from error
 
 
-def make_teacher(name: TeacherName) -> Teacher:
-    """The teacher with this name."""
-    return {TeacherName.ORACLE: OracleTeacher}[name]()
+def parse_teacher(name: str, parameters: Sequence[str]) -> TeacherChoice:
+    """A teacher from the command line, its parameters as KEY=VALUE.
+
+    Raises:
+        Invalid: as TeacherChoice, or if a parameter is no KEY=VALUE.
+    """
+    parsed: dict[str, Any] = {}
+    for text in parameters:
+        key, equals, value = text.partition("=")
+        if not key.isidentifier() or not equals:
+            raise Invalid(f"--parameter {text!r} is no KEY=VALUE. One looks like mistake=0.1.")
+        parsed[key] = _value(value)
+    return TeacherChoice(name, parsed)
+
+
+def _value(text: str) -> Any:
+    """JSON where it is, else a word."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +86,7 @@ class Taught:
 def teach_experiment(
     api: Api,
     experiment_id: str,
-    name: TeacherName,
+    teacher: ScriptedTeacher,
     labels: int,
     *,
     on_progress: Callable[[int], None],
@@ -56,13 +101,18 @@ def teach_experiment(
 
     Raises:
         Refused, Unavailable: if the API does.
+        Invalid: if the experiment's segments lack what the teacher judges by.
     """
-    teacher, given = make_teacher(name), 0
+    sight, given = Sight(api, teacher), 0
+    horizon_steps = api.get(f"/experiments/{experiment_id}")["task"]["horizon_steps"]
     while given < labels and not stopped():
         count = min(_MOST_QUERIES, labels - given)
-        answer = api.post(f"/experiments/{experiment_id}/queries/next", count=count, returns=True)
+        path = f"/experiments/{experiment_id}/queries/next"
+        answer = api.post(path, count=count, returns=not sight.needs_arrays)
         if answer["items"]:
-            given += _label(api, experiment_id, teacher, name, answer["items"])
+            if teacher.needs_episodes:
+                _tell_of_episodes(api, experiment_id, teacher, horizon_steps)
+            given += _label(api, experiment_id, teacher, sight, answer["items"])
         on_progress(given)
         if not answer["items"]:
             if answer["reason"] in _OVER:
@@ -71,20 +121,56 @@ def teach_experiment(
     return Taught(given, "done" if given >= labels else "stopped")
 
 
-def _label(api: Api, experiment_id: str, teacher: Teacher, name: TeacherName, queries: list[dict[str, Any]]) -> int:
+class Sight:
+    """What a teacher sees of queries: their true rewards, or all arrays of their segments."""
+
+    def __init__(self, api: Api, teacher: ScriptedTeacher) -> None:
+        #: rewards come with the queries; whatever else a rule reads does not
+        self.needs_arrays = teacher.rule.reads != ("rewards",)
+        self._arrays = lru_cache(_KEPT_SEGMENTS)(lambda id: load(api.get_bytes(f"/segments/{id}/arrays")))
+
+    def of(self, queries: Sequence[dict[str, Any]]) -> tuple[Evidence, Evidence]:
+        """Segments 0 and segments 1 of these queries, whatever sides they were drawn on."""
+        sides = [sorted((query["left"], query["right"]), key=lambda side: side["index"]) for query in queries]
+        first, second = (Evidence.stack([self._one(pair[index]) for pair in sides]) for index in (0, 1))
+        return first, second
+
+    def _one(self, side: dict[str, Any]) -> Mapping[str, NDArray[np.floating]]:
+        if self.needs_arrays:
+            return self._arrays(side["segment_id"])
+        return {"rewards": np.array(side["true_rewards"], dtype=np.float64)}
+
+
+def judge(teacher: ScriptedTeacher, sight: Sight, queries: Sequence[dict[str, Any]]) -> list[float | None]:
+    """The teacher's labels in segment order; None to skip.
+
+    Raises:
+        Invalid: if the segments lack what the teacher judges by.
+    """
+    try:
+        labels = teacher.judge(*sight.of(queries)).tolist()
+    except PreferenceError as error:
+        raise Invalid(f"This teacher cannot judge these segments: {error}.") from error
+    return [None if math.isnan(label) else label for label in labels]
+
+
+def _label(
+    api: Api, experiment_id: str, teacher: ScriptedTeacher, sight: Sight, queries: Sequence[dict[str, Any]]
+) -> int:
     """Judge and post these queries. Returns how many labels the service took."""
+    described = teacher.parameters()
     batch = [
-        {"query_id": query["id"], "label": judge(teacher, query), "order": "segments", "teacher": {"name": name.value}}
-        for query in queries
+        {"query_id": query["id"], "label": label, "order": "segments", "teacher": described}
+        for query, label in zip(queries, judge(teacher, sight, queries), strict=True)
     ]
     outcomes = api.post(f"/experiments/{experiment_id}/labels", {"labels": batch})["items"]
     # A query whose lease was lost meanwhile is refused, and comes again.
     return sum(1 for outcome in outcomes if outcome["ok"] and outcome["label"]["label"] is not None)
 
 
-def judge(teacher: Teacher, query: dict[str, Any]) -> float | None:
-    """The teacher's label in segment order, whatever sides they were drawn on; None to skip."""
-    sides = sorted((query["left"], query["right"]), key=lambda side: side["index"])
-    first, second = (Evidence.stack([{"rewards": side["true_rewards"]}]) for side in sides)
-    label = float(teacher.judge(first, second)[0])
-    return None if math.isnan(label) else label
+def _tell_of_episodes(api: Api, experiment_id: str, teacher: ScriptedTeacher, horizon_steps: int) -> None:
+    """The running mean of true episode returns, as far as there is one yet."""
+    series = api.get(f"/experiments/{experiment_id}/metrics", names=["true_return"])["series"]
+    points = [point["value"] for curve in series for point in curve["points"]][-_RETURN_POINTS:]
+    if points:
+        teacher.see_episodes(float(np.mean(points)), horizon_steps)

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from safetensors.numpy import load, save
 from sqlalchemy.orm import Session
 
-from accord.domain.errors import Invalid
+from accord.domain.errors import Invalid, SegmentNotFound
 from accord.domain.ids import new_id
+from accord.store import segments
 from accord.store.blobs import BlobStore
 from accord.store.tables import SegmentRow
 
@@ -98,6 +99,18 @@ def collect(session: Session, experiment_id: str, stored: Sequence[StoredSegment
         for segment in stored
     )
     session.flush()
+
+
+def blob_key(session: Session, segment_id: str) -> str:
+    """Where a segment's arrays are.
+
+    Raises:
+        SegmentNotFound: if there is no such segment.
+    """
+    found = segments.blob_keys(session, [segment_id]).get(segment_id)
+    if found is None:
+        raise SegmentNotFound(segment_id)
+    return found
 
 
 def load_arrays(blobs: BlobStore, blob_key: str) -> dict[str, NDArray[np.floating]]:

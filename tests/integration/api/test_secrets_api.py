@@ -45,7 +45,12 @@ def made(api: Served, request: pytest.FixtureRequest) -> Scene:
 
 
 def concrete(path: str, made: Scene, clip_id: str) -> str:
-    return path.format(experiment_id=made.experiment.id, query_id=made.query_ids[0], clip_id=clip_id)
+    return path.format(
+        experiment_id=made.experiment.id,
+        query_id=made.query_ids[0],
+        clip_id=clip_id,
+        segment_id=made.segment_ids[0],
+    )
 
 
 def first_events(client: httpx.Client, path: str, count: int) -> str:

@@ -295,7 +295,12 @@ def test_an_unknown_name_is_told_the_known_ones(name):
         ("smoothness", {"columns": 3}),
         ("smoothness", {"columns": [1.5]}),
         ("recency", {"above_mean": None}),
+        ("recency", {"above_mean": math.nan}),
         ("recency", {"window_steps": 0}),
+        ("recency", {"window_steps": math.inf}),
+        ("oracle", {"seed": "a"}),
+        ("oracle", {"seed": -1}),
+        ("oracle", {"name": "mistake"}),
         ("oracle", {"beta": 0}),
         ("oracle", {"beta": math.inf}),
         ("oracle", {"beta": math.nan}),
@@ -314,6 +319,7 @@ def test_parameters_that_make_no_sense_are_refused(name, parameters):
 
 def test_whole_numbers_pass_for_either_kind():
     assert make_teacher("recency", window_steps=4.0, above_mean=1).parameters()["window_steps"] == 4
+    assert make_teacher("recency", window_steps=np.int64(4)).parameters()["window_steps"] == 4
     assert make_teacher("smoothness", columns=[1, 2]).parameters()["columns"] == [1, 2]
 
 

@@ -1,5 +1,6 @@
 """Teachers by name: B-Pref's six, one for each rule, and both together, as in `phase+mistake`."""
 
+import math
 from dataclasses import fields, replace
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -44,7 +45,7 @@ def teacher_names() -> tuple[str, ...]:
     return (*PRESETS, *(name for name in RULES if name != "return"))
 
 
-def make_teacher(name: str, *, seed: int = 0, **parameters: Any) -> ScriptedTeacher:
+def make_teacher(name: str, /, *, seed: int = 0, **parameters: Any) -> ScriptedTeacher:
     """The teacher with this name.
 
     Args:
@@ -57,6 +58,9 @@ def make_teacher(name: str, *, seed: int = 0, **parameters: Any) -> ScriptedTeac
         InvalidTeacher: if it has no such parameter, or not with this value.
     """
     rule_name, preset_name = _parts(name)
+    seed = _typed(name, "seed", int, seed)
+    if seed < 0:
+        raise InvalidTeacher(f"seed must be 0 or more, got {seed}")
     habits, rule = PRESETS[preset_name], RULES[rule_name]
     of_habits = {field.name for field in fields(Habits)}
     habits = _changed(habits, {key: value for key, value in parameters.items() if key in of_habits}, name)
@@ -91,7 +95,7 @@ def _changed(settings: Settings, changes: dict[str, Any], name: str) -> Settings
 def _typed(name: str, key: str, hint: Any, value: Any) -> Any:
     """This value as the type that the field asks for."""
     choices = get_args(hint) if get_origin(hint) is Literal else ()
-    number = isinstance(value, int | float) and not isinstance(value, bool)
+    number = isinstance(value, int | float | np.integer) and not isinstance(value, bool) and math.isfinite(value)
     if hint == (float | None) and value is None:
         return None
     if hint in (float, float | None) and number:

@@ -101,6 +101,11 @@ class ScriptedTeacher:
             label[whole.max(axis=1) <= bounds.skip] = np.nan
         return label.astype(np.float32)
 
+    @property
+    def needs_episodes(self) -> bool:
+        """Whether its thresholds follow the returns of episodes, if told of them."""
+        return self.rule.is_return and (self.habits.skip > 0 or self.habits.equal > 0)
+
     def see_episodes(self, mean_return: float, length_steps: float) -> None:
         """From now on, thresholds follow this running mean return of episodes that long.
 

@@ -1,0 +1,36 @@
+"""What a segment holds, for programs that judge it."""
+
+from fastapi import APIRouter, Request
+from fastapi.responses import Response
+
+from accord.api.parameters import SegmentId
+from accord.api.visit import VisitDep
+from accord.domain.policy import require_returns
+from accord.services import collect
+
+router = APIRouter(tags=["segments"])
+_MEDIA_TYPE = "application/octet-stream"
+
+
+@router.get(
+    "/segments/{segment_id}/arrays",
+    response_class=Response,
+    responses={
+        200: {"content": {_MEDIA_TYPE: {}}, "description": "The arrays, as safetensors."},
+        304: {"description": "The arrays in the caller's cache are these."},
+    },
+    summary="Read a segment's arrays",
+)
+def get_segment_arrays(segment_id: SegmentId, request: Request, visit: VisitDep) -> Response:
+    """Observations, actions, true rewards and simulator states, as they are stored; not for labellers.
+
+    They never change: a program may keep them.
+    """
+    with visit.reading() as signed:
+        require_returns(signed.role)
+        key = collect.blob_key(signed.session, segment_id)
+    etag = f'"{segment_id}"'
+    headers = {"ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
+    if etag in request.headers.get("if-none-match", ""):
+        return Response(status_code=304, headers=headers)
+    return Response(visit.house.blobs.read(key), 200, headers, media_type=_MEDIA_TYPE)

@@ -1,0 +1,143 @@
+"""Scripted teachers at work over HTTP, as people are."""
+
+from collections.abc import Generator
+from itertools import combinations
+
+import numpy as np
+import pytest
+from sqlalchemy import select as sql_select
+
+from accord.cli.client import Api, Refused
+from accord.cli.teaching import parse_teacher, teach_experiment
+from accord.domain.errors import Invalid
+from accord.domain.words import Role
+from accord.services import collect, metrics, select
+from accord.services.collect import NewSegment, load_arrays
+from accord.store.tables import LabelRow, QueryRow, SegmentRow
+from mapt.preferences.teachers import RULES, Evidence, make_teacher, teacher_names
+from support.scenes import AGENTS, NQ, NV, OBSERVATION, STEPS, Scene, make_clips, scene
+from support.served import Served
+
+N_LABELS = 12
+
+
+@pytest.fixture
+def api_of_teacher(api: Served) -> Generator[Api]:
+    client = Api(api.url, api.tokens[Role.TEACHER])
+    yield client
+    client.close()
+
+
+def moving_segment(rng: np.random.Generator) -> NewSegment:
+    """Every rule has something to see in it."""
+    return NewSegment(
+        observations=rng.normal(size=(STEPS, AGENTS, OBSERVATION)),
+        actions=rng.normal(size=(STEPS, AGENTS, 1)),
+        rewards=rng.normal(size=STEPS) + rng.normal(),
+        qpos=np.zeros((STEPS, NQ)),
+        qvel=np.zeros((STEPS, NV)),
+        policy_iteration=0,
+        policy_steps=0,
+    )
+
+
+@pytest.fixture
+def made(api: Served) -> Scene:
+    """An experiment with more queries than the labels it wants, over segments that all differ."""
+    stores, rng = api.stores, np.random.default_rng(0)
+    found = scene(stores.database, stores.blobs, segments=0, queries=0, label_budget=N_LABELS)
+    stored = [collect.store_arrays(stores.blobs, found.experiment.id, moving_segment(rng)) for _ in range(8)]
+    with stores.database.transaction() as session:
+        collect.collect(session, found.experiment.id, stored)
+    with stores.database.transaction() as session:
+        pairs = list(combinations([each.id for each in stored], 2))
+        select.add_queries(session, found.experiment, pairs, "uniform")
+    make_clips(stores.database, stores.blobs)
+    return found
+
+
+def teach(api: Api, made: Scene, name: str, *parameters: str, labels: int = N_LABELS, seed: int = 0) -> int:
+    teacher = parse_teacher(name, parameters).teacher(seed)
+    taught = teach_experiment(
+        api, made.experiment.id, teacher, labels, on_progress=lambda _: None, stopped=lambda: False
+    )
+    return taught.labels
+
+
+def labelled(api: Served) -> list[tuple[LabelRow, Evidence, Evidence]]:
+    """Labels in the order in which they were given, with what was seen of segments 0 and 1."""
+    with api.stores.database.reading() as session:
+        rows = session.execute(
+            sql_select(LabelRow, QueryRow).join(QueryRow, QueryRow.id == LabelRow.query_id).order_by(LabelRow.revision)
+        ).all()
+        keys = dict(session.execute(sql_select(SegmentRow.id, SegmentRow.blob_key)).all())
+
+    def seen(segment_id: str) -> Evidence:
+        return Evidence.stack([load_arrays(api.stores.blobs, keys[segment_id])])
+
+    return [(label, seen(query.segment_0_id), seen(query.segment_1_id)) for label, query in rows]
+
+
+@pytest.mark.parametrize("name", ["oracle", *(name for name in RULES if name != "return")])
+def test_every_rule_labels_over_rest_as_it_does_by_itself(
+    api: Served, api_of_teacher: Api, made: Scene, name: str
+) -> None:
+    short = ("window_steps=2",) if hasattr(make_teacher(name).rule, "window_steps") else ()
+    assert teach(api_of_teacher, made, name, *short) == N_LABELS
+    judge = parse_teacher(name, short).teacher(0).judge
+    rows = labelled(api)
+    assert [row.value for row, _, _ in rows] == [judge(first, second)[0] for _, first, second in rows]
+    assert {0.0, 1.0} <= {row.value for row, _, _ in rows}
+
+
+def test_name_and_parameters_arrive_in_the_labels_record(api: Served, api_of_teacher: Api, made: Scene) -> None:
+    teach(api_of_teacher, made, "phase+mistake", "mistake=0.5", "column=3", "want=equal", seed=4)
+    expected = make_teacher("phase+mistake", seed=4, mistake=0.5, column=3, want="equal").parameters()
+    assert expected["name"] == "phase+mistake"
+    assert [row.teacher for row, _, _ in labelled(api)] == [expected] * N_LABELS
+
+
+@pytest.mark.parametrize("name", [*(name for name in teacher_names() if name not in RULES), "recency+equal"])
+def test_every_habit_works_over_rest(api: Served, api_of_teacher: Api, made: Scene, name: str) -> None:
+    short = ("window_steps=2",) if name.startswith("recency") else ()
+    assert teach(api_of_teacher, made, name, *short) == N_LABELS
+    given = [row for row, _, _ in labelled(api) if row.state == "label"]
+    assert {row.teacher["name"] for row in given} == {name}
+
+
+def test_a_skip_is_no_label_and_another_query_takes_its_place(api: Served, api_of_teacher: Api, made: Scene) -> None:
+    with api.stores.database.transaction() as session:
+        returns = sorted(session.scalars(sql_select(SegmentRow.true_return)))
+        # Episodes of a thousand steps and segments of five: skip = 1 skips pairs of the worst six of eight.
+        metrics.record(session, made.experiment.id, 1, {"true_return": (returns[5] + 10.0) * 200})
+    assert returns[5] + 10.0 > 0
+    given = teach(api_of_teacher, made, "skip", f"skip={returns[5] / (returns[5] + 10.0)}")
+    assert given == N_LABELS
+    rows = labelled(api)
+    assert {row.state for row, _, _ in rows} == {"label", "skip"}
+    for row, first, second in rows:
+        nothing_to_see = max(first.rewards.sum(), second.rewards.sum()) <= returns[5] + 1e-9
+        assert (row.state == "skip") == nothing_to_see
+
+
+def test_thresholds_follow_the_curve_of_true_returns(api: Served, api_of_teacher: Api, made: Scene) -> None:
+    with api.stores.database.transaction() as session:
+        # A thousand steps with a return of a million: every segment of five is equal to every other.
+        metrics.record(session, made.experiment.id, 1, {"true_return": 1e6})
+    teach(api_of_teacher, made, "equal")
+    assert {row.value for row, _, _ in labelled(api)} == {0.5}
+
+
+def test_a_labeller_is_no_scripted_teacher(api: Served, made: Scene) -> None:
+    client = Api(api.url, api.tokens[Role.LABELLER])
+    for name in ("oracle", "phase"):
+        with pytest.raises(Refused) as refused:
+            teach(client, made, name)
+        assert refused.value.status == 403
+    client.close()
+
+
+def test_what_a_rule_cannot_see_is_named(api: Served, api_of_teacher: Api, made: Scene) -> None:
+    with pytest.raises(Invalid, match="column 77"):
+        teach(api_of_teacher, made, "phase", "column=77")
+    assert labelled(api) == []
