@@ -5,43 +5,56 @@ Run by `make learn`; prints the figures it judges by.
 
 import pytest
 
-from learning.reward_study import labelled_pairs, markov_config, measure, record_replay, small_config
-from mapt.rewards.train_config import TrainConfig
-from mapt.rewards.trainer import train_reward_model
+from mapt.preferences.dataset import PreferenceDataset
+from mapt.rewards.trainer import TrainedReward, train_reward_model
+from mapt.studies.examination import examine
+from mapt.studies.judging import Judge, labelled_dataset
+from mapt.studies.recording import Recording, record_replay
+from mapt.studies.replay import Replay
+from mapt.studies.variants import network_of, training_of
 
-REPLAY_STEPS = 600_000
-N_PAIRS = 500
+N_PAIRS, N_TEST_PAIRS = 500, 4000
 SEEDS = (0, 1)
 
 pytestmark = pytest.mark.learn
 
 
 @pytest.fixture(scope="module", params=SEEDS)
-def seeded_replay(request):
-    return request.param, record_replay(REPLAY_STEPS, request.param)
+def seeded_replay(request, tmp_path_factory):
+    recording = Recording("HalfCheetah-6x1", policy_steps=600_000, segment_steps=50, segments=4000, seed=request.param)
+    return request.param, record_replay(recording, tmp_path_factory.mktemp("replay") / "segments")
+
+
+def oracle_pairs(replay: Replay, seed: int) -> PreferenceDataset:
+    return labelled_dataset(Judge("oracle", replay, seed), replay, N_PAIRS, seed)
+
+
+def train(pairs: PreferenceDataset, model: str, replay: Replay, seed: int, **options: object) -> TrainedReward:
+    network = network_of(model, "small", replay.source.layout)
+    return train_reward_model(pairs, network, training_of(model, "small", seed, "cpu"), **options)
+
+
+def fresh_metrics(name: str, trained: TrainedReward, replay: Replay, seed: int) -> dict[str, float]:
+    metrics = dict(examine(trained.model, replay, "oracle", N_TEST_PAIRS, seed).metrics)
+    figures = ", ".join(f"{key} {value:.3f}" for key, value in metrics.items())
+    print(f"\nseed {seed}, {name}: {figures}; {trained.metrics['seconds']:.0f} s", end="")
+    return metrics
 
 
 def test_mapt_is_within_a_point_of_the_markov_mlp_at_500_labels(seeded_replay):
     seed, replay = seeded_replay
-    pairs = labelled_pairs(replay, N_PAIRS, seed)
-    settings = TrainConfig(seed=seed, device="cpu")
-    quality = {}
-    for name, config in (("Markov MLP", markov_config(replay)), ("MAPT small", small_config(replay))):
-        trained = train_reward_model(pairs, config, settings)
-        quality[name] = measure(trained.model, replay, seed)
-        print(f"\nseed {seed}, {name}: {quality[name]}; {trained.metrics['seconds']:.0f} s", end="")
-    assert quality["MAPT small"].accuracy > quality["Markov MLP"].accuracy - 0.01
-    assert quality["MAPT small"].step_correlation_late > 0.85
+    pairs = oracle_pairs(replay, seed)
+    quality = {name: fresh_metrics(name, train(pairs, name, replay, seed), replay, seed) for name in ("MA-MLP", "MAPT")}
+    assert quality["MAPT"]["accuracy"] > quality["MA-MLP"]["accuracy"] - 0.01
+    assert quality["MAPT"]["step_correlation_late"] > 0.85
 
 
 def test_a_warm_start_with_new_labels_loses_nothing_against_a_fresh_one(seeded_replay):
     seed, replay = seeded_replay
-    settings, config = TrainConfig(seed=seed, device="cpu"), small_config(replay)
-    pairs = labelled_pairs(replay, N_PAIRS, seed)
-    before = train_reward_model(pairs.take(range(N_PAIRS - 50)), config, settings)
-    quality = {}
-    for name, initial in (("warm", before.model), ("fresh", None)):
-        trained = train_reward_model(pairs, config, settings, initial=initial)
-        quality[name] = measure(trained.model, replay, seed)
-        print(f"\nseed {seed}, {name}: {quality[name]}; {trained.metrics['seconds']:.0f} s", end="")
-    assert quality["warm"].accuracy > quality["fresh"].accuracy - 0.01
+    pairs = oracle_pairs(replay, seed)
+    before = train(pairs.take(range(N_PAIRS - 50)), "MAPT", replay, seed)
+    quality = {
+        name: fresh_metrics(name, train(pairs, "MAPT", replay, seed, initial=initial), replay, seed)
+        for name, initial in (("warm", before.model), ("fresh", None))
+    }
+    assert quality["warm"]["accuracy"] > quality["fresh"]["accuracy"] - 0.01

@@ -12,8 +12,9 @@ from safetensors.numpy import load_file, save_file
 
 import mapt.preferences
 import mapt.rewards
-from mapt.studies.cell import CellResult, CellSettings
+from mapt.studies.cell import CellSettings
 from mapt.studies.errors import DamagedCell
+from mapt.studies.examination import Examination
 
 FORMAT_VERSION = 1
 _ARRAYS = ("logits", "labels", "clean_labels", "pairs")
@@ -25,7 +26,7 @@ class Cell:
     """A finished cell."""
 
     settings: CellSettings
-    result: CellResult
+    result: Examination
     #: which state of the library's code made it, see `code_fingerprint`
     code: str
 
@@ -52,11 +53,11 @@ class CellFolder:
                 raise DamagedCell(card_path, f"its format is {card['format_version']}, known is {FORMAT_VERSION}")
             if card["settings"] != json.loads(json.dumps(settings.to_dict())):
                 raise DamagedCell(card_path, "its settings are not those of its name")
-            return Cell(settings, CellResult(card["metrics"], *(arrays[name] for name in _ARRAYS)), card["code"])
+            return Cell(settings, Examination(card["metrics"], *(arrays[name] for name in _ARRAYS)), card["code"])
         except (json.JSONDecodeError, KeyError, TypeError, OSError, SafetensorError) as error:
             raise DamagedCell(card_path, f"{type(error).__name__}: {error}") from error
 
-    def write(self, settings: CellSettings, result: CellResult, code: str) -> None:
+    def write(self, settings: CellSettings, result: Examination, code: str) -> None:
         """Keep a cell; its card comes last and whole, so that a kill leaves no half of one."""
         self.path.mkdir(parents=True, exist_ok=True)
         card_path, arrays_path = self._paths(settings)

@@ -83,4 +83,4 @@ def labelled_dataset(judge: Judge, replay: Replay, n_labels: int, seed: int) -> 
         pairs, labels = np.concatenate((pairs, more)), np.concatenate((labels, judge.labels(more)))
     kept = np.flatnonzero(np.isfinite(labels))
     used, positions = np.unique(pairs[kept], return_inverse=True)
-    return PreferenceDataset(replay.segments(used), positions.reshape(-1, 2), labels[kept])
+    return PreferenceDataset(replay.view(used), positions.reshape(-1, 2), labels[kept])

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.preferences.dataset import SegmentArrays
+from mapt.preferences.dataset import SegmentArrays, SegmentSource
 from mapt.preferences.storage import SegmentFolder
 from mapt.preferences.storage_layout import MANIFEST, column_path
 from mapt.studies.errors import NoTrueRewards, ReplayNotFound
@@ -62,6 +62,10 @@ class Replay:
         """What a reward model sees of the segments at `indices`, in that order, read into memory."""
         return self.source.take(indices)
 
+    def view(self, indices: ArrayLike) -> "SegmentView":
+        """The segments at `indices` as a source of their own, which stays on disk."""
+        return SegmentView(self.source, np.asarray(indices, dtype=np.int64))
+
     def fingerprint(self) -> str:
         """SHA-256 of every number in it: two replays with the same fingerprint are the same. Reads all its files."""
         digest = hashlib.sha256()
@@ -73,3 +77,39 @@ class Replay:
                     digest.update(part)
                     rest -= len(part)
         return digest.hexdigest()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SegmentView:
+    """Some segments of a source, as a `SegmentSource`."""
+
+    source: SegmentSource
+    #: int64 (S,)
+    indices: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    @property
+    def n_steps(self) -> int:
+        """T."""
+        return self.source.n_steps
+
+    @property
+    def n_agents(self) -> int:
+        """N."""
+        return self.source.n_agents
+
+    @property
+    def observation_dim(self) -> int:
+        """C."""
+        return self.source.observation_dim
+
+    @property
+    def action_dim(self) -> int:
+        """A."""
+        return self.source.action_dim
+
+    def take(self, indices: ArrayLike) -> SegmentArrays:
+        """See `SegmentSource.take`."""
+        return self.source.take(self.indices[np.asarray(indices)])

@@ -81,7 +81,7 @@ def binomial_p(k: int, n: int) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class TestedPairs:
+class PairDifferences:
     """How a model did against a baseline on one seed's fresh pairs."""
 
     #: (P,): 1 where only the model is right, -1 where only the baseline, else 0
@@ -90,7 +90,7 @@ class TestedPairs:
     pairs: NDArray[np.int64]
 
 
-def bootstrap_interval(tested: Sequence[TestedPairs], seed: int = 0) -> tuple[float, float]:
+def bootstrap_interval(tested: Sequence[PairDifferences], seed: int = 0) -> tuple[float, float]:
     """95% interval of the mean difference, averaged over seeds, if other segments had been drawn for testing.
 
     Segments are drawn anew, not pairs: pairs that share a segment say less than as many pairs of their own.
@@ -101,7 +101,7 @@ def bootstrap_interval(tested: Sequence[TestedPairs], seed: int = 0) -> tuple[fl
     return float(low), float(high)
 
 
-def _bootstrap_means(tested: TestedPairs, rng: np.random.Generator) -> NDArray[np.float64]:
+def _bootstrap_means(tested: PairDifferences, rng: np.random.Generator) -> NDArray[np.float64]:
     segments, place = np.unique(tested.pairs, return_inverse=True)
     first, second = place.reshape(-1, 2).T
     means = np.empty(_BOOTSTRAP_DRAWS)

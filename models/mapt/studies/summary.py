@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mapt.studies.cell_folder import Cell
 from mapt.studies.plan import TablePlan
-from mapt.studies.statistics import McNemar, PairedTest, TestedPairs, bootstrap_interval, mcnemar, paired_test
+from mapt.studies.statistics import McNemar, PairedTest, PairDifferences, bootstrap_interval, mcnemar, paired_test
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ def compare(cells: Sequence[Cell], baseline: Sequence[Cell]) -> Comparison | Non
         return None
     right = [(told_rightly(cell), told_rightly(other)) for cell, other in both]
     tested = [
-        TestedPairs(own.astype(np.float64) - other, decided_pairs(cell))
+        PairDifferences(own.astype(np.float64) - other, decided_pairs(cell))
         for (own, other), (cell, _) in zip(right, both, strict=True)
     ]
     return Comparison(
