@@ -1,0 +1,68 @@
+"""Discrete actions as reward models read them: one-hot, and only where they were available."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapt.preferences.errors import PreferenceError, ShapeError
+
+# How a message calls the places of an action in its array, from the last one back.
+_PLACES = ("agent", "step", "segment")
+
+
+class InvalidAction(PreferenceError):
+    """A discrete action is none of those there are, or was not available when it was chosen."""
+
+
+def one_hot_actions(actions: ArrayLike, n_actions: int, available: ArrayLike | None = None) -> NDArray[np.float32]:
+    """Discrete actions as float32 (..., N, A), for `SegmentArrays` and for relabelling.
+
+    Padding is as real as any step here: pad afterwards (`SegmentArrays.stack` does), or with an available action.
+
+    Args:
+        actions: whole numbers (..., N) in [0, A), or one-hot already, (..., N, A).
+        n_actions: A.
+        available: bool (..., N, A), which actions each agent could choose; all when not given.
+
+    Raises:
+        ShapeError: if `actions` is neither of the two, or `available` has not the shape of the one-hot actions.
+        InvalidAction: naming the first action that does not exist, is not one-hot, or was not available.
+    """
+    given = np.asarray(actions)
+    one_hot = _from_numbers(given, n_actions) if given.dtype.kind in "iu" else _checked(given, n_actions)
+    if available is not None:
+        could = np.asarray(available)
+        if could.shape != one_hot.shape:
+            raise ShapeError("available actions", could.shape, f"that of the one-hot actions, {one_hot.shape}")
+        refused = np.asarray((one_hot.astype(np.bool_) & ~could.astype(np.bool_)).any(axis=-1))
+        _refuse(refused, one_hot.argmax(axis=-1), "available")
+    return one_hot
+
+
+def _from_numbers(numbers: NDArray[np.generic], n_actions: int) -> NDArray[np.float32]:
+    if not numbers.ndim or n_actions < 1:
+        raise ShapeError("actions", numbers.shape, f"(..., N), whole numbers below {n_actions}")
+    chosen = numbers.astype(np.int64)
+    _refuse((chosen < 0) | (chosen >= n_actions), chosen, f"one of 0 to {n_actions - 1}")
+    return np.eye(n_actions, dtype=np.float32)[chosen]
+
+
+def _checked(given: NDArray[np.generic], n_actions: int) -> NDArray[np.float32]:
+    if given.ndim < 2 or given.shape[-1] != n_actions or given.dtype.kind not in "bf":
+        raise ShapeError("actions", given.shape, f"(..., N) of whole numbers or one-hot (..., N, {n_actions})")
+    one_hot = given.astype(np.float32)
+    broken = ~(((one_hot == 0) | (one_hot == 1)).all(axis=-1) & (one_hot.sum(axis=-1) == 1))
+    if broken.any():
+        raise InvalidAction(f"the action of {_place(broken)} is not one-hot")
+    return one_hot
+
+
+def _refuse(broken: NDArray[np.bool_], chosen: NDArray[np.int64], wanted: str) -> None:
+    if broken.any():
+        raise InvalidAction(f"action {chosen[broken][0]} of {_place(broken)} is not {wanted}")
+
+
+def _place(broken: NDArray[np.bool_]) -> str:
+    """Where the first of these is, such as "agent 2 of step 3 of segment 0"."""
+    first = np.argwhere(broken)[0][::-1]
+    names = (f"{name} {index}" for name, index in zip(_PLACES, first, strict=False))
+    return " of ".join(names)
