@@ -1,0 +1,264 @@
+"""The invariants of the method, over every model of the tables."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mapt.rewards.checkpoints import load_reward_model, save_reward_model
+from mapt.rewards.config import MODEL_NAMES, RewardConfig
+from mapt.rewards.errors import InvalidConfig
+from mapt.rewards.model import RewardModel, build_reward_model
+
+N, C, A = 3, 4, 2
+DIMENSIONS = {"observation_dim": C, "action_dim": A, "n_agents": N}
+CLOSE = {"rtol": 1e-4, "atol": 1e-5}
+KNOWS_AGENTS_BY_PLACE = {"MA-Transformer"}
+SEES_THE_PAST = set(MODEL_NAMES) - {"MA-MLP"}
+WEIGHS_STEPS = {"MAPT", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-Transformer"}
+each_example = settings(max_examples=8)
+names = pytest.mark.parametrize("name", MODEL_NAMES)
+lengths_of_segments = st.lists(st.integers(1, 7), min_size=1, max_size=3)
+
+
+def config(name: str, **changes: object) -> RewardConfig:
+    return replace(RewardConfig.named(name, **DIMENSIONS), hidden_dim=16, **changes)
+
+
+def drawn(name: str, **changes: object) -> RewardModel:
+    """A model in evaluation mode whose every parameter was drawn, so that no branch is silent."""
+    model = build_reward_model(config(name, **changes)).eval()
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.copy_(torch.randn(parameter.shape, generator=generator) * 0.3)
+    return model
+
+
+def inputs(n_segments: int, n_steps: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    shape = (n_segments, n_steps, N)
+    return (
+        torch.randn(*shape, C, generator=generator),
+        torch.randn(*shape, A, generator=generator),
+        torch.ones(n_segments, n_steps, dtype=torch.bool),
+    )
+
+
+def of_lengths(lengths: list[int], seed: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    observations, actions, _ = inputs(len(lengths), 7, seed)
+    return observations, actions, torch.arange(7) < torch.tensor(lengths)[:, None]
+
+
+def probability(model: RewardModel, *both: torch.Tensor) -> torch.Tensor:
+    score_0, score_1 = model(*both).score
+    return (score_0 - score_1).sigmoid()
+
+
+@names
+@each_example
+@given(st.integers(1, 8), st.integers(0, 99))
+def test_swapped_segments_have_the_complementary_probability(name, n_steps, seed):
+    model, both = drawn(name), inputs(2, n_steps, seed)
+    swapped = probability(model, *(tensor.flip(0) for tensor in both))
+    torch.testing.assert_close(probability(model, *both) + swapped, torch.tensor(1.0), **CLOSE)
+
+
+@names
+@each_example
+@given(lengths_of_segments, st.integers(0, 99))
+def test_what_stands_in_the_padding_changes_nothing(name, lengths, seed):
+    model, (observations, actions, mask) = drawn(name), of_lengths(lengths, seed)
+    found = model(observations, actions, mask)
+    for i, length in enumerate(lengths):
+        bare = model(*(tensor[i : i + 1, :length] for tensor in (observations, actions, mask)))
+        torch.testing.assert_close(found.score[i], bare.score[0], **CLOSE)
+        torch.testing.assert_close(found.weights[i, :length], bare.weights[0], **CLOSE)
+        torch.testing.assert_close(found.agent_rewards[i, :length], bare.agent_rewards[0], **CLOSE)
+
+
+@names
+@each_example
+@given(lengths_of_segments, st.integers(0, 99))
+def test_weights_are_shares_of_the_real_steps(name, lengths, seed):
+    observations, actions, mask = of_lengths(lengths, seed)
+    weights = drawn(name)(observations, actions, mask).weights
+    assert (weights >= 0).all()
+    assert (weights[~mask] == 0).all()
+    torch.testing.assert_close(weights.sum(dim=1), torch.ones(len(lengths)), **CLOSE)
+
+
+@names
+@each_example
+@given(st.permutations(range(N)), st.integers(1, 8), st.integers(0, 99))
+def test_permuted_agents_have_permuted_rewards(name, order, n_steps, seed):
+    model, (observations, actions, mask) = drawn(name), inputs(2, n_steps, seed)
+    rewards = model(observations, actions, mask).agent_rewards
+    permuted = model(observations[:, :, order], actions[:, :, order], mask).agent_rewards
+    if name in KNOWS_AGENTS_BY_PLACE:
+        assert (rewards == rewards[:, :, :1]).all()
+        assert order == list(range(N)) or not torch.allclose(permuted, rewards)
+    else:
+        torch.testing.assert_close(permuted, rewards[:, :, order], **CLOSE)
+
+
+@pytest.mark.parametrize("name", sorted(set(MODEL_NAMES) - WEIGHS_STEPS))
+def test_where_steps_weigh_the_same_the_order_of_agents_does_not_move_the_score(name):
+    model, (observations, actions, mask) = drawn(name), inputs(3, 5)
+    permuted = model(observations.flip(2), actions.flip(2), mask).score
+    torch.testing.assert_close(permuted, model(observations, actions, mask).score, **CLOSE)
+
+
+def test_the_keys_of_mapt_read_the_rewards_in_the_order_of_the_agents():
+    model, (observations, actions, mask) = drawn("MAPT"), inputs(3, 5)
+    permuted = model(observations.flip(2), actions.flip(2), mask).weights
+    assert not torch.allclose(permuted, model(observations, actions, mask).weights)
+
+
+@names
+def test_a_reward_sees_the_past_where_its_name_says_so_and_never_the_future(name):
+    model, (observations, actions, mask) = drawn(name), inputs(2, 6)
+    before = model(observations, actions, mask).agent_rewards
+    observations[:, 3] += 2
+    after = model(observations, actions, mask).agent_rewards
+    torch.testing.assert_close(after[:, :3], before[:, :3], **CLOSE)
+    assert not torch.allclose(after[:, 3], before[:, 3])
+    assert torch.allclose(after[:, 4:], before[:, 4:]) == (name not in SEES_THE_PAST)
+
+
+@names
+def test_only_those_with_a_preference_attention_over_steps_weigh_them(name):
+    weights = drawn(name)(*inputs(2, 6)).weights
+    assert torch.allclose(weights, torch.full((2, 6), 1 / 6)) == (name not in WEIGHS_STEPS)
+
+
+@names
+@each_example
+@given(lengths_of_segments, st.integers(0, 99))
+def test_rewards_for_the_policy_are_what_the_equations_say(name, lengths, seed):
+    model, (observations, actions, mask) = drawn(name), of_lengths(lengths, seed)
+    found = model(observations, actions, mask)
+    last = torch.arange(len(lengths)), torch.tensor(lengths) - 1
+    value, weighted, attended = (
+        model.policy_rewards(observations, actions, mask, kind) for kind in ("value", "weighted", "attended")
+    )
+    torch.testing.assert_close(value, found.agent_rewards[last], **CLOSE)
+    times = torch.tensor(lengths) * found.weights[last]
+    torch.testing.assert_close(weighted, times[:, None] * value, **CLOSE)
+    low, high = ((found.agent_rewards * mask[..., None] + (~mask * far)[..., None]) for far in (1e9, -1e9))
+    assert (attended >= low.amin(dim=1) - 1e-4).all()
+    assert (attended <= high.amax(dim=1) + 1e-4).all()
+    if name not in WEIGHS_STEPS:
+        mean = (found.agent_rewards * mask[..., None]).sum(dim=1) / torch.tensor(lengths)[:, None]
+        torch.testing.assert_close(attended, mean, **CLOSE)
+        torch.testing.assert_close(weighted, value, **CLOSE)
+
+
+@pytest.mark.parametrize("name", sorted(WEIGHS_STEPS))
+def test_the_score_is_the_mean_of_what_the_steps_attend_to(name):
+    # Paper, eq. 6: with queries moved one by one to the last step, their attended rewards average to the score.
+    model, (observations, actions, mask) = drawn(name), inputs(1, 5)
+    h, agent_rewards = model._encode(model._normalised_inputs(observations, actions), None)
+    attended = model._shares(h, agent_rewards, mask) @ agent_rewards
+    torch.testing.assert_close(attended.mean(dim=(1, 2)), model(observations, actions, mask).score, **CLOSE)
+    given = model.policy_rewards(observations, actions, mask, "attended")
+    torch.testing.assert_close(given, attended[:, -1], **CLOSE)
+
+
+@names
+def test_every_model_learns_a_preference(name):
+    torch.manual_seed(0)
+    model, (observations, actions, mask) = build_reward_model(config(name)), inputs(32, 5)
+    better = (observations[..., 0].mean(dim=(1, 2)).reshape(2, 16).diff(dim=0)[0] < 0).float()
+    optimiser = torch.optim.Adam(model.parameters(), 1e-2)
+    for _ in range(40):
+        first, second = model(observations, actions, mask).score.chunk(2)
+        loss = torch.nn.functional.binary_cross_entropy_with_logits(first - second, better)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    assert loss.item() < 0.3
+
+
+@names
+def test_new_input_statistics_keep_the_function(name):
+    model, (observations, actions, mask) = drawn(name), inputs(4, 6)
+    before = model(observations, actions, mask).agent_rewards
+    model.measure_inputs(3 * observations + 2, 0.5 * actions - 1, mask, keep_function=True)
+    torch.testing.assert_close(model(observations, actions, mask).agent_rewards, before, rtol=1e-3, atol=1e-3)
+
+
+@names
+def test_one_hot_actions_are_not_normalised(name):
+    model, (observations, _, mask) = drawn(name, discrete_actions=True), inputs(4, 6)
+    actions = torch.nn.functional.one_hot(torch.randint(A, (4, 6, N)), A).float()
+    model.measure_inputs(observations, actions, mask, keep_function=False)
+    assert torch.equal(model.action_normaliser(actions), actions)
+    assert not torch.equal(model.observation_normaliser(observations), observations)
+
+
+@names
+def test_every_model_survives_storage(name):
+    model = drawn(name)
+    saved = save_reward_model(model, {})
+    loaded = load_reward_model(saved.weights, saved.card).model
+    assert type(loaded) is type(model)
+    assert torch.equal(loaded(*inputs(2, 5)).score, model(*inputs(2, 5)).score)
+
+
+@names
+def test_only_a_markov_path_has_markov_rewards(name):
+    model, (observations, actions, _) = drawn(name), inputs(2, 5)
+    markov = model.markov_rewards(observations, actions)
+    assert markov.shape == (2, 5, N)
+    assert (model.markov is None) == (markov == 0).all().item() == (name in {"MA-LSTM", "MA-Transformer"})
+    if name == "MA-MLP":
+        torch.testing.assert_close(markov, model.agent_rewards(observations, actions))
+
+
+@pytest.mark.parametrize("name", ["MA-LSTM", "MA-Transformer"])
+def test_a_baseline_can_be_given_a_markov_path_too(name):
+    model = build_reward_model(config(name, markov_path=True))
+    observations, actions, mask = inputs(2, 5)
+    rewards = model(observations, actions, mask).agent_rewards
+    torch.testing.assert_close(rewards, model.markov_rewards(observations, actions))
+
+
+def test_names_come_in_the_order_of_the_tables():
+    assert MODEL_NAMES == (
+        "MAPT", "MAPT-TPA", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-MLP", "MA-LSTM", "MA-Transformer"
+    )  # fmt: skip
+
+
+@names
+def test_a_name_keeps_the_size_of_the_preset(name):
+    paper = RewardConfig.named(name, "paper", discrete_actions=True, **DIMENSIONS)
+    assert (paper.hidden_dim, paper.heads, paper.discrete_actions) == (256, 4, True)
+    assert RewardConfig.from_dict(paper.to_dict()) == paper
+
+
+def test_mapt_by_name_is_the_preset():
+    assert RewardConfig.named("MAPT", **DIMENSIONS) == RewardConfig.preset("small", **DIMENSIONS)
+
+
+def test_an_unknown_name_is_refused_with_those_known():
+    with pytest.raises(InvalidConfig, match=r"'MAPT\+'; known: MAPT, .*MA-Transformer"):
+        RewardConfig.named("MAPT+", **DIMENSIONS)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"architecture": "gru"}, "architecture is 'gru'"),
+        ({"architecture": "mlp"}, "temporal is 'attention'"),
+        ({"architecture": "mlp", "temporal": "none", "markov_path": False}, "no other path"),
+        ({"architecture": "lstm", "temporal": "attention"}, "temporal is 'attention'"),
+        ({"architecture": "transformer", "temporal": "lstm"}, "temporal is 'lstm'"),
+        ({"discrete_actions": 1}, "discrete_actions"),
+    ],
+)
+def test_an_architecture_that_cannot_be_is_refused(wrong, said):
+    with pytest.raises(InvalidConfig, match=said):
+        RewardConfig(**DIMENSIONS, **wrong)
