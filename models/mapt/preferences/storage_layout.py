@@ -3,7 +3,7 @@
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +65,10 @@ class SegmentLayout:
         if self.qvel_dim:
             columns["qvel"] = Column("<f8", (self.n_steps, self.qvel_dim))
         return columns
+
+    def with_steps(self, n_steps: int) -> "SegmentLayout":
+        """The same for segments of at most `n_steps`."""
+        return replace(self, n_steps=n_steps)
 
     @property
     def segment_bytes(self) -> int:

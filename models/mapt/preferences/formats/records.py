@@ -1,7 +1,7 @@
 """What every format is turned into, and made from: segments with what is known of them, and comparisons."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -115,9 +115,9 @@ def concatenate(parts: list[SegmentRecords]) -> SegmentRecords:
     """
     if not parts:
         raise ShapeError("segments", (0,), "at least one")
-    first = replace(parts[0].layout(), n_steps=1)
+    first = parts[0].layout().with_steps(1)
     for part in parts[1:]:
-        if replace(part.layout(), n_steps=1) != first:
+        if part.layout().with_steps(1) != first:
             raise ShapeError("observations", part.segments.observations.shape, f"segments like the first, {first}")
     n_steps = max(part.segments.n_steps for part in parts)
 
@@ -161,7 +161,7 @@ def save_records(
         raise ShapeError("segments", (0,), "at least one")
     layout = first.layout(discrete=discrete)
     if n_steps is not None:
-        layout = replace(layout, n_steps=n_steps)
+        layout = layout.with_steps(n_steps)
     with SegmentWriter.create(path, layout, about=about) as writer:
         for part in chain((first,), parts):
             writer.append(part.segments, **part.extras())

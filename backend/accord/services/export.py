@@ -1,0 +1,152 @@
+"""An experiment as Parquet tables that others can read: segments with their arrays, queries, labels.
+
+The rows are read in one short transaction that only reads; the arrays after it, from blobs that never change. A
+service that runs meanwhile waits for nothing, and the export is of one moment.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from sqlalchemy.orm import Session
+
+from accord.domain.errors import Invalid, Unavailable
+from accord.services import experiments, publish
+from accord.services.collect import load_arrays
+from accord.store import exports
+from accord.store.blobs import BlobStore
+from accord.store.exports import ExportedLabel, ExportedQuery, ExportedSegment
+from accord.store.tables import ExperimentRow, RewardVersionRow, utc_now
+from mapt.preferences.dataset import SegmentArrays
+from mapt.preferences.errors import AlreadyThere, PreferenceError
+from mapt.preferences.formats.records import SegmentRecords, concatenate
+from mapt.preferences.formats.tables import LabelRow, QueryRow, SegmentRow, TableWriter
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """The rows of an experiment, as of one moment."""
+
+    #: what the tables say of their source
+    about: dict[str, Any]
+    segments: list[ExportedSegment]
+    queries: list[ExportedQuery]
+    #: the newest word of each teacher on each query, skips included
+    labels: list[ExportedLabel]
+
+
+def contents(session: Session, experiment_id: str) -> Contents:
+    """Everything an export says, without the arrays. A session that only reads is enough.
+
+    Raises:
+        ExperimentNotFound: if there is no such experiment.
+        Invalid: if it has no segments yet.
+    """
+    row = experiments.get(session, experiment_id)
+    about = _about(row, publish.versions(session, experiment_id))
+    found = Contents(
+        about,
+        exports.segments(session, experiment_id),
+        exports.queries(session, experiment_id),
+        exports.labels(session, experiment_id),
+    )
+    if not found.segments:
+        raise Invalid(f"Experiment {experiment_id!r} has no segments yet. Export it when its policy has taken steps.")
+    return found
+
+
+def write(
+    blobs: BlobStore, found: Contents, folder: Path, on_segments: Callable[[int], None] = lambda _count: None
+) -> None:
+    """Write the tables into a new folder, in the memory of one row group and of the rows.
+
+    Args:
+        on_segments: called with the number of segments written so far.
+
+    Raises:
+        Invalid: if there is something at `folder`, or the segments are not alike. Nothing is left then.
+        BlobMissing: if a segment's arrays are gone. Nothing is left then.
+        Unavailable: if the folder cannot be written, or is full.
+    """
+    try:
+        _write(blobs, found, folder, on_segments)
+    except AlreadyThere as error:
+        raise Invalid(f"{folder} is there already. Choose another folder with --output.") from error
+    except PreferenceError as error:
+        raise Invalid(f"The segments of the experiment do not fit together: {error}.") from error
+    except OSError as error:
+        raise Unavailable(f"Nothing can be written to {folder}: {error.strerror}. Choose another folder.") from error
+
+
+def _write(blobs: BlobStore, found: Contents, folder: Path, on_segments: Callable[[int], None]) -> None:
+    layout = _records(blobs, found.segments[0]).layout()
+    longest = max(segment.length_steps for segment in found.segments)
+    written = 0
+    with TableWriter(folder, layout.with_steps(longest), about=found.about) as tables:
+        for first in range(0, len(found.segments), tables.rows_per_group):
+            part = found.segments[first : first + tables.rows_per_group]
+            records = concatenate([_records(blobs, segment) for segment in part])
+            tables.add_segments(list(_segment_rows(part)), records)
+            written += len(part)
+            on_segments(written)
+        tables.add_queries(
+            QueryRow(query.id, query.segment_0_id, query.segment_1_id, query.selector, query.reward_version_id)
+            for query in found.queries
+        )
+        tables.add_labels(
+            LabelRow(
+                query_id=label.query_id,
+                teacher_id=label.user_id,
+                state=label.state,
+                label=label.value,
+                left_segment=label.left_segment,
+                response_seconds=label.response_seconds,
+                teacher=label.teacher,
+                revision=label.revision,
+                labelled_at=label.updated_at,
+            )
+            for label in found.labels
+        )
+
+
+def _records(blobs: BlobStore, segment: ExportedSegment) -> SegmentRecords:
+    arrays = load_arrays(blobs, segment.blob_key)
+    return SegmentRecords(
+        SegmentArrays.stack([arrays["observations"]], [arrays["actions"]]),
+        *(np.asarray(arrays[name], dtype=np.float64)[None] for name in ("rewards", "qpos", "qvel")),
+    )
+
+
+def _segment_rows(part: Sequence[ExportedSegment]) -> Iterator[SegmentRow]:
+    for segment in part:
+        yield SegmentRow(segment.id, segment.policy_iteration, segment.policy_steps, segment.mujoco_version)
+
+
+def _about(row: ExperimentRow, versions: Sequence[RewardVersionRow]) -> dict[str, Any]:
+    return {
+        "experiment_id": row.id,
+        "experiment_name": row.name,
+        "instructions": row.instructions,
+        "task": experiments.config_of(row).task,
+        "config": row.config,
+        #: every change of a label up to this revision is in the tables
+        "label_revision": row.label_revision,
+        "exported_at": utc_now().isoformat(),
+        "versions": {name: version(name) for name in ("accord", "mujoco")},
+        "reward_versions": [
+            {
+                "id": each.id,
+                "number": each.number,
+                "parent_id": each.parent_id,
+                "label_watermark": each.label_watermark,
+                "label_count": each.label_count,
+                "policy_steps": each.policy_steps,
+                "metrics": each.metrics,
+                "created_at": each.created_at.isoformat(),
+            }
+            for each in versions
+        ],
+    }

@@ -1,0 +1,209 @@
+"""An experiment as Parquet tables, from a real store."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from accord.domain.errors import BlobMissing, ExperimentNotFound, Invalid, Unavailable
+from accord.domain.words import Role
+from accord.services import collect, export, label, offer, publish
+from accord.store.tables import UserRow
+from mapt.preferences.formats.tables import PreferenceTables
+from support.scenes import Scene, scene, user
+from support.stores import Stores, stores
+
+
+def labelled(made: Stores) -> tuple[Scene, UserRow, UserRow]:
+    """Queries 0 to 3: a person prefers what is on the left, a program says equal, a person skips, one is undone."""
+    shown = scene(made.database, made.blobs, segments=5, queries=4)
+    with made.database.transaction() as session:
+        person, _ = user(session, "Ada Lovelace")
+        program, _ = user(session, "program", Role.TEACHER)
+    with made.database.transaction() as session:
+        offer.next_queries(session, person, shown.experiment.id, 4, 60.0)
+    with made.database.transaction() as session:
+        label.put_label(session, person, shown.query_ids[0], 1.0, "shown", response_seconds=2.5)
+        label.put_label(session, person, shown.query_ids[2], None, "shown")
+        label.put_label(session, person, shown.query_ids[3], 0.0)
+        label.undo(session, person, shown.query_ids[3])
+        label.put_label(session, person, shown.query_ids[1], 1.0)
+        label.put_label(session, person, shown.query_ids[1], 0.5)
+    with made.database.transaction() as session:
+        publish.publish(
+            session,
+            shown.experiment.id,
+            "rewards/1",
+            label_watermark=1,
+            label_count=1,
+            policy_steps=100,
+            metrics={"loss": 0.5, "accuracy": float("nan")},
+        )
+        label.put_label(session, program, shown.query_ids[2], 0.0, teacher={"name": "oracle", "beta": 1})
+    return shown, person, program
+
+
+def exported(made: Stores, experiment_id: str, folder: Path) -> PreferenceTables:
+    with made.database.reading() as session:
+        found = export.contents(session, experiment_id)
+    export.write(made.blobs, found, folder)
+    return PreferenceTables.open(folder)
+
+
+def test_the_newest_word_of_every_teacher_is_exported_with_how_it_was_said(both: Stores, tmp_path: Path) -> None:
+    shown, person, program = labelled(both)
+    said = {
+        (row.query_id, row.teacher_id): row for row in exported(both, shown.experiment.id, tmp_path / "out").labels()
+    }
+    assert set(said) == {
+        (shown.query_ids[0], person.id),
+        (shown.query_ids[1], person.id),
+        (shown.query_ids[2], person.id),
+        (shown.query_ids[2], program.id),
+    }
+    first = said[shown.query_ids[0], person.id]
+    assert first.left_segment in (0, 1)
+    # "The left one is better", told of the segments.
+    assert first.label == 1.0 - first.left_segment
+    assert first.response_seconds == 2.5
+    assert (said[shown.query_ids[1], person.id].label, said[shown.query_ids[1], person.id].state) == (0.5, "label")
+    assert (said[shown.query_ids[2], person.id].label, said[shown.query_ids[2], person.id].state) == (None, "skip")
+    taught = said[shown.query_ids[2], program.id]
+    assert (taught.label, taught.left_segment, taught.teacher) == (0.0, None, {"name": "oracle", "beta": 1})
+    revisions = [row.revision for row in said.values()]
+    assert None not in revisions
+    assert len(set(revisions)) == 4
+
+
+def test_arrays_and_simulator_states_are_exported_to_the_bit(both: Stores, tmp_path: Path) -> None:
+    shown = scene(both.database, both.blobs, segments=0, queries=0)
+    rng = np.random.default_rng(0)
+    lengths, stored = (7, 3), {}
+    for length in lengths:
+        new = collect.NewSegment(
+            rng.normal(size=(length, 6, 9)),
+            rng.normal(size=(length, 6, 1)),
+            rng.normal(size=length),
+            rng.normal(size=(length, 9)),
+            rng.normal(size=(length, 8)),
+            length,
+            1000 * length,
+        )
+        stored[collect.store_arrays(both.blobs, shown.experiment.id, new)] = new
+    with both.database.transaction() as session:
+        collect.collect(session, shown.experiment.id, list(stored))
+    expected = {kept.id: new for kept, new in stored.items()}
+    ((rows, records),) = exported(both, shown.experiment.id, tmp_path / "out").segments()
+    assert [row.policy_steps for row in rows] == [3000, 7000]
+    for index, row in enumerate(rows):
+        new, real = expected[row.segment_id], records.segments.mask[index]
+        assert row.policy_iteration == real.sum()
+        assert row.mujoco_version
+        for name, values in {
+            "observations": records.segments.observations,
+            "actions": records.segments.actions,
+            **records.extras(),
+        }.items():
+            wanted = getattr(new, name)
+            np.testing.assert_array_equal(values[index][real], wanted.astype(values.dtype))
+
+
+def test_an_export_loads_as_a_dataset_of_the_labels_that_count(both: Stores, tmp_path: Path) -> None:
+    shown, _, _ = labelled(both)
+    dataset = exported(both, shown.experiment.id, tmp_path / "out").load(tmp_path / "segments")
+    with both.database.reading() as session:
+        trained_on = publish.training_labels(session, shown.experiment.id).items
+    assert sorted(dataset.labels.tolist()) == sorted(each.value for each in trained_on)
+    # Segment i of a scene has the reward i; it is found again behind each pair.
+    place = {segment_id: index for index, segment_id in enumerate(shown.segment_ids)}
+    rewards = dataset.segments.rewards(dataset.pairs.reshape(-1))[:, 0].reshape(-1, 2)  # type: ignore[attr-defined]
+    pairs = [(place[each.segment_0_id], place[each.segment_1_id]) for each in trained_on]
+    assert sorted(zip(rewards.tolist(), dataset.labels.tolist(), strict=True)) == sorted(
+        ([float(first), float(second)], each.value) for (first, second), each in zip(pairs, trained_on, strict=True)
+    )
+
+
+def test_the_tables_say_where_they_come_from_and_name_no_person(both: Stores, tmp_path: Path) -> None:
+    shown, _, _ = labelled(both)
+    tables = exported(both, shown.experiment.id, tmp_path / "out")
+    assert tables.about["experiment_id"] == shown.experiment.id
+    assert tables.about["task"] == "HalfCheetah-6x1"
+    assert set(tables.about["versions"]) == {"accord", "mujoco"}
+    (reward,) = tables.about["reward_versions"]
+    assert (reward["number"], reward["metrics"]) == (1, {"loss": 0.5, "accuracy": None})
+    for file in (tmp_path / "out").iterdir():
+        text = pq.read_table(file).to_pylist(), pq.read_schema(file).metadata
+        assert "Lovelace" not in repr(text)
+
+
+def test_what_is_said_after_the_rows_were_read_is_not_in_it(sqlite: Stores, tmp_path: Path) -> None:
+    shown, person, _ = labelled(sqlite)
+    with sqlite.database.reading() as session:
+        found = export.contents(session, shown.experiment.id)
+        # A writer is not kept waiting by the export that reads.
+        with sqlite.database.transaction() as writing:
+            label.put_label(writing, person, shown.query_ids[3], 1.0)
+    counts: list[int] = []
+    export.write(sqlite.blobs, found, tmp_path / "out", counts.append)
+    assert counts == [5]
+    assert shown.query_ids[3] not in {row.query_id for row in PreferenceTables.open(tmp_path / "out").labels()}
+
+
+def test_what_cannot_be_exported_is_said_and_leaves_nothing(sqlite: Stores, tmp_path: Path) -> None:
+    shown, _, _ = labelled(sqlite)
+    empty = scene(sqlite.database, sqlite.blobs, segments=0, queries=0)
+    with sqlite.database.reading() as session:
+        with pytest.raises(ExperimentNotFound):
+            export.contents(session, "exp_nowhere")
+        with pytest.raises(Invalid, match="no segments"):
+            export.contents(session, empty.experiment.id)
+        found = export.contents(session, shown.experiment.id)
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(Invalid, match="there already"):
+        export.write(sqlite.blobs, found, tmp_path / "taken")
+    (tmp_path / "file").touch()
+    with pytest.raises(Unavailable, match="file"):
+        export.write(sqlite.blobs, found, tmp_path / "file" / "out")
+    sqlite.blobs.delete(found.segments[-1].blob_key)
+    with pytest.raises(BlobMissing):
+        export.write(sqlite.blobs, found, tmp_path / "out")
+    assert {each.name for each in tmp_path.iterdir()} & {"out", ".out"} == set()
+    assert list((tmp_path / "taken").iterdir()) == []
+
+
+def command(*arguments: object) -> subprocess.CompletedProcess[str]:
+    words = [sys.executable, "-m", "accord.cli", "export", *map(str, arguments)]
+    return subprocess.run(words, capture_output=True, text=True, check=False)
+
+
+def test_the_command_exports_from_a_home(tmp_path: Path) -> None:
+    with stores(tmp_path / "home") as made:
+        shown, _, _ = labelled(made)
+        # The store stays open, as that of a running service does.
+        ended = command("--experiment", shown.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home")
+        assert (ended.returncode, ended.stderr) == (0, "")
+        assert "5 segments, 4 queries, 3 labels and 1 skips" in ended.stdout
+        assert len(PreferenceTables.open(tmp_path / "out").labels()) == 4
+        again = command("--experiment", shown.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home")
+    assert again.returncode == 2
+    assert "Choose another folder" in again.stderr
+    assert "Traceback" not in again.stderr
+
+
+def test_the_command_makes_no_database_where_there_is_none(tmp_path: Path) -> None:
+    ended = command("--experiment", "exp_x", "--output", tmp_path / "out", "--home", tmp_path / "home")
+    assert ended.returncode == 2
+    assert "no database" in ended.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_metadata_is_json_that_anyone_can_read(sqlite: Stores, tmp_path: Path) -> None:
+    shown, _, _ = labelled(sqlite)
+    exported(sqlite, shown.experiment.id, tmp_path / "out")
+    said = json.loads(pq.read_schema(tmp_path / "out" / "labels.parquet").metadata[b"accord"])
+    assert said["schema_version"] == 1
+    assert said["polarity"].startswith("1: segment 0 is better")
