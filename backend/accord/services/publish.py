@@ -13,7 +13,16 @@ from accord.store import experiments, labels, rewards
 from accord.store.labels import LabelledPair as TrainingLabel
 from accord.store.tables import RewardVersionRow
 
-__all__ = ["TrainingLabel", "TrainingLabels", "new_labels", "newest", "publish", "training_labels", "versions"]
+__all__ = [
+    "TrainingLabel",
+    "TrainingLabels",
+    "new_labels",
+    "newest",
+    "publish",
+    "training_labels",
+    "version_labels",
+    "versions",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +37,11 @@ class TrainingLabels:
 def new_labels(session: Session, experiment_id: str, after_revision: int) -> int:
     """Labels that count and were written or changed after a revision; 0 for `after_revision` gives all of them."""
     return labels.count_after(session, experiment_id, after_revision)
+
+
+def version_labels(session: Session, version: RewardVersionRow) -> list[TrainingLabel]:
+    """What a version was trained on, without the labels that were changed or undone since."""
+    return labels.up_to(session, version.experiment_id, version.label_watermark)
 
 
 def training_labels(session: Session, experiment_id: str) -> TrainingLabels:

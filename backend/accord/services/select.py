@@ -29,6 +29,11 @@ def candidates(session: Session, experiment_id: str, limit: int = 2000) -> list[
     return segments.newest(session, experiment_id, limit)
 
 
+def askable(session: Session, experiment_id: str, limit: int = 2000) -> list[str]:
+    """Ids of the newest segments that a query may be about, newest first: all whose clip can be made."""
+    return segments.newest_showable(session, experiment_id, limit)
+
+
 def paired(session: Session, experiment_id: str) -> set[frozenset[str]]:
     """Pairs of segment ids that have a query already, whichever way round."""
     return queries.pairs(session, experiment_id)
@@ -47,6 +52,10 @@ def add_queries(
     reward_version_id: str | None = None,
 ) -> list[str]:
     """Adds a query for each pair of segment ids; returns the new queries' ids.
+
+    Args:
+        selector: by what the pairs were chosen.
+        reward_version_id: the version whose ensemble scored them; None for pairs chosen without one.
 
     Passed over: a pair that is there already, either way round; a segment with itself; a segment whose clip failed.
     Where clips are made, a query waits for them; else it is open at once.

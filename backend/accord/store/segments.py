@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from sqlalchemy import select
+from sqlalchemy import exists, select
 from sqlalchemy.orm import Session
 
-from accord.store.tables import SegmentRow
+from accord.store.tables import ClipRow, SegmentRow
 
 
 def newest(session: Session, experiment_id: str, limit: int) -> list[tuple[str, int]]:
@@ -17,6 +17,19 @@ def newest(session: Session, experiment_id: str, limit: int) -> list[tuple[str, 
         .limit(limit)
     )
     return [(segment_id, steps) for segment_id, steps in rows]
+
+
+def newest_showable(session: Session, experiment_id: str, limit: int) -> list[str]:
+    """Ids of segments whose clip did not fail, the newest policy's first."""
+    failed = exists().where(ClipRow.segment_id == SegmentRow.id, ClipRow.status == "failed")
+    return list(
+        session.scalars(
+            select(SegmentRow.id)
+            .where(SegmentRow.experiment_id == experiment_id, ~failed)
+            .order_by(SegmentRow.policy_steps.desc(), SegmentRow.id.desc())
+            .limit(limit)
+        )
+    )
 
 
 def of_experiment(session: Session, experiment_id: str, segment_ids: Sequence[str]) -> set[str]:

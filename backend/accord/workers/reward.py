@@ -2,32 +2,31 @@
 
 import logging
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
+from accord.domain.experiment import ExperimentConfig
 from accord.domain.words import WorkerRole
 from accord.services import experiments, metrics, publish, select
 from accord.store.tables import ExperimentRow, RewardVersionRow
+from accord.workers.asking import Asker, wants_ensemble
+from accord.workers.ensembles import Ensembles
 from accord.workers.labelled import LabelledSegments
 from accord.workers.loop import Context, run_worker
 from accord.workers.pacing import version_is_due
 from accord.workers.pulse import Claim
-from accord.workers.querying import choose_pairs
 from accord.workers.reward_blobs import read_reward_model, store_reward_model
 from accord.workers.sentence import sentence
 from mapt.preferences.dataset import PreferenceDataset
+from mapt.preferences.selection import UnknownSelector
+from mapt.rewards.base import RewardModel
 from mapt.rewards.config import RewardConfig
+from mapt.rewards.ensemble import train_reward_ensemble
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
-from mapt.rewards.network import MAPT
 from mapt.rewards.train_config import TrainConfig
 from mapt.rewards.trainer import TrainedReward, TrainProgress, train_reward_model
 
 log = logging.getLogger(__name__)
-
-#: which draws of an experiment's seed choose the queries
-_QUERY_STREAM = 11
-SELECTOR = "uniform"
 
 
 class RewardWorker:
@@ -36,6 +35,8 @@ class RewardWorker:
     def __init__(self, context: Context) -> None:
         self._context = context
         self._segments = LabelledSegments(context.blobs)
+        self._ensembles = Ensembles(context.blobs)
+        self._asker = Asker(context, self._ensembles)
         self._round = 0
 
     def work(self) -> bool:
@@ -43,6 +44,7 @@ class RewardWorker:
         with self._context.database.reading() as session:
             rows = experiments.running(session)
         rows = [row for row in rows if experiments.config_of(row).reward_source == "preferences"]
+        self._asker.forget_all_but({row.id for row in rows})
         # Another one first each time: where one fails, the others still get their turn.
         self._round += 1
         first = self._round % max(1, len(rows))
@@ -53,44 +55,33 @@ class RewardWorker:
         """Nothing is open between two calls of `work`."""
 
     def _look_after(self, row: ExperimentRow) -> bool:
+        config = experiments.config_of(row)
         with self._context.database.reading() as session:
-            wants_queries = bool(select.queries_wanted(session, row) and len(select.candidates(session, row.id, 2)) > 1)
+            wants_queries = bool(select.queries_wanted(session, row) and len(select.askable(session, row.id, 2)) > 1)
             newest = publish.newest(session, row.id)
             changed = publish.new_labels(session, row.id, newest.label_watermark if newest else 0)
         due = version_is_due(
-            experiments.config_of(row),
-            labels=row.label_count,
-            trained_on=newest.label_count if newest else 0,
-            changed=changed,
+            config, labels=row.label_count, trained_on=newest.label_count if newest else 0, changed=changed
         )
-        if not wants_queries and not due:
+        unscored = newest if newest and wants_ensemble(config) and self._ensembles.of(newest) is None else None
+        if not (wants_queries or due or unscored):
             return False
         with self._context.pulse.hold(f"reward:{row.id}") as claim:
             if claim is None:
                 return False
-            did = wants_queries and self._add_queries(row.id, claim)
             try:
-                return (due and self._train(row, newest, claim)) or did
-            except (InvalidConfig, ModelMismatch) as error:
+                did = wants_queries and self._asker.add_queries(row.id, claim)
+                # The policy may wait for a version; queries can be chosen without the newest one's ensemble.
+                if due:
+                    return self._train(row, newest, claim) or did
+                return (unscored is not None and self._train_ensemble(row, unscored, claim)) or did
+            except (InvalidConfig, ModelMismatch, UnknownSelector) as error:
                 # Its settings will not do the next time either.
                 log.exception("Experiment %s failed", row.id)
                 with self._context.database.transaction() as session:
                     claim.check_within(session)
                     experiments.fail(session, row.id, sentence(error))
                 return True
-
-    def _add_queries(self, experiment_id: str, claim: Claim) -> bool:
-        """Choose the next pairs. Returns whether there were any to choose."""
-        with self._context.database.transaction() as session:
-            claim.check_within(session)
-            row = experiments.get(session, experiment_id)
-            wanted = select.queries_wanted(session, row)
-            paired = select.paired(session, experiment_id)
-            newest = publish.newest(session, experiment_id)
-            pool = [segment_id for segment_id, _ in select.candidates(session, experiment_id)]
-            rng = np.random.default_rng([experiments.config_of(row).seed, _QUERY_STREAM, len(paired)])
-            pairs = choose_pairs(pool, paired, wanted, first_round=newest is None, rng=rng)
-            return bool(select.add_queries(session, row, pairs, SELECTOR, newest.id if newest else None))
 
     def _train(self, row: ExperimentRow, newest: RewardVersionRow | None, claim: Claim) -> bool:
         """Train the next version on all labels, warm from the newest, and publish it."""
@@ -132,38 +123,74 @@ class RewardWorker:
         claim: Claim,
         number: int,
     ) -> TrainedReward:
-        settings = experiments.config_of(row)
-        preset = settings.reward_preset
-        config = RewardConfig.preset(
-            preset,  # pyright: ignore[reportArgumentType]  (an unknown one is refused there, with a sentence)
-            observation_dim=dataset.segments.observation_dim,
-            action_dim=dataset.segments.action_dim,
-            n_agents=dataset.segments.n_agents,
-        )
-        training = replace(
-            TrainConfig.preset(preset),  # pyright: ignore[reportArgumentType]
-            seed=settings.seed,
-            device=settings.device,
-        )
-
-        def progress(at: TrainProgress) -> None:
-            self._context.pulse.say("working", f"reward version {number}: epoch {at.epoch}, {len(dataset)} labels")
-
+        config, training = _plans(experiments.config_of(row), dataset)
         return train_reward_model(
             dataset,
             config,
             training,
             initial=self._parent(newest, config),
-            progress=progress,
+            progress=self._reporting(row.id, claim, f"reward version {number}", len(dataset)),
             stop=lambda: self._context.stop.requested or claim.lost,
         )
 
-    def _parent(self, newest: RewardVersionRow | None, config: RewardConfig) -> MAPT | None:
+    def _train_ensemble(self, row: ExperimentRow, version: RewardVersionRow, claim: Claim) -> bool:
+        """Train the ensemble of a published version, on its labels, and store it."""
+        with self._context.database.reading() as session:
+            labels = publish.version_labels(session, version)
+            parents = [each for each in publish.versions(session, row.id) if each.id == version.parent_id]
+        if len(labels) < 2:
+            return False
+        settings = experiments.config_of(row)
+        dataset = self._segments.dataset(row.id, labels)
+        config, training = _plans(settings, dataset)
+        before = self._ensembles.of(parents[0]) if parents else None
+        fits = before is not None and before.config == config and len(before) == settings.ensemble_members
+        ensemble = train_reward_ensemble(
+            dataset,
+            config,
+            training,
+            settings.ensemble_members,
+            initial=before if fits else None,
+            progress=self._reporting(row.id, claim, f"ensemble of reward version {version.number}", len(dataset)),
+            stop=lambda: self._context.stop.requested or claim.lost,
+        )
+        claim.check()
+        if ensemble.metrics["stopped"]:
+            return False
+        self._ensembles.store(version, ensemble)
+        return True
+
+    def _reporting(self, experiment_id: str, claim: Claim, what: str, n_labels: int) -> Callable[[TrainProgress], None]:
+        """Says on the page where a training is, and keeps queries coming meanwhile: no labeller waits for it."""
+
+        def report(at: TrainProgress) -> None:
+            self._context.pulse.say("working", f"{what}: epoch {at.epoch}, {n_labels} labels")
+            self._asker.add_queries(experiment_id, claim)
+
+        return report
+
+    def _parent(self, newest: RewardVersionRow | None, config: RewardConfig) -> RewardModel | None:
         """The model to go on from, if it is of the same shape."""
         if newest is None:
             return None
         model = read_reward_model(self._context.blobs, newest.blob_key)
         return model if model.config == config else None
+
+
+def _plans(settings: ExperimentConfig, dataset: PreferenceDataset) -> tuple[RewardConfig, TrainConfig]:
+    """The network and its training.
+
+    Raises:
+        InvalidConfig: if the preset is none that this version knows.
+    """
+    config = RewardConfig.preset(
+        settings.reward_preset,
+        observation_dim=dataset.segments.observation_dim,
+        action_dim=dataset.segments.action_dim,
+        n_agents=dataset.segments.n_agents,
+    )
+    training = TrainConfig.preset(settings.reward_preset)
+    return config, replace(training, seed=settings.seed, device=settings.device)
 
 
 if __name__ == "__main__":

@@ -4,13 +4,13 @@ from collections.abc import Mapping
 
 from accord.domain.ids import new_id
 from accord.store.blobs import BlobStore
+from mapt.rewards.base import RewardModel
 from mapt.rewards.checkpoints import load_reward_model, save_reward_model
-from mapt.rewards.network import MAPT
 
 _WEIGHTS, _CARD = ".safetensors", ".json"
 
 
-def store_reward_model(blobs: BlobStore, experiment_id: str, model: MAPT, metrics: Mapping[str, float]) -> str:
+def store_reward_model(blobs: BlobStore, experiment_id: str, model: RewardModel, metrics: Mapping[str, float]) -> str:
     """Write a model. Returns the key of its weights, for the row that comes after.
 
     Raises:
@@ -23,7 +23,7 @@ def store_reward_model(blobs: BlobStore, experiment_id: str, model: MAPT, metric
     return stem + _WEIGHTS
 
 
-def read_reward_model(blobs: BlobStore, weights_key: str) -> MAPT:
+def read_reward_model(blobs: BlobStore, weights_key: str) -> RewardModel:
     """The model whose row names this key.
 
     Raises:

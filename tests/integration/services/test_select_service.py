@@ -75,6 +75,9 @@ def test_a_query_whose_clip_cannot_be_made_is_replaced(both: Stores) -> None:
         row = experiments.get(session, made.experiment.id)
         others = [each for each in made.segment_ids if each != job.segment_id]
         assert select.add_queries(session, row, [(job.segment_id, others[0])], "uniform") == []
+        # so that it is no use to choose it
+        assert select.askable(session, row.id) == others[::-1]
+        assert select.askable(session, row.id, 1) == others[-1:]
 
 
 def test_no_pair_is_asked_twice_whichever_way_round(both: Stores) -> None:

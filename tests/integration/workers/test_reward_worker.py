@@ -82,14 +82,18 @@ def test_a_stop_in_the_middle_of_training_publishes_nothing(place: Workplace, as
     assert versions(place) == []
 
 
-def test_a_preset_that_is_none_fails_the_experiment_with_a_sentence(place: Workplace):
-    id = place.begin(reward_preset="huge")
+@pytest.mark.parametrize("setting", ["reward_preset", "query_selection"])
+def test_a_word_of_another_version_fails_the_experiment_with_a_sentence(place: Workplace, setting: str):
+    id = place.begin()
+    with place.database.transaction() as session:
+        session.connection().exec_driver_sql(f"UPDATE experiments SET config = json_set(config, '$.{setting}', 'huge')")
     with place.training(id) as run:
         run.step()
     worker = RewardWorker(place.context)
     worker.work()
-    place.label(id, 8)
-    worker.work()
+    if setting == "reward_preset":
+        place.label(id, 8)
+        worker.work()
     [(status, detail)] = place.rows("SELECT status, phase_detail FROM experiments")
     assert status == "failed"
     assert "huge" in detail

@@ -51,6 +51,13 @@ class SegmentView:
             if self.asked.shape[1:] != (2, n_features):
                 raise ShapeError("asked", self.asked.shape, f"(P, 2, {n_features})")
 
+    @property
+    def n_segments(self) -> int:
+        """S; 0 of a view that tells of nothing."""
+        if self.scores is not None:
+            return self.scores.shape[1]
+        return 0 if self.features is None else len(self.features)
+
     def check(self, n_segments: int) -> None:
         """Raises ShapeError unless every row tells of one of `n_segments` segments."""
         if self.scores is not None and self.scores.shape[1] != n_segments:
