@@ -28,6 +28,7 @@ def test_demo_runs_the_whole_loop_and_leaves_table_curves_and_plot(tmp_path: Pat
     assert [run["plan"]["reward_source"] for run in (baseline, learned)] == ["true", "preferences"]
     assert baseline["untrained"] == learned["untrained"], "one seed, one untrained policy"
     assert learned["labels"] == 24
+    assert (baseline["teacher"], learned["teacher"]["name"], learned["teacher"]["seed"]) == ({}, "oracle", 3)
     assert learned["versions"][-1]["label_count"] == 24
     assert learned["steps"] >= 10_000
     with (output / "curves.csv").open() as file:
@@ -61,6 +62,8 @@ def test_teach_says_in_a_sentence_what_was_wrong(accord: Accord) -> None:
         (("--experiment", id, "--token", "wrong"), "token is wrong"),
         (("--experiment", id, "--token", token), "never for labellers"),
         (("--experiment", "exp_" + "0" * 24, "--token", token), "There is no experiment"),
+        (("--experiment", id, "--token", token, "--teacher", "nobody"), "no teacher is called"),
+        (("--experiment", id, "--token", token, "--parameter", "mistake=2"), "mistake must lie in"),
     ):
         done = accord.run("teach", *arguments)
         assert done.returncode == 2
