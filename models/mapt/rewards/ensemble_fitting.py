@@ -1,12 +1,13 @@
 """The training loop of an ensemble: every step moves every member, each on pairs of its own.
 
 One step, from top to bottom: draw a batch for each member, score both segments of all of them in one pass, take
-the Bradley-Terry loss, clip each member's gradient by itself, step one AdamW over the stacked parameters.
+the Bradley-Terry loss, clip each member's gradient by itself, step one AdamW over the stacked parameters, and
+move the running average of the weights, which is what is judged and kept.
 """
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -19,6 +20,7 @@ from mapt.rewards.fitting import (
     FEWEST_STEPS_PER_EPOCH,
     GRADIENT_NORM_LIMIT,
     TrainProgress,
+    WeightAverage,
 )
 from mapt.rewards.pair_tensors import PairTensors
 from mapt.rewards.stacked import StackedModels
@@ -70,6 +72,7 @@ class EnsembleFitting:
         stop: Callable[[], bool] | None = None,
     ) -> None:
         self._stack, self._train, self._hold_out = stack, train, hold_out
+        self._average = WeightAverage([])
         self._draws = torch.Generator().manual_seed(seed)
         self._max_epochs = max_epochs
         self._progress, self._stop = progress, stop
@@ -93,19 +96,22 @@ class EnsembleFitting:
         judge = self._hold_out if self.reliable else self._train
         trained = {name: self._stack.parameters[name] for name in stage.names}
         optimiser = stacked_optimiser(trained.values(), stage.lr, stage.weight_decay)
-        before = after = pair_losses(judge, stage.scorer, stage.label_noise)
+        before = after = logit_losses(pair_logits(judge, stage.scorer), judge.labels, stage.label_noise)
         initial, kept = _copies(trained), _copies(trained)
         best, kept_at = before.mean(dim=1), torch.zeros(len(before), dtype=torch.int64, device=before.device)
+        self._average = WeightAverage(list(trained.values()))
         for epoch in range(1, stage.max_epochs + 1):
             loss = self._epoch(stage, optimiser)
             if self.stopped:
                 break
-            self._report(stage, loss)
-            judged = pair_losses(judge, stage.scorer, stage.label_noise)
-            better = judged.mean(dim=1) < best
-            best, kept_at = torch.where(better, judged.mean(dim=1), best), torch.where(better, epoch, kept_at)
-            after = torch.where(better[:, None], judged, after)
-            kept = {name: where_member(better, trained[name].detach(), kept[name]) for name in trained}
+            with self._average.in_place():
+                logits = pair_logits(judge, stage.scorer)
+                self._report(stage, loss, logits if self.reliable else pair_logits(self._hold_out, stage.scorer))
+                judged = logit_losses(logits, judge.labels, stage.label_noise)
+                better = judged.mean(dim=1) < best
+                best = torch.where(better, judged.mean(dim=1), best)
+                kept_at, after = torch.where(better, epoch, kept_at), torch.where(better[:, None], judged, after)
+                kept = {name: where_member(better, trained[name].detach(), kept[name]) for name in trained}
             if (epoch - kept_at >= stage.patience).all():
                 break
         gained = exceeds_chance(before - after) if stage.must_convince else torch.ones_like(best, dtype=torch.bool)
@@ -122,6 +128,7 @@ class EnsembleFitting:
             if self.stopped:
                 break
             losses.append(ensemble_step(self._train, stage.scorer, optimiser, index, stage.label_noise))
+            self._average.follow()
         self._stack.train(False)
         return math.nan if self.stopped else torch.stack(losses).mean().item()
 
@@ -133,11 +140,11 @@ class EnsembleFitting:
         order = self._known.gather(1, order).to(self._train.labels.device)
         yield from order.tensor_split(math.ceil(n_pairs / size), dim=1)
 
-    def _report(self, stage: EnsembleStage, loss: float) -> None:
+    def _report(self, stage: EnsembleStage, loss: float, logits: Tensor) -> None:
         self.epochs += 1
         if self._progress is None:
             return
-        logits, labels = pair_logits(self._hold_out, stage.scorer), self._hold_out.labels
+        labels = self._hold_out.labels
         self._progress(
             TrainProgress(
                 epoch=self.epochs,
@@ -189,11 +196,6 @@ def stacked_optimiser(parameters: Iterable[Tensor], lr: float, decay: float) -> 
     )
 
 
-def pair_losses(pairs: PairTensors, scorer: StackScorer, label_noise: float = 0.0) -> Tensor:
-    """Loss of each pair by each member, nats, (M, P)."""
-    return logit_losses(pair_logits(pairs, scorer), pairs.labels, label_noise)
-
-
 def logit_losses(logits: Tensor, labels: Tensor, label_noise: float = 0.0) -> Tensor:
     """Loss of each pair, nats, (M, P), by logits (M, P) and labels (P,)."""
     return preference_losses(logits, labels.expand_as(logits), label_noise)
@@ -223,5 +225,5 @@ def where_member(chosen: Tensor, first: Tensor, second: Tensor) -> Tensor:
     return torch.where(chosen.view(-1, *(1 for _ in first.shape[1:])), first, second)
 
 
-def _copies(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+def _copies(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {name: tensor.detach().clone() for name, tensor in tensors.items()}

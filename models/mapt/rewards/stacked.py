@@ -22,10 +22,11 @@ class StackedModels:
 
     def __init__(self, models: Sequence[RewardModel]) -> None:
         #: by name, (M, ...), leaves that an optimiser can train
-        self.parameters: dict[str, Tensor]
+        self.parameters: dict[str, nn.Parameter]
         #: by name, (M, ...)
         self.buffers: dict[str, Tensor]
-        self.parameters, self.buffers = stack_module_state(list(models))
+        parameters, self.buffers = stack_module_state(list(models))
+        self.parameters = {name: nn.Parameter(tensor.detach()) for name, tensor in parameters.items()}
         self.config = models[0].config
         template = copy.deepcopy(models[0])
         unroll_lstms(template)
@@ -41,7 +42,7 @@ class StackedModels:
     def to(self, device: torch.device) -> None:
         """Move all members; an optimiser made before no longer knows them."""
         for name, tensor in self.parameters.items():
-            self.parameters[name] = tensor.detach().to(device).requires_grad_()
+            self.parameters[name] = nn.Parameter(tensor.detach().to(device))
         for name, tensor in self.buffers.items():
             self.buffers[name] = tensor.to(device)
 
@@ -81,7 +82,7 @@ class StackedModels:
         return {name: tensor[member].clone() for name, tensor in self.state().items()}
 
     def _run(self, view: str, *inputs: Tensor) -> tuple[Tensor, ...]:
-        def member(parameters: dict[str, Tensor], buffers: dict[str, Tensor], *own: Tensor) -> tuple[Tensor, ...]:
+        def member(parameters: Mapping[str, Tensor], buffers: Mapping[str, Tensor], *own: Tensor) -> tuple[Tensor, ...]:
             state = {f"model.{name}": tensor for name, tensor in {**parameters, **buffers}.items()}
             return functional_call(self._views, state, (view, *own))
 

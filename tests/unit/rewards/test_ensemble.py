@@ -119,6 +119,20 @@ def test_a_vectorised_step_is_as_many_steps_apart(name):
             torch.testing.assert_close(own[key], value, **CLOSE, msg=f"{key} of member {i}")
 
 
+def test_a_step_that_expects_mistakes_counts_them_as_such():
+    dataset = preferences(20)
+    models = drawn_models(2, config("MA-MLP"))
+    scores = torch.as_tensor(RewardEnsemble.of(models).scores(dataset.segments))
+    stack = StackedModels(models)
+    known = PairTensors.of(dataset, torch.device("cpu"))
+    scorer = whole_stack_scorer(stack, segment_reader(dataset.segments, torch.device("cpu")))
+    still = torch.optim.SGD(stack.parameters.values(), 0.0)
+    index = torch.arange(20).expand(2, 20)
+    for noise in (0.0, 0.3):
+        apart = [preference_loss(own[::2], own[1::2], known.labels, noise).item() for own in scores]
+        assert ensemble_step(known, scorer, still, index, noise).item() == pytest.approx(np.mean(apart), rel=1e-5)
+
+
 def test_the_optimiser_of_a_stack_shrinks_matrices_alone():
     stack = StackedModels(drawn_models(2, config()))
     for parameter in stack.parameters.values():
