@@ -25,6 +25,14 @@ class Ensembles:
         self._blobs = blobs
         #: by version id, the one used longest ago first
         self._kept: dict[str, RewardEnsemble] = {}
+        #: ids of versions whose ensemble is stored: asked with every poll
+        self._stored: set[str] = set()
+
+    def has(self, version: RewardVersionRow) -> bool:
+        """Whether the version's ensemble is stored."""
+        if version.id not in self._stored and self._blobs.exists(_key(version)):
+            self._stored.add(version.id)
+        return version.id in self._stored
 
     def of(self, version: RewardVersionRow) -> RewardEnsemble | None:
         """The version's ensemble; None if it is to be trained (again).
@@ -32,7 +40,7 @@ class Ensembles:
         Raises:
             mapt.rewards.errors.NewerCheckpoint: if a later version of this program wrote it.
         """
-        ensemble = self._kept.get(version.id) or self._read(_key(version))
+        ensemble = self._kept.get(version.id) or self._read(version)
         if ensemble is not None:
             self._keep(version.id, ensemble)
         return ensemble
@@ -46,15 +54,17 @@ class Ensembles:
         self._blobs.put(_key(version), save_reward_ensemble(ensemble))
         self._kept.pop(version.id, None)
 
-    def _read(self, key: str) -> RewardEnsemble | None:
-        if not self._blobs.exists(key):
+    def _read(self, version: RewardVersionRow) -> RewardEnsemble | None:
+        if not self.has(version):
             return None
+        key = _key(version)
         try:
             return load_reward_ensemble(self._blobs.read(key))
         except DamagedCheckpoint:
             # Nothing is lost that the labels do not bring back.
             log.exception("%s is removed, to be trained again", key)
             self._blobs.delete(key)
+            self._stored.discard(version.id)
             return None
 
     def _keep(self, version_id: str, ensemble: RewardEnsemble) -> None:

@@ -63,7 +63,7 @@ class RewardWorker:
         due = version_is_due(
             config, labels=row.label_count, trained_on=newest.label_count if newest else 0, changed=changed
         )
-        unscored = newest if newest and wants_ensemble(config) and self._ensembles.of(newest) is None else None
+        unscored = newest if newest and wants_ensemble(config) and not self._ensembles.has(newest) else None
         if not (wants_queries or due or unscored):
             return False
         with self._context.pulse.hold(f"reward:{row.id}") as claim:
