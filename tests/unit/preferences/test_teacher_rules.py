@@ -12,6 +12,7 @@ from mapt.preferences.teachers import (
     BestSecond,
     Evidence,
     EvidenceMissing,
+    FindsPhase,
     InvalidTeacher,
     Never,
     NobodyIdle,
@@ -97,6 +98,14 @@ def slow_phase(rule, _rewards, observations, _actions):
     return np.corrcoef(first, other)[0, 1] * (-1 if rule.want == "opposite" else 1)
 
 
+def slow_finds_phase(rule, _rewards, observations, _actions):
+    first, other = observations[:, rule.first_agent, rule.column], observations[:, N_AGENTS // 2, rule.column]
+    if len(first) == 1:
+        return 0.0
+    products = (first - first.mean()) * (other - other.mean()) / (first.std() * other.std())
+    return -np.mean(products[-rule.window_steps :]) + np.mean(products)
+
+
 def slow_efforts(rule, observations, actions):
     efforts = np.zeros(observations.shape[:2])
     for step, agent in np.ndindex(*efforts.shape):
@@ -131,6 +140,7 @@ CASES = [
     (Never(column=0, limit=5.0, side="beyond"), slow_never),
     (Phase(), slow_phase),
     (Phase(column=3, first_agent=1, second_agent=2, want="equal"), slow_phase),
+    (FindsPhase(window_steps=4), slow_finds_phase),
     *((SharedLoad(effort), slow_shared_load) for effort in ("power", "action", "speed")),
     *((NobodyIdle(effort, window_steps=3), slow_nobody_idle) for effort in ("power", "action", "speed")),
 ]
@@ -214,6 +224,20 @@ def test_opposite_swings_are_in_phase_with_the_rule():
     np.testing.assert_allclose(scores, [1, -1])
 
 
+def test_agents_that_end_in_phase_have_found_it_and_a_step_alone_tells_nothing_of_it():
+    swing = np.tile(np.sin(np.linspace(0, 2 * np.pi, 20, endpoint=False)), 2)
+    observations = np.zeros((2, 40, 2, 2))
+    observations[:, :, 0, 1] = observations[:, :, 1, 1] = swing
+    observations[0, 20:, 1, 1] *= -1
+    observations[1, :20, 1, 1] *= -1
+    first, last = FindsPhase().scores(Evidence(np.zeros((2, 40)), observations=observations))
+    assert first > 0.9
+    assert last < -0.9
+    # The very same steps in another order: every sum over steps is the same.
+    steps = [sorted(map(tuple, each[..., 1].tolist())) for each in observations]
+    assert steps[0] == steps[1]
+
+
 def test_among_those_that_fall_the_later_then_the_fewer_then_the_less_deep_is_better():
     heights = np.array([[0, 0, -2, -2], [0, -2, 0, 0], [0, -2, 0, -2], [0, -9, 0, -2], [0, 0, 0, 0], [1, 1, 1, 1]])
     evidence = Evidence(np.zeros((6, 4)), observations=heights[:, :, None, None].astype(float))
@@ -221,7 +245,7 @@ def test_among_those_that_fall_the_later_then_the_fewer_then_the_less_deep_is_be
     assert np.argsort(-scores).tolist() == [5, 4, 0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("rule", [BestSecond, WorstSecond, Recency, NobodyIdle])
+@pytest.mark.parametrize("rule", [BestSecond, WorstSecond, Recency, FindsPhase, NobodyIdle])
 def test_a_window_has_a_step_at_least(rule):
     with pytest.raises(InvalidTeacher):
         rule(window_steps=0)

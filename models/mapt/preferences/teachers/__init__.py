@@ -3,7 +3,7 @@
 `make_teacher("phase+mistake", seed=0, mistake=0.05).judge(first, second)` labels pairs of `Evidence`.
 """
 
-from mapt.preferences.teachers.cooperation import NobodyIdle, Phase, SharedLoad
+from mapt.preferences.teachers.cooperation import FindsPhase, NobodyIdle, Phase, SharedLoad
 from mapt.preferences.teachers.errors import EvidenceMissing, InvalidTeacher, UnknownTeacher
 from mapt.preferences.teachers.evidence import Evidence
 from mapt.preferences.teachers.history import BestSecond, Never, Recency, Return, Smoothness, WorstSecond
@@ -18,6 +18,7 @@ __all__ = [
     "BestSecond",
     "Evidence",
     "EvidenceMissing",
+    "FindsPhase",
     "Habits",
     "InvalidTeacher",
     "Never",

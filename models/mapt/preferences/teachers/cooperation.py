@@ -9,7 +9,7 @@ from mapt.preferences.teachers.errors import EvidenceMissing
 from mapt.preferences.teachers.evidence import Evidence, Float64s
 from mapt.preferences.teachers.history import SECOND_STEPS
 from mapt.preferences.teachers.rule import Rule
-from mapt.preferences.teachers.windows import check_window, real_means, window_means
+from mapt.preferences.teachers.windows import check_window, last_means, real_means, window_means
 
 #: What an agent does in a step: |torque x velocity| of its joints, |torque|, or |velocity|.
 Effort = Literal["power", "action", "speed"]
@@ -33,14 +33,36 @@ class Phase(Rule):
 
     def scores(self, evidence: Evidence) -> Float64s:
         """See `Rule.scores`; between -1 and 1, and 0 where one of the two does not move."""
+        return real_means(self.accord(evidence), evidence.mask)
+
+    def accord(self, evidence: Evidence) -> Float64s:
+        """What each step adds to the correlation, turned so that more is better: float64 (B, T), 0 in padding."""
         half_a_team = self.first_agent + evidence.seen("observations").shape[2] // 2
         second = half_a_team if self.second_agent < 0 else self.second_agent
         courses = evidence.columns((self.column,), (self.first_agent, second))[..., 0]
         courses = np.where(evidence.mask[:, :, None], courses - real_means(courses, evidence.mask)[:, None], 0.0)
-        together = courses.prod(axis=2).sum(axis=1)
-        scale = np.sqrt(np.square(courses).sum(axis=1).prod(axis=1))
-        correlation = np.divide(together, scale, out=np.zeros_like(together), where=scale > 0)
-        return -correlation if self.want == "opposite" else correlation
+        together = courses.prod(axis=2)
+        scale = np.sqrt(real_means(np.square(courses), evidence.mask).prod(axis=1))[:, None]
+        course = np.divide(together, scale, out=np.zeros_like(together), where=scale > 0)
+        return -course if self.want == "opposite" else course
+
+
+@dataclass(frozen=True, slots=True)
+class FindsPhase(Phase):
+    """Two agents that come to swing as they should: their last second against the whole segment, as by `Phase`.
+
+    Co-operation over time: no step alone tells anything of it, nor does any agent alone.
+    """
+
+    window_steps: int = SECOND_STEPS
+
+    def __post_init__(self) -> None:
+        check_window(self.window_steps)
+
+    def scores(self, evidence: Evidence) -> Float64s:
+        """See `Rule.scores`; 0 where one of the two does not move."""
+        accord = self.accord(evidence)
+        return last_means(accord, evidence.mask, self.window_steps) - real_means(accord, evidence.mask)
 
 
 @dataclass(frozen=True, slots=True)

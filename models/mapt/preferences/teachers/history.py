@@ -7,7 +7,7 @@ import numpy as np
 
 from mapt.preferences.teachers.evidence import Evidence, Float64s
 from mapt.preferences.teachers.rule import RewardRule, Rule
-from mapt.preferences.teachers.windows import check_window, real_means, window_means
+from mapt.preferences.teachers.windows import check_window, last_means, real_means, window_means
 
 #: a second of MaMuJoCo's HalfCheetah, 0.05 s a step
 SECOND_STEPS = 20
@@ -79,9 +79,8 @@ class Recency(RewardRule):
 
     def scores(self, evidence: Evidence) -> Float64s:
         """See `Rule.scores`."""
-        means, starts = window_means(evidence.rewards, evidence.mask, self.window_steps)
-        last = starts.sum(axis=1) - 1
-        return means[np.arange(len(means)), last] - self.above_mean * real_means(evidence.rewards, evidence.mask)
+        last = last_means(evidence.rewards, evidence.mask, self.window_steps)
+        return last - self.above_mean * real_means(evidence.rewards, evidence.mask)
 
 
 @dataclass(frozen=True, slots=True)

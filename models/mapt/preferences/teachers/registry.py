@@ -6,7 +6,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from mapt.preferences.teachers.cooperation import NobodyIdle, Phase, SharedLoad
+from mapt.preferences.teachers.cooperation import FindsPhase, NobodyIdle, Phase, SharedLoad
 from mapt.preferences.teachers.errors import InvalidTeacher, UnknownTeacher
 from mapt.preferences.teachers.history import BestSecond, Never, Recency, Return, Smoothness, WorstSecond
 from mapt.preferences.teachers.rule import Rule
@@ -35,6 +35,7 @@ RULES: dict[str, Rule] = {
     "never-falls": Never(column=4, limit=-0.18, side="below"),
     "never-tips": Never(column=5, limit=0.3, side="beyond"),
     "phase": Phase(),
+    "finds-phase": FindsPhase(),
     "shared-load": SharedLoad(),
     "nobody-idle": NobodyIdle(),
 }

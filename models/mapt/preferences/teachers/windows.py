@@ -35,6 +35,12 @@ def window_means(values: Float64s, mask: BoolArray, window_steps: int) -> tuple[
     return sums / widths.reshape(-1, 1, *extra), starts <= (lengths - widths)[:, None]
 
 
+def last_means(values: Float64s, mask: BoolArray, window_steps: int) -> Float64s:
+    """Mean of values (B, T) over the last `window_steps` real steps, or all where there are fewer: (B,)."""
+    means, starts = window_means(values, mask, window_steps)
+    return means[np.arange(len(means)), starts.sum(axis=1) - 1]
+
+
 def real_means(values: Float64s, mask: BoolArray) -> Float64s:
     """Mean of values (B, T, ...) over real steps, (B, ...)."""
     extra = (1,) * (values.ndim - 2)
