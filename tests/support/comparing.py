@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from mapt.preferences.dataset import SegmentArrays, SegmentSource
+from mapt.preferences.formats.episodes import Episode, episodes_of
 from mapt.preferences.formats.records import Comparisons, SegmentRecords
 
 
@@ -57,3 +58,24 @@ def assert_same_segments(found: SegmentSource, expected: SegmentSource) -> None:
 def everything_in(folder: Path) -> dict[str, bytes]:
     """Every file below a folder and its content: to see that nothing changed."""
     return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+def made_episodes(
+    lengths: list[int], *, n_agents: int = 1, known: tuple[str, ...] = ("rewards", "qpos", "qvel"), seed: int = 0
+) -> list[Episode]:
+    """Episodes of noise."""
+    records = made_records(
+        len(lengths), n_steps=max(lengths), n_agents=n_agents, lengths=lengths, known=known, seed=seed
+    )
+    return list(episodes_of(records))
+
+
+def assert_same_episodes(found: list[Episode], expected: list[Episode]) -> None:
+    """Equal to the bit."""
+    assert [len(episode) for episode in found] == [len(episode) for episode in expected]
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one.observations, other.observations)
+        np.testing.assert_array_equal(one.actions, other.actions)
+        assert one.extras().keys() == other.extras().keys()
+        for name, values in other.extras().items():
+            np.testing.assert_array_equal(one.extras()[name], values)

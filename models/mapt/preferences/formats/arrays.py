@@ -45,6 +45,14 @@ def finite_floats(path: Path | str, where: str, values: object, n_dims: int) -> 
     return floats
 
 
+def finite_doubles(path: Path | str, where: str, values: object, n_dims: int) -> NDArray[np.float64]:
+    """As `finite_floats`, in float64."""
+    doubles = numbers(path, where, values, n_dims).astype(np.float64)
+    if not np.isfinite(doubles).all():
+        raise NotReadable(path, f"{where} holds NaN or infinity")
+    return doubles
+
+
 def numbered_actions(path: Path | str, where: str, values: object, n_actions: int) -> FloatArray:
     """Discrete actions (T, N) or (T, N, 1), one-hot (T, N, A).
 

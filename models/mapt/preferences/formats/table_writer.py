@@ -64,9 +64,15 @@ class TableWriter:
         shutil.rmtree(self._folder, ignore_errors=True)
         self._folder.mkdir()
         self._schemas = {table: schema_of(table, self._metadata) for table in (SEGMENTS, QUERIES, LABELS)}
-        # Noise of 32 bits hardly shrinks; zstd takes what there is at little cost.
         self._writers = {
-            table: pq.ParquetWriter(self._folder / f"{table}.parquet", schema, compression="zstd")
+            table: pq.ParquetWriter(
+                self._folder / f"{table}.parquet",
+                schema,
+                compression="zstd",
+                # A dictionary of floats is given up after a megabyte of them, and nobody asks for their least.
+                use_dictionary=[field.name for field in schema if not pa.types.is_list(field.type)],
+                write_statistics=[field.name for field in schema if not pa.types.is_list(field.type)],
+            )
             for table, schema in self._schemas.items()
         }
 

@@ -1,0 +1,170 @@
+"""D4RL's HDF5 files: flat arrays over all steps, one after the other, with flags where an episode ends.
+
+`observations` (L, D), `actions` (L, K), `rewards` (L,), `terminals` (L,), `timeouts` (L,), and `infos/qpos` and
+`infos/qvel` where the simulator is MuJoCo. Of one agent, unless `AgentIndices` say how the numbers fall to several.
+
+Source: https://github.com/Farama-Foundation/D4RL, d4rl/offline_env.py.
+"""
+
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from mapt.preferences.dataset import FloatArray
+from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError
+from mapt.preferences.formats.arrays import finite_doubles, finite_floats
+from mapt.preferences.formats.episodes import AgentIndices, Episode
+from mapt.preferences.formats.hdf5 import MAX_BYTES, Hdf5File, open_hdf5, rows
+from mapt.preferences.storage_layout import replaced_file
+
+#: Our own addition: how many agents the flat arrays hold, one after the other.
+_AGENTS = "mapt_n_agents"
+_EXTRAS = {"rewards": ("rewards", 1), "qpos": ("infos/qpos", 2), "qvel": ("infos/qvel", 2)}
+
+
+def read_d4rl(
+    path: Path | str, *, agents: AgentIndices | None = None, horizon: int | None = None, max_bytes: int = MAX_BYTES
+) -> Iterator[Episode]:
+    """Episodes in their order, one in memory at a time.
+
+    Args:
+        agents: how the numbers fall to several agents.
+        horizon: the most steps of an episode, for old files without `timeouts`.
+
+    Raises:
+        MissingPart: if an array is not there; `timeouts` may be missing where `horizon` is given.
+        NotReadable: if the file is cut, or its arrays disagree in length or hold what are no numbers.
+    """
+    path = Path(path)
+    with open_hdf5(path, max_bytes) as file:
+        steps = D4rlSteps(file, agents)
+        for first, last in pairwise(episode_bounds(path, steps, horizon)):
+            yield steps.read(first, last)
+
+
+class D4rlSteps:
+    """The steps of an open file, read by their places.
+
+    Raises:
+        MissingPart, NotReadable, TooLarge: see `read_d4rl`.
+    """
+
+    def __init__(self, file: Hdf5File, agents: AgentIndices | None) -> None:
+        self._path, self._agents = file.path, agents
+        self._observations, self._actions = file.array("observations", 2), file.array("actions", 2)
+        self._extras = {
+            name: file.array(place, n_dims) for name, (place, n_dims) in _EXTRAS.items() if file.is_array(place)
+        }
+        self._flags = {name: file.array(name, 1) for name in ("terminals", "timeouts") if file.is_array(name)}
+        self._n_agents = _n_agents(file)
+        if "terminals" not in self._flags:
+            raise MissingPart(file.path, "array 'terminals'")
+        for data in (self._actions, *self._extras.values(), *self._flags.values()):
+            if len(data) != len(self):
+                raise NotReadable(file.path, f"{data.name} has {len(data)} steps and observations have {len(self)}")
+        if not len(self):
+            raise NotReadable(file.path, "holds no steps")
+
+    def __len__(self) -> int:
+        return len(self._observations)
+
+    def flag(self, name: str) -> NDArray[np.bool_] | None:
+        """bool (L,): `terminals` or `timeouts`; None where the file has none."""
+        data = self._flags.get(name)
+        return None if data is None else rows(data, 0, len(self)).astype(np.bool_)
+
+    def read(self, first: int, last: int) -> Episode:
+        """Steps [first, last)."""
+        where = f"of steps {first} to {last}"
+        observations = finite_floats(self._path, f"observations {where}", rows(self._observations, first, last), 2)
+        actions = finite_floats(self._path, f"actions {where}", rows(self._actions, first, last), 2)
+        extras = {
+            name: finite_doubles(self._path, f"{name} {where}", rows(data, first, last), data.ndim)
+            for name, data in self._extras.items()
+        }
+        return Episode(*self._split(observations, actions), **extras)
+
+    def _split(self, observations: FloatArray, actions: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if self._agents is not None:
+            return self._agents.split(self._path, observations, actions)
+        for name, flat in (("observations", observations), ("actions", actions)):
+            if flat.shape[1] % self._n_agents:
+                raise NotReadable(
+                    self._path, f"{name} of {flat.shape[1]} numbers do not fall to {self._n_agents} agents"
+                )
+        shape = (len(observations), self._n_agents, -1)
+        return observations.reshape(shape), actions.reshape(shape)
+
+
+def episode_bounds(path: Path, steps: D4rlSteps, horizon: int | None) -> list[int]:
+    """First step of each episode, and at last the number of steps."""
+    ends, timeouts = steps.flag("terminals"), steps.flag("timeouts")
+    assert ends is not None
+    if timeouts is None and horizon is None:
+        raise MissingPart(path, "array 'timeouts': say the task's horizon in its place")
+    if timeouts is not None:
+        ends = ends | timeouts
+    bounds = [0, *(np.flatnonzero(ends) + 1).tolist(), len(steps)]
+    bounds = sorted(set(bounds))
+    if horizon is None:
+        return bounds
+    return [inner for first, last in pairwise(bounds) for inner in range(first, last, horizon)] + bounds[-1:]
+
+
+def write_d4rl(path: Path | str, episodes: Iterable[Episode]) -> None:
+    """Write episodes as a file of D4RL, one in memory at a time. Each ends with a timeout.
+
+    Several agents are written one after the other, C numbers each, which `read_d4rl` undoes.
+
+    Raises:
+        AlreadyThere: if there is a file.
+        ShapeError: if there is no episode, or one is not like the first. No file is left then.
+    """
+    path = Path(path)
+    if path.exists():
+        raise AlreadyThere(path)
+    with replaced_file(path) as temporary, h5py.File(temporary, "w") as file:
+        n_episodes = 0
+        for episode in episodes:
+            n_episodes += 1
+            file.attrs.setdefault(_AGENTS, episode.observations.shape[1])
+            _append(file, "observations", episode.observations.reshape(len(episode), -1), n_episodes)
+            _append(file, "actions", episode.actions.reshape(len(episode), -1), n_episodes)
+            for name, (place, _) in _EXTRAS.items():
+                values = episode.extras().get(name)
+                if values is not None:
+                    _append(file, place, values, n_episodes)
+                elif place in file:
+                    raise ShapeError(name, (), "known of every episode or of none")
+            ends = np.zeros(len(episode), dtype=np.bool_)
+            _append(file, "terminals", ends, n_episodes)
+            _append(file, "timeouts", np.arange(len(episode)) == len(episode) - 1, n_episodes)
+        if not n_episodes:
+            raise ShapeError("episodes", (0,), "at least one")
+
+
+def _append(file: h5py.File, name: str, values: NDArray[np.generic], n_episodes: int) -> None:
+    if name not in file:
+        if n_episodes > 1:
+            raise ShapeError(name, values.shape, "known of every episode or of none")
+        file.create_dataset(name, data=values, maxshape=(None, *values.shape[1:]), chunks=True)
+        return
+    data = file[name]
+    assert isinstance(data, h5py.Dataset)
+    if values.shape[1:] != data.shape[1:]:
+        raise ShapeError(name, values.shape, f"(L, {', '.join(map(str, data.shape[1:]))}), like the first episode's")
+    data.resize(len(data) + len(values), axis=0)
+    data[-len(values) :] = values
+
+
+def _n_agents(file: Hdf5File) -> int:
+    found = file.attribute(_AGENTS)
+    if found is None:
+        return 1
+    if not isinstance(found, int | np.integer) or found < 1:
+        raise NotReadable(file.path, f"has {_AGENTS} {found!r}")
+    return int(found)

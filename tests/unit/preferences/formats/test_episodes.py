@@ -1,0 +1,103 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mapt.preferences.errors import ShapeError
+from mapt.preferences.formats.episodes import Episode, cut_segments, episodes_of
+from mapt.preferences.formats.records import concatenate, save_records
+from support.comparing import assert_same_episodes, assert_same_segments, everything_in, made_episodes, made_records
+
+
+def numbered(lengths):
+    """Episodes whose observations are (episode, step)."""
+    return [
+        Episode(
+            np.array([[[index, step]] for step in range(length)], dtype=np.float32).reshape(length, 1, 2),
+            np.zeros((length, 1, 1), dtype=np.float32),
+        )
+        for index, length in enumerate(lengths)
+    ]
+
+
+def places(batches):
+    return [
+        [tuple(step) for step in segment[mask][:, 0].astype(int).tolist()]
+        for batch in batches
+        for segment, mask in zip(batch.segments.observations, batch.segments.mask, strict=True)
+    ]
+
+
+@given(st.lists(st.integers(1, 12), min_size=1, max_size=5), st.integers(1, 5), st.booleans())
+def test_segments_are_the_episodes_steps_in_order_and_never_cross_an_end(lengths, n_steps, keep_short):
+    found = places(cut_segments(numbered(lengths), n_steps, keep_short=keep_short))
+    kept = [
+        (episode, step)
+        for episode, length in enumerate(lengths)
+        for step in range(length if keep_short else length // n_steps * n_steps)
+    ]
+    assert [step for segment in found for step in segment] == kept
+    assert all(len({episode for episode, _ in segment}) == 1 for segment in found)
+    assert all(len(segment) <= n_steps for segment in found)
+
+
+def test_a_stride_makes_segments_overlap():
+    found = places(cut_segments(numbered([5]), 3, stride=1))
+    assert [[step for _, step in segment] for segment in found] == [[0, 1, 2], [1, 2, 3], [2, 3, 4]]
+
+
+def test_rewards_and_states_are_cut_with_their_steps():
+    (episode,) = made_episodes([6])
+    (records,) = cut_segments([episode], 3)
+    for name, values in episode.extras().items():
+        np.testing.assert_array_equal(records.extras()[name].reshape(values.shape), values)
+
+
+def test_many_segments_come_in_batches():
+    batches = list(cut_segments(numbered([700]), 1))
+    assert [len(batch) for batch in batches] == [256, 256, 188]
+
+
+def test_segments_become_episodes_and_back():
+    records = made_records(3, lengths=[4, 2, 1])
+    (again,) = cut_segments(episodes_of(records), 4, keep_short=True)
+    assert_same_segments(again.segments, records.segments)
+    assert_same_episodes(list(episodes_of(again)), list(episodes_of(records)))
+
+
+def test_episodes_that_differ_are_refused():
+    for others in (made_episodes([4], n_agents=2), made_episodes([4], known=("rewards",))):
+        with pytest.raises(ShapeError):
+            list(cut_segments([*made_episodes([4]), *others], 2))
+
+
+def test_an_episode_whose_arrays_disagree_is_refused():
+    (good,) = made_episodes([4])
+    for wrong in ({"rewards": np.zeros(3)}, {"qpos": np.zeros(4)}, {"actions": np.zeros((4, 2, 2), dtype=np.float32)}):
+        arrays = {"observations": good.observations, "actions": good.actions, **wrong}
+        with pytest.raises(ShapeError, match=next(iter(wrong))):
+            Episode(**arrays)
+
+
+def test_segments_are_saved_as_they_are_cut(tmp_path):
+    episodes = made_episodes([9, 4, 7], n_agents=2)
+    folder = save_records(tmp_path / "segments", cut_segments(episodes, 3), about={"source": "test"})
+    (records,) = cut_segments(episodes, 3)
+    assert_same_segments(folder, records.segments)
+    np.testing.assert_array_equal(folder.qpos(np.arange(len(folder))), records.qpos)
+    assert folder.about == {"source": "test"}
+
+
+def test_saving_what_does_not_fit_together_leaves_nothing(tmp_path):
+    for batches in ([], [made_records(2), made_records(2, n_agents=3)], [made_records(2), made_records(2, known=())]):
+        with pytest.raises(ShapeError):
+            save_records(tmp_path / "segments", iter(batches))
+    assert everything_in(tmp_path) == {}
+
+
+def test_records_of_unequal_length_are_padded_together():
+    first, second = made_records(2, n_steps=3), made_records(1, n_steps=5, seed=1)
+    joined = concatenate([first, second])
+    assert joined.lengths.tolist() == [3, 3, 5]
+    np.testing.assert_array_equal(joined.rewards[:2, :3], first.rewards)
+    np.testing.assert_array_equal(joined.rewards[2], second.rewards[0])

@@ -1,0 +1,210 @@
+import os
+import pickle
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mapt.preferences.errors import (
+    AlreadyThere,
+    MissingPart,
+    NotExpressible,
+    NotReadable,
+    Truncated,
+    UnknownLabel,
+    UnsafePickle,
+)
+from mapt.preferences.formats.offline_labels import LabelFiles, read_offline_labels, write_offline_labels
+from support.comparing import assert_same_segments, everything_in, made_comparisons
+
+LENGTHS = [(6, "terminal"), (5, "timeout"), (5, "timeout"), (4, "nothing")]
+
+
+def write_trajectories(folder, timeouts=True):
+    """Observations are (row, row), so that every step tells where it lies."""
+    path, n_rows = folder / "d4rl.hdf5", sum(length for length, _ in LENGTHS)
+    ends = np.cumsum([length for length, _ in LENGTHS]) - 1
+    flags = {
+        name: np.isin(np.arange(n_rows), ends[[kind == name for _, kind in LENGTHS]])
+        for name in ("terminal", "timeout")
+    }
+    with h5py.File(path, "w") as file:
+        file["observations"] = np.repeat(np.arange(n_rows, dtype=np.float32)[:, None], 2, axis=1)
+        file["actions"] = np.zeros((n_rows, 1), dtype=np.float32)
+        file["rewards"] = np.arange(n_rows, dtype=np.float32)
+        file["terminals"] = flags["terminal"]
+        if timeouts:
+            file["timeouts"] = flags["timeout"]
+    return path
+
+
+def rows_by_d4rls_own_rule(path, horizon=None):
+    """The rows that d4rl.qlearning_dataset keeps, found step by step as its loop does."""
+    with h5py.File(path) as file:
+        terminals, n_rows = file["terminals"][()], len(file["rewards"])
+        timeouts = file["timeouts"][()] if "timeouts" in file else None
+    kept, episode_step = [], 0
+    for row in range(n_rows - 1):
+        final = bool(timeouts[row]) if timeouts is not None else episode_step == horizon - 1
+        if final:
+            episode_step = 0
+            continue
+        episode_step = 0 if terminals[row] else episode_step + 1
+        kept.append(row)
+    return kept
+
+
+def write_labels(folder, labels, first, second):
+    for name, values in (("label_human", labels), ("indices_num2_q3", first), ("indices_2_num2_q3", second)):
+        (folder / name).write_bytes(pickle.dumps(values))
+    return LabelFiles.find(folder)
+
+
+def read(folder, labels, first, second, n_steps=3, **options):
+    path = write_trajectories(folder, timeouts="horizon" not in options)
+    return read_offline_labels(path, write_labels(folder, labels, first, second), n_steps, **options)
+
+
+@pytest.mark.parametrize(
+    ("theirs", "ours"), [(0, 1.0), (1, 0.0), (-1, 0.5), ((1, 0), 1.0), ((0.0, 1.0), 0.0), ((0.5, 0.5), 0.5)]
+)
+def test_each_label_keeps_its_meaning(tmp_path, theirs, ours):
+    found = read(tmp_path, np.array([theirs]), [0], [6])
+    assert found.labels.tolist() == [ours]
+    # What their loaders make of it: the target of a cross-entropy over (first, second).
+    target = {0: [1, 0], 1: [0, 1], -1: [0.5, 0.5]}.get(theirs, theirs)
+    assert list(target) == [ours, 1 - ours]
+
+
+@pytest.mark.parametrize(
+    "labels", [[0, 2], [0.5, 0], [[1, 1], [0, 1]], [[0.7, 0.3], [1, 0]], ["first", "second"], [None, 0]]
+)
+def test_a_label_of_another_polarity_is_refused(tmp_path, labels):
+    with pytest.raises(NotReadable, match="label"):
+        read(tmp_path, np.array(labels), [0, 0], [6, 6])
+
+
+def test_a_label_of_another_polarity_is_named(tmp_path):
+    with pytest.raises(UnknownLabel, match="label 1 is 2"):
+        read(tmp_path, [0, 2], [0, 0], [6, 6])
+
+
+@pytest.mark.parametrize("horizon", [None, 5])
+def test_places_count_the_transitions_of_qlearning_dataset(tmp_path, horizon):
+    kept = rows_by_d4rls_own_rule(write_trajectories(tmp_path, timeouts=horizon is None), horizon)
+    episode = np.repeat(np.arange(4), [length for length, _ in LENGTHS]) if horizon is None else None
+    for place in range(len(kept) - 2):
+        rows = kept[place : place + 3]
+        if horizon is not None or len(set(episode[rows])) > 1:
+            continue
+        found = read(tmp_path, [0], [place], [0])
+        segment = found.records.segments.take(found.pairs[:, 0])
+        assert segment.observations[0, :, 0, 0].tolist() == rows
+    if horizon is not None:
+        # Its first five steps are an episode that timed out: the fifth is left out, the sixth is the next one's.
+        assert kept[:6] == [0, 1, 2, 3, 5, 6]
+        found = read(tmp_path, [0], [1], [5], horizon=horizon)
+        rows = found.records.segments.observations[:, :, 0, 0].tolist()
+        assert rows == [kept[1:4], kept[5:8]]
+
+
+def test_first_and_second_are_segments_0_and_1(tmp_path):
+    found = read(tmp_path, [0, 1], np.array([0, 6], dtype=np.int32), [2, 0])
+    rows = found.records.segments.observations[:, 0, 0, 0][found.pairs]
+    assert rows.tolist() == [[0, 2], [6, 0]]
+    assert found.records.rewards[found.pairs[1, 0]].tolist() == [6, 7, 8]
+
+
+@pytest.mark.parametrize(
+    ("first", "problem"), [(4, "end of an episode"), (9, "end of an episode"), (100, "beyond"), (16, "beyond")]
+)
+def test_a_segment_outside_of_its_episode_is_refused(tmp_path, first, problem):
+    with pytest.raises(NotReadable, match=problem):
+        read(tmp_path, [0], [first], [0])
+
+
+@pytest.mark.parametrize("first", [[0], [0, 0, 0], [-1, 0], [0.5, 0], [[0], [0]], "ab", {"a": 1}])
+def test_places_that_are_none_are_refused(tmp_path, first):
+    with pytest.raises(NotReadable, match="indices_num2"):
+        read(tmp_path, [0, 1], first, [0, 0])
+
+
+@pytest.mark.parametrize("name", ["label_human", "indices_num2_q3", "indices_2_num2_q3"])
+def test_files_that_are_cut_or_run_a_program_are_refused(tmp_path, name):
+    class Runs:
+        def __reduce__(self):
+            return os.system, (f"touch {tmp_path / 'ran'}",)
+
+    trajectories, files = write_trajectories(tmp_path), write_labels(tmp_path, np.zeros(2), np.zeros(2), np.zeros(2))
+    for content, problem in ((pickle.dumps(np.zeros(2))[:-20], Truncated), (pickle.dumps(Runs()), UnsafePickle)):
+        (tmp_path / name).write_bytes(content)
+        before = everything_in(tmp_path)
+        with pytest.raises(problem):
+            read_offline_labels(trajectories, files, 3)
+        assert everything_in(tmp_path) == before
+
+
+def test_the_files_are_found_by_either_projects_names(tmp_path):
+    for names in (
+        ("label_human", "indices_num500_q100", "indices_2_num500_q100"),
+        ("x_num_2000_len_200_human_labels.pkl", "x_num_2000_len_200_indices.pkl", "x_num_2000_len_200_indices_2.pkl"),
+    ):
+        folder = tmp_path / names[0]
+        folder.mkdir()
+        for name in names:
+            (folder / name).touch()
+        files = LabelFiles.find(folder)
+        assert (files.labels.name, files.first.name, files.second.name) == names
+
+
+def test_files_that_are_missing_or_many_are_named(tmp_path):
+    with pytest.raises(MissingPart, match="labels"):
+        LabelFiles.find(tmp_path / "nowhere")
+    for name in ("label_human", "label_dummy", "indices_num1", "indices_2_num1"):
+        (tmp_path / name).touch()
+    assert LabelFiles.find(tmp_path).labels.name == "label_human"
+    (tmp_path / "labels_of_ada").touch()
+    with pytest.raises(NotReadable, match="label_human, labels_of_ada"):
+        LabelFiles.find(tmp_path)
+    (tmp_path / "labels_of_ada").unlink()
+    (tmp_path / "indices_num1").unlink()
+    with pytest.raises(MissingPart, match="indices"):
+        LabelFiles.find(tmp_path)
+
+
+@settings(max_examples=20)
+@given(st.lists(st.sampled_from([0.0, 0.5, 1.0]), min_size=1, max_size=4), st.integers(1, 3))
+def test_what_is_written_is_read_back(tmp_path_factory, labels, n_agents):
+    folder = tmp_path_factory.mktemp("labels") / "out"
+    made = made_comparisons(labels, n_agents=n_agents)
+    files = write_offline_labels(folder, made)
+    found = read_offline_labels(folder / "trajectories.hdf5", files, 4)
+    assert found.labels.tolist() == labels
+    order = made.pairs.T.reshape(-1)
+    assert_same_segments(found.records.segments, made.records.segments.take(order))
+    np.testing.assert_array_equal(found.records.qpos, made.records.qpos[order])
+
+
+@pytest.mark.parametrize("ours", [1.0, 0.0, 0.5])
+def test_what_is_written_means_the_same_to_them(tmp_path, ours):
+    files = write_offline_labels(tmp_path / "out", made_comparisons([ours]))
+    (label,) = pickle.loads(files.labels.read_bytes())  # noqa: S301 (our own)
+    assert {0: 1.0, 1: 0.0, -1: 0.5}[int(label)] == ours
+    kept = rows_by_d4rls_own_rule(tmp_path / "out" / "trajectories.hdf5")
+    (second,) = pickle.loads(files.second.read_bytes())  # noqa: S301 (our own)
+    with h5py.File(tmp_path / "out" / "trajectories.hdf5") as file:
+        rows = file["observations"][()][kept[second : second + 4]]
+    np.testing.assert_array_equal(rows.reshape(4, 2, 3), made_comparisons([ours]).records.segments.observations[1])
+
+
+def test_what_the_format_cannot_say_is_not_written(tmp_path):
+    for made in (made_comparisons([0.7]), made_comparisons([1.0], lengths=[2, 4])):
+        with pytest.raises(NotExpressible):
+            write_offline_labels(tmp_path / "out", made)
+    assert list(tmp_path.iterdir()) == []
+    write_offline_labels(tmp_path / "out", made_comparisons([1.0, float("nan")]))
+    assert len(read_offline_labels(tmp_path / "out" / "trajectories.hdf5", LabelFiles.find(tmp_path / "out"), 4)) == 1
+    with pytest.raises(AlreadyThere):
+        write_offline_labels(tmp_path / "out", made_comparisons([1.0]))
