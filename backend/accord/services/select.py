@@ -24,6 +24,14 @@ def queries_wanted(session: Session, row: ExperimentRow) -> int:
     return max(0, target - queries.count_standing(session, row.id))
 
 
+def queries_left(session: Session, row: ExperimentRow) -> int:
+    """Queries that the budget still allows, now or later; as for `queries_wanted`, a lost one is replaced."""
+    config = config_of(row)
+    if config.reward_source == "true":
+        return 0
+    return max(0, config.label_budget - queries.count_standing(session, row.id))
+
+
 def candidates(session: Session, experiment_id: str, limit: int = 2000) -> list[tuple[str, int]]:
     """(segment id, policy steps) of the newest segments, newest first."""
     return segments.newest(session, experiment_id, limit)

@@ -60,10 +60,12 @@ class RewardWorker:
             wants_queries = bool(select.queries_wanted(session, row) and len(select.askable(session, row.id, 2)) > 1)
             newest = publish.newest(session, row.id)
             changed = publish.new_labels(session, row.id, newest.label_watermark if newest else 0)
+            # once the last query is made, there is nothing to choose
+            chooses = wants_ensemble(config) and select.queries_left(session, row) > 0
         due = version_is_due(
             config, labels=row.label_count, trained_on=newest.label_count if newest else 0, changed=changed
         )
-        unscored = newest if newest and wants_ensemble(config) and not self._ensembles.has(newest) else None
+        unscored = newest if newest and chooses and not self._ensembles.has(newest) else None
         if not (wants_queries or due or unscored):
             return False
         with self._context.pulse.hold(f"reward:{row.id}") as claim:

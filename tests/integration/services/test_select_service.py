@@ -30,6 +30,16 @@ def test_due_queries_and_a_few_ahead_are_wanted_up_to_the_budget(both: Stores) -
     assert wanted(both, made.experiment.id) == 20
 
 
+def test_the_budget_allows_as_many_queries_as_are_not_made_yet(both: Stores) -> None:
+    made = scene(both.database, both.blobs, queries=6)
+    with both.database.transaction() as session:
+        row = experiments.get(session, made.experiment.id)
+        assert select.queries_left(session, row) == 14
+        one, _ = user(session, "one", Role.TEACHER)
+        label.put_label(session, one, made.query_ids[0], None)
+        assert select.queries_left(session, row) == 15
+
+
 def test_queries_that_are_there_are_not_wanted_again(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=6, ready=False)
     assert wanted(both, made.experiment.id) == 8

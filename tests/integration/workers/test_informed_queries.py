@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load
 
+from accord.services import label
 from accord.workers.reward import RewardWorker
 from accord.workers.stop import Stop
 from accord.workers.training import PolicyRun
@@ -152,13 +153,15 @@ def test_a_worker_that_starts_anew_chooses_as_the_one_before_would(versioned):
     assert bench.queries()[asked:] == chosen
 
 
-def test_a_damaged_ensemble_is_trained_again(versioned):
+def test_an_ensemble_found_damaged_chooses_nothing_and_is_trained_again(versioned):
     bench, worker = versioned
     drain(worker)
     (path,) = bench.ensembles()
     whole = path.read_bytes()
     path.write_bytes(whole[:-40])
+    bench.train_policy()
     drain(bench.worker())
+    assert {query[0] for query in bench.queries()} == {"uniform"}
     again, before = load(path.read_bytes()), load(whole)
     assert all(np.array_equal(again[name], before[name]) for name in before)
 
@@ -168,6 +171,22 @@ def test_a_stop_in_the_middle_of_an_ensembles_training_stores_nothing(versioned)
     bench.place.context.stop.request()
     assert not worker.work()
     assert bench.ensembles() == []
+
+
+def test_no_ensemble_is_trained_once_the_last_query_is_made(place: Workplace):
+    for bench in bench_of(place, label_budget=10):
+        worker = bench.worker()
+        assert worker.work()
+        skipped, *_ = [query_id for (query_id,) in place.rows("SELECT id FROM queries ORDER BY number DESC")]
+        place.label(bench.id, 8)
+        drain(worker)
+        assert bench.version_id(1)
+        assert bench.ensembles() == []
+        # a skip leaves one to be chosen
+        with place.database.transaction() as session:
+            label.put_label(session, place.teacher, skipped, None)
+        drain(worker)
+        assert len(bench.ensembles()) == 1
 
 
 class PolicyMovesOn(Stop):
