@@ -9,7 +9,6 @@ Sources: https://github.com/csmile-1006/PreferenceTransformer, JaxPref/reward_tr
 https://github.com/pickxiguapi/Clean-Offline-RLHF, rlhf/train_reward_model.py.
 """
 
-import pickle
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,9 +24,9 @@ from mapt.preferences.formats.arrays import numbers
 from mapt.preferences.formats.d4rl import D4rlSteps, episode_bounds, write_d4rl
 from mapt.preferences.formats.episodes import AgentIndices, Episode, cut_segments, episodes_of
 from mapt.preferences.formats.hdf5 import MAX_BYTES, open_hdf5
+from mapt.preferences.formats.pickle_writer import write_pickle
 from mapt.preferences.formats.pickles import load_pickle
 from mapt.preferences.formats.records import Comparisons, SegmentRecords, concatenate
-from mapt.preferences.storage_layout import replace_file
 
 _LABELS = {0: 1.0, 1: 0.0, -1: 0.5}
 _KNOWN = "0 (first better), 1 (second better) and -1 (equal), or rows (1, 0), (0, 1) and (0.5, 0.5)"
@@ -127,9 +126,9 @@ def write_offline_labels(folder: Path | str, comparisons: Comparisons) -> LabelF
     try:
         write_d4rl(folder / _TRAJECTORIES, _with_last_step_twice(comparisons.records))
         for path, places in ((files.first, pairs[:, 0]), (files.second, pairs[:, 1])):
-            replace_file(path, pickle.dumps((places * n_steps).astype(np.int32), protocol=4))
+            write_pickle(path, (places * n_steps).astype(np.int32))
         labels = np.array([words[label] for label in comparisons.labels[said].tolist()], dtype=np.int64)
-        replace_file(files.labels, pickle.dumps(labels, protocol=4))
+        write_pickle(files.labels, labels)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise

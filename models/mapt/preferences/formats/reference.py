@@ -7,7 +7,7 @@ equal; the reference writes 0. Skipped pairs have no place in it.
 Source: https://github.com/catezi/MAPT, mat/algorithms/reward_model/utils/dataloader.py.
 """
 
-import pickle
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.preferences.dataset import FloatArray, PreferenceDataset, SegmentArrays
-from mapt.preferences.errors import AlreadyThere, MissingPart, NotExpressible, NotReadable, UnknownLabel
+from mapt.preferences.errors import MissingPart, NotExpressible, NotReadable, UnknownLabel
 from mapt.preferences.formats.arrays import finite_floats, numbered_actions
+from mapt.preferences.formats.pickle_writer import write_pickle
 from mapt.preferences.formats.pickles import MAX_BYTES, load_pickle
 from mapt.preferences.formats.records import Comparisons, SegmentRecords
-from mapt.preferences.storage_layout import replace_file
 
 _LABELS = {1: 1.0, -1: 0.0, 0: 0.5}
 _KNOWN = "1 (first better), -1 (second better) and 0 (equal)"
@@ -62,7 +62,7 @@ def read_reference(
 
 
 def write_reference(path: Path | str, dataset: PreferenceDataset, *, discrete: bool = False) -> None:
-    """Write labelled pairs for the reference to train on.
+    """Write labelled pairs for the reference to train on, in the memory of one pair.
 
     Args:
         discrete: actions are one-hot; they are written as their numbers, (T, N, 1).
@@ -71,11 +71,11 @@ def write_reference(path: Path | str, dataset: PreferenceDataset, *, discrete: b
         AlreadyThere: if there is a file.
         NotExpressible: if a label is not 1, 0 or 0.5, or the segments differ in length.
     """
-    path = Path(path)
-    if path.exists():
-        raise AlreadyThere(path)
+    write_pickle(Path(path), _items(Path(path), dataset, discrete))
+
+
+def _items(path: Path, dataset: PreferenceDataset, discrete: bool) -> Iterator[dict[str, Any]]:
     words = {ours: theirs for theirs, ours in _LABELS.items()}
-    items: list[dict[str, Any]] = []
     for pair, label in zip(dataset.pairs, dataset.labels.tolist(), strict=True):
         if label not in words:
             raise NotExpressible(path, f"a label of {label} has no place in this format, only 1, 0 and 0.5")
@@ -87,9 +87,7 @@ def write_reference(path: Path | str, dataset: PreferenceDataset, *, discrete: b
         first, second = (
             {"obs": observed, "actions": acted} for observed, acted in zip(segments.observations, actions, strict=True)
         )
-        items.append({"traj0": first, "traj1": second, "label": words[label]})
-    # Protocol 4: the reference runs on Python 3.8, and numpy's arrays need no class of ours.
-    replace_file(path, pickle.dumps(items, protocol=4))
+        yield {"traj0": first, "traj1": second, "label": words[label]}
 
 
 def _entry(path: Path, index: int, item: object, name: str) -> Any:

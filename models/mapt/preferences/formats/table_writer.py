@@ -64,17 +64,7 @@ class TableWriter:
         shutil.rmtree(self._folder, ignore_errors=True)
         self._folder.mkdir()
         self._schemas = {table: schema_of(table, self._metadata) for table in (SEGMENTS, QUERIES, LABELS)}
-        self._writers = {
-            table: pq.ParquetWriter(
-                self._folder / f"{table}.parquet",
-                schema,
-                compression="zstd",
-                # A dictionary of floats is given up after a megabyte of them, and nobody asks for their least.
-                use_dictionary=[field.name for field in schema if not pa.types.is_list(field.type)],
-                write_statistics=[field.name for field in schema if not pa.types.is_list(field.type)],
-            )
-            for table, schema in self._schemas.items()
-        }
+        self._writers = {table: _writer(self._folder, table, schema) for table, schema in self._schemas.items()}
 
     def __enter__(self) -> Self:
         return self
@@ -142,6 +132,14 @@ class TableWriter:
         sync_folder(self._folder)
         self._folder.rename(self._path)
         sync_folder(self._path.parent)
+
+
+def _writer(folder: Path, table: str, schema: pa.Schema) -> pq.ParquetWriter:
+    # A dictionary of floats is given up after a megabyte of them, and nobody asks for their least.
+    plain: Any = [field.name for field in schema if not pa.types.is_list(field.type)]
+    return pq.ParquetWriter(
+        folder / f"{table}.parquet", schema, compression="zstd", use_dictionary=plain, write_statistics=plain
+    )
 
 
 def _array_columns(records: SegmentRecords, layout: SegmentLayout) -> dict[str, pa.Array]:

@@ -1,0 +1,196 @@
+"""Against files that imitation's own code wrote (fixtures/make_imitation.py says how and what is in them)."""
+
+import os
+import pickle
+import sys
+import types
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mapt.preferences.errors import (
+    AlreadyThere,
+    FileError,
+    MissingPart,
+    NotReadable,
+    ShapeError,
+    Truncated,
+    UnknownLabel,
+    UnsafePickle,
+)
+from mapt.preferences.formats.imitation import read_imitation, write_imitation
+from mapt.preferences.formats.pickle_writer import write_pickle
+from mapt.preferences.formats.pickles import Record
+from support.comparing import assert_same_segments, everything_in, made_comparisons
+
+FIXTURES = Path(__file__).parent / "fixtures"
+DATASET = "imitation.algorithms.preference_comparisons.PreferenceDataset"
+FRAGMENT = "imitation.data.types.TrajectoryWithRew"
+
+
+def test_a_file_of_imitations_own_gives_its_fragments_and_polarity():
+    found = read_imitation(FIXTURES / "imitation_preferences.pkl")
+    assert found.labels.tolist() == [1.0, 0.0, 0.5]
+    for pair, sides in enumerate(found.pairs):
+        for side, segment in enumerate(sides):
+            observed = found.records.segments.observations[segment]
+            assert observed[:, 1].tolist() == [[pair, side, step] for step in range(4)]
+            assert found.records.segments.actions[segment][:, 0].tolist() == [[-step, pair] for step in range(4)]
+            assert found.records.rewards[segment].tolist() == [10 * pair + step for step in range(4)]
+
+
+def test_a_file_of_one_agent_with_numbered_actions_is_read():
+    found = read_imitation(FIXTURES / "imitation_numbered.pkl", n_actions=3)
+    assert found.labels.tolist() == [0.25, 1.0]
+    assert found.records.segments.observations.shape == (4, 4, 1, 3)
+    assert found.records.segments.actions[0].argmax(axis=-1)[:, 0].tolist() == [0, 1, 2, 0]
+    with pytest.raises(NotReadable, match="action"):
+        read_imitation(FIXTURES / "imitation_numbered.pkl", n_actions=2)
+
+
+@settings(max_examples=25)
+@given(
+    st.lists(st.sampled_from([0.0, 0.5, 1.0, 0.125]), min_size=1, max_size=5),
+    st.integers(1, 3),
+    st.integers(0, 3),
+)
+def test_what_is_written_is_read_back(tmp_path_factory, labels, n_agents, seed):
+    path = tmp_path_factory.mktemp("imitation") / "preferences.pkl"
+    lengths = np.random.default_rng(seed).integers(1, 5, size=2 * len(labels)).tolist()
+    made = made_comparisons(labels, n_agents=n_agents, lengths=lengths, known=("rewards",))
+    write_imitation(path, made)
+    found = read_imitation(path)
+    assert found.labels.tolist() == labels
+    order = made.pairs.T.reshape(-1)
+    assert_same_segments(found.records.segments, made.records.segments.take(order))
+    mask = found.records.segments.mask
+    np.testing.assert_array_equal(
+        found.records.rewards[mask], made.records.take(order).rewards[:, : mask.shape[1]][mask]
+    )
+
+
+def test_what_is_written_means_the_same_to_imitation(tmp_path, monkeypatch):
+    """Classes with the same names and fields as theirs, where their own cannot be installed."""
+
+    @dataclass(frozen=True)
+    class TrajectoryWithRew:
+        obs: Any
+        acts: Any
+        infos: Any
+        terminal: bool
+        rews: Any
+
+    class PreferenceDataset:
+        pass
+
+    for name, thing in (("algorithms.preference_comparisons", PreferenceDataset), ("data.types", TrajectoryWithRew)):
+        module = types.ModuleType(f"imitation.{name}")
+        setattr(module, thing.__name__, thing)
+        monkeypatch.setitem(sys.modules, f"imitation.{name}", module)
+    monkeypatch.setitem(sys.modules, "imitation", types.ModuleType("imitation"))
+    made = made_comparisons([1.0, 0.0, float("nan")], lengths=[4, 3, 2, 1, 1, 1])
+    write_imitation(tmp_path / "preferences.pkl", made)
+    found = pickle.loads((tmp_path / "preferences.pkl").read_bytes())  # noqa: S301 (our own)
+    assert found.preferences.dtype == np.float32
+    # P(fragment 1 is preferred), fragment 1 being our segment 0; the skip is left out.
+    assert found.preferences.tolist() == [1.0, 0.0]
+    assert [len(fragment.acts) for fragment in found.fragments1] == [4, 2]
+    first = found.fragments1[0]
+    np.testing.assert_array_equal(first.obs[:-1], made.records.segments.observations[0])
+    np.testing.assert_array_equal(first.obs[-1], first.obs[-2])
+    np.testing.assert_array_equal(first.rews, made.records.rewards[0])
+
+
+def fragment(**changes):
+    fields = {"obs": np.zeros((4, 2, 3)), "acts": np.zeros((3, 2, 1)), "infos": None, "terminal": False}
+    return Record(FRAGMENT, {**fields, "rews": np.zeros(3), **changes})
+
+
+def without(name):
+    fields = dict(fragment().fields)
+    del fields[name]
+    return Record(FRAGMENT, fields)
+
+
+def write(folder, first=None, labels=(1.0,), **changes):
+    fields = {"fragments1": [first or fragment()], "fragments2": [fragment()], "max_size": None}
+    path = folder / "preferences.pkl"
+    path.unlink(missing_ok=True)
+    write_pickle(path, Record(DATASET, {**fields, "preferences": np.array(labels), **changes}))
+    return path
+
+
+@pytest.mark.parametrize("label", [-1.0, 1.5, float("nan")])
+def test_a_label_of_another_polarity_is_refused(tmp_path, label):
+    with pytest.raises(UnknownLabel, match="label 0"):
+        read_imitation(write(tmp_path, labels=[label]))
+
+
+@pytest.mark.parametrize(
+    ("first", "problem"),
+    [
+        (without("obs"), MissingPart),
+        (without("rews"), MissingPart),
+        (fragment(obs=np.zeros((3, 2, 3))), NotReadable),
+        (fragment(obs=np.zeros((4, 3, 3))), NotReadable),
+        (fragment(obs=np.zeros((4, 2, 2, 3))), NotReadable),
+        (fragment(obs=np.full((4, 2, 3), np.nan)), NotReadable),
+        (fragment(obs={"image": np.zeros((4, 3))}), NotReadable),
+        (fragment(rews=np.zeros((3, 1))), NotReadable),
+        (fragment(acts=np.zeros((0, 2, 1))), NotReadable),
+        (fragment(obs=np.zeros((4, 2, 5))), ShapeError),
+        (Record(DATASET, {}), NotReadable),
+        ("fragment", NotReadable),
+    ],
+)
+def test_a_file_of_another_shape_is_refused_and_nothing_changes(tmp_path, first, problem):
+    path = write(tmp_path, first)
+    before = everything_in(tmp_path)
+    with pytest.raises(problem):
+        read_imitation(path)
+    assert everything_in(tmp_path) == before
+
+
+def test_datasets_that_are_none_are_refused(tmp_path):
+    for changes in ({"fragments2": []}, {"fragments1": None}, {"preferences": np.zeros((1, 2))}, {"labels": []}):
+        with pytest.raises(FileError):
+            read_imitation(write(tmp_path, **changes))
+    (tmp_path / "preferences.pkl").write_bytes(pickle.dumps([1, 2]))
+    with pytest.raises(NotReadable, match="PreferenceDataset"):
+        read_imitation(tmp_path / "preferences.pkl")
+
+
+def test_a_file_that_was_cut_is_refused(tmp_path):
+    path = tmp_path / "preferences.pkl"
+    path.write_bytes((FIXTURES / "imitation_preferences.pkl").read_bytes()[:2000])
+    with pytest.raises(Truncated):
+        read_imitation(path)
+
+
+def test_a_file_that_runs_a_program_is_refused_and_runs_nothing(tmp_path):
+    class Runs:
+        def __reduce__(self):
+            return os.system, (f"touch {tmp_path / 'ran'}",)
+
+    (tmp_path / "preferences.pkl").write_bytes(pickle.dumps(Runs()))
+    with pytest.raises(UnsafePickle, match="system"):
+        read_imitation(tmp_path / "preferences.pkl")
+    assert not (tmp_path / "ran").exists()
+
+
+def test_another_class_of_imitations_is_refused(tmp_path):
+    write_pickle(tmp_path / "preferences.pkl", Record("imitation.data.types.DictObs", {"_d": {}}))
+    with pytest.raises(UnsafePickle, match="DictObs"):
+        read_imitation(tmp_path / "preferences.pkl")
+
+
+def test_a_file_that_is_there_is_not_written_over(tmp_path):
+    (tmp_path / "preferences.pkl").write_bytes(b"mine")
+    with pytest.raises(AlreadyThere):
+        write_imitation(tmp_path / "preferences.pkl", made_comparisons([1.0]))
+    assert everything_in(tmp_path) == {"preferences.pkl": b"mine"}
