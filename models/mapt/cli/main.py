@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from mapt.cli import dataset, table
+from mapt.cli import dataset, report, table
 from mapt.cli.output import complain
 from mapt.policies import PolicyError
 from mapt.preferences.errors import PreferenceError
@@ -22,12 +22,7 @@ app = typer.Typer(
 )
 app.command("dataset")(dataset.dataset)
 app.command("table")(table.table)
-
-
-# typer makes a lone command the whole program; with this there are always commands.
-@app.callback()
-def _commands() -> None:
-    """Learn rewards of teams of agents from preferences, and see how good they are."""
+app.command("report")(report.report)
 
 
 def main() -> None:

@@ -11,8 +11,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from mapt.cli.dataset import record_all
 from mapt.cli.options import PolicySteps, Preset, Seeds, Segments, SegmentSteps, Task, numbers, words
 from mapt.cli.output import complain, note, on_terminal, out, say
+from mapt.rewards.checkpoints import CARD_FILE
 from mapt.rewards.config import MODEL_NAMES
-from mapt.studies.cell_folder import Cell, CellFolder, code_fingerprint
+from mapt.studies.cell_folder import CellFolder, code_fingerprint
 from mapt.studies.plan import TablePlan, replay_folder, table_jobs
 from mapt.studies.pool import Job, run_jobs
 from mapt.studies.recording import Recording
@@ -50,6 +51,9 @@ def table(
     test_pairs: Annotated[int, typer.Option(min=1, help="Fresh pairs that each cell is tested on.")] = 4000,
     device: Annotated[str, typer.Option(help="Where models are trained: cpu, cuda or auto.")] = "cpu",
     workers: Annotated[int, typer.Option(min=1, help="Cells made at once, each in a process of one thread.")] = 1,
+    keep_models: Annotated[
+        bool, typer.Option("--keep-models", help="Keep every trained model in models, in the output folder.")
+    ] = False,
     same_code: Annotated[
         bool, typer.Option("--same-code", help="Make cells anew that another state of the code made.")
     ] = False,
@@ -75,7 +79,7 @@ def table(
     )
     root = replay or output / "replays"
     recordings = [Recording(task, policy_steps, segment_steps, segments, seed) for seed in plan.seeds]
-    jobs = table_jobs(plan, _replays(recordings, root))
+    jobs = table_jobs(plan, _replays(recordings, root), output / "models" if keep_models else None)
     folder = CellFolder(output / "cells")
     if not dry_run:
         _make(jobs, folder, workers, same_code)
@@ -106,7 +110,7 @@ def _replays(recordings: Sequence[Recording], root: Path) -> dict[int, Replay]:
 
 
 def _make(jobs: Sequence[Job], folder: CellFolder, workers: int, same_code: bool) -> None:
-    wanted = [job for job in jobs if not _finished(folder.read(job.settings), same_code)]
+    wanted = [job for job in jobs if not _finished(job, folder, same_code)]
     note(f"{len(jobs)} cells, {len(jobs) - len(wanted)} of them finished; {workers} at once")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(
@@ -127,5 +131,8 @@ def _make(jobs: Sequence[Job], folder: CellFolder, workers: int, same_code: bool
                 note(f"{name}: accuracy {cell.result.metrics.get('accuracy', float('nan')):.4f}, {seconds:.0f} s")
 
 
-def _finished(cell: Cell | None, same_code: bool) -> bool:
-    return cell is not None and (not same_code or cell.code == code_fingerprint())
+def _finished(job: Job, folder: CellFolder, same_code: bool) -> bool:
+    cell = folder.read(job.settings)
+    if cell is None or (same_code and cell.code != code_fingerprint()):
+        return False
+    return job.model is None or (job.model / CARD_FILE).exists()

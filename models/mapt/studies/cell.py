@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.model import RewardModel
 from mapt.rewards.train_config import TrainConfig
-from mapt.rewards.trainer import train_reward_model
+from mapt.rewards.trainer import TrainedReward, train_reward_model
 from mapt.studies.examination import Examination, examine
 from mapt.studies.judging import Judge, labelled_dataset
 from mapt.studies.replay import Replay
@@ -45,8 +45,13 @@ class CellSettings:
         return asdict(self)
 
 
-def run_cell(settings: CellSettings, replay: Replay, stop: Callable[[], bool] | None = None) -> Examination | None:
-    """Have pairs labelled, train, examine. None if `stop` came true.
+def run_cell(
+    settings: CellSettings,
+    replay: Replay,
+    stop: Callable[[], bool] | None = None,
+    keep: Callable[[TrainedReward], None] | None = None,
+) -> Examination | None:
+    """Have pairs labelled, train, examine. None if `stop` came true; else `keep` is given what was trained.
 
     Beside those of `Examination`, the metrics have of the training: `train_holdout_accuracy`, `train_holdout_loss`,
     `train_epochs`, `parameters`, `seconds` and `cpu_seconds`.
@@ -58,6 +63,8 @@ def run_cell(settings: CellSettings, replay: Replay, stop: Callable[[], bool] | 
     seconds, cpu_seconds = time.perf_counter() - started, time.process_time() - started_cpu
     if trained.metrics["stopped"]:
         return None
+    if keep is not None:
+        keep(trained)
     examined = examine(trained.model, replay, settings.teacher, settings.test_pairs, settings.seed)
     kept = ("holdout_accuracy", "holdout_loss", "epochs")
     of_training = {f"train_{name}": trained.metrics[name] for name in kept if name in trained.metrics}

@@ -1,5 +1,6 @@
 """What a table is made of: the cells, in the order in which they are made."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,9 @@ from mapt.studies.pairs import split_replay
 from mapt.studies.pool import Job
 from mapt.studies.replay import Replay
 from mapt.studies.variants import network_of, training_of
+
+#: what is not fit for a folder's name everywhere
+_NO_PATH = re.compile(r"[^\w.+=-]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +51,18 @@ def replay_folder(root: Path, seed: int) -> Path:
     return root / f"seed-{seed}"
 
 
-def table_jobs(plan: TablePlan, replays: Mapping[int, Replay]) -> list[Job]:
+def model_folder(root: Path, settings: CellSettings) -> Path:
+    """Where the model of a cell is kept: a name to read, and one that only these settings have."""
+    words = f"{settings.model}-{settings.teacher}-{settings.labels}-seed-{settings.seed}"
+    return root / f"{_NO_PATH.sub('_', words)}-{settings.key[:8]}"
+
+
+def table_jobs(plan: TablePlan, replays: Mapping[int, Replay], models: Path | None = None) -> list[Job]:
     """Every cell of `plan`: few labels first, so that a table that is not finished can be read.
 
     Args:
         replays: one of the task for each seed.
+        models: folder to keep the trained models in; None lets them go.
 
     Raises:
         InvalidStudy, InvalidConfig, UnknownTeacher, InvalidTeacher: if a model, teacher or setting is unknown, or a
@@ -62,24 +73,24 @@ def table_jobs(plan: TablePlan, replays: Mapping[int, Replay]) -> list[Job]:
             raise InvalidStudy(f"the replay in {replay.path} is of {replay.origin.get('task')}, not of {plan.task}")
         split_replay(len(replay), 0)
     fingerprints = {seed: replay.fingerprint() for seed, replay in replays.items()}
-    return [
-        Job(
-            CellSettings(
-                task=plan.task,
-                replay=fingerprints[seed],
-                model=model,
-                network=network_of(model, plan.preset, replays[seed].source.layout).to_dict(),
-                training=training_of(model, plan.preset, seed, plan.device).to_dict(),
-                teacher=teacher,
-                teacher_parameters=Judge(teacher, replays[seed], seed).parameters(),
-                labels=labels,
-                seed=seed,
-                test_pairs=plan.test_pairs,
-            ),
-            replays[seed].path,
+    cells = [
+        CellSettings(
+            task=plan.task,
+            replay=fingerprints[seed],
+            model=model,
+            network=network_of(model, plan.preset, replays[seed].source.layout).to_dict(),
+            training=training_of(model, plan.preset, seed, plan.device).to_dict(),
+            teacher=teacher,
+            teacher_parameters=Judge(teacher, replays[seed], seed).parameters(),
+            labels=labels,
+            seed=seed,
+            test_pairs=plan.test_pairs,
         )
         for labels in sorted(plan.labels)
         for seed in plan.seeds
         for teacher in plan.teachers
         for model in plan.models
+    ]
+    return [
+        Job(cell, replays[cell.seed].path, None if models is None else model_folder(models, cell)) for cell in cells
     ]

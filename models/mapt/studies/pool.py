@@ -6,12 +6,15 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 import torch
 
+from mapt.rewards.checkpoints import save_reward_model
+from mapt.rewards.trainer import TrainedReward
 from mapt.studies.cell import CellSettings, run_cell
 from mapt.studies.cell_folder import CellFolder, code_fingerprint
 from mapt.studies.replay import Replay
@@ -29,6 +32,8 @@ class Job:
     settings: CellSettings
     #: folder of the replay it is made from
     replay: Path
+    #: where the trained model is kept; None lets it go
+    model: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +128,11 @@ def _environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
+def _keep(folder: Path | None, trained: TrainedReward) -> None:
+    if folder is not None:
+        save_reward_model(trained.model, trained.metrics).write(folder)
+
+
 def _work(connection: Connection, cells: Path, parent: int) -> None:
     """The life of a worker: jobs in, None or a sentence on what went wrong out."""
     torch.set_num_threads(1)
@@ -137,7 +147,7 @@ def _work(connection: Connection, cells: Path, parent: int) -> None:
         except (EOFError, KeyboardInterrupt):
             return
         try:
-            result = run_cell(job.settings, Replay.open(job.replay), orphaned)
+            result = run_cell(job.settings, Replay.open(job.replay), orphaned, partial(_keep, job.model))
         except KeyboardInterrupt:
             return
         except Exception as error:  # noqa: BLE001  (one cell's failure must not take the others with it)

@@ -6,14 +6,19 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from mapt.policies import MappoConfig, MappoLearner, Rollout, train, true_reward
+from mapt.policies import Actor, MappoConfig, MappoLearner, Rollout, train, true_reward
+from mapt.policies.rollout import Collector
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.storage import SegmentLayout, SegmentWriter
 from mapt.studies.errors import InvalidStudy
 from mapt.studies.replay import Replay
 from mapt.tasks import TaskSpec, make_task
+
+#: whole episodes kept of each trained team
+EPISODES = 4
 
 Number = TypeVar("Number", bound=np.floating)
 
@@ -35,7 +40,8 @@ class Recording:
 def record_replay(recording: Recording, path: Path, progress: Callable[[int, float], None] | None = None) -> Replay:
     """Train a team on the true reward and keep segments of every rollout, none across an episode's start.
 
-    They go to disk as they come: memory does not grow with their number.
+    They go to disk as they come: memory does not grow with their number. At the end the trained team plays some
+    episodes, which are kept whole in `episodes_path`.
 
     Args:
         path: of the new folder.
@@ -64,10 +70,41 @@ def record_replay(recording: Recording, path: Path, progress: Callable[[int, flo
                 if progress is not None:
                     progress(learner.steps, float(rollout.rewards.mean()))
 
-            train(MappoLearner(task, config), true_reward, recording.policy_steps, keep)
+            learner = MappoLearner(task, config)
+            train(learner, true_reward, recording.policy_steps, keep)
+        record_episodes(recording.task, learner.actor, episodes_path(path), recording.seed)
     finally:
         task.close()
     return Replay.open(path)
+
+
+def episodes_path(replay: Path) -> Path:
+    """Where whole episodes of a replay's trained team lie: a folder of segments as long as the task's horizon."""
+    return replay / "episodes"
+
+
+def record_episodes(task_name: str, actor: Actor, path: Path, seed: int) -> None:
+    """Play `EPISODES` episodes with draws of the actor, each to its end or the task's horizon."""
+    task = make_task(task_name, EPISODES)
+    try:
+        length = task.spec.horizon_steps
+        rollout = Collector(task, seed).collect(actor, length, torch.Generator().manual_seed(seed))
+    finally:
+        task.close()
+    starts = rollout.episode_start[1:]
+    n_steps = np.where(starts.any(axis=0), starts.argmax(axis=0) + 1, length)
+    mask = np.arange(length) < n_steps[:, None]
+
+    def of_envs(values: NDArray[Number]) -> NDArray[Number]:
+        return np.ascontiguousarray(values.swapaxes(0, 1))
+
+    with SegmentWriter.create(path, layout_of(task.spec, length), about={"task": task_name, "seed": seed}) as writer:
+        states = {
+            name: of_envs(getattr(rollout, name))
+            for name in ("rewards", "qpos", "qvel")
+            if name in writer.layout.columns
+        }
+        writer.append(SegmentArrays(of_envs(rollout.observations), of_envs(rollout.actions), mask), **states)
 
 
 def layout_of(spec: TaskSpec, n_steps: int) -> SegmentLayout:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mapt.studies.cell_folder import Cell
 from mapt.studies.plan import TablePlan
-from mapt.studies.statistics import McNemar, PairedTest, PairDifferences, bootstrap_interval, mcnemar, paired_test
+from mapt.studies.statistics import McNemar, PairDifferences, PairedTest, bootstrap_interval, mcnemar, paired_test
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,8 @@ import pytest
 from mapt.policies import Rollout
 from mapt.preferences.errors import AlreadyThere
 from mapt.studies.errors import InvalidStudy
-from mapt.studies.recording import Recording, places, record_replay
+from mapt.studies.recording import EPISODES, Recording, episodes_path, places, record_replay
+from mapt.studies.replay import Replay
 from mapt.tasks import UnknownTask, make_task
 
 # Two rollouts of 32 environments and 128 steps.
@@ -53,6 +54,9 @@ def test_a_replay_is_spread_over_the_training_and_its_states_are_the_simulators(
     speed = np.diff(x, axis=1) / spec.step_seconds
     cost = 0.1 * (actions.astype(float) ** 2).sum(axis=(2, 3))[:, :-1]
     np.testing.assert_allclose(replay.rewards[:, :-1], speed - cost, atol=1e-5)
+    episodes = Replay.open(episodes_path(replay.path))
+    assert episodes.rewards.shape == (EPISODES, spec.horizon_steps)
+    assert episodes.mask.all()
 
 
 def test_the_same_recording_gives_the_same_replay(tmp_path):

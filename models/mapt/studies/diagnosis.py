@@ -1,0 +1,179 @@
+"""What there is to know of a trained reward model on a replay, in numbers and in arrays to draw."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from mapt.preferences.dataset import SegmentArrays
+from mapt.rewards.metrics import rank_correlation
+from mapt.rewards.model import RewardModel
+from mapt.studies.attention_maps import AttentionMaps, attention_maps
+from mapt.studies.cell import count_parameters
+from mapt.studies.judging import Judge
+from mapt.studies.pairs import IntArray, random_pairs, split_replay
+from mapt.studies.quality import Predictions, predict, preference_quality, reward_quality
+from mapt.studies.replay import Replay
+
+#: the paper's figures 2 and 4 are of so many state-action pairs
+STATE_ACTIONS = 100_000
+CALIBRATION_BINS = 10
+#: segments whose attention is drawn, by the share of segments with a smaller return
+SHOWN_RANKS = (0.1, 0.5, 0.95)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """The segments and pairs that models are diagnosed on, the same for each."""
+
+    #: of the replay, in the order they were made, int64 (S,)
+    indices: IntArray
+    segments: SegmentArrays
+    #: the task's own, float64 (S, T)
+    rewards: NDArray[np.float64]
+    #: places in `indices`, int64 (P, 2)
+    pairs: IntArray
+    #: the teacher's, float32 (P,), NaN where it skips
+    labels: NDArray[np.float32]
+    #: what the teacher judges by, (S,)
+    judged_by: NDArray[np.float64]
+    #: places of the segments whose attention is drawn
+    shown: IntArray
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """bool (S, T)."""
+        return self.segments.mask
+
+    @property
+    def returns(self) -> NDArray[np.float64]:
+        """True returns, (S,)."""
+        return self.rewards.sum(axis=1)
+
+
+def draw_sample(replay: Replay, teacher: str, n_pairs: int, fresh_of_seed: int | None) -> Sample:
+    """Segments for about `STATE_ACTIONS` state-action pairs, or all there are.
+
+    Args:
+        teacher: see `Judge`.
+        fresh_of_seed: take only segments from which a table's cells of this seed do not learn.
+    """
+    pool = np.arange(len(replay)) if fresh_of_seed is None else split_replay(len(replay), fresh_of_seed).test
+    rng = np.random.default_rng(0)
+    n_segments = min(len(pool), math.ceil(STATE_ACTIONS / replay.source.n_steps))
+    indices = np.sort(rng.choice(pool, n_segments, replace=False))
+    pairs = random_pairs(np.arange(n_segments), n_pairs, rng)
+    judge = Judge(teacher, replay, 0)
+    judged_by = judge.scores(indices)
+    order = np.argsort(replay.returns[indices], kind="stable")
+    shown = order[[round(rank * (n_segments - 1)) for rank in SHOWN_RANKS]]
+    labels, rewards = judge.labels(indices[pairs]), replay.rewards[indices]
+    return Sample(indices, replay.segments(indices), rewards, pairs, labels, judged_by, shown)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationBin:
+    """Predictions of about the same probability; every pair counts in both orders."""
+
+    predicted: float
+    #: how often the labels agreed
+    observed: float
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """A model on a sample."""
+
+    name: str
+    #: settings of the network
+    network: Mapping[str, object]
+    metrics: Mapping[str, float]
+    predictions: Predictions
+    calibration: tuple[CalibrationBin, ...]
+    #: of the sample's `shown` segments
+    maps: AttentionMaps
+    #: mean over steps and segments of who attends to whom, (N, N)
+    agent_attention: NDArray[np.float32] | None
+
+
+def diagnose(name: str, model: RewardModel, sample: Sample) -> Diagnosis:
+    """Measure `model`, on the CPU.
+
+    Beside those of `preference_quality` and `reward_quality`, the metrics are `rank_correlation_teacher`; `parameters`;
+    `spread_across_agents`, the mean over steps of the deviation among agents, in deviations of all rewards;
+    `past_share`, how much of the variation of the rewards is not the Markov path's, from 0 to about 1;
+    `weight_concentration`, 1 - entropy of the weights of steps / its greatest: 0 where all weigh the same;
+    `breadth` and `true_breadth`, the range of the middle half of the rewards in that of all but 1%.
+    """
+    predictions = predict(model, sample.segments)
+    maps = attention_maps(model, sample.segments.take(sample.shown))
+    first, second = predictions.scores[sample.pairs].T
+    mask, given = sample.mask, np.isfinite(sample.labels)
+    learned = predictions.agent_rewards[mask]
+    metrics = {
+        **preference_quality(first - second, sample.labels),
+        "rank_correlation_teacher": rank_correlation(predictions.scores, sample.judged_by),
+        **reward_quality(predictions, sample.rewards, mask),
+        "spread_across_agents": float(learned.std(axis=1).mean() / max(learned.std(), 1e-12)),
+        "past_share": _past_share(model, sample.segments, predictions),
+        "weight_concentration": weight_concentration(predictions.weights, mask),
+        "breadth": breadth(predictions.rewards[mask]),
+        "true_breadth": breadth(sample.rewards[mask]),
+        "parameters": float(count_parameters(model)),
+    }
+    probabilities = 1 / (1 + np.exp(-np.clip(first - second, -60, 60)))
+    calibration = calibration_bins(probabilities[given], sample.labels[given])
+    measured = {key: float(value) for key, value in metrics.items() if math.isfinite(value)}
+    attention = None if maps.agents is None else _agent_attention(model, sample)
+    return Diagnosis(name, model.config.to_dict(), measured, predictions, calibration, maps, attention)
+
+
+def calibration_bins(probabilities: NDArray[np.floating], labels: NDArray[np.floating]) -> tuple[CalibrationBin, ...]:
+    """The bins of `calibration_error` that hold any pair, each pair in both orders."""
+    predicted, label = np.concatenate((probabilities, 1 - probabilities)), np.concatenate((labels, 1 - labels))
+    place = np.minimum((predicted * CALIBRATION_BINS).astype(np.int64), CALIBRATION_BINS - 1)
+    return tuple(
+        CalibrationBin(float(predicted[inside].mean()), float(label[inside].mean()), int(inside.sum()))
+        for inside in (place == bin_ for bin_ in range(CALIBRATION_BINS))
+        if inside.any()
+    )
+
+
+def weight_concentration(weights: NDArray[np.floating], mask: NDArray[np.bool_]) -> float:
+    """1 - entropy / greatest entropy of weights (S, T), mean over segments of more than one step: 0 to 1."""
+    real = mask & (weights > 0)
+    entropy = -(np.where(real, weights, 1.0) * np.log(np.where(real, weights, 1.0))).sum(axis=1)
+    n_steps = mask.sum(axis=1)
+    long = n_steps > 1
+    return float((1 - entropy[long] / np.log(n_steps[long])).mean()) if long.any() else math.nan
+
+
+def breadth(rewards: NDArray[np.floating]) -> float:
+    """Range of the middle half of rewards in that of all but 1% of them: small where most are alike."""
+    low, quarter, three_quarters, high = np.percentile(rewards, (0.5, 25, 75, 99.5))
+    return float((three_quarters - quarter) / (high - low)) if high > low else math.nan
+
+
+@torch.inference_mode()
+def _past_share(model: RewardModel, segments: SegmentArrays, predictions: Predictions) -> float:
+    if model.markov is None:
+        return 1.0
+    observations, actions = (torch.as_tensor(array) for array in (segments.observations, segments.actions))
+    markov = torch.cat(
+        [model.markov_rewards(*part) for part in zip(observations.split(128), actions.split(128), strict=True)]
+    ).numpy()[segments.mask]
+    whole = predictions.agent_rewards[segments.mask]
+    return float((whole - markov).var() / max(float(whole.var()), 1e-12))
+
+
+def _agent_attention(model: RewardModel, sample: Sample) -> NDArray[np.float32]:
+    """Mean over at most a hundred segments, evenly spread over the replay."""
+    spread = np.unique(np.linspace(0, len(sample.indices) - 1, 100).astype(np.int64))
+    segments = sample.segments.take(spread)
+    agents = attention_maps(model, segments).agents
+    assert agents is not None
+    return agents[segments.mask].mean(axis=0)
