@@ -114,7 +114,9 @@ class RewardModel(nn.Module, ABC):
         - `weighted`: r-hat of that step times its weight (eq. 6) times the number of real steps, so that
           equal weights leave `value`.
 
-        All are linear in r-hat, so that the mean over agents is the shared reward. Shapes as in `forward`.
+        All are linear in r-hat, so that the mean over agents is the shared reward. All are taken from the window as
+        a segment of its own, in which the steps before the last see no further back than its first. `normalised`
+        takes the scale of r-hat to all of them. Shapes as in `forward`.
 
         Raises:
             ShapeError: if a shape does not fit the configuration.

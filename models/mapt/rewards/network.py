@@ -17,6 +17,9 @@ class MAPT(RewardModel):
 
     Individual rewards are the sum of a Markov path and of the paper's attention path, which starts at zero:
     an untrained MAPT is a Markov model, and departs from it where data asks.
+
+    To permute the agents permutes their rewards. It may move the weights of the steps all the same: the keys of the
+    temporal attention read the N rewards of a step in the order of the agents, as the paper's eq. 5 has it.
     """
 
     def __init__(self, config: RewardConfig) -> None:

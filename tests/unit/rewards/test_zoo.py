@@ -1,6 +1,7 @@
 """The invariants of the method, over every model of the tables."""
 
 from dataclasses import replace
+from typing import get_args
 
 import pytest
 import torch
@@ -10,7 +11,8 @@ from hypothesis import strategies as st
 from mapt.rewards.checkpoints import load_reward_model, save_reward_model
 from mapt.rewards.config import MODEL_NAMES, RewardConfig
 from mapt.rewards.errors import InvalidConfig
-from mapt.rewards.model import RewardModel, build_reward_model
+from mapt.rewards.model import PolicyReward, RewardModel, build_reward_model
+from mapt.rewards.relabelling import RolloutRelabeller
 
 N, C, A = 3, 4, 2
 DIMENSIONS = {"observation_dim": C, "action_dim": A, "n_agents": N}
@@ -165,6 +167,21 @@ def test_the_score_is_the_mean_of_what_the_steps_attend_to(name):
     torch.testing.assert_close(attended.mean(dim=(1, 2)), model(observations, actions, mask).score, **CLOSE)
     given = model.policy_rewards(observations, actions, mask, "attended")
     torch.testing.assert_close(given, attended[:, -1], **CLOSE)
+
+
+@names
+@pytest.mark.parametrize("kind", get_args(PolicyReward))
+def test_a_relabelled_rollout_has_the_reward_of_every_steps_own_window(name, kind):
+    model, (observations, actions, _) = drawn(name), inputs(2, 9)
+    start = torch.zeros(2, 9, dtype=torch.bool)
+    start[:, 0] = start[1, 5] = True
+    relabeller = RolloutRelabeller(model, window=4, n_envs=2, credit="individual", kind=kind)
+    found = relabeller.relabel(*(tensor.transpose(0, 1).numpy() for tensor in (observations, actions, start)))
+    for env, step in ((0, 0), (0, 3), (0, 8), (1, 4), (1, 5), (1, 8)):
+        first = max(step - 3, 5 if env == 1 and step >= 5 else 0)
+        window = (tensor[env : env + 1, first : step + 1] for tensor in (observations, actions))
+        own = model.policy_rewards(*window, torch.ones(1, step + 1 - first, dtype=torch.bool), kind)[0].detach()
+        torch.testing.assert_close(torch.as_tensor(found[step, env]), own, **CLOSE)
 
 
 @names
