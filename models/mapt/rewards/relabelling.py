@@ -8,11 +8,11 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from mapt.rewards.attention import Band
+from mapt.rewards.bands import EpisodeBand
+from mapt.rewards.base import PolicyReward, RewardModel
 from mapt.rewards.context import RolloutContext
 from mapt.rewards.device import resolve_device
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
-from mapt.rewards.network import MAPT
 
 Credit = Literal["shared", "individual"]
 # Agent-steps in one pass: enough to fill the vector units, small enough that activations stay in cache
@@ -27,7 +27,8 @@ class RolloutRelabeller:
     rollout before; no step sees across its episode's start. The rewards are those of the network run on each
     step's window by itself. With one temporal attention layer, or none, that is one banded pass over the
     rollout; a second layer or an LSTM would carry older steps into the window, so there every window is
-    encoded by itself, which costs T times as much.
+    encoded by itself, which costs T times as much. So it does for the kinds of reward other than r-hat itself: they
+    read what the window's earlier steps are within that window.
 
     Args:
         model: its `reward_mean` and `reward_deviation` normalise what is given.
@@ -35,6 +36,7 @@ class RolloutRelabeller:
         n_envs: E.
         credit: "shared" gives every agent the mean over agents, "individual" each its own.
         device: as in `TrainConfig`.
+        kind: as in `RewardModel.policy_rewards`: "value" is r-hat_t itself.
 
     Raises:
         InvalidConfig: if an argument is out of its range.
@@ -42,17 +44,22 @@ class RolloutRelabeller:
 
     def __init__(
         self,
-        model: MAPT,
+        model: RewardModel,
         window: int,
         n_envs: int,
         credit: Credit = "shared",
         device: str = "cpu",
+        *,
+        kind: PolicyReward = "value",
     ) -> None:
         if window < 1 or n_envs < 1:
             raise InvalidConfig(f"window is {window} and n_envs {n_envs}; both must be 1 or more")
         if credit not in get_args(Credit):
             raise InvalidConfig(f"credit is {credit!r}; known: {', '.join(get_args(Credit))}")
+        if kind not in get_args(PolicyReward):
+            raise InvalidConfig(f"kind is {kind!r}; known: {', '.join(get_args(PolicyReward))}")
         self._device = resolve_device(device)
+        self._kind: PolicyReward = kind
         self._window = window
         self._credit = credit
         self._model = copy.deepcopy(model).to(self._device).eval()
@@ -60,11 +67,11 @@ class RolloutRelabeller:
         self._context = RolloutContext(window - 1, n_envs, config.n_agents, config.observation_dim, config.action_dim)
 
     @property
-    def model(self) -> MAPT:
+    def model(self) -> RewardModel:
         """The model in use."""
         return self._model
 
-    def replace_model(self, model: MAPT) -> None:
+    def replace_model(self, model: RewardModel) -> None:
         """Go on with a newer model; the remembered steps stay.
 
         Raises:
@@ -106,8 +113,8 @@ class RolloutRelabeller:
 
     def _rewards(self, observations: Tensor, actions: Tensor, episode: Tensor, *, length: int) -> Tensor:
         """(E, T - 1 + L, N, C) and so on -> r-hat (E, L, N) of the last L steps."""
-        if self._model.sees_one_window:
-            band = Band(self._window, episode)
+        if one_pass(self._model, self._kind):
+            band = EpisodeBand(self._window, episode)
             return self._model.agent_rewards(observations, actions, band)[:, -length:]
         return self._window_by_window(observations, actions, episode, length)
 
@@ -122,11 +129,11 @@ class RolloutRelabeller:
         index = index.clamp(max=before + length - 1)
         env = torch.arange(len(episode), device=episode.device)[:, None, None]
         env, index = env.expand_as(index).flatten(0, 1), index.flatten(0, 1)
-        last = n_own.flatten() - 1
+        mask = torch.arange(window, device=episode.device) < n_own.flatten()[:, None]
         per_pass = max(1, AGENT_STEPS_PER_PASS // (window * observations.shape[2]))
         rewards = [
-            self._model.agent_rewards(observations[e, i], actions[e, i])[torch.arange(len(e)), at]
-            for e, i, at in zip(env.split(per_pass), index.split(per_pass), last.split(per_pass), strict=True)
+            self._model.policy_rewards(observations[e, i], actions[e, i], real, self._kind)
+            for e, i, real in zip(env.split(per_pass), index.split(per_pass), mask.split(per_pass), strict=True)
         ]
         return torch.cat(rewards).view(len(episode), length, -1)
 
@@ -143,5 +150,10 @@ class RolloutRelabeller:
         self._context.load_state_dict(state)
 
 
-def _dimensions(model: MAPT) -> tuple[int, int, int]:
+def one_pass(model: RewardModel, kind: PolicyReward) -> bool:
+    """Whether a step's reward needs of its past only what one attention layer reads there."""
+    return kind == "value" and model.sees_one_window
+
+
+def _dimensions(model: RewardModel) -> tuple[int, int, int]:
     return model.config.n_agents, model.config.observation_dim, model.config.action_dim

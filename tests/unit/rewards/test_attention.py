@@ -2,7 +2,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapt.rewards.attention import Band, CausalAttention, banded_attention, rotary_angles, rotate
+from mapt.rewards.attention import CausalAttention, rotary_angles, rotate
+from mapt.rewards.bands import EpisodeBand
 
 
 def draw(*shape, seed=0):
@@ -27,15 +28,15 @@ def slow_attention(query, key, value, band):
 def test_banded_attention_equals_the_slow_loop(n_steps, window, restarts, seed):
     generator = torch.Generator().manual_seed(seed)
     starts = torch.rand(2, n_steps, generator=generator) < restarts
-    band = Band(window, starts.cumsum(dim=1))
+    band = EpisodeBand(window, starts.cumsum(dim=1))
     query, key, value = (draw(2, n_steps, 2, 4, seed=seed + i) for i in range(3))
-    fast = banded_attention(query, key, value, band)
+    fast = band.attend(query, key, value)
     torch.testing.assert_close(fast, slow_attention(query, key, value, band), rtol=1e-4, atol=1e-5)
 
 
 @given(st.integers(0, 2000), st.integers(0, 60), st.integers(0, 99))
 def test_rotary_products_depend_on_the_distance_alone(position, distance, seed):
-    angles = rotary_angles(2100, 8, torch.device("cpu"))
+    angles = rotary_angles(torch.arange(2100, dtype=torch.float64), 8, torch.device("cpu"))
     query, key = draw(8, seed=seed), draw(8, seed=seed + 1)
 
     def product(at):
@@ -52,7 +53,7 @@ def test_attention_moved_in_time_gives_the_same_numbers():
     attention = CausalAttention(8, 8, heads=2)
     torch.nn.init.normal_(attention.out.weight, generator=torch.Generator().manual_seed(0))
     x = draw(1, 40, 3, 8)
-    whole = attention(x, Band(10, torch.zeros(1, 40, dtype=torch.int64)))
+    whole = attention(x, EpisodeBand(10, torch.zeros(1, 40, dtype=torch.int64)))
     for last in (9, 10, 23, 39):
         window = attention(x[:, last - 9 : last + 1])
         torch.testing.assert_close(whole[:, last], window[:, -1], rtol=1e-4, atol=1e-5)

@@ -56,6 +56,23 @@ def test_rewards_of_rollouts_equal_each_step_in_its_own_window(build, variant, l
     np.testing.assert_allclose(relabelled, window_by_window(model, window, *rollouts), **TOLERANCE)
 
 
+@pytest.mark.parametrize("kind", ["value", "attended", "weighted"])
+def test_each_kind_of_reward_is_the_model_s_own_on_each_window(build, kind):
+    model = build()
+    observations, actions, start = draw(9, restarts=0.2)
+    relabelled = RolloutRelabeller(model, 4, N_ENVS, "individual", kind=kind).relabel(observations, actions, start)
+    for e in range(N_ENVS):
+        first = 0
+        for t in range(len(observations)):
+            first = t if start[t, e] else first
+            seen = slice(max(first, t - 3), t + 1)
+            inputs = [torch.as_tensor(array[seen, e])[None] for array in (observations, actions)]
+            mask = torch.ones(1, inputs[0].shape[1], dtype=torch.bool)
+            with torch.inference_mode():
+                own = model.normalised(model.policy_rewards(*inputs, mask, kind))[0].numpy()
+            np.testing.assert_allclose(relabelled[t, e], own, **TOLERANCE)
+
+
 def test_shared_credit_is_the_mean_of_the_individual(build):
     model, rollout = build(), draw(20)
     shared = RolloutRelabeller(model, 6, N_ENVS, "shared").relabel(*rollout)
@@ -147,7 +164,9 @@ def test_a_model_for_another_task_is_refused(build):
         relabeller.replace_model(build(n_agents=5))
 
 
-@pytest.mark.parametrize("arguments", [{"window": 0}, {"n_envs": 0}, {"credit": "greedy"}, {"device": "abacus"}])
+@pytest.mark.parametrize(
+    "arguments", [{"window": 0}, {"n_envs": 0}, {"credit": "greedy"}, {"kind": "guessed"}, {"device": "abacus"}]
+)
 def test_an_argument_out_of_its_range_is_refused(build, arguments):
     with pytest.raises(InvalidConfig):
         RolloutRelabeller(build(), **{"window": 4, "n_envs": N_ENVS, **arguments})

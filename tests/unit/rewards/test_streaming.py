@@ -1,0 +1,100 @@
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from mapt.rewards.config import RewardConfig
+from mapt.rewards.errors import InvalidConfig, InvalidRollout
+from mapt.rewards.model import build_reward_model
+from mapt.rewards.relabelling import RolloutRelabeller
+from mapt.rewards.streaming import RewardStream
+
+N_ENVS, N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 3, 4, 2
+TOLERANCE = {"rtol": 1e-5, "atol": 1e-5}
+# The fixtures are the same for every example.
+each_example = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def draw(n_steps, restarts=0.1, seed=0):
+    rng = np.random.default_rng(seed)
+    shape = (n_steps, N_ENVS, N_AGENTS)
+    start = rng.random((n_steps, N_ENVS)) < restarts
+    return (
+        rng.normal(size=(*shape, OBSERVATION_DIM)).astype(np.float32),
+        rng.normal(size=(*shape, ACTION_DIM)).astype(np.float32),
+        start,
+    )
+
+
+def streamed(stream, observations, actions, start):
+    return np.stack([stream.step(*step) for step in zip(observations, actions, start, strict=True)])
+
+
+@each_example
+@given(st.integers(1, 40), st.integers(1, 9), st.floats(0, 0.3), st.integers(0, 99))
+def test_steps_one_by_one_get_the_rewards_of_the_whole_rollout(build, variant, n_steps, window, restarts, seed):
+    model = build(**variant)
+    model.set_reward_scale(0.3, 1.7)
+    rollout = draw(n_steps, restarts, seed)
+    relabelled = RolloutRelabeller(model, window, N_ENVS, "individual").relabel(*rollout)
+    np.testing.assert_allclose(
+        streamed(RewardStream(model, window, N_ENVS, "individual"), *rollout), relabelled, **TOLERANCE
+    )
+
+
+@pytest.mark.parametrize("kind", ["attended", "weighted"])
+@pytest.mark.parametrize("credit", ["shared", "individual"])
+def test_every_kind_of_reward_streams_as_it_is_relabelled(build, kind, credit):
+    model, rollout = build(), draw(12)
+    relabelled = RolloutRelabeller(model, 5, N_ENVS, credit, kind=kind).relabel(*rollout)
+    np.testing.assert_allclose(
+        streamed(RewardStream(model, 5, N_ENVS, credit, kind=kind), *rollout), relabelled, **TOLERANCE
+    )
+
+
+@pytest.mark.parametrize("name", ["MA-MLP", "MA-LSTM", "MA-Transformer"])
+def test_every_baseline_streams_as_it_is_relabelled(name):
+    config = RewardConfig.named(
+        name, preset="small", observation_dim=OBSERVATION_DIM, action_dim=ACTION_DIM, n_agents=N_AGENTS
+    )
+    model, rollout = build_reward_model(config), draw(12)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.copy_(torch.randn(parameter.shape, generator=torch.Generator().manual_seed(0)) * 0.3)
+    relabelled = RolloutRelabeller(model, 5, N_ENVS).relabel(*rollout)
+    np.testing.assert_allclose(streamed(RewardStream(model, 5, N_ENVS), *rollout), relabelled, **TOLERANCE)
+
+
+def test_thousands_of_steps_do_not_blur_the_positions(build):
+    model = build()
+    observations, actions, start = draw(3_000, restarts=0)
+    stream = RewardStream(model, 4, N_ENVS)
+    last = streamed(stream, observations, actions, start)[-1]
+    window = RolloutRelabeller(model, 4, N_ENVS).relabel(observations[-4:], actions[-4:], start[-4:])
+    np.testing.assert_allclose(last, window[-1], **TOLERANCE)
+
+
+@pytest.mark.parametrize("settings", [{}, {"temporal": "lstm"}])
+def test_a_malformed_step_is_refused_and_not_remembered(build, settings):
+    model = build(**settings)
+    observations, actions, start = draw(6)
+    stream, untroubled = (RewardStream(model, 4, N_ENVS) for _ in range(2))
+    streamed(stream, observations[:5], actions[:5], start[:5])
+    streamed(untroubled, observations[:5], actions[:5], start[:5])
+    for step in (
+        (observations[5, :2], actions[5], start[5]),
+        (observations[5] * np.nan, actions[5], start[5]),
+        (observations[5], actions[5, ..., :1], start[5]),
+        (observations[5], actions[5], start[5, :1]),
+    ):
+        with pytest.raises(InvalidRollout):
+            stream.step(*step)
+    np.testing.assert_array_equal(
+        stream.step(observations[5], actions[5], start[5]), untroubled.step(observations[5], actions[5], start[5])
+    )
+
+
+def test_a_kind_that_does_not_exist_is_refused(build):
+    with pytest.raises(InvalidConfig, match="attended"):
+        RewardStream(build(), 4, N_ENVS, kind="guessed")
