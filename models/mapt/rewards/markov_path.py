@@ -4,6 +4,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mapt.rewards.config import RewardConfig
+from mapt.rewards.scalar import ScalarLinear
 
 
 class MarkovPath(nn.Module):
@@ -13,7 +14,7 @@ class MarkovPath(nn.Module):
         super().__init__()
         self.first = nn.Linear(dim, hidden_dim)
         self.second = nn.Linear(hidden_dim, hidden_dim)
-        self.reward = nn.Linear(hidden_dim, 1)
+        self.reward = ScalarLinear(hidden_dim)
 
     @classmethod
     def of(cls, config: RewardConfig) -> "MarkovPath | None":

@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mapt.rewards.attention import zeroed
+from mapt.rewards.scalar import ScalarLinear, in_float32
 
 
 class CooperationAwareAttention(nn.Module):
@@ -24,19 +25,22 @@ class CooperationAwareAttention(nn.Module):
         self.query = nn.Linear(dim, hidden_dim)
         self.key = nn.Linear(dim, hidden_dim)
         self.value = nn.Linear(dim, hidden_dim)
-        self.reward = nn.Linear(hidden_dim, 1)
+        self.reward = ScalarLinear(hidden_dim)
         self.scale = 1 / math.sqrt(hidden_dim)
 
     def forward(self, h: Tensor) -> Tensor:
         """h (S, T, N, 2d) -> (S, T, N)."""
-        weight, bias = self.reward.weight @ self.value.weight, self.reward(self.value.bias)
-        return (self.shares(h) @ F.linear(h, weight, bias)).squeeze(-1)
+        shares = self.shares(h)
+        with in_float32(h):
+            weight, bias = self.reward.weight @ self.value.weight, self.reward(self.value.bias)
+            return (shares @ F.linear(h.float(), weight, bias)).squeeze(-1)
 
     def shares(self, h: Tensor) -> Tensor:
         """How each agent attends to the agents of its step, (S, T, agent that asks, agent asked), sum 1."""
         # For few agents this is several times as fast on a CPU as a fused attention, which is made for long sequences.
-        query, key = self.query(h) * self.scale, self.key(h)
-        return (query @ key.transpose(2, 3)).softmax(dim=-1)
+        query, key = self.query(h), self.key(h)
+        with in_float32(h):
+            return (query.float() * self.scale @ key.float().transpose(2, 3)).softmax(dim=-1)
 
 
 class LinearReadOut(nn.Module):
@@ -44,7 +48,7 @@ class LinearReadOut(nn.Module):
 
     def __init__(self, dim: int) -> None:
         super().__init__()
-        self.reward = nn.Linear(dim, 1)
+        self.reward = ScalarLinear(dim)
 
     def forward(self, h: Tensor) -> Tensor:
         """h (S, T, N, 2d) -> (S, T, N)."""
@@ -74,11 +78,15 @@ class TemporalAwareAttention(nn.Module):
     def forward(self, asking: Tensor, asked: Tensor, mask: Tensor) -> Tensor:
         """What steps ask with (S, T, D), what they are asked by (S, T, K), mask (S, T) -> (S, asks, asked)."""
         if self.folds:
-            fold = self.key.weight.T * self.scale
-            query, key = F.linear(asking, fold @ self.query.weight, fold @ self.query.bias), asked
+            with in_float32(asking):
+                fold = self.key.weight.T * self.scale
+                query = F.linear(asking.float(), fold @ self.query.weight, fold @ self.query.bias)
+            key = asked
         else:
             query, key = self.query(asking) * self.scale, self.key(asked)
-        return (query @ key.transpose(1, 2)).masked_fill(~mask[:, None], float("-inf")).softmax(dim=-1)
+        with in_float32(asking):
+            logits = query.float() @ key.float().transpose(1, 2)
+            return logits.masked_fill(~mask[:, None], float("-inf")).softmax(dim=-1)
 
 
 def votes(shares: Tensor, mask: Tensor) -> Tensor:

@@ -217,6 +217,17 @@ def test_one_hot_actions_are_not_normalised(name):
 
 
 @names
+def test_in_bfloat16_scores_and_weights_keep_the_digits_of_float32(name):
+    model, (observations, actions, mask) = drawn(name), inputs(4, 6)
+    exact = model(observations, actions, mask)
+    with torch.autocast("cpu", torch.bfloat16):
+        rounded = model(observations, actions, mask)
+    assert rounded.score.dtype == rounded.rewards.dtype == rounded.weights.dtype == torch.float32
+    torch.testing.assert_close(rounded.weights.sum(dim=1), torch.ones(4), rtol=0, atol=1e-5)
+    torch.testing.assert_close(rounded.score, exact.score, rtol=0.05, atol=0.05 * exact.rewards.std().item())
+
+
+@names
 def test_every_model_survives_storage(name):
     model = drawn(name)
     saved = save_reward_model(model, {})
