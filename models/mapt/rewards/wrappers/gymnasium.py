@@ -1,0 +1,118 @@
+"""Gymnasium environments, one or many in step, that give a learned reward.
+
+Gymnasium knows no agents, so what they see and do may be one array with an axis for them, a tuple, or a dictionary.
+Its reward is one number, the team's: the mean over agents. The environment's own is in `info["true_reward"]`.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from numpy.typing import NDArray
+
+from mapt.rewards.base import PolicyReward, RewardModel
+from mapt.rewards.streaming import RewardStream
+from mapt.rewards.wrappers.agents import action_rows, observation_rows
+
+TRUE_REWARD = "true_reward"
+
+
+class LearnedReward(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """One environment; see `RewardStream` for `model`, `window`, `device` and `kind`.
+
+    Args:
+        agent_index: append a one-hot of the agent to what the model sees (not to what the policy is given).
+
+    Raises:
+        InvalidRollout: from `step`, if what the agents see and do does not fit the model.
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Any, Any],
+        model: RewardModel,
+        window: int,
+        *,
+        agent_index: bool = False,
+        device: str = "cpu",
+        kind: PolicyReward = "value",
+    ) -> None:
+        super().__init__(env)
+        self._config, self._indexed = model.config, agent_index
+        self._names = _names(env.observation_space)
+        self._stream = RewardStream(model, window, 1, device=device, kind=kind)
+        self._observation: object = None
+        self._start = np.ones(1, dtype=np.bool_)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """As the environment's; the reward forgets the episode before."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._observation, self._start = observation, np.ones(1, dtype=np.bool_)
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """As the environment's, but for the reward."""
+        seen = observation_rows(self._observation, self._names, self._config, indexed=self._indexed)
+        reward = self._stream.step(seen[None], action_rows(action, self._names, self._config)[None], self._start)[0]
+        observation, true_reward, terminated, truncated, info = self.env.step(action)
+        self._observation, self._start = observation, np.zeros(1, dtype=np.bool_)
+        return observation, float(reward), terminated, truncated, {**info, TRUE_REWARD: float(true_reward)}
+
+
+class LearnedVectorReward(VectorWrapper):
+    """E environments in step; arguments and errors as of `LearnedReward`.
+
+    Where the environments begin a new episode by themselves in the step after the last one's end, that step
+    takes no action, and its reward is 0.
+    """
+
+    def __init__(
+        self,
+        env: VectorEnv[Any, Any, Any],
+        model: RewardModel,
+        window: int,
+        *,
+        agent_index: bool = False,
+        device: str = "cpu",
+        kind: PolicyReward = "value",
+    ) -> None:
+        super().__init__(env)
+        self._config, self._indexed = model.config, agent_index
+        self._names = _names(env.single_observation_space)
+        self._stream = RewardStream(model, window, env.num_envs, device=device, kind=kind)
+        self._resets_late = env.metadata.get("autoreset_mode") == AutoresetMode.NEXT_STEP
+        self._observations: object = None
+        self._start = np.ones(env.num_envs, dtype=np.bool_)
+        self._idle = np.zeros(env.num_envs, dtype=np.bool_)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """As the environments'; the reward forgets the episodes before, of those that `options["reset_mask"]` names."""
+        # Read and copied before the environments take it out of the options.
+        begun = np.array((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=np.bool_)
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self._observations = observations
+        self._start, self._idle = self._start | begun, self._idle & ~begun
+        return observations, infos
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """As the environments', but for the rewards."""
+        seen = observation_rows(self._observations, self._names, self._config, indexed=self._indexed)
+        rewards = self._stream.step(seen, action_rows(actions, self._names, self._config), self._start)
+        rewards[self._idle] = 0.0
+        observations, true_rewards, terminated, truncated, infos = self.env.step(actions)
+        ended = np.logical_or(terminated, truncated)
+        # Resetting late, the next step is still to come; its entry is forgotten with the one after it.
+        self._start = self._idle.copy() if self._resets_late else ended
+        self._idle = ended if self._resets_late else np.zeros_like(ended)
+        self._observations = observations
+        own = {TRUE_REWARD: np.asarray(true_rewards), f"_{TRUE_REWARD}": np.ones(self.num_envs, dtype=np.bool_)}
+        return observations, rewards, terminated, truncated, {**infos, **own}
+
+
+def _names(space: gymnasium.Space[Any]) -> Sequence[str]:
+    """The agents, where an observation names them, in the space's order: the alphabet's, if it was not told another."""
+    return tuple(space.spaces) if isinstance(space, gymnasium.spaces.Dict) else ()

@@ -1,0 +1,66 @@
+"""PettingZoo environments whose agents act at once, that give a learned reward. Needs `pettingzoo`."""
+
+from typing import Any
+
+import numpy as np
+from pettingzoo import ParallelEnv
+from pettingzoo.utils import BaseParallelWrapper
+
+from mapt.rewards.base import PolicyReward, RewardModel
+from mapt.rewards.relabelling import Credit
+from mapt.rewards.streaming import RewardStream
+from mapt.rewards.wrappers.agents import action_rows, observation_rows
+from mapt.rewards.wrappers.gymnasium import TRUE_REWARD
+
+
+class LearnedParallelReward(BaseParallelWrapper[str, Any, Any]):
+    """An environment of agents that all act in every step, to the episode's end.
+
+    Each agent is given the learned reward; the environment's own is in `infos[agent]["true_reward"]`.
+
+    Args:
+        model, window, credit, device, kind: as in `RewardStream`.
+        agent_index: append a one-hot of the agent to what the model sees (not to what the policy is given).
+
+    Raises:
+        InvalidRollout: from `step`, if an agent is missing or what they see and do does not fit the model.
+    """
+
+    def __init__(
+        self,
+        env: ParallelEnv[str, Any, Any],
+        model: RewardModel,
+        window: int,
+        *,
+        credit: Credit = "shared",
+        agent_index: bool = False,
+        device: str = "cpu",
+        kind: PolicyReward = "value",
+    ) -> None:
+        super().__init__(env)
+        self._config, self._indexed = model.config, agent_index
+        self._stream = RewardStream(model, window, 1, credit, device, kind=kind)
+        self._observations: dict[str, Any] = {}
+        self._start = np.ones(1, dtype=np.bool_)
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """As the environment's; the reward forgets the episode before."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self._observations, self._start = observations, np.ones(1, dtype=np.bool_)
+        return observations, infos
+
+    def step(
+        self, actions: dict[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """As the environment's, but for the rewards."""
+        names = self.env.possible_agents
+        seen = observation_rows(self._observations, names, self._config, indexed=self._indexed)
+        learned = self._stream.step(seen[None], action_rows(actions, names, self._config)[None], self._start)[0]
+        observations, true_rewards, terminated, truncated, infos = self.env.step(actions)
+        self._observations, self._start = observations, np.zeros(1, dtype=np.bool_)
+        rewards = dict(zip(names, np.broadcast_to(learned, len(names)).tolist(), strict=True))
+        # Kept by each agent alone: environments give all agents one dictionary.
+        own = {name: {**infos.get(name, {}), TRUE_REWARD: float(true_rewards[name])} for name in names}
+        return observations, rewards, terminated, truncated, own
