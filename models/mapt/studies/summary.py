@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mapt.studies.cell_folder import Cell
 from mapt.studies.plan import TablePlan
-from mapt.studies.statistics import McNemar, PairDifferences, PairedTest, bootstrap_interval, mcnemar, paired_test
+from mapt.studies.statistics import McNemar, PairDifferences, PairedTest, difference_interval, mcnemar, paired_test
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Comparison:
 
     #: over seeds
     over_seeds: PairedTest
-    #: 95%, over the segments of the fresh pairs
+    #: 95%, see `difference_interval`
     interval: tuple[float, float]
     #: over the fresh pairs of all seeds
     over_pairs: McNemar
@@ -122,7 +122,7 @@ def compare(cells: Sequence[Cell], baseline: Sequence[Cell]) -> Comparison | Non
     ]
     return Comparison(
         paired_test([one.difference.mean() for one in tested]),
-        bootstrap_interval(tested),
+        difference_interval(tested),
         mcnemar(*(np.concatenate(side) for side in zip(*right, strict=True))),
     )
 

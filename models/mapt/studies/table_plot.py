@@ -12,6 +12,8 @@ from mapt.studies.summary import Summary
 _PANELS_PER_ROW = 3
 #: models are drawn beside each other at the same number of labels
 _SHIFT = 0.03
+#: room beside the fewest and the most labels
+_MARGIN = 1.5
 
 
 def draw_table(summary: Summary, path: Path) -> None:
@@ -54,6 +56,7 @@ def _draw_teacher(axes: Axes, summary: Summary, teacher: str) -> None:
             linestyle=drawn.dashes,
         )
     axes.set_xscale("log")
+    axes.set_xlim(counts[0] / _MARGIN, counts[-1] * _MARGIN)
     axes.set_xticks(counts, [f"{labels:,}" for labels in counts])
     axes.xaxis.set_minor_locator(NullLocator())
     if axes.has_data():

@@ -35,13 +35,14 @@ def markdown(summary: Summary) -> str:
         f"# {plan.task}: models by labels and teachers",
         f"Preset `{plan.preset}`; seeds {', '.join(map(str, plan.seeds))}; {plan.test_pairs:,} fresh pairs of segments "
         "that no training pair holds, the same for every model. ± is the standard deviation over seeds. "
-        f"Δ is the accuracy less that of {plan.baseline}, in points: its 95% interval is a bootstrap over the test "
-        "segments (▲ and ▼ where it leaves out 0), `p seeds` Student's paired test over seeds, `p pairs` McNemar's "
-        "exact test over the pairs of all seeds. `accuracy` is of telling the segment that is better by what the "
-        "teacher judges by; `label accuracy`, loss and ECE are against the labels it gives. `rank` is Spearman's "
-        "correlation of scores with true returns (`late`: over the newest fifth of the segments) and with what the "
-        "teacher judges by; `steps` Pearson's of single steps' rewards with the true ones (`within`: after taking away "
-        "each segment's mean).",
+        f"Δ is the accuracy less that of {plan.baseline}, in points, with the 95% interval that other test segments "
+        "would leave it in, where pairs that share a segment count as going together (▲ and ▼ where it leaves out 0); "
+        "`p seeds` is of Student's paired test over seeds, `p pairs` of McNemar's exact test over the pairs of all "
+        "seeds as if each were by itself. `accuracy` is of telling the segment that is better by what the teacher "
+        "judges by; `label accuracy`, loss and ECE are against the labels it gives. `rank` is Spearman's correlation "
+        "of scores with true returns (`late`: over the newest fifth of the segments) and with what the teacher judges "
+        "by; `steps` Pearson's of single steps' rewards with the true ones (`within`: after taking away each segment's "
+        "mean). Minutes are those of training.",
     ]
     if summary.missing:
         parts.append(f"**{summary.missing} cells are not finished.**")

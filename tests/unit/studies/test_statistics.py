@@ -8,7 +8,7 @@ import pytest
 from mapt.studies.statistics import (
     PairDifferences,
     binomial_p,
-    bootstrap_interval,
+    difference_interval,
     mcnemar,
     paired_test,
     student_p,
@@ -80,30 +80,44 @@ def test_the_sign_test_of_thousands_does_not_overflow():
     assert binomial_p(2500 - 141, 5000) == pytest.approx(7.07e-5, rel=0.01)
 
 
-def differences(mean: float, n_segments: int, n_pairs: int, seed: int) -> PairDifferences:
-    rng = np.random.default_rng(seed)
-    pairs = np.stack([rng.choice(n_segments, 2, replace=False) for _ in range(n_pairs)])
-    signs = np.where(rng.random(n_pairs) < 0.2, np.where(rng.random(n_pairs) < 0.5 + mean / 0.4, 1.0, -1.0), 0.0)
-    return PairDifferences(signs, pairs)
+def standard_error(tested: PairDifferences) -> float:
+    low, high = difference_interval([tested])
+    return (high - low) / 2 / 1.959964
 
 
-def test_the_interval_holds_the_mean_and_leaves_out_0_where_the_gain_is_clear():
-    tested = [differences(0.1, 200, 1500, seed) for seed in range(2)]
-    mean = np.mean([one.difference.mean() for one in tested])
-    low, high = bootstrap_interval(tested)
-    assert 0 < low < mean < high < 0.2
+def test_pairs_without_a_common_segment_are_independent():
+    tested = PairDifferences(np.array([1.0, 0.0, -1.0, 1.0, 1.0, 0.0]), np.arange(12).reshape(6, 2))
+    # Mean 1/3; squared residuals 4/9 * 3 + 1/9 * 2 + 16/9 = 30/9.
+    assert standard_error(tested) == pytest.approx(math.sqrt(30 / 9) / 6)
 
 
-def test_pairs_that_share_segments_give_a_wider_interval():
+def test_pairs_with_a_common_segment_count_together():
+    # Two stars: the three pairs of each share a segment and agree. Residuals are 1, -1: (3^2 + 3 - 3) of each, / 6^2.
+    pairs = np.array([[0, 1], [2, 0], [0, 3], [4, 5], [4, 6], [7, 4]])
+    tested = PairDifferences(np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]), pairs)
+    assert standard_error(tested) == pytest.approx(math.sqrt(18) / 6)
+
+
+def test_the_mean_over_seeds_is_surer_than_that_of_one():
+    one = PairDifferences(np.array([1.0, 0.0, -1.0, 1.0]), np.arange(8).reshape(4, 2))
+    low, high = difference_interval([one])
+    both = difference_interval([one, one])
+    assert both[1] - both[0] == pytest.approx((high - low) / math.sqrt(2))
+    assert (both[0] + both[1]) / 2 == pytest.approx(0.25)
+
+
+def test_the_interval_holds_the_truth_95_times_in_100():
     rng = np.random.default_rng(0)
-    worth = rng.normal(size=40)
-    pairs = np.stack([rng.choice(40, 2, replace=False) for _ in range(3000)])
-    tested = PairDifferences(np.sign(worth[pairs[:, 0]] + worth[pairs[:, 1]]), pairs)
-    low, high = bootstrap_interval([tested])
-    if_pairs_were_independent = 2 * 1.96 * tested.difference.std() / math.sqrt(3000)
-    assert high - low > 2 * if_pairs_were_independent
+    held = 0
+    for _ in range(500):
+        # What a segment does to the difference, shared by all its pairs, and what a pair does by itself.
+        worth = 0.5 * rng.normal(size=150)
+        pairs = np.argsort(rng.random((1500, 150)), axis=1)[:, :2]
+        difference = 0.2 + worth[pairs].sum(axis=1) + rng.normal(size=1500)
+        low, high = difference_interval([PairDifferences(difference, pairs)])
+        held += low < 0.2 < high
+    assert 0.91 < held / 500 < 0.98
 
 
-def test_the_interval_is_the_same_every_time():
-    tested = [differences(0.0, 100, 500, 0)]
-    assert bootstrap_interval(tested) == bootstrap_interval(tested)
+def test_models_that_never_differ_have_an_interval_of_0():
+    assert difference_interval([PairDifferences(np.zeros(4), np.arange(8).reshape(4, 2))]) == (0.0, 0.0)

@@ -81,7 +81,14 @@ def test_the_markdown_shows_the_gain_and_its_tests():
     assert "0.074" in row
     assert "0.031" in row
     assert row.endswith("| 3 |")
-    assert "| MAPT | 80.0 ± 20.0 ▲ |" in markdown(summarise(PLAN, THREE_SEEDS))
+
+
+def test_an_arrow_shows_a_difference_beyond_chance():
+    cells = [cell(model, seed, right) for seed in (0, 1) for model, right in (("MA-MLP", 2), ("MAPT", 9))]
+    assert "| MAPT | 90.0 ± 0.0 ▲ |" in markdown(summarise(PLAN, cells))
+    turned = [cell(model, seed, right) for seed in (0, 1) for model, right in (("MA-MLP", 9), ("MAPT", 2))]
+    assert "| MAPT | 20.0 ± 0.0 ▼ |" in markdown(summarise(PLAN, turned))
+    assert "| MAPT | 30.0 |" in markdown(summarise(PLAN, [cell("MA-MLP", 0, 2), cell("MAPT", 0, 3)]))
 
 
 def test_the_markdown_says_when_cells_come_from_several_states_of_the_code():
