@@ -9,6 +9,7 @@ from mapt.rewards.settings import check_positive_int, check_range, read_settings
 
 Architecture = Literal["mapt", "mlp", "lstm", "transformer"]
 TemporalEncoder = Literal["attention", "lstm", "none"]
+TpaKey = Literal["rewards", "features"]
 PresetName = Literal["paper", "small"]
 
 
@@ -70,14 +71,23 @@ class RewardConfig:
     cpa: bool = True
     #: temporal-aware preference attention (paper, eq. 5 and 6); without it, equal weights
     tpa: bool = True
+    #: what a step is weighed by in that attention: the individual rewards, as in eq. 5, or the team's features, as
+    #: in Preference Transformer
+    tpa_key: TpaKey = "rewards"
     #: a Markov reward per agent beside the path that sees the past, which then starts at zero
     markov_path: bool = True
+    #: width of that path; 0 for d
+    markov_dim: int = 0
 
     def __post_init__(self) -> None:
         for name in ("observation_dim", "action_dim", "n_agents", "hidden_dim", "layers", "heads"):
             check_positive_int(name, getattr(self, name))
         if self.hidden_dim % (2 * self.heads):
             raise InvalidConfig(f"hidden_dim is {self.hidden_dim}; it must be a multiple of twice heads ({self.heads})")
+        if self.tpa_key not in get_args(TpaKey):
+            raise InvalidConfig(f"tpa_key is {self.tpa_key!r}; known: {', '.join(get_args(TpaKey))}")
+        if not isinstance(self.markov_dim, int) or isinstance(self.markov_dim, bool) or self.markov_dim < 0:
+            raise InvalidConfig(f"markov_dim is {self.markov_dim!r}; it must be a whole number, 0 for hidden_dim")
         self._check_paths()
         check_range("dropout", self.dropout, 0.0, 0.9)
         for name in ("discrete_actions", "agent_attention", "cpa", "tpa", "markov_path"):
@@ -147,7 +157,10 @@ class RewardConfig:
 
 
 # The dimensions are the task's: `RewardConfig.preset` puts them in.
+#
+# d = 32 takes half the time of 64 on a CPU and told no fewer fresh pairs rightly on 2,000 labels (recency: 0.888 both
+# for MA-Transformer; phase: 0.862 to 0.837 for MAPT trained at once).
 _NETWORK_PRESETS: dict[str, RewardConfig] = {
-    "paper": RewardConfig(1, 1, 1, hidden_dim=256, layers=1, heads=4, dropout=0.1),
-    "small": RewardConfig(1, 1, 1),
+    "paper": RewardConfig(1, 1, 1, hidden_dim=256, layers=1, heads=4, dropout=0.1, markov_dim=64),
+    "small": RewardConfig(1, 1, 1, hidden_dim=32, markov_dim=64),
 }

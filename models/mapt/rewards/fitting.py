@@ -60,8 +60,12 @@ class Stage:
     patience: int
     #: share of the labels that the loss takes to be mistakes
     label_noise: float = 0.0
-    #: keep what was learned only if it beats what the stage began with by more than chance would
+    #: weights to begin with, in place of the model's own
+    start: dict[str, Tensor] | None = None
+    #: keep what was learned only if it beats the weights that the model had by more than chance would
     must_convince: bool = False
+    #: epoch after which `Fitting.early` remembers the weights
+    remember_epoch: int = 0
 
 
 class Fitting:
@@ -91,6 +95,13 @@ class Fitting:
         self._started = time.perf_counter()
         self.history: list[TrainProgress] = []
         self.stopped = False
+        #: the averaged weights after `remember_epoch` of the last stage that has one
+        self.early: dict[str, Tensor] | None = None
+
+    @property
+    def train(self) -> PairTensors:
+        """The pairs to learn from."""
+        return self._train
 
     @property
     def reliable(self) -> bool:
@@ -101,12 +112,13 @@ class Fitting:
         """Train `stage.parameters`, and leave the model in evaluation mode."""
         # A hold-out too small to judge by leaves that to the training pairs.
         judge = self._hold_out if self.reliable else self._train
-        optimiser = _optimiser(stage)
         self._model.eval()
         before = preference_losses(judge.logits(stage.scorer), judge.labels, stage.label_noise)
         initial = kept = self._weights()
         best, kept_at, after = before.mean().item(), 0, before
-        self._average = WeightAverage(stage.parameters)
+        if stage.start is not None:
+            self._model.load_state_dict(stage.start)
+        optimiser, self._average = _optimiser(stage), WeightAverage(stage.parameters)
         for epoch in range(1, stage.max_epochs + 1):
             loss = self._epoch(stage, optimiser)
             if self.stopped:
@@ -117,6 +129,8 @@ class Fitting:
                 judged = preference_losses(logits, judge.labels, stage.label_noise)
                 if judged.mean().item() < best:
                     best, kept, kept_at, after = judged.mean().item(), self._weights(), epoch, judged
+                if epoch == stage.remember_epoch:
+                    self.early = self._weights()
             if epoch - kept_at >= stage.patience:
                 break
         gained = not stage.must_convince or exceeds_chance(before - after)

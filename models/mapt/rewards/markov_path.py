@@ -19,7 +19,9 @@ class MarkovPath(nn.Module):
     @classmethod
     def of(cls, config: RewardConfig) -> "MarkovPath | None":
         """The path of a network of these settings, if it has one."""
-        return cls(config.observation_dim + config.action_dim, config.hidden_dim) if config.markov_path else None
+        if not config.markov_path:
+            return None
+        return cls(config.observation_dim + config.action_dim, config.markov_dim or config.hidden_dim)
 
     def forward(self, inputs: Tensor) -> Tensor:
         return self.reward(F.gelu(self.second(F.gelu(self.first(inputs))))).squeeze(-1)

@@ -28,7 +28,8 @@ class MAPT(RewardModel):
         self.embedding = CooperativeEmbedding(config)
         self.temporal = TemporalEncoder(config)
         self.read_out = CooperationAwareAttention(2 * d, d) if config.cpa else LinearReadOut(2 * d)
-        self.step_weights = TemporalAwareAttention(2 * d, d, config.n_agents) if config.tpa else None
+        key_dim = config.n_agents if config.tpa_key == "rewards" else 2 * d
+        self.step_weights = TemporalAwareAttention(2 * d, d, key_dim) if config.tpa else None
         self.markov = MarkovPath.of(config)
         if self.markov is not None:
             zeroed(self.read_out.reward)
@@ -41,8 +42,10 @@ class MAPT(RewardModel):
     def _shares(self, h: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor | None:
         if self.step_weights is None:
             return None
+        team = h.mean(dim=2)
         # Without the gain, the keys are of the size of other activations, and weights move as gently as they.
-        return self.step_weights(h.mean(dim=2), agent_rewards / REWARD_GAIN, mask)
+        asked = agent_rewards / REWARD_GAIN if self.config.tpa_key == "rewards" else team
+        return self.step_weights(team, asked, mask)
 
     def _readers(self) -> tuple[Readers, Readers]:
         observation, action = self._markov_readers()

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from mapt.preferences.dataset import PreferenceDataset
 from mapt.rewards.base import RewardModel
+from mapt.rewards.precision import products_in
 from mapt.rewards.segment_reader import EVALUATION_SEGMENTS, SegmentReader, SegmentTensors, evaluation_parts
 
 #: From indices of segments (B,) to their scores (B,).
@@ -47,11 +48,13 @@ class PairTensors:
         return score[:, 0] - score[:, 1]
 
 
-def whole_scorer(model: RewardModel, segments: SegmentReader) -> Scorer:
-    """Scores by the whole network."""
+def whole_scorer(model: RewardModel, segments: SegmentReader, products: torch.dtype = torch.float32) -> Scorer:
+    """Scores by the whole network, float32, whatever its layers multiply in."""
 
     def score(index: Tensor) -> Tensor:
-        return model(*segments.take(index).inputs).score
+        inputs = segments.take(index).inputs
+        with products_in(products, inputs[0].device):
+            return model(*inputs).score.float()
 
     return score
 

@@ -1,13 +1,13 @@
 """In which precision the products of a network are taken."""
 
 from contextlib import AbstractContextManager, nullcontext
-from typing import Literal, get_args
+from typing import get_args
 
 import torch
 
 from mapt.rewards.errors import InvalidConfig
+from mapt.rewards.train_config import Precision
 
-Precision = Literal["float32", "bfloat16", "auto"]
 # From this d on, products take so much of a training step that halving their numbers pays for the conversions.
 LEAST_BFLOAT16_DIM = 128
 

@@ -16,6 +16,7 @@ from mapt.rewards.errors import ModelMismatch
 from mapt.rewards.fitting import Fitting, Stage, TrainProgress, judge_pairs
 from mapt.rewards.model import build_reward_model
 from mapt.rewards.pair_tensors import PairTensors, markov_scorer, step_rewards, whole_scorer
+from mapt.rewards.precision import resolve_precision
 from mapt.rewards.segment_reader import SegmentReader, segment_reader
 from mapt.rewards.train_config import TrainConfig
 
@@ -25,6 +26,8 @@ __all__ = ["TrainProgress", "TrainedReward", "train_reward_model"]
 # exact to a percent of its deviation, and 50,000 pairs must not be read again for it.
 MOST_SEGMENTS_MEASURED = 4096
 MOST_PAIRS_JUDGED = 2000
+# How far the Markov path's own training has come where the whole network goes on from it.
+EARLY_SHARE = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +92,7 @@ def train_reward_model(
             train,
             hold_out,
             seed=train_config.seed,
-            max_epochs=sum(_epochs(model, train_config, warm=initial is not None)),
+            max_epochs=sum(_epochs(model, train_config, len(train), warm=initial is not None)),
             progress=progress,
             stop=stop,
         )
@@ -123,11 +126,12 @@ def _run_stages(
     """The Markov path by itself, while the rest is held still; then everything, as far as the hold-out agrees.
 
     The Markov path takes a tenth of the time of the whole network and, where the true reward is Markov, all
-    there is to learn. The attention path then has only the rest to explain, and what it adds is kept only
-    where the hold-out gains by it; a hold-out too small to tell that lets nothing be added.
+    there is to learn. Trained to its end it also explains, by heart, what a Markov reward cannot: so the whole
+    network goes on from an early state of it, which has left something to explain. It is kept only where the
+    hold-out gains by it against the Markov path at its best; a hold-out too small to tell lets nothing be added.
     """
     model.eval()
-    markov_epochs, whole_epochs = _epochs(model, config, warm=warm)
+    markov_epochs, whole_epochs = _epochs(model, config, len(fitting.train), warm=warm)
     if model.markov is not None and markov_epochs:
         fitting.run(
             Stage(
@@ -139,6 +143,7 @@ def _run_stages(
                 max_epochs=markov_epochs,
                 patience=config.markov_patience,
                 label_noise=config.label_noise,
+                remember_epoch=0 if warm else math.ceil(EARLY_SHARE * markov_epochs),
             )
         )
         if not fitting.reliable:
@@ -147,28 +152,38 @@ def _run_stages(
         fitting.run(
             Stage(
                 list(model.parameters()),
-                whole_scorer(model, segments),
+                whole_scorer(model, segments, _products(model, config)),
                 lr=config.lr,
                 weight_decay=config.weight_decay,
                 batch_pairs=config.batch_pairs,
                 max_epochs=whole_epochs,
                 patience=config.patience,
                 label_noise=config.label_noise,
+                start=fitting.early,
                 # Without a Markov path there is nothing good to fall back to.
                 must_convince=model.markov is not None and fitting.reliable,
             )
         )
 
 
-def _epochs(model: RewardModel, config: TrainConfig, *, warm: bool) -> tuple[int, int]:
-    """Most epochs of the Markov path by itself, and of the whole network."""
-    markov, whole = (config.warm_markov_epochs if warm else config.markov_epochs), config.max_epochs
+def _epochs(model: RewardModel, config: TrainConfig, n_pairs: int, *, warm: bool) -> tuple[int, int]:
+    """Most epochs of the Markov path by itself, and of the whole network, on so many training pairs."""
+    markov, whole = config.markov_epochs, config.max_epochs
     if warm:
-        whole = config.warm_epochs
+        markov, whole = config.warm_markov_epochs, config.warm_epochs
+    # Many labels need fewer passes over them.
+    markov = min(markov, math.ceil(config.markov_visits / n_pairs))
+    whole = min(whole, math.ceil(config.visits / n_pairs))
     if model.markov is None:
         return 0, whole
     # A Markov model is its Markov path: once that is trained, so is all of it.
     return markov, 0 if markov and model.config.architecture == "mlp" else whole
+
+
+def _products(model: RewardModel, config: TrainConfig) -> torch.dtype:
+    """What the layers of `model` multiply in while they are trained."""
+    device = next(model.parameters()).device
+    return resolve_precision(config.precision, model.config.hidden_dim, device)
 
 
 def _spread(n_segments: int) -> torch.Tensor:

@@ -12,7 +12,8 @@ def test_presets_carry_the_sizes_they_are_named_for():
     assert (paper.hidden_dim, paper.layers, paper.heads, paper.dropout) == (256, 1, 4, 0.1)
     assert (TrainConfig.preset("paper").lr, TrainConfig.preset("paper").batch_pairs) == (1e-4, 256)
     small = RewardConfig.preset("small", **DIMENSIONS)
-    assert (small.hidden_dim, small.observation_dim, small.action_dim, small.n_agents) == (64, 9, 1, 6)
+    assert (small.hidden_dim, small.markov_dim) == (32, 64)
+    assert (small.observation_dim, small.action_dim, small.n_agents) == (9, 1, 6)
 
 
 @pytest.mark.parametrize("config", [RewardConfig.preset("paper", **DIMENSIONS), TrainConfig(seed=4, device="cpu")])

@@ -189,6 +189,22 @@ def test_a_loss_that_expects_mistakes_learns_more_from_them():
     assert loss_on_fresh_pairs(0.3) < 0.8 * loss_on_fresh_pairs(0.0)
 
 
+def test_many_labels_get_fewer_passes():
+    settings = TrainConfig(markov_epochs=20, max_epochs=10, markov_visits=96, visits=48, device="cpu")
+    assert train_reward_model(preferences(60), CONFIG, settings).metrics["epochs"] == 3
+
+
+def test_bfloat16_learns_the_same_preferences():
+    config = replace(CONFIG, markov_path=False)
+    settings = TrainConfig(max_epochs=6, device="cpu")
+    losses = [
+        train_reward_model(preferences(80), config, replace(settings, precision=precision)).metrics["loss"]
+        for precision in ("float32", "bfloat16")
+    ]
+    assert losses[0] != losses[1]
+    assert losses[1] == pytest.approx(losses[0], rel=0.2)
+
+
 def test_progress_is_reported_after_every_epoch():
     seen = []
     trained = train_reward_model(preferences(60), CONFIG, QUICK, progress=seen.append)
