@@ -7,6 +7,7 @@ Source: https://github.com/HumanCompatibleAI/imitation, data/huggingface_utils.p
 """
 
 import json
+import os
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator
@@ -17,13 +18,15 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError, TooLarge
+from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError, TooLarge, Truncated
 from mapt.preferences.formats.arrays import finite_doubles, finite_floats, numbered_actions
 from mapt.preferences.formats.episodes import Episode
 from mapt.preferences.storage_layout import replace_file
 
 #: The largest file that is read: a damaged one may claim any size.
 MAX_BYTES = 16 << 30
+#: What an Arrow stream ends with.
+_END = b"\xff\xff\xff\xff\0\0\0\0"
 _STATE, _INFO = "state.json", "dataset_info.json"
 
 
@@ -148,6 +151,11 @@ def _data_files(folder: Path) -> list[Path]:
 
 
 def _batches(path: Path) -> Iterator[pa.RecordBatch]:
+    with path.open("rb") as file:
+        file.seek(-min(len(_END), path.stat().st_size), os.SEEK_END)
+        if file.read() != _END:
+            # A stream that ends between two of its messages would be taken for a whole one.
+            raise Truncated(path)
     try:
         with pa.memory_map(str(path)) as file, pa.ipc.open_stream(file) as stream:
             for batch in stream:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapt.preferences.errors import AlreadyThere, FileError, MissingPart, NotReadable, ShapeError, TooLarge
+from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError, TooLarge
 from mapt.preferences.formats.imitation_trajectories import read_imitation_trajectories, write_imitation_trajectories
 from support.comparing import assert_same_episodes, everything_in, made_episodes
 
@@ -93,13 +93,17 @@ def test_a_folder_of_another_shape_is_refused_and_nothing_changes(tmp_path, chan
     assert everything_in(tmp_path) == before
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
-def test_a_file_that_was_cut_is_refused(tmp_path, share):
-    shutil.copytree(FIXTURE, tmp_path / "copy")
-    path = tmp_path / "copy" / "data-00000-of-00001.arrow"
-    os.truncate(path, int(path.stat().st_size * share))
-    with pytest.raises(FileError):
-        list(read_imitation_trajectories(tmp_path / "copy"))
+@settings(max_examples=60)
+@given(st.data())
+def test_a_file_that_was_cut_anywhere_is_refused(tmp_path_factory, data):
+    folder = tmp_path_factory.mktemp("cut") / "copy"
+    shutil.copytree(FIXTURE, folder)
+    path = folder / "data-00000-of-00001.arrow"
+    size = path.stat().st_size
+    # Two places where one message ends and the next begins, or any other.
+    os.truncate(path, data.draw(st.sampled_from([1232, size - 8]) | st.integers(0, size - 1)))
+    with pytest.raises(NotReadable):
+        list(read_imitation_trajectories(folder))
 
 
 @pytest.mark.parametrize(
