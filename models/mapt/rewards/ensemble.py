@@ -107,7 +107,7 @@ def train_reward_ensemble(
             train,
             hold_out,
             seed=train_config.seed,
-            max_epochs=sum(_epochs(stack, train_config, warm=initial is not None)),
+            max_epochs=sum(train_config.epochs(config, len(train), warm=initial is not None)),
             resampled=resampled,
             progress=progress,
             stop=stop,
@@ -143,7 +143,7 @@ def _run_stages(
 ) -> None:
     """The Markov paths by themselves, then everything, as far as the hold-out agrees; as `train_reward_model`."""
     markov = _markov_names(stack)
-    markov_epochs, whole_epochs = _epochs(stack, config, warm=warm)
+    markov_epochs, whole_epochs = config.epochs(stack.config, fitting.n_pairs, warm=warm)
     if markov_epochs:
         fitting.run(
             EnsembleStage(
@@ -155,6 +155,7 @@ def _run_stages(
                 max_epochs=markov_epochs,
                 patience=config.markov_patience,
                 label_noise=config.label_noise,
+                remember_epoch=config.early_epoch(markov_epochs, warm=warm),
             )
         )
         if not fitting.reliable:
@@ -170,6 +171,7 @@ def _run_stages(
                 max_epochs=whole_epochs,
                 patience=config.patience,
                 label_noise=config.label_noise,
+                start=fitting.early,
                 must_convince=bool(markov) and fitting.reliable,
             )
         )
@@ -177,17 +179,6 @@ def _run_stages(
 
 def _markov_names(stack: StackedModels) -> list[str]:
     return [name for name in stack.parameters if name.startswith("markov.")]
-
-
-def _epochs(stack: StackedModels, config: TrainConfig, *, warm: bool) -> tuple[int, int]:
-    """Most epochs of the Markov paths by themselves, and of the whole networks."""
-    markov, whole = config.markov_epochs, config.max_epochs
-    if warm:
-        markov, whole = config.warm_markov_epochs, config.warm_epochs
-    if not _markov_names(stack):
-        return 0, whole
-    # A Markov model is its Markov path: once that is trained, so is all of it.
-    return markov, 0 if markov and stack.config.architecture == "mlp" else whole
 
 
 def _judged(scorer: StackScorer, train: PairTensors, hold_out: PairTensors, label_noise: float) -> dict[str, float]:

@@ -44,7 +44,9 @@ class EnsembleStage:
     max_epochs: int
     patience: int
     label_noise: float = 0.0
+    start: Mapping[str, Tensor] | None = None
     must_convince: bool = False
+    remember_epoch: int = 0
 
 
 class EnsembleFitting:
@@ -85,6 +87,13 @@ class EnsembleFitting:
         )
         self.epochs = 0
         self.stopped = False
+        #: see `mapt.rewards.fitting.Fitting.early`
+        self.early: dict[str, Tensor] | None = None
+
+    @property
+    def n_pairs(self) -> int:
+        """How many pairs there are to learn from."""
+        return len(self._train)
 
     @property
     def reliable(self) -> bool:
@@ -99,6 +108,8 @@ class EnsembleFitting:
         before = after = logit_losses(pair_logits(judge, stage.scorer), judge.labels, stage.label_noise)
         initial, kept = _copies(trained), _copies(trained)
         best, kept_at = before.mean(dim=1), torch.zeros(len(before), dtype=torch.int64, device=before.device)
+        if stage.start is not None:
+            _write(trained, stage.start)
         self._average = WeightAverage(list(trained.values()))
         for epoch in range(1, stage.max_epochs + 1):
             loss = self._epoch(stage, optimiser)
@@ -112,12 +123,12 @@ class EnsembleFitting:
                 best = torch.where(better, judged.mean(dim=1), best)
                 kept_at, after = torch.where(better, epoch, kept_at), torch.where(better[:, None], judged, after)
                 kept = {name: where_member(better, trained[name].detach(), kept[name]) for name in trained}
+                if epoch == stage.remember_epoch:
+                    self.early = _copies(trained)
             if (epoch - kept_at >= stage.patience).all():
                 break
         gained = exceeds_chance(before - after) if stage.must_convince else torch.ones_like(best, dtype=torch.bool)
-        with torch.no_grad():
-            for name, parameter in trained.items():
-                parameter.copy_(where_member(gained, kept[name], initial[name]))
+        _write(trained, {name: where_member(gained, kept[name], initial[name]) for name in trained})
 
     def _epoch(self, stage: EnsembleStage, optimiser: torch.optim.Optimizer) -> float:
         """Mean loss of one pass over the training pairs; NaN when stopped."""
@@ -223,6 +234,13 @@ def exceeds_chance(gains: Tensor) -> Tensor:
 def where_member(chosen: Tensor, first: Tensor, second: Tensor) -> Tensor:
     """`first` (M, ...) for the members `chosen` (M,), `second` for the others."""
     return torch.where(chosen.view(-1, *(1 for _ in first.shape[1:])), first, second)
+
+
+@torch.no_grad()
+def _write(parameters: Mapping[str, Tensor], values: Mapping[str, Tensor]) -> None:
+    """Give those of `parameters` that have a value this value."""
+    for name, value in values.items():
+        parameters[name].copy_(value)
 
 
 def _copies(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:

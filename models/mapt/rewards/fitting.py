@@ -99,9 +99,9 @@ class Fitting:
         self.early: dict[str, Tensor] | None = None
 
     @property
-    def train(self) -> PairTensors:
-        """The pairs to learn from."""
-        return self._train
+    def n_pairs(self) -> int:
+        """How many pairs there are to learn from."""
+        return len(self._train)
 
     @property
     def reliable(self) -> bool:

@@ -26,8 +26,6 @@ __all__ = ["TrainProgress", "TrainedReward", "train_reward_model"]
 # exact to a percent of its deviation, and 50,000 pairs must not be read again for it.
 MOST_SEGMENTS_MEASURED = 4096
 MOST_PAIRS_JUDGED = 2000
-# How far the Markov path's own training has come where the whole network goes on from it.
-EARLY_SHARE = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +90,7 @@ def train_reward_model(
             train,
             hold_out,
             seed=train_config.seed,
-            max_epochs=sum(_epochs(model, train_config, len(train), warm=initial is not None)),
+            max_epochs=sum(train_config.epochs(config, len(train), warm=initial is not None)),
             progress=progress,
             stop=stop,
         )
@@ -131,7 +129,7 @@ def _run_stages(
     hold-out gains by it against the Markov path at its best; a hold-out too small to tell lets nothing be added.
     """
     model.eval()
-    markov_epochs, whole_epochs = _epochs(model, config, len(fitting.train), warm=warm)
+    markov_epochs, whole_epochs = config.epochs(model.config, fitting.n_pairs, warm=warm)
     if model.markov is not None and markov_epochs:
         fitting.run(
             Stage(
@@ -143,7 +141,7 @@ def _run_stages(
                 max_epochs=markov_epochs,
                 patience=config.markov_patience,
                 label_noise=config.label_noise,
-                remember_epoch=0 if warm else math.ceil(EARLY_SHARE * markov_epochs),
+                remember_epoch=config.early_epoch(markov_epochs, warm=warm),
             )
         )
         if not fitting.reliable:
@@ -164,20 +162,6 @@ def _run_stages(
                 must_convince=model.markov is not None and fitting.reliable,
             )
         )
-
-
-def _epochs(model: RewardModel, config: TrainConfig, n_pairs: int, *, warm: bool) -> tuple[int, int]:
-    """Most epochs of the Markov path by itself, and of the whole network, on so many training pairs."""
-    markov, whole = config.markov_epochs, config.max_epochs
-    if warm:
-        markov, whole = config.warm_markov_epochs, config.warm_epochs
-    # Many labels need fewer passes over them.
-    markov = min(markov, math.ceil(config.markov_visits / n_pairs))
-    whole = min(whole, math.ceil(config.visits / n_pairs))
-    if model.markov is None:
-        return 0, whole
-    # A Markov model is its Markov path: once that is trained, so is all of it.
-    return markov, 0 if markov and model.config.architecture == "mlp" else whole
 
 
 def _products(model: RewardModel, config: TrainConfig) -> torch.dtype:

@@ -299,7 +299,9 @@ def test_an_ensemble_of_a_later_version_asks_for_an_update():
         load_reward_ensemble(with_card(stored, format_version=2))
 
 
-@pytest.mark.parametrize("damage", [lambda b: b"", lambda b: b[:5], lambda b: b[:-1], lambda b: b[:-1] + b"?"])
+@pytest.mark.parametrize(
+    "damage", [lambda b: b"", lambda b: b[:5], lambda b: b[:-1], lambda b: b[:-1] + bytes([b[-1] ^ 1])]
+)
 def test_an_ensemble_that_is_not_whole_is_refused(damage):
     stored = save_reward_ensemble(RewardEnsemble.of(drawn_models(2, config())))
     with pytest.raises(DamagedCheckpoint):
