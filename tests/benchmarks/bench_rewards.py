@@ -1,129 +1,202 @@
-"""Training and relabelling of MAPT, beside the matrix multiplication ceiling of the same machine in the same run.
+"""Training, relabelling and streaming of MAPT, beside the machine's matrix multiplication ceiling in the same run.
 
-The ceiling is what torch reaches on matrices of the network's own shapes: many rows, d to 2d columns. The share is that
-of the multiplications alone: norms, activations and the softmax of the attention count as time, not as work.
+The ceiling is what torch reaches on one product of the network's own shape: the rows of a pass, 2d columns in, 2d out.
+The share counts the multiplications and additions of all products of a step, those of the attentions too, forwards
+once and backwards twice; norms, activations, softmax and the optimiser cost time, but are no work.
 
-    python tests/benchmarks/bench_rewards.py [threads]
+    python tests/benchmarks/bench_rewards.py [--rows training relabelling streaming] [--sizes small paper]
+        [--threads 2] [--device cpu] [--seconds 3]
 """
 
-import sys
+import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from torch import Tensor, nn
+from torch.nn.attention import SDPBackend, sdpa_kernel
+from torch.utils.flop_counter import FlopCounterMode
 
-from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
+from mapt.preferences.loss import preference_loss
 from mapt.rewards.config import PresetName, RewardConfig
-from mapt.rewards.network import MAPT
+from mapt.rewards.model import build_reward_model
+from mapt.rewards.precision import products_in
 from mapt.rewards.relabelling import RolloutRelabeller
-from mapt.rewards.train_config import TrainConfig
-from mapt.rewards.trainer import train_reward_model
+from mapt.rewards.streaming import RewardStream
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 6, 24, 1
-LEAST_SECONDS = 2.0
 N_ENVS, ROLLOUT_STEPS = 40, 100
+N_PAIRS = 64
+PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
+# Agent-steps in one forward and backward pass on a CPU. A step of 64 pairs in one piece keeps gigabytes of
+# activations, which the C library gives back to the system and takes anew, page by page, in every step.
+AGENT_STEPS_PER_PASS = 2_400
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """One row of the table."""
+    """A network and the length of its segments."""
 
     preset: PresetName
+    hidden_dim: int
     n_steps: int
-    n_pairs: int
+
+    @property
+    def config(self) -> RewardConfig:
+        preset = RewardConfig.preset(
+            self.preset, observation_dim=OBSERVATION_DIM, action_dim=ACTION_DIM, n_agents=N_AGENTS
+        )
+        return replace(preset, hidden_dim=self.hidden_dim)
+
+    def __str__(self) -> str:
+        return f"d={self.hidden_dim:<3} T={self.n_steps:<3}"
 
 
-SIZES = (Size("small", 50, 64), Size("small", 100, 64), Size("paper", 50, 16), Size("paper", 100, 16))
+SIZES = {"small": Size("small", 64, 50), "paper": Size("paper", 256, 100)}
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """Where to measure, and how long."""
+
+    device: torch.device
+    seconds: float
+
+    def calls_per_second(self, call: Callable[[], object]) -> float:
+        call()
+        self._wait()
+        n_calls, started = 0, time.perf_counter()
+        while time.perf_counter() - started < self.seconds:
+            call()
+            self._wait()
+            n_calls += 1
+        return n_calls / (time.perf_counter() - started)
+
+    def _wait(self) -> None:
+        if self.device.type == "cuda":
+            torch.cuda.synchronize()
 
 
 def main() -> None:
-    torch.set_num_threads(int(sys.argv[1]) if len(sys.argv) > 1 else 2)
-    print(f"{torch.get_num_threads()} threads; {N_AGENTS} agents, {OBSERVATION_DIM} observed numbers each")
-    print(
-        f"{'preset':7} {'T':>4} {'ceiling':>14} {'whole network':>16} {'share':>6}"
-        f" {'Markov path':>14} {'relabelling':>20}"
-    )
-    for size in SIZES:
-        ceiling = gemm_flops(2 * RewardConfig.preset(size.preset, **dimensions()).hidden_dim)
-        whole, markov = training_rates(size)
-        share = whole * 3 * flops_per_step(size.preset) * 2 * size.n_steps * N_AGENTS / ceiling
-        print(
-            f"{size.preset:7} {size.n_steps:4} {ceiling / 1e9:7.0f} GFLOP/s {whole:9.0f} pairs/s {share:6.0%}"
-            f" {markov:7.0f} pairs/s {relabelling_rate(size):9,.0f} transitions/s"
+    arguments = _arguments()
+    torch.set_num_threads(arguments.threads)
+    bench = Bench(torch.device(arguments.device), arguments.seconds)
+    where = torch.cuda.get_device_name() if bench.device.type == "cuda" else f"CPU, {torch.get_num_threads()} threads"
+    print(f"{where}; {N_AGENTS} agents, {OBSERVATION_DIM} observed numbers and {ACTION_DIM} action each")
+    for row in arguments.rows:
+        for name in arguments.sizes:
+            for line in ROWS[row](bench, SIZES[name]):
+                print(line, flush=True)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
+    parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--seconds", type=float, default=3.0, help="least time of each measurement")
+    return parser.parse_args()
+
+
+def training(bench: Bench, size: Size) -> Iterator[str]:
+    """Steps of AdamW on batches of 64 pairs, in passes of AGENT_STEPS_PER_PASS on a CPU and in one on a GPU."""
+    for name, dtype in PRECISIONS.items():
+        ceiling = gemm_flops(bench, size, dtype)
+        step = TrainingStep(size, dtype, bench.device)
+        # The counter does not know the fused attentions of a CPU, but the products of the plain one.
+        with FlopCounterMode(display=False) as counter, sdpa_kernel(SDPBackend.MATH):
+            step.one_pass(0)
+        flops = counter.get_total_flops() * len(step.passes) / N_PAIRS
+        pairs = bench.calls_per_second(step.run) * N_PAIRS
+        yield (
+            f"training    {size} {name:8} {pairs:9.1f} pairs/s, {pairs * flops / 1e9:7.0f}"
+            f" of {ceiling / 1e9:7.0f} GFLOP/s: {pairs * flops / ceiling:4.0%}"
         )
 
 
-def dimensions() -> dict[str, int]:
-    return {"observation_dim": OBSERVATION_DIM, "action_dim": ACTION_DIM, "n_agents": N_AGENTS}
+class TrainingStep:
+    """One optimiser step on random pairs."""
+
+    def __init__(self, size: Size, dtype: torch.dtype, device: torch.device) -> None:
+        torch.manual_seed(0)
+        self.model = build_reward_model(size.config).to(device).train()
+        self.dtype, self.device = dtype, device
+        self.optimiser = torch.optim.AdamW(self.model.parameters(), lr=1e-4, fused=True)
+        shape = (2, N_PAIRS, size.n_steps, N_AGENTS)
+        self.observations = torch.randn(*shape, OBSERVATION_DIM, device=device)
+        self.actions = torch.randn(*shape, ACTION_DIM, device=device)
+        self.mask = torch.ones(shape[:3], dtype=torch.bool, device=device)
+        self.labels = torch.randint(0, 2, (N_PAIRS,), device=device).float()
+        per_pass = N_PAIRS
+        if device.type == "cpu":
+            per_pass = max(1, AGENT_STEPS_PER_PASS // (2 * size.n_steps * N_AGENTS))
+        self.passes = [slice(first, first + per_pass) for first in range(0, N_PAIRS, per_pass)]
+
+    def one_pass(self, number: int) -> None:
+        part = self.passes[number]
+
+        def both(values: Tensor) -> Tensor:
+            return values[:, part].flatten(0, 1)
+
+        with products_in(self.dtype, self.device):
+            score = self.model(both(self.observations), both(self.actions), both(self.mask)).score
+        score_0, score_1 = score.float().chunk(2)
+        loss = preference_loss(score_0, score_1, self.labels[part])
+        (loss * (len(score_0) / N_PAIRS)).backward()
+
+    def run(self) -> None:
+        self.optimiser.zero_grad(set_to_none=True)
+        for number in range(len(self.passes)):
+            self.one_pass(number)
+        nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        self.optimiser.step()
 
 
-def gemm_flops(width: int) -> float:
-    """Floating point operations a second of a product shaped like the network's: rows x width by width x width / 2."""
-    left, right = torch.randn(19_200, width), torch.randn(width, width // 2)
-    calls = calls_per_second(lambda: left @ right)
-    return calls * 2 * left.shape[0] * right.numel()
+def gemm_flops(bench: Bench, size: Size, dtype: torch.dtype) -> float:
+    """Floating point operations a second of one product of the network's shape."""
+    width = 2 * size.hidden_dim
+    rows = AGENT_STEPS_PER_PASS if bench.device.type == "cpu" else 2 * N_PAIRS * size.n_steps * N_AGENTS
+    left = torch.randn(rows, width, dtype=dtype, device=bench.device)
+    right = torch.randn(width, width, dtype=dtype, device=bench.device)
+    return bench.calls_per_second(lambda: left @ right) * 2 * rows * width * width
 
 
-def flops_per_step(preset: PresetName) -> float:
-    """Multiplications and additions of all linear layers for one step of one agent, forwards."""
-    model = MAPT(RewardConfig.preset(preset, **dimensions()))
-    linear = [layer for layer in model.modules() if isinstance(layer, torch.nn.Linear)]
-    return 2.0 * sum(layer.weight.numel() for layer in linear)
+def relabelling(bench: Bench, size: Size) -> Iterator[str]:
+    """Transitions a second (steps of environments, each with all its agents) of rollouts of 40 x 100."""
+    relabeller = RolloutRelabeller(build_reward_model(size.config), size.n_steps, N_ENVS, device=bench.device.type)
+    rollout = random_rollout()
+    transitions = bench.calls_per_second(lambda: relabeller.relabel(*rollout)) * ROLLOUT_STEPS * N_ENVS
+    yield f"relabelling {size} float32  {transitions:9,.0f} transitions/s, rollouts of {N_ENVS} x {ROLLOUT_STEPS}"
 
 
-def calls_per_second(call: Callable[[], object]) -> float:
-    call()
-    n_calls, started = 0, time.perf_counter()
-    while time.perf_counter() - started < LEAST_SECONDS:
-        call()
-        n_calls += 1
-    return n_calls / (time.perf_counter() - started)
+def streaming(bench: Bench, size: Size) -> Iterator[str]:
+    """Microseconds of one step of 40 environments, their windows full."""
+    stream = RewardStream(build_reward_model(size.config), size.n_steps, N_ENVS, device=bench.device.type)
+    observations, actions, start = random_rollout()
+    for step in range(ROLLOUT_STEPS):
+        stream.step(observations[step], actions[step], start[step])
+    seconds = 1 / bench.calls_per_second(lambda: stream.step(observations[0], actions[0], start[0]))
+    yield f"streaming   {size} float32  {seconds * 1e6:9,.0f} microseconds a step of {N_ENVS} environments"
 
 
-def training_rates(size: Size) -> tuple[float, float]:
-    """Pairs a second in training: of the whole network, and of the Markov path alone."""
-    config = RewardConfig.preset(size.preset, **dimensions())
-    data = random_preferences(size)
-
-    def pairs_per_second(settings: TrainConfig) -> float:
-        trained = train_reward_model(data, config, settings)
-        # The first epoch warms up; the one of the other stage, if any, comes last.
-        ends = [at.seconds for at in trained.history[: settings.markov_epochs or None]]
-        n_trained = trained.metrics["labels"] - trained.metrics["holdout_labels"]
-        return n_trained * (len(ends) - 1) / (ends[-1] - ends[0])
-
-    settings = TrainConfig(batch_pairs=size.n_pairs, patience=10**6, device="cpu")
-    whole = pairs_per_second(replace(settings, markov_epochs=0, max_epochs=4))
-    return whole, pairs_per_second(replace(settings, markov_epochs=10, max_epochs=1))
-
-
-def random_preferences(size: Size) -> PreferenceDataset:
-    rng = np.random.default_rng(0)
-    # Eight batches and a hold-out of a tenth: fewer would make smaller batches.
-    n_pairs = 10 * size.n_pairs
-    shape = (2 * n_pairs, size.n_steps, N_AGENTS)
-    segments = SegmentArrays(
-        rng.standard_normal((*shape, OBSERVATION_DIM), dtype=np.float32),
-        rng.standard_normal((*shape, ACTION_DIM), dtype=np.float32),
-        np.ones(shape[:2], dtype=np.bool_),
-    )
-    labels = rng.integers(0, 2, n_pairs).astype(np.float32)
-    return PreferenceDataset(segments, np.arange(2 * n_pairs).reshape(-1, 2), labels)
-
-
-def relabelling_rate(size: Size) -> float:
-    """Transitions a second: steps of environments, each with all its agents."""
-    model = MAPT(RewardConfig.preset(size.preset, **dimensions()))
-    relabeller = RolloutRelabeller(model, size.n_steps, N_ENVS)
+def random_rollout() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
     shape = (ROLLOUT_STEPS, N_ENVS, N_AGENTS)
     observations = rng.standard_normal((*shape, OBSERVATION_DIM), dtype=np.float32)
     actions = rng.standard_normal((*shape, ACTION_DIM), dtype=np.float32)
     start = rng.random((ROLLOUT_STEPS, N_ENVS)) < 0.002
-    return calls_per_second(lambda: relabeller.relabel(observations, actions, start)) * ROLLOUT_STEPS * N_ENVS
+    start[0] = False
+    return observations, actions, start
 
+
+ROWS: dict[str, Callable[[Bench, Size], Iterator[str]]] = {
+    "training": training,
+    "relabelling": relabelling,
+    "streaming": streaming,
+}
 
 if __name__ == "__main__":
     main()
