@@ -119,7 +119,7 @@ def _draw(
             "agent-attention",
             draw_agent_attention(diagnoses, agents),
             "Who looks at whom",
-            "Mean over steps. Where past_share in the table is 0, the path that has this attention adds nothing.",
+            "Mean over steps. A model whose variance is all the Markov path's (see the table) makes no use of it.",
         ),
     ]
     pictures = []

@@ -30,9 +30,10 @@ _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1b1f24; max-width: 1080px; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2.4rem; }
 p { max-width: 46rem; } .quiet { color: #59636e; }
-table { border-collapse: collapse; } th, td { padding: .3rem .9rem .3rem 0; border-bottom: 1px solid #d8dee4; }
-td + td, th + th { text-align: right; font-variant-numeric: tabular-nums; }
-th { text-align: left; } img { max-width: 100%; height: auto; }
+table { border-collapse: collapse; } th, td { padding: .3rem 0; border-bottom: 1px solid #d8dee4; }
+th { text-align: left; }
+td + td, th + th { text-align: right; padding-left: 1.6rem; font-variant-numeric: tabular-nums; }
+img { max-width: 100%; height: auto; }
 @media (prefers-color-scheme: dark) {
   body { background: #14171a; color: #e6e9ec; } .quiet { color: #9aa4ae; } th, td { border-color: #31373d; }
   img { background: #fff; border-radius: 4px; }

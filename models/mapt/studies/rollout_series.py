@@ -44,7 +44,7 @@ def _episode(episodes: Replay, window: int, models: dict[str, RewardModel]) -> R
     start = np.zeros((len(observations), 1), np.bool_)
     start[0] = True
     learned = {
-        name: RolloutRelabeller(model, window, 1).relabel(observations, actions, start)[:, 0]  # pyright: ignore[reportArgumentType]
+        name: RolloutRelabeller(model, window, 1).relabel(observations, actions, start)[:, 0]
         for name, model in models.items()
     }
     what = f"The first {len(start)} steps of an episode of the trained policy"

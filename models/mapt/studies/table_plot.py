@@ -22,10 +22,10 @@ def draw_table(summary: Summary, path: Path) -> None:
     columns = min(_PANELS_PER_ROW, len(teachers))
     rows = -(-len(teachers) // columns)
     figure = Figure(figsize=(1.5 + 4.5 * columns, 1.2 + 3.6 * rows), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).flat
+    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axes, teacher in zip(panels, teachers, strict=False):
         _draw_teacher(axes, summary, teacher)
-    for axes in list(panels)[len(teachers) :]:
+    for axes in panels[len(teachers) :]:
         axes.set_axis_off()
     handles, names = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside right upper", frameon=False)
