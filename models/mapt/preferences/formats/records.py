@@ -1,6 +1,6 @@
 """What every format is turned into, and made from: segments with what is known of them, and comparisons."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.preferences.dataset import FloatArray, IntArray, PreferenceDataset, SegmentArrays
+from mapt.preferences.dataset import FloatArray, IntArray, PreferenceDataset, SegmentArrays, SegmentSource
 from mapt.preferences.errors import ShapeError
 from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
 
@@ -136,6 +136,17 @@ def concatenate(parts: list[SegmentRecords]) -> SegmentRecords:
 def _lengthened(array: NDArray[Any], n_steps: int) -> NDArray[Any]:
     missing = n_steps - array.shape[1]
     return np.pad(array, [(0, 0), (0, missing), *[(0, 0)] * (array.ndim - 2)]) if missing else array
+
+
+def records_in_batches(source: SegmentSource, size: int = 256) -> Iterator[SegmentRecords]:
+    """All segments in order, `size` at a time; of a folder, with the rewards and simulator states it keeps."""
+    for first in range(0, len(source), size):
+        index = np.arange(first, min(first + size, len(source)))
+        extras: dict[str, NDArray[np.float64]] = {}
+        if isinstance(source, SegmentFolder):
+            for name in source.layout.columns.keys() & {"rewards", "qpos", "qvel"}:
+                extras[name] = getattr(source, name)(index)
+        yield SegmentRecords(source.take(index), **extras)
 
 
 def save_records(

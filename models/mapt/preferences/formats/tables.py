@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.errors import AlreadyThere, MissingPart, NotEnoughPairs, NotReadable, TooLarge, UnknownLabel
-from mapt.preferences.formats.records import Comparisons, SegmentRecords, save_records
+from mapt.preferences.formats.records import SegmentRecords, save_records
 from mapt.preferences.formats.table_schemas import (
     LABELS,
     QUERIES,
@@ -34,7 +34,7 @@ from mapt.preferences.formats.table_schemas import (
 from mapt.preferences.formats.table_writer import TableWriter
 from mapt.preferences.storage import SegmentLayout
 
-__all__ = ["LabelRow", "PreferenceTables", "QueryRow", "SegmentRow", "TableWriter", "write_tables"]
+__all__ = ["LabelRow", "PreferenceTables", "QueryRow", "SegmentRow", "TableWriter"]
 
 #: The largest row group that is read: all of it lies in memory at once. Ours have 32 MiB.
 MAX_ROW_GROUP_BYTES = 1 << 30
@@ -158,27 +158,6 @@ class PreferenceTables:
                     if not field.nullable and group.column(field.name).null_count:
                         raise NotReadable(path, f"has a row without {field.name}")
                 yield group
-
-
-def write_tables(path: Path | str, comparisons: Comparisons, *, about: Mapping[str, Any] | None = None) -> None:
-    """Write comparisons that come from elsewhere as our tables.
-
-    Raises:
-        AlreadyThere: if there is something at `path`.
-    """
-    records, labels = comparisons.records, comparisons.labels.tolist()
-    with TableWriter(path, records.layout(), about=about) as tables:
-        tables.add_segments([SegmentRow(f"segment-{index}") for index in range(len(records))], records)
-        tables.add_queries(
-            QueryRow(f"query-{index}", f"segment-{first}", f"segment-{second}")
-            for index, (first, second) in enumerate(comparisons.pairs.tolist())
-        )
-        tables.add_labels(
-            LabelRow(f"query-{index}", "imported", "skip", None)
-            if np.isnan(label)
-            else LabelRow(f"query-{index}", "imported", "label", label)
-            for index, label in enumerate(labels)
-        )
 
 
 def _name(path: Path, table: str) -> Path:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mapt.preferences.dataset import PreferenceDataset
 from mapt.preferences.errors import (
     AlreadyThere,
     MissingPart,
@@ -21,13 +22,14 @@ from mapt.preferences.errors import (
     TooLarge,
     UnknownLabel,
 )
+from mapt.preferences.formats.records import save_records
+from mapt.preferences.formats.table_export import write_dataset, write_tables
 from mapt.preferences.formats.tables import (
     LabelRow,
     PreferenceTables,
     QueryRow,
     SegmentRow,
     TableWriter,
-    write_tables,
 )
 from support.comparing import assert_same_segments, everything_in, made_comparisons, made_records
 
@@ -107,6 +109,29 @@ def test_labels_are_loaded_with_their_segments_and_skips_are_not(tmp_path):
     assert dataset.pairs.tolist() == [[0, 1], [0, 1], [3, 2]]
     assert dataset.labels.tolist() == [1.0, 0.5, 0.0]
     assert_same_segments(dataset.segments, records.segments)
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_a_dataset_on_disk_goes_to_tables_and_back_with_all_it_keeps(tmp_path, discrete):
+    records = made_records(300, discrete=discrete)
+    folder = save_records(tmp_path / "segments", [records], discrete=discrete)
+    dataset = PreferenceDataset(folder, np.array([[0, 299], [5, 4]]), np.array([1.0, 0.5]))
+    write_dataset(tmp_path / "export", dataset, about=ABOUT)
+    again = PreferenceTables.open(tmp_path / "export").load(tmp_path / "again")
+    assert (again.pairs.tolist(), again.labels.tolist()) == ([[0, 299], [5, 4]], [1.0, 0.5])
+    assert again.segments.layout == folder.layout
+    everything = np.arange(300)
+    assert_same_segments(again.segments, folder)
+    for name, values in records.extras().items():
+        np.testing.assert_array_equal(getattr(again.segments, name)(everything), values)
+
+
+def test_a_dataset_in_memory_goes_to_tables_and_back(tmp_path):
+    dataset = made_comparisons([1.0, 0.0], known=()).dataset()
+    write_dataset(tmp_path / "export", dataset)
+    again = PreferenceTables.open(tmp_path / "export").load(tmp_path / "again")
+    np.testing.assert_array_equal(again.pairs, dataset.pairs)
+    assert_same_segments(again.segments, dataset.segments)
 
 
 def test_the_export_says_its_polarity_schema_and_source(tmp_path):
