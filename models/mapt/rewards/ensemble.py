@@ -31,13 +31,14 @@ from mapt.rewards.ensemble_scorers import (
     whole_stack_scorer,
 )
 from mapt.rewards.errors import ModelMismatch
-from mapt.rewards.fitting import TrainProgress
+from mapt.rewards.fitting import TrainProgress, is_reliable
 from mapt.rewards.members import RewardEnsemble, check_fit
 from mapt.rewards.model import build_reward_model
 from mapt.rewards.pair_tensors import PairTensors
 from mapt.rewards.segment_reader import SegmentReader, segment_reader
 from mapt.rewards.settings import check_positive_int
 from mapt.rewards.stacked import StackedModels
+from mapt.rewards.stages import Stages, plan_stages
 from mapt.rewards.train_config import TrainConfig
 
 __all__ = ["RewardEnsemble", "train_reward_ensemble"]
@@ -102,18 +103,19 @@ def train_reward_ensemble(
         for model in models:
             model.to(device).measure_inputs(*observed, keep_function=initial is not None)
         stack = StackedModels(models)
+        stages = plan_stages(train_config, config, len(train), warm=initial is not None, reliable=is_reliable(hold_out))
         fitting = EnsembleFitting(
             stack,
             train,
             hold_out,
             seed=train_config.seed,
-            max_epochs=sum(train_config.epochs(config, len(train), warm=initial is not None)),
+            max_epochs=stages.max_epochs,
             resampled=resampled,
             progress=progress,
             stop=stop,
         )
         used = torch.as_tensor(np.unique(dataset.pairs), device=device)
-        _run_stages(fitting, stack, segments, used, train_config, warm=initial is not None)
+        _run_stages(fitting, stack, segments, used, stages)
     judged = segments if reference is None else segment_reader(reference, device)
     measure_reward_scales(stack, judged, spread_sample(len(judged), MEASURED_SEGMENTS, device))
     metrics = {
@@ -133,52 +135,14 @@ def train_reward_ensemble(
 
 
 def _run_stages(
-    fitting: EnsembleFitting,
-    stack: StackedModels,
-    segments: SegmentReader,
-    used: Tensor,
-    config: TrainConfig,
-    *,
-    warm: bool,
+    fitting: EnsembleFitting, stack: StackedModels, segments: SegmentReader, used: Tensor, stages: Stages
 ) -> None:
-    """The Markov paths by themselves, then everything, as far as the hold-out agrees; as `train_reward_model`."""
-    markov = _markov_names(stack)
-    markov_epochs, whole_epochs = config.epochs(stack.config, fitting.n_pairs, warm=warm)
-    if markov_epochs:
-        fitting.run(
-            EnsembleStage(
-                markov,
-                markov_stack_scorer(stack, segments, used),
-                lr=config.markov_lr,
-                weight_decay=config.weight_decay,
-                batch_pairs=config.batch_pairs,
-                max_epochs=markov_epochs,
-                patience=config.markov_patience,
-                label_noise=config.label_noise,
-                remember_epoch=config.early_epoch(markov_epochs, warm=warm),
-            )
-        )
-        if not fitting.reliable:
-            return
-    if whole_epochs and not fitting.stopped:
-        fitting.run(
-            EnsembleStage(
-                list(stack.parameters),
-                whole_stack_scorer(stack, segments),
-                lr=config.lr,
-                weight_decay=config.weight_decay,
-                batch_pairs=config.batch_pairs,
-                max_epochs=whole_epochs,
-                patience=config.patience,
-                label_noise=config.label_noise,
-                start=fitting.early,
-                must_convince=bool(markov) and fitting.reliable,
-            )
-        )
-
-
-def _markov_names(stack: StackedModels) -> list[str]:
-    return [name for name in stack.parameters if name.startswith("markov.")]
+    if stages.markov is not None:
+        markov = [name for name in stack.parameters if name.startswith("markov.")]
+        fitting.run(EnsembleStage(stages.markov, markov, markov_stack_scorer(stack, segments, used)))
+    if stages.whole is not None and not fitting.stopped:
+        scorer = whole_stack_scorer(stack, segments)
+        fitting.run(EnsembleStage(stages.whole, list(stack.parameters), scorer, start=fitting.early))
 
 
 def _judged(scorer: StackScorer, train: PairTensors, hold_out: PairTensors, label_noise: float) -> dict[str, float]:

@@ -16,14 +16,15 @@ from torch import Tensor
 from mapt.preferences.loss import preference_losses
 from mapt.rewards.fitting import (
     FEWEST_BATCH_PAIRS,
-    FEWEST_HOLD_OUT_PAIRS,
     FEWEST_STEPS_PER_EPOCH,
     GRADIENT_NORM_LIMIT,
     TrainProgress,
     WeightAverage,
+    is_reliable,
 )
 from mapt.rewards.pair_tensors import PairTensors
 from mapt.rewards.stacked import StackedModels
+from mapt.rewards.stages import StageSettings
 
 #: From indices of segments, (B,) or (M, B), to the members' scores of them, (M, B).
 StackScorer = Callable[[Tensor], Tensor]
@@ -33,20 +34,14 @@ SEGMENTS_PER_PASS = 64
 
 @dataclass(frozen=True, slots=True)
 class EnsembleStage:
-    """What one run of the loop trains, and how long; as `mapt.rewards.fitting.Stage`."""
+    """What one run of the loop trains."""
 
+    settings: StageSettings
     #: names of the stacked parameters it moves
     names: Sequence[str]
     scorer: StackScorer
-    lr: float
-    weight_decay: float
-    batch_pairs: int
-    max_epochs: int
-    patience: int
-    label_noise: float = 0.0
+    #: values of some of them to begin with
     start: Mapping[str, Tensor] | None = None
-    must_convince: bool = False
-    remember_epoch: int = 0
 
 
 class EnsembleFitting:
@@ -91,54 +86,51 @@ class EnsembleFitting:
         self.early: dict[str, Tensor] | None = None
 
     @property
-    def n_pairs(self) -> int:
-        """How many pairs there are to learn from."""
-        return len(self._train)
-
-    @property
     def reliable(self) -> bool:
         """Whether the hold-out is large enough to judge by."""
-        return len(self._hold_out) >= FEWEST_HOLD_OUT_PAIRS
+        return is_reliable(self._hold_out)
 
     def run(self, stage: EnsembleStage) -> None:
         """Train the parameters that `stage` names, and leave the members in evaluation mode."""
         judge = self._hold_out if self.reliable else self._train
         trained = {name: self._stack.parameters[name] for name in stage.names}
-        optimiser = stacked_optimiser(trained.values(), stage.lr, stage.weight_decay)
-        before = after = logit_losses(pair_logits(judge, stage.scorer), judge.labels, stage.label_noise)
+        optimiser = stacked_optimiser(trained.values(), stage.settings.lr, stage.settings.weight_decay)
+        before = after = logit_losses(pair_logits(judge, stage.scorer), judge.labels, stage.settings.label_noise)
         initial, kept = _copies(trained), _copies(trained)
         best, kept_at = before.mean(dim=1), torch.zeros(len(before), dtype=torch.int64, device=before.device)
         if stage.start is not None:
             _write(trained, stage.start)
         self._average = WeightAverage(list(trained.values()))
-        for epoch in range(1, stage.max_epochs + 1):
+        for epoch in range(1, stage.settings.max_epochs + 1):
             loss = self._epoch(stage, optimiser)
             if self.stopped:
                 break
             with self._average.in_place():
                 logits = pair_logits(judge, stage.scorer)
                 self._report(stage, loss, logits if self.reliable else pair_logits(self._hold_out, stage.scorer))
-                judged = logit_losses(logits, judge.labels, stage.label_noise)
+                judged = logit_losses(logits, judge.labels, stage.settings.label_noise)
                 better = judged.mean(dim=1) < best
                 best = torch.where(better, judged.mean(dim=1), best)
                 kept_at, after = torch.where(better, epoch, kept_at), torch.where(better[:, None], judged, after)
                 kept = {name: where_member(better, trained[name].detach(), kept[name]) for name in trained}
-                if epoch == stage.remember_epoch:
+                if epoch == stage.settings.remember_epoch:
                     self.early = _copies(trained)
-            if (epoch - kept_at >= stage.patience).all():
+            if (epoch - kept_at >= stage.settings.patience).all():
                 break
-        gained = exceeds_chance(before - after) if stage.must_convince else torch.ones_like(best, dtype=torch.bool)
+        gained = (
+            exceeds_chance(before - after) if stage.settings.must_convince else torch.ones_like(best, dtype=torch.bool)
+        )
         _write(trained, {name: where_member(gained, kept[name], initial[name]) for name in trained})
 
     def _epoch(self, stage: EnsembleStage, optimiser: torch.optim.Optimizer) -> float:
         """Mean loss of one pass over the training pairs; NaN when stopped."""
         losses: list[Tensor] = []
         self._stack.train(True)
-        for index in self._batches(stage.batch_pairs):
+        for index in self._batches(stage.settings.batch_pairs):
             self.stopped = self.stopped or (self._stop is not None and self._stop())
             if self.stopped:
                 break
-            losses.append(ensemble_step(self._train, stage.scorer, optimiser, index, stage.label_noise))
+            losses.append(ensemble_step(self._train, stage.scorer, optimiser, index, stage.settings.label_noise))
             self._average.follow()
         self._stack.train(False)
         return math.nan if self.stopped else torch.stack(losses).mean().item()
@@ -161,7 +153,7 @@ class EnsembleFitting:
                 epoch=self.epochs,
                 max_epochs=self._max_epochs,
                 loss=loss,
-                holdout_loss=logit_losses(logits, labels, stage.label_noise).mean().item(),
+                holdout_loss=logit_losses(logits, labels, stage.settings.label_noise).mean().item(),
                 holdout_accuracy=mean_accuracy(logits, labels),
                 seconds=time.perf_counter() - self._started,
             )

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from mapt.preferences.loss import preference_loss, preference_losses
 from mapt.rewards.metrics import accuracy, calibration_error
 from mapt.rewards.pair_tensors import PairTensors, Scorer
+from mapt.rewards.stages import StageSettings
 
 # Below this many held-out pairs, their loss says too little to choose weights by.
 FEWEST_HOLD_OUT_PAIRS = 10
@@ -48,24 +49,15 @@ class TrainProgress:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What one run of the loop trains, and how long."""
+    """What one run of the loop trains."""
 
+    settings: StageSettings
     parameters: Sequence[nn.Parameter]
     scorer: Scorer
-    lr: float
-    weight_decay: float
-    batch_pairs: int
-    max_epochs: int
-    #: epochs without a better judgement before the stage ends
-    patience: int
-    #: share of the labels that the loss takes to be mistakes
-    label_noise: float = 0.0
     #: weights to begin with, in place of the model's own
     start: dict[str, Tensor] | None = None
-    #: keep what was learned only if it beats the weights that the model had by more than chance would
-    must_convince: bool = False
-    #: epoch after which `Fitting.early` remembers the weights
-    remember_epoch: int = 0
+    #: pairs of a batch whose activations are held at once
+    pairs_per_pass: int = 1 << 30
 
 
 class Fitting:
@@ -99,41 +91,39 @@ class Fitting:
         self.early: dict[str, Tensor] | None = None
 
     @property
-    def n_pairs(self) -> int:
-        """How many pairs there are to learn from."""
-        return len(self._train)
-
-    @property
     def reliable(self) -> bool:
         """Whether the hold-out is large enough to judge by."""
-        return len(self._hold_out) >= FEWEST_HOLD_OUT_PAIRS
+        return is_reliable(self._hold_out)
 
     def run(self, stage: Stage) -> None:
         """Train `stage.parameters`, and leave the model in evaluation mode."""
         # A hold-out too small to judge by leaves that to the training pairs.
         judge = self._hold_out if self.reliable else self._train
+        noise = stage.settings.label_noise
         self._model.eval()
-        before = preference_losses(judge.logits(stage.scorer), judge.labels, stage.label_noise)
+        before = preference_losses(judge.logits(stage.scorer), judge.labels, noise)
         initial = kept = self._weights()
         best, kept_at, after = before.mean().item(), 0, before
         if stage.start is not None:
             self._model.load_state_dict(stage.start)
         optimiser, self._average = _optimiser(stage), WeightAverage(stage.parameters)
-        for epoch in range(1, stage.max_epochs + 1):
+        for epoch in range(1, stage.settings.max_epochs + 1):
             loss = self._epoch(stage, optimiser)
             if self.stopped:
                 break
             with self._average.in_place():
                 logits = judge.logits(stage.scorer)
-                self._report(loss, logits if self.reliable else self._hold_out.logits(stage.scorer), stage.label_noise)
-                judged = preference_losses(logits, judge.labels, stage.label_noise)
+                self._report(
+                    loss, logits if self.reliable else self._hold_out.logits(stage.scorer), stage.settings.label_noise
+                )
+                judged = preference_losses(logits, judge.labels, stage.settings.label_noise)
                 if judged.mean().item() < best:
                     best, kept, kept_at, after = judged.mean().item(), self._weights(), epoch, judged
-                if epoch == stage.remember_epoch:
+                if epoch == stage.settings.remember_epoch:
                     self.early = self._weights()
-            if epoch - kept_at >= stage.patience:
+            if epoch - kept_at >= stage.settings.patience:
                 break
-        gained = not stage.must_convince or exceeds_chance(before - after)
+        gained = not stage.settings.must_convince or exceeds_chance(before - after)
         self._model.load_state_dict(kept if gained else initial)
         self._model.eval()
 
@@ -141,7 +131,7 @@ class Fitting:
         """Mean loss of one pass over the training pairs; NaN when stopped."""
         losses: list[Tensor] = []
         self._model.train()
-        for index in _batches(len(self._train), stage.batch_pairs, self._shuffle):
+        for index in _batches(len(self._train), stage.settings.batch_pairs, self._shuffle):
             self.stopped = self.stopped or (self._stop is not None and self._stop())
             if self.stopped:
                 return math.nan
@@ -150,14 +140,18 @@ class Fitting:
         return torch.stack(losses).mean().item()
 
     def _step(self, stage: Stage, optimiser: torch.optim.Optimizer, index: Tensor) -> Tensor:
-        score_0, score_1 = self._train.scores(stage.scorer, index)
-        loss = preference_loss(score_0, score_1, self._train.labels[index], stage.label_noise)
         optimiser.zero_grad(set_to_none=True)
-        loss.backward()
+        loss = torch.zeros((), device=self._train.labels.device)
+        for part in index.split(stage.pairs_per_pass):
+            score_0, score_1 = self._train.scores(stage.scorer, part)
+            label = self._train.labels[part]
+            share = preference_loss(score_0, score_1, label, stage.settings.label_noise) * (len(part) / len(index))
+            share.backward()
+            loss += share.detach()
         nn.utils.clip_grad_norm_(stage.parameters, GRADIENT_NORM_LIMIT)
         optimiser.step()
         self._average.follow()
-        return loss.detach()
+        return loss
 
     def _report(self, loss: float, hold_out_logits: Tensor, label_noise: float) -> None:
         held_out = judge_logits(hold_out_logits, self._hold_out.labels, label_noise)
@@ -203,6 +197,11 @@ class WeightAverage:
             parameter.copy_(value)
 
 
+def is_reliable(hold_out: PairTensors) -> bool:
+    """Whether a hold-out is large enough to judge by."""
+    return len(hold_out) >= FEWEST_HOLD_OUT_PAIRS
+
+
 @dataclass(frozen=True, slots=True)
 class Judgement:
     """How well a scorer explains some pairs; NaN where there is nothing to measure."""
@@ -246,8 +245,8 @@ def _optimiser(stage: Stage) -> torch.optim.Optimizer:
     matrices = [parameter for parameter in stage.parameters if parameter.dim() >= 2]
     vectors = [parameter for parameter in stage.parameters if parameter.dim() < 2]
     return torch.optim.AdamW(
-        [{"params": matrices, "weight_decay": stage.weight_decay}, {"params": vectors, "weight_decay": 0.0}],
-        lr=stage.lr,
+        [{"params": matrices, "weight_decay": stage.settings.weight_decay}, {"params": vectors, "weight_decay": 0.0}],
+        lr=stage.settings.lr,
         # One pass over all parameters instead of a dozen per tensor.
         fused=True,
     )

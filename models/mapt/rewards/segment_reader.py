@@ -10,8 +10,9 @@ from torch import Tensor
 
 from mapt.preferences.dataset import SegmentArrays, SegmentSource
 
-# Segments scored at once when no gradient is taken.
-EVALUATION_SEGMENTS = 256
+# Segments scored at once when no gradient is taken: so few that their activations stay in cache. At d = 64 and T = 50
+# that was 545 segments a CPU second, with 256 at once 334.
+EVALUATION_SEGMENTS = 16
 # A source of fewer numbers than this is copied to the device whole: 2 GiB of float32.
 MOST_NUMBERS_KEPT = 1 << 29
 
@@ -43,6 +44,14 @@ class SegmentReader(Protocol):
 
     def __len__(self) -> int: ...
 
+    @property
+    def n_steps(self) -> int:
+        """T."""
+        ...
+
+    @property
+    def device(self) -> torch.device: ...
+
     def take(self, index: Tensor) -> SegmentTensors:
         """The segments at `index`, int64 (B,)."""
         ...
@@ -57,6 +66,16 @@ class KeptSegments:
     def __len__(self) -> int:
         return len(self._segments.mask)
 
+    @property
+    def n_steps(self) -> int:
+        """T."""
+        return self._segments.mask.shape[1]
+
+    @property
+    def device(self) -> torch.device:
+        """Where they are kept."""
+        return self._segments.mask.device
+
     def take(self, index: Tensor) -> SegmentTensors:
         """See `SegmentReader.take`."""
         return SegmentTensors(*(tensor[index] for tensor in self._segments.inputs))
@@ -70,6 +89,16 @@ class StreamedSegments:
 
     def __len__(self) -> int:
         return len(self._source)
+
+    @property
+    def n_steps(self) -> int:
+        """T."""
+        return self._source.n_steps
+
+    @property
+    def device(self) -> torch.device:
+        """Where they are given."""
+        return self._device
 
     def take(self, index: Tensor) -> SegmentTensors:
         """See `SegmentReader.take`."""

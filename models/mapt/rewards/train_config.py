@@ -1,17 +1,14 @@
 """Settings of the training of a reward network, with the two presets."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Literal, get_args
 
-from mapt.rewards.config import PresetName, RewardConfig
+from mapt.rewards.config import PresetName
 from mapt.rewards.errors import InvalidConfig
 from mapt.rewards.settings import check_positive_int, check_range, read_settings
 
 Precision = Literal["float32", "bfloat16", "auto"]
-# How far the Markov path's own training has come where the whole network goes on from it.
-EARLY_SHARE = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,21 +85,6 @@ class TrainConfig:
         if name not in _TRAIN_PRESETS:
             raise InvalidConfig(f"no preset is called {name!r}; known: {', '.join(_TRAIN_PRESETS)}")
         return _TRAIN_PRESETS[name]
-
-    def epochs(self, network: RewardConfig, n_pairs: int, *, warm: bool) -> tuple[int, int]:
-        """Most epochs of the Markov path by itself, and of the whole network, on so many training pairs."""
-        markov, whole = (self.warm_markov_epochs, self.warm_epochs) if warm else (self.markov_epochs, self.max_epochs)
-        # Many labels need fewer passes over them.
-        markov = min(markov, math.ceil(self.markov_visits / n_pairs))
-        whole = min(whole, math.ceil(self.visits / n_pairs))
-        if not network.markov_path:
-            return 0, whole
-        # A Markov model is its Markov path: once that is trained, so is all of it.
-        return markov, 0 if markov and network.architecture == "mlp" else whole
-
-    def early_epoch(self, markov_epochs: int, *, warm: bool) -> int:
-        """The epoch of the Markov path's own training from which the whole network goes on; 0 for the best one."""
-        return 0 if warm else math.ceil(EARLY_SHARE * markov_epochs)
 
     def to_dict(self) -> dict[str, object]:
         """Plain values, fit for JSON; `from_dict` reads them back."""

@@ -13,11 +13,12 @@ from mapt.rewards.base import RewardModel
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.device import resolve_device
 from mapt.rewards.errors import ModelMismatch
-from mapt.rewards.fitting import Fitting, Stage, TrainProgress, judge_pairs
+from mapt.rewards.fitting import Fitting, Stage, TrainProgress, is_reliable, judge_pairs
 from mapt.rewards.model import build_reward_model
 from mapt.rewards.pair_tensors import PairTensors, markov_scorer, step_rewards, whole_scorer
 from mapt.rewards.precision import resolve_precision
 from mapt.rewards.segment_reader import SegmentReader, segment_reader
+from mapt.rewards.stages import Stages, plan_stages
 from mapt.rewards.train_config import TrainConfig
 
 __all__ = ["TrainProgress", "TrainedReward", "train_reward_model"]
@@ -26,6 +27,9 @@ __all__ = ["TrainProgress", "TrainedReward", "train_reward_model"]
 # exact to a percent of its deviation, and 50,000 pairs must not be read again for it.
 MOST_SEGMENTS_MEASURED = 4096
 MOST_PAIRS_JUDGED = 2000
+# Agents' steps times d in one pass on a CPU. Activations of a whole batch at d = 256 would come from fresh pages of
+# memory each time, which took more than half of the time: 3.5 pairs/s in one pass, 8.0 in small ones.
+NUMBERS_PER_PASS = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,16 +89,18 @@ def train_reward_model(
         model = (build_reward_model(config) if initial is None else copy.deepcopy(initial)).to(device)
         sample = segments.take(_spread(len(segments)))
         model.measure_inputs(*sample.inputs, keep_function=initial is not None)
+        stages = plan_stages(train_config, config, len(train), warm=initial is not None, reliable=is_reliable(hold_out))
         fitting = Fitting(
             model,
             train,
             hold_out,
             seed=train_config.seed,
-            max_epochs=sum(train_config.epochs(config, len(train), warm=initial is not None)),
+            max_epochs=stages.max_epochs,
             progress=progress,
             stop=stop,
         )
-        _run_stages(fitting, model, segments, train_config, warm=initial is not None)
+        products = resolve_precision(train_config.precision, config.hidden_dim, device)
+        _run_stages(fitting, model, segments, stages, products)
     judged = segments if reference is None else segment_reader(reference, device)
     rewards = step_rewards(model, judged, _spread(len(judged)))
     model.set_reward_scale(float(rewards.mean()), float(rewards.std()))
@@ -119,55 +125,23 @@ def train_reward_model(
 
 
 def _run_stages(
-    fitting: Fitting, model: RewardModel, segments: SegmentReader, config: TrainConfig, *, warm: bool
+    fitting: Fitting, model: RewardModel, segments: SegmentReader, stages: Stages, products: torch.dtype
 ) -> None:
-    """The Markov path by itself, while the rest is held still; then everything, as far as the hold-out agrees.
-
-    The Markov path takes a tenth of the time of the whole network and, where the true reward is Markov, all
-    there is to learn. Trained to its end it also explains, by heart, what a Markov reward cannot: so the whole
-    network goes on from an early state of it, which has left something to explain. It is kept only where the
-    hold-out gains by it against the Markov path at its best; a hold-out too small to tell lets nothing be added.
-    """
     model.eval()
-    markov_epochs, whole_epochs = config.epochs(model.config, fitting.n_pairs, warm=warm)
-    if model.markov is not None and markov_epochs:
+    if stages.markov is not None and model.markov is not None:
+        fitting.run(Stage(stages.markov, list(model.markov.parameters()), markov_scorer(model, segments)))
+    if stages.whole is not None and not fitting.stopped:
+        scorer = whole_scorer(model, segments, products)
+        numbers = model.config.n_agents * segments.n_steps * model.config.hidden_dim
         fitting.run(
             Stage(
-                list(model.markov.parameters()),
-                markov_scorer(model, segments),
-                lr=config.markov_lr,
-                weight_decay=config.weight_decay,
-                batch_pairs=config.batch_pairs,
-                max_epochs=markov_epochs,
-                patience=config.markov_patience,
-                label_noise=config.label_noise,
-                remember_epoch=config.early_epoch(markov_epochs, warm=warm),
-            )
-        )
-        if not fitting.reliable:
-            return
-    if whole_epochs and not fitting.stopped:
-        fitting.run(
-            Stage(
+                stages.whole,
                 list(model.parameters()),
-                whole_scorer(model, segments, _products(model, config)),
-                lr=config.lr,
-                weight_decay=config.weight_decay,
-                batch_pairs=config.batch_pairs,
-                max_epochs=whole_epochs,
-                patience=config.patience,
-                label_noise=config.label_noise,
+                scorer,
                 start=fitting.early,
-                # Without a Markov path there is nothing good to fall back to.
-                must_convince=model.markov is not None and fitting.reliable,
+                pairs_per_pass=max(1, NUMBERS_PER_PASS // (2 * numbers)) if segments.device.type == "cpu" else 1 << 30,
             )
         )
-
-
-def _products(model: RewardModel, config: TrainConfig) -> torch.dtype:
-    """What the layers of `model` multiply in while they are trained."""
-    device = next(model.parameters()).device
-    return resolve_precision(config.precision, model.config.hidden_dim, device)
 
 
 def _spread(n_segments: int) -> torch.Tensor:
