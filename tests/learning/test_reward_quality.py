@@ -14,7 +14,9 @@ from mapt.studies.replay import Replay
 from mapt.studies.variants import network_of, training_of
 
 N_PAIRS, N_TEST_PAIRS = 500, 4000
-SEEDS = (0, 1)
+# A version trained on so many labels, and the one after it.
+N_BEFORE, N_AFTER = 1000, 1050
+SEEDS = (0, 1, 2)
 
 pytestmark = pytest.mark.learn
 
@@ -25,8 +27,8 @@ def seeded_replay(request, tmp_path_factory):
     return request.param, record_replay(recording, tmp_path_factory.mktemp("replay") / "segments")
 
 
-def oracle_pairs(replay: Replay, seed: int) -> PreferenceDataset:
-    return labelled_dataset(Judge("oracle", replay, seed), replay, N_PAIRS, seed)
+def oracle_pairs(replay: Replay, seed: int, n_pairs: int) -> PreferenceDataset:
+    return labelled_dataset(Judge("oracle", replay, seed), replay, n_pairs, seed)
 
 
 def train(pairs: PreferenceDataset, model: str, replay: Replay, seed: int, **options: object) -> TrainedReward:
@@ -43,7 +45,7 @@ def fresh_metrics(name: str, trained: TrainedReward, replay: Replay, seed: int) 
 
 def test_mapt_is_within_a_point_of_the_markov_mlp_at_500_labels(seeded_replay):
     seed, replay = seeded_replay
-    pairs = oracle_pairs(replay, seed)
+    pairs = oracle_pairs(replay, seed, N_PAIRS)
     quality = {name: fresh_metrics(name, train(pairs, name, replay, seed), replay, seed) for name in ("MA-MLP", "MAPT")}
     assert quality["MAPT"]["accuracy"] > quality["MA-MLP"]["accuracy"] - 0.01
     assert quality["MAPT"]["step_correlation_late"] > 0.85
@@ -51,8 +53,8 @@ def test_mapt_is_within_a_point_of_the_markov_mlp_at_500_labels(seeded_replay):
 
 def test_a_warm_start_with_new_labels_loses_nothing_against_a_fresh_one(seeded_replay):
     seed, replay = seeded_replay
-    pairs = oracle_pairs(replay, seed)
-    before = train(pairs.take(range(N_PAIRS - 50)), "MAPT", replay, seed)
+    pairs = oracle_pairs(replay, seed, N_AFTER)
+    before = train(pairs.take(range(N_BEFORE)), "MAPT", replay, seed)
     quality = {
         name: fresh_metrics(name, train(pairs, "MAPT", replay, seed, initial=initial), replay, seed)
         for name, initial in (("warm", before.model), ("fresh", None))
