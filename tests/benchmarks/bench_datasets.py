@@ -1,11 +1,14 @@
-"""Peak memory and speed of 50,000 pairs on disk: written, read in order, read at random as training does.
+"""Peak memory and speed of 50,000 pairs on disk: written, read in order, read at random, trained on.
 
-A tenth of them goes to Parquet and back. Each pass runs in a process of its own, whose peak resident memory is what the
+The training is one epoch of the Markov path of MAPT `small` and the first hundred steps of the whole network. A tenth of
+the pairs goes to Parquet and back. Each pass runs in a process of its own, whose peak resident memory is what the
 system reports at its end. A memory map of the same files makes the random pass beside ours.
 
-    python tests/benchmarks/bench_datasets.py [pairs]
+    python tests/benchmarks/bench_datasets.py [pairs] [pass,pass]
 """
 
+import itertools
+import math
 import resource
 import subprocess
 import sys
@@ -20,6 +23,9 @@ from mapt.preferences.dataset import PreferenceDataset, SegmentArrays, in_batche
 from mapt.preferences.formats.records import SegmentRecords
 from mapt.preferences.formats.tables import LabelRow, PreferenceTables, QueryRow, SegmentRow, TableWriter
 from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
+from mapt.rewards.config import RewardConfig
+from mapt.rewards.train_config import TrainConfig
+from mapt.rewards.trainer import train_reward_model
 
 N_PAIRS = 50_000
 LAYOUT = SegmentLayout(n_steps=100, n_agents=6, observation_dim=24, action_dim=1)
@@ -73,6 +79,19 @@ def map_at_random(path: Path, n_pairs: int) -> None:
         SegmentArrays(observations[chosen], actions[chosen], data.segments.mask(chosen))  # type: ignore[attr-defined]
 
 
+def train(path: Path, n_pairs: int) -> None:
+    """One epoch of the Markov path, and the first steps of the whole network."""
+    steps = itertools.count()
+    settings = TrainConfig(batch_pairs=READ // 2, markov_epochs=1, max_epochs=1, visits=n_pairs, device="cpu")
+    in_markov_epoch = math.ceil((n_pairs - round(n_pairs * settings.hold_out_fraction)) / settings.batch_pairs)
+    network = RewardConfig.preset(
+        "small", observation_dim=LAYOUT.observation_dim, action_dim=LAYOUT.action_dim, n_agents=LAYOUT.n_agents
+    )
+    train_reward_model(
+        dataset(path, n_pairs), network, settings, stop=lambda: next(steps) >= in_markov_epoch + WHOLE_STEPS
+    )
+
+
 def export(path: Path, n_pairs: int) -> None:
     """To our Parquet tables."""
     folder, n_segments = SegmentFolder.open(path / "segments"), 2 * n_pairs
@@ -89,10 +108,12 @@ def load(path: Path, n_pairs: int) -> None:
     assert len(PreferenceTables.open(path / "export").load(path / "loaded")) == n_pairs
 
 
+#: Steps of the whole network in the training pass: its memory stands after the first.
+WHOLE_STEPS = 100
 #: Passes that a tenth of the pairs says enough of.
 SHORT = ("export", "load")
 PASSES: dict[str, Callable[[Path, int], None]] = {
-    each.__name__: each for each in (write, read_in_order, read_at_random, map_at_random, export, load)
+    each.__name__: each for each in (write, read_in_order, read_at_random, map_at_random, train, export, load)
 }
 
 
@@ -122,7 +143,8 @@ def main() -> None:
         f"{n_pairs:,} pairs of T={LAYOUT.n_steps}, N={LAYOUT.n_agents}, C={LAYOUT.observation_dim}: {size / 1e9:.1f} GB"
     )
     with tempfile.TemporaryDirectory(prefix="bench-datasets-") as folder:
-        for name in PASSES:
+        chosen = ["write", *sys.argv[2].split(",")] if len(sys.argv) > 2 else list(PASSES)
+        for name in chosen:
             taken = n_pairs // 10 if name in SHORT else n_pairs
             subprocess.run([sys.executable, __file__, "--pass", name, folder, str(taken)], check=True)
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from mapt.preferences.dataset import PreferenceDataset
 from mapt.rewards.base import RewardModel
 from mapt.rewards.precision import products_in
-from mapt.rewards.segment_reader import EVALUATION_SEGMENTS, SegmentReader, SegmentTensors, evaluation_parts
+from mapt.rewards.segment_reader import EVALUATION_SEGMENTS, SegmentReader, SegmentTensors
 
 #: From indices of segments (B,) to their scores (B,).
 Scorer = Callable[[Tensor], Tensor]
@@ -44,8 +44,10 @@ class PairTensors:
     def logits(self, scorer: Scorer) -> Tensor:
         """score_0 - score_1 of every pair, (P,), without gradient; each segment is scored once."""
         used, position = torch.unique(self.pairs, return_inverse=True)
-        score = torch.cat([scorer(part) for part in used.split(EVALUATION_SEGMENTS)])[position]
-        return score[:, 0] - score[:, 1]
+        score = torch.empty(len(used), device=used.device)
+        for place in torch.arange(len(used), device=used.device).split(EVALUATION_SEGMENTS):
+            score[place] = scorer(used[place])
+        return score[position[:, 0]] - score[position[:, 1]]
 
 
 def whole_scorer(model: RewardModel, segments: SegmentReader, products: torch.dtype = torch.float32) -> Scorer:
@@ -68,12 +70,15 @@ def markov_scorer(model: RewardModel, segments: SegmentReader) -> Scorer:
         rewards = model.markov_rewards(part.observations, part.actions).mean(dim=2)
         return (weights * rewards).sum(dim=1)
 
-    fixed_weights, fixed_score = [], []
-    for part in evaluation_parts(segments, torch.arange(len(segments))):
+    # Filled in place: small tensors that are kept between large ones that go leave the memory in pieces, and 50,000
+    # pairs then take gigabytes.
+    weights = torch.empty(len(segments), segments.n_steps, device=segments.device)
+    offset = torch.empty(len(segments), device=segments.device)
+    for place in torch.arange(len(segments), device=segments.device).split(EVALUATION_SEGMENTS):
+        part = segments.take(place)
         output = model(*part.inputs)
-        fixed_weights.append(output.weights)
-        fixed_score.append(output.score - markov_score(part, output.weights))
-    weights, offset = torch.cat(fixed_weights), torch.cat(fixed_score)
+        weights[place] = output.weights
+        offset[place] = output.score - markov_score(part, output.weights)
 
     def score(index: Tensor) -> Tensor:
         return offset[index] + markov_score(segments.take(index), weights[index])
@@ -84,8 +89,10 @@ def markov_scorer(model: RewardModel, segments: SegmentReader) -> Scorer:
 @torch.no_grad()
 def step_rewards(model: RewardModel, segments: SegmentReader, index: Tensor) -> NDArray[np.float32]:
     """Shared rewards r-hat_t of every real step of the segments at `index`, one flat array."""
-    rewards = [
-        model.agent_rewards(part.observations, part.actions).mean(dim=2)[part.mask]
-        for part in evaluation_parts(segments, index)
-    ]
-    return torch.cat(rewards).cpu().numpy()
+    rewards = np.empty((len(index), segments.n_steps), dtype=np.float32)
+    mask = np.empty(rewards.shape, dtype=np.bool_)
+    for place in torch.arange(len(index)).split(EVALUATION_SEGMENTS):
+        part = segments.take(index[place])
+        rewards[place.numpy()] = model.agent_rewards(part.observations, part.actions).mean(dim=2).cpu().numpy()
+        mask[place.numpy()] = part.mask.cpu().numpy()
+    return rewards[mask]

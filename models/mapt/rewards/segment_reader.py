@@ -1,6 +1,5 @@
 """Segments as tensors on one device: kept there when they fit, read from disk batch by batch when they do not."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -113,9 +112,3 @@ def segment_reader(source: SegmentSource, device: torch.device) -> SegmentReader
     if numbers <= MOST_NUMBERS_KEPT:
         return KeptSegments(source.take(np.arange(len(source))), device)
     return StreamedSegments(source, device)
-
-
-def evaluation_parts(reader: SegmentReader, index: Tensor) -> Iterator[SegmentTensors]:
-    """The segments at `index`, in that order, a few hundred at a time."""
-    for part in index.split(EVALUATION_SEGMENTS):
-        yield reader.take(part)

@@ -24,8 +24,8 @@ from mapt.rewards.train_config import TrainConfig
 __all__ = ["TrainProgress", "TrainedReward", "train_reward_model"]
 
 # What is measured over all segments or pairs is measured over no more of them than these: a mean over so many is
-# exact to a percent of its deviation, and 50,000 pairs must not be read again for it.
-MOST_SEGMENTS_MEASURED = 4096
+# exact to a few percent of its deviation, and 50,000 pairs must not be read again for it.
+MOST_SEGMENTS_MEASURED = 1024
 MOST_PAIRS_JUDGED = 2000
 # Agents' steps times d in one pass on a CPU. Activations of a whole batch at d = 256 would come from fresh pages of
 # memory each time, which took more than half of the time: 3.5 pairs/s in one pass, 8.0 in small ones.
