@@ -1,7 +1,7 @@
 """Peak memory and speed of 50,000 pairs on disk: written, read in order, read at random, trained on.
 
-The training is one epoch of the Markov path of MAPT `small` and the first hundred steps of the whole network. A tenth of
-the pairs goes to Parquet and back. Each pass runs in a process of its own, whose peak resident memory is what the
+The training is one epoch of the Markov path of MAPT `small` and the first hundred steps of the whole network. A tenth
+of the pairs goes to Parquet and back. Each pass runs in a process of its own, whose peak resident memory is what the
 system reports at its end. A memory map of the same files makes the random pass beside ours.
 
     python tests/benchmarks/bench_datasets.py [pairs] [pass,pass]
