@@ -28,8 +28,9 @@ def draw_table(summary: Summary, path: Path) -> None:
     for axes in panels[len(teachers) :]:
         axes.set_axis_off()
     handles, names = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside right upper", frameon=False)
-    figure.suptitle(f"{summary.plan.task}: fresh pairs told wrongly; bars are the spread over seeds")
+    figure.legend(handles, names, loc="outside right center", frameon=False, fontsize="small")
+    # No longer than one panel is wide.
+    figure.suptitle(f"{summary.plan.task}, mean and spread over seeds", fontsize="medium")
     figure.savefig(path, dpi=130)
 
 
@@ -66,4 +67,4 @@ def _draw_teacher(axes: Axes, summary: Summary, teacher: str) -> None:
     axes.grid(alpha=0.25, which="both")
     axes.set_title(teacher)
     axes.set_xlabel("labels")
-    axes.set_ylabel("told wrongly, %")
+    axes.set_ylabel("fresh pairs told wrongly, %")
