@@ -27,7 +27,6 @@ from mapt.rewards.ensemble_fitting import (
 from mapt.rewards.ensemble_scorers import (
     markov_stack_scorer,
     measure_reward_scales,
-    spread_sample,
     whole_stack_scorer,
 )
 from mapt.rewards.errors import ModelMismatch
@@ -35,18 +34,14 @@ from mapt.rewards.fitting import TrainProgress, is_reliable
 from mapt.rewards.members import RewardEnsemble, check_fit
 from mapt.rewards.model import build_reward_model
 from mapt.rewards.pair_tensors import PairTensors
-from mapt.rewards.segment_reader import SegmentReader, segment_reader
+from mapt.rewards.segment_reader import SegmentReader, segment_reader, spread_sample
 from mapt.rewards.settings import check_positive_int
 from mapt.rewards.stacked import StackedModels
 from mapt.rewards.stages import Stages, plan_stages
 from mapt.rewards.train_config import TrainConfig
+from mapt.rewards.trainer import MOST_PAIRS_JUDGED
 
 __all__ = ["RewardEnsemble", "train_reward_ensemble"]
-
-# Statistics of inputs and rewards are taken from at most this many segments, spread evenly over all.
-MEASURED_SEGMENTS = 2048
-# Training pairs whose loss is reported at the end.
-MOST_PAIRS_JUDGED = 2000
 
 
 def train_reward_ensemble(
@@ -78,7 +73,7 @@ def train_reward_ensemble(
         stop: asked before every step; true ends the training with each member's best weights so far.
 
     Returns:
-        The ensemble. Its metrics are means over members: `loss` and `accuracy` (of the first 2,000 training pairs),
+        The ensemble. Its metrics are means over members: `loss` and `accuracy` (of the first 500 training pairs),
         `holdout_loss`, `holdout_accuracy`; of the mean of the members' probabilities: `ensemble_holdout_loss`,
         `ensemble_holdout_accuracy`; and `members`, `labels`, `holdout_labels`, `holdout_reliable`, `epochs`,
         `seconds`, `stopped`. What cannot be measured is left out.
@@ -99,7 +94,7 @@ def train_reward_ensemble(
     )
     with _seeded(train_config.seed, device):
         models = [build_reward_model(config) if initial is None else initial.member(i) for i in range(members)]
-        observed = segments.take(spread_sample(len(segments), MEASURED_SEGMENTS, device)).inputs
+        observed = segments.take(spread_sample(segments)).inputs
         for model in models:
             model.to(device).measure_inputs(*observed, keep_function=initial is not None)
         stack = StackedModels(models)
@@ -117,7 +112,7 @@ def train_reward_ensemble(
         used = torch.as_tensor(np.unique(dataset.pairs), device=device)
         _run_stages(fitting, stack, segments, used, stages)
     judged = segments if reference is None else segment_reader(reference, device)
-    measure_reward_scales(stack, judged, spread_sample(len(judged), MEASURED_SEGMENTS, device))
+    measure_reward_scales(stack, judged, spread_sample(judged))
     metrics = {
         **_judged(
             whole_stack_scorer(stack, segments), train.first(MOST_PAIRS_JUDGED), hold_out, train_config.label_noise

@@ -20,6 +20,7 @@ from mapt.rewards.fitting import (
     GRADIENT_NORM_LIMIT,
     TrainProgress,
     WeightAverage,
+    exceeds_chance,
     is_reliable,
 )
 from mapt.rewards.pair_tensors import PairTensors
@@ -216,11 +217,6 @@ def mean_accuracy(logits: Tensor, labels: Tensor) -> float:
     """Share of decided pairs told rightly, mean over members; NaN without any."""
     right = ((logits > 0) == (labels > 0.5))[:, labels != 0.5]
     return right.float().mean().item()
-
-
-def exceeds_chance(gains: Tensor) -> Tensor:
-    """Whether each member's mean gain, of `gains` (M, P), is more than one standard error above 0; bool (M,)."""
-    return gains.mean(dim=1) > gains.std(dim=1) / math.sqrt(gains.shape[1])
 
 
 def where_member(chosen: Tensor, first: Tensor, second: Tensor) -> Tensor:

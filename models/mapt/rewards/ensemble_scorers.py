@@ -57,8 +57,3 @@ def measure_reward_scales(stack: StackedModels, segments: SegmentReader, index: 
         rewards.append(stack.outputs(observations, actions, mask)[1][:, mask])
     every = torch.cat(rewards, dim=1).double()
     stack.set_reward_scales(every.mean(dim=1), every.std(dim=1, correction=0))
-
-
-def spread_sample(n_segments: int, most: int, device: torch.device) -> Tensor:
-    """Indices of up to `most` segments, evenly spread: all ages of a replay have their say."""
-    return torch.linspace(0, n_segments - 1, min(n_segments, most), dtype=torch.float64).round().long().to(device)

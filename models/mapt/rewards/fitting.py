@@ -123,7 +123,7 @@ class Fitting:
                     self.early = self._weights()
             if epoch - kept_at >= stage.settings.patience:
                 break
-        gained = not stage.settings.must_convince or exceeds_chance(before - after)
+        gained = not stage.settings.must_convince or bool(exceeds_chance(before - after))
         self._model.load_state_dict(kept if gained else initial)
         self._model.eval()
 
@@ -213,12 +213,12 @@ class Judgement:
     calibration_error: float
 
 
-def exceeds_chance(gains: Tensor) -> bool:
-    """Whether the mean of `gains` (P,) is more than one standard error above 0.
+def exceeds_chance(gains: Tensor) -> Tensor:
+    """Whether the mean of `gains` (..., P) is more than two standard errors above 0; bool (...).
 
     The best of several epochs on a hundred pairs beats its start by luck alone more often than not.
     """
-    return gains.mean().item() > gains.std().item() / math.sqrt(len(gains))
+    return gains.mean(dim=-1) > 2 * gains.std(dim=-1) / math.sqrt(gains.shape[-1])
 
 
 def judge_pairs(pairs: PairTensors, scorer: Scorer, label_noise: float = 0.0) -> Judgement:

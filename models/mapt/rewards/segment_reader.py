@@ -12,6 +12,9 @@ from mapt.preferences.dataset import SegmentArrays, SegmentSource
 # Segments scored at once when no gradient is taken: so few that their activations stay in cache. At d = 64 and T = 50
 # that was 545 segments a CPU second, with 256 at once 334.
 EVALUATION_SEGMENTS = 16
+# What is measured over all segments is measured over no more than these: a mean over so many is exact to a few
+# percent of its deviation, and 50,000 pairs must not be read again for it.
+MOST_SEGMENTS_MEASURED = 1024
 # A source of fewer numbers than this is copied to the device whole: 2 GiB of float32.
 MOST_NUMBERS_KEPT = 1 << 29
 
@@ -112,3 +115,9 @@ def segment_reader(source: SegmentSource, device: torch.device) -> SegmentReader
     if numbers <= MOST_NUMBERS_KEPT:
         return KeptSegments(source.take(np.arange(len(source))), device)
     return StreamedSegments(source, device)
+
+
+def spread_sample(segments: SegmentReader) -> Tensor:
+    """Indices of up to `MOST_SEGMENTS_MEASURED` segments, evenly spread: all ages of a replay have their say."""
+    n_taken = min(len(segments), MOST_SEGMENTS_MEASURED)
+    return torch.linspace(0, len(segments) - 1, n_taken, dtype=torch.float64).round().long().to(segments.device)

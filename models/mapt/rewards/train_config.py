@@ -37,8 +37,8 @@ class TrainConfig:
     markov_visits: int = 160_000
     visits: int = 48_000
     #: most epochs of either stage when a version goes on from the one before, which knows most of it already
-    warm_markov_epochs: int = 8
-    warm_epochs: int = 2
+    warm_markov_epochs: int = 5
+    warm_epochs: int = 1
     hold_out_fraction: float = 0.2
     #: share of the labels that the loss takes to be mistakes; see `mapt.preferences.loss`
     label_noise: float = 0.0

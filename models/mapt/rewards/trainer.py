@@ -17,16 +17,14 @@ from mapt.rewards.fitting import Fitting, Stage, TrainProgress, is_reliable, jud
 from mapt.rewards.model import build_reward_model
 from mapt.rewards.pair_tensors import PairTensors, markov_scorer, step_rewards, whole_scorer
 from mapt.rewards.precision import resolve_precision
-from mapt.rewards.segment_reader import SegmentReader, segment_reader
+from mapt.rewards.segment_reader import SegmentReader, segment_reader, spread_sample
 from mapt.rewards.stages import Stages, plan_stages
 from mapt.rewards.train_config import TrainConfig
 
 __all__ = ["TrainProgress", "TrainedReward", "train_reward_model"]
 
-# What is measured over all segments or pairs is measured over no more of them than these: a mean over so many is
-# exact to a few percent of its deviation, and 50,000 pairs must not be read again for it.
-MOST_SEGMENTS_MEASURED = 1024
-MOST_PAIRS_JUDGED = 2000
+# Training pairs of which loss and accuracy are told.
+MOST_PAIRS_JUDGED = 500
 # Agents' steps times d in one pass on a CPU. Activations of a whole batch at d = 256 would come from fresh pages of
 # memory each time, which took more than half of the time: 3.5 pairs/s in one pass, 8.0 in small ones.
 NUMBERS_PER_PASS = 1 << 20
@@ -66,7 +64,7 @@ def train_reward_model(
         stop: asked before every step; true ends the training with the best weights so far.
 
     Returns:
-        The model and its metrics: `loss` and `accuracy` on the training pairs (the first 2,000), `holdout_loss`,
+        The model and its metrics: `loss` and `accuracy` on the training pairs (the first 500), `holdout_loss`,
         `holdout_accuracy`, `ece` (of the hold-out), `epochs`, `seconds`, `labels`, `holdout_labels`,
         `holdout_reliable` (1 when the hold-out was large enough to choose weights by, else 0), `stopped` (1
         when `stop` ended it). A number that cannot be measured, such as the accuracy over ties alone, is
@@ -87,7 +85,7 @@ def train_reward_model(
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         torch.manual_seed(train_config.seed)
         model = (build_reward_model(config) if initial is None else copy.deepcopy(initial)).to(device)
-        sample = segments.take(_spread(len(segments)))
+        sample = segments.take(spread_sample(segments))
         model.measure_inputs(*sample.inputs, keep_function=initial is not None)
         stages = plan_stages(train_config, config, len(train), warm=initial is not None, reliable=is_reliable(hold_out))
         fitting = Fitting(
@@ -102,7 +100,7 @@ def train_reward_model(
         products = resolve_precision(train_config.precision, config.hidden_dim, device)
         _run_stages(fitting, model, segments, stages, products)
     judged = segments if reference is None else segment_reader(reference, device)
-    rewards = step_rewards(model, judged, _spread(len(judged)))
+    rewards = step_rewards(model, judged, spread_sample(judged))
     model.set_reward_scale(float(rewards.mean()), float(rewards.std()))
     scorer, noise = whole_scorer(model, segments), train_config.label_noise
     learned = judge_pairs(train.first(MOST_PAIRS_JUDGED), scorer, noise)
@@ -142,12 +140,6 @@ def _run_stages(
                 pairs_per_pass=max(1, NUMBERS_PER_PASS // (2 * numbers)) if segments.device.type == "cpu" else 1 << 30,
             )
         )
-
-
-def _spread(n_segments: int) -> torch.Tensor:
-    """Indices of up to `MOST_SEGMENTS_MEASURED` segments, evenly spread: all ages of a replay have their say."""
-    n_taken = min(n_segments, MOST_SEGMENTS_MEASURED)
-    return torch.linspace(0, n_segments - 1, n_taken, dtype=torch.float64).round().long()
 
 
 def _check_fit(dataset: PreferenceDataset, config: RewardConfig, initial: RewardModel | None) -> None:
