@@ -5,7 +5,15 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from accord.domain.experiment import Credit, Pacing, QuerySelection, RewardPreset, RewardSource
+from accord.domain.experiment import (
+    Credit,
+    Pacing,
+    PolicyReward,
+    QuerySelection,
+    RewardModelName,
+    RewardPreset,
+    RewardSource,
+)
 from accord.domain.schedule import LabelScheduleName
 from accord.domain.words import ExperimentStatus, Phase, Role
 
@@ -94,7 +102,20 @@ class NewExperiment(Schema):
     reward_source: RewardSource = Field(
         default="preferences", description="true: the task's own reward teaches the policy; no labels are asked for."
     )
+    reward_model: RewardModelName = Field(
+        default="MAPT",
+        description="Which model learns from the labels: MAPT; without temporal (-TPA) or cooperative (-CPA) "
+        "preference attention; with an LSTM in place of causal attention (*); or a baseline.",
+    )
     reward_preset: RewardPreset = Field(default="small", description="Size of the reward model.")
+    label_noise: float = Field(
+        default=0.0, description="Share of the labels that training takes to be mistakes, 0 to 0.49."
+    )
+    policy_reward: PolicyReward = Field(
+        default="value",
+        description="What the policy is given. value: the reward of the step. attended: the mean of its window's "
+        "rewards by the step's temporal attention. weighted: its reward times its weight.",
+    )
     credit: Credit = Field(default="shared", description="Whether every agent gets the mean reward, or each its own.")
     render_clips: bool = Field(default=True, description="False where programs alone label: no clips are made.")
     policy: dict[str, int | float | bool | str] = Field(

@@ -10,6 +10,9 @@ Pacing = Literal["wait", "free"]
 RewardSource = Literal["preferences", "true"]
 #: the presets of `mapt.rewards`
 RewardPreset = Literal["small", "paper"]
+#: the models of `mapt.rewards`
+RewardModelName = Literal["MAPT", "MAPT-TPA", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-MLP", "MA-LSTM", "MA-Transformer"]
+PolicyReward = Literal["value", "attended", "weighted"]
 Credit = Literal["shared", "individual"]
 #: the selectors of `mapt.preferences.selection`
 QuerySelection = Literal["uniform", "disagreement", "entropy", "k_center", "disagreement_k_center", "entropy_k_center"]
@@ -45,8 +48,14 @@ class ExperimentConfig:
     pacing: Pacing = "wait"
     #: `true` trains the same learner on the task's own reward, as a baseline; it asks for no labels
     reward_source: RewardSource = "preferences"
+    #: which reward model learns from the labels
+    reward_model: RewardModelName = "MAPT"
     #: size of the reward model and how it is trained
     reward_preset: RewardPreset = "small"
+    #: share of the labels that training takes to be mistakes; for people, 0.1 is usual
+    label_noise: float = 0.0
+    #: what the policy is given of the model's rewards: that of the step, or one that temporal attention has weighed
+    policy_reward: PolicyReward = "value"
     #: whether every agent gets the mean reward, or each its own
     credit: Credit = "shared"
     #: whether clips are made for every query; a scripted teacher alone needs none
@@ -70,6 +79,7 @@ class ExperimentConfig:
             ("labels_per_version", 1, 10**6),
             ("lookahead_queries", 1, 1000),
             ("control_share", 0, 1),
+            ("label_noise", 0, 0.49),
             ("ensemble_members", 2, 16),
             ("seed", 0, 2**31 - 1),
         ):
@@ -113,7 +123,9 @@ class ExperimentConfig:
 _KNOWN: dict[str, tuple[str, ...]] = {
     "pacing": get_args(Pacing),
     "reward_source": get_args(RewardSource),
+    "reward_model": get_args(RewardModelName),
     "reward_preset": get_args(RewardPreset),
+    "policy_reward": get_args(PolicyReward),
     "credit": get_args(Credit),
     "label_schedule": get_args(LabelScheduleName),
     "query_selection": get_args(QuerySelection),

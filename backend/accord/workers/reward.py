@@ -183,16 +183,18 @@ def _plans(settings: ExperimentConfig, dataset: PreferenceDataset) -> tuple[Rewa
     """The network and its training.
 
     Raises:
-        InvalidConfig: if the preset is none that this version knows.
+        InvalidConfig: if the model or the preset is none that this version knows.
     """
-    config = RewardConfig.preset(
+    config = RewardConfig.named(
+        settings.reward_model,
         settings.reward_preset,
         observation_dim=dataset.segments.observation_dim,
         action_dim=dataset.segments.action_dim,
         n_agents=dataset.segments.n_agents,
     )
     training = TrainConfig.preset(settings.reward_preset)
-    return config, replace(training, seed=settings.seed, device=settings.device)
+    training = replace(training, seed=settings.seed, device=settings.device, label_noise=settings.label_noise)
+    return config, training
 
 
 if __name__ == "__main__":

@@ -75,7 +75,12 @@ class LearnedReward:
         model = read_reward_model(self._blobs, version.blob_key)
         if self._relabeller is None:
             self._relabeller = RolloutRelabeller(
-                model, self._config.segment_steps, self._n_envs, self._config.credit, self._config.device
+                model,
+                self._config.segment_steps,
+                self._n_envs,
+                self._config.credit,
+                self._config.device,
+                kind=self._config.policy_reward,
             )
             if self._restored:
                 self._relabeller.load_state_dict(self._restored)

@@ -94,6 +94,8 @@ def test_settings_that_make_no_sense(api: Served) -> None:
     ("setting", "known"),
     [
         ("reward_preset", ("small", "paper")),
+        ("reward_model", ("MAPT", "MAPT-TPA", "MA-Transformer")),
+        ("policy_reward", ("value", "attended", "weighted")),
         ("query_selection", ("uniform", "disagreement", "entropy", "k_center")),
         ("label_schedule", ("power", "constant", "decaying")),
     ],

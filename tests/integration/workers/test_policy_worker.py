@@ -5,6 +5,7 @@ from accord.services import experiments
 from accord.workers.policy import PolicyWorker
 from accord.workers.pulse import ClaimLost
 from accord.workers.reward import RewardWorker
+from accord.workers.reward_blobs import read_reward_model
 from integration.workers.workplace import STEPS_PER_ITERATION, Workplace
 
 
@@ -189,3 +190,16 @@ def test_old_checkpoints_are_forgotten_with_their_blobs(place: Workplace):
     there = {str(path.relative_to(place.home / "blobs")) for path in (place.home / "blobs" / "policies").rglob("*.*")}
     assert len(kept) == 3
     assert kept == there
+
+
+@pytest.mark.parametrize(("model", "reward"), [("MAPT-CPA", "attended"), ("MA-Transformer", "weighted")])
+def test_the_chosen_model_teaches_the_policy_by_the_chosen_reward(place: Workplace, model: str, reward: str):
+    id = place.begin(label_budget=8, reward_model=model, policy_reward=reward, label_noise=0.1)
+    first_version(place, id)
+    with place.training(id) as run:
+        drain(run)
+    assert status_of(place, id)[0] == "finished"
+    [(blob_key,)] = place.rows("SELECT blob_key FROM reward_versions")
+    trained = read_reward_model(place.context.blobs, blob_key)
+    assert trained.config.architecture == ("mapt" if model == "MAPT-CPA" else "transformer")
+    assert len(place.curve(id, "learned_return")) == 6

@@ -3,9 +3,17 @@ from typing import get_args
 import pytest
 
 from accord.domain.errors import InvalidExperiment
-from accord.domain.experiment import Credit, ExperimentConfig, QuerySelection, RewardPreset
+from accord.domain.experiment import (
+    Credit,
+    ExperimentConfig,
+    PolicyReward,
+    QuerySelection,
+    RewardModelName,
+    RewardPreset,
+)
 from mapt.preferences.selection import selector_names
-from mapt.rewards.config import PresetName
+from mapt.rewards.base import PolicyReward as LibraryPolicyReward
+from mapt.rewards.config import MODEL_NAMES, PresetName
 
 
 def config(**changes: object) -> ExperimentConfig:
@@ -15,6 +23,8 @@ def config(**changes: object) -> ExperimentConfig:
 def test_the_words_are_those_of_the_library():
     assert get_args(QuerySelection) == selector_names()
     assert set(get_args(RewardPreset)) == set(get_args(PresetName))
+    assert get_args(RewardModelName) == MODEL_NAMES
+    assert get_args(PolicyReward) == get_args(LibraryPolicyReward)
 
 
 @pytest.mark.parametrize(
@@ -22,6 +32,7 @@ def test_the_words_are_those_of_the_library():
     [
         ("query_selection", get_args(QuerySelection)),
         ("reward_preset", get_args(RewardPreset)),
+        ("policy_reward", get_args(PolicyReward)),
         ("credit", get_args(Credit)),
         ("label_schedule", ("power", "constant", "decaying")),
         ("pacing", ("wait", "free")),
@@ -43,6 +54,7 @@ def test_an_unknown_word_is_refused_with_the_known_ones(setting, known):
         ("control_share", -0.1),
         ("control_share", 1.1),
         ("control_share", float("nan")),
+        ("label_noise", 0.5),
         ("ensemble_members", 1),
         ("ensemble_members", 17),
     ],
@@ -54,7 +66,14 @@ def test_a_number_out_of_range_is_refused(setting, value):
 
 def test_a_stored_experiment_without_the_newer_settings_reads_as_before():
     stored = config().to_dict()
-    for newer in ("label_schedule", "query_selection", "control_share", "ensemble_members"):
+    for newer in (
+        "label_schedule",
+        "query_selection",
+        "control_share",
+        "ensemble_members",
+        "reward_model",
+        "label_noise",
+    ):
         del stored[newer]
     read = ExperimentConfig(**stored)  # type: ignore[arg-type]
     assert (read.label_schedule, read.query_selection) == ("power", "uniform")

@@ -871,6 +871,12 @@ export interface components {
              */
             label_budget: number;
             /**
+             * Label Noise
+             * @description Share of the labels that training takes to be mistakes, 0 to 0.49.
+             * @default 0
+             */
+            label_noise: number;
+            /**
              * Label Schedule
              * @description How labels due grow with the policy's steps. power: at a gently falling rate. constant: evenly. decaying: at a rate that has fallen to half after a tenth of the run.
              * @default power
@@ -909,6 +915,13 @@ export interface components {
                 [key: string]: number | boolean | string;
             };
             /**
+             * Policy Reward
+             * @description What the policy is given. value: the reward of the step. attended: the mean of its window's rewards by the step's temporal attention. weighted: its reward times its weight.
+             * @default value
+             * @enum {string}
+             */
+            policy_reward: "value" | "attended" | "weighted";
+            /**
              * Query Selection
              * @description How pairs are chosen, from the second round on. disagreement, entropy: those that an ensemble of reward models is least sure of. k_center: those least like pairs asked about. *_k_center: both, in turn.
              * @default uniform
@@ -921,6 +934,13 @@ export interface components {
              * @default true
              */
             render_clips: boolean;
+            /**
+             * Reward Model
+             * @description Which model learns from the labels: MAPT; without temporal (-TPA) or cooperative (-CPA) preference attention; with an LSTM in place of causal attention (*); or a baseline.
+             * @default MAPT
+             * @enum {string}
+             */
+            reward_model: "MAPT" | "MAPT-TPA" | "MAPT-CPA" | "MAPT*" | "MAPT*-CPA" | "MA-MLP" | "MA-LSTM" | "MA-Transformer";
             /**
              * Reward Preset
              * @description Size of the reward model.
