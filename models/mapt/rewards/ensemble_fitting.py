@@ -100,6 +100,8 @@ class EnsembleFitting:
         initial, kept = _copies(trained), _copies(trained)
         best, kept_at = before.mean(dim=1), torch.zeros(len(before), dtype=torch.int64, device=before.device)
         if stage.start is not None:
+            best = torch.full_like(best, math.inf)
+        if stage.start is not None:
             _write(trained, stage.start)
         self._average = WeightAverage(list(trained.values()))
         for epoch in range(1, stage.settings.max_epochs + 1):

@@ -103,7 +103,9 @@ class Fitting:
         self._model.eval()
         before = preference_losses(judge.logits(stage.scorer), judge.labels, noise)
         initial = kept = self._weights()
-        best, kept_at, after = before.mean().item(), 0, before
+        # A stage that begins elsewhere is measured by its own progress; at its end it must beat where it did not begin.
+        best = before.mean().item() if stage.start is None else math.inf
+        kept_at, after = 0, before
         if stage.start is not None:
             self._model.load_state_dict(stage.start)
         optimiser, self._average = _optimiser(stage), WeightAverage(stage.parameters)
