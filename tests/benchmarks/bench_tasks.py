@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from mujoco.batch import Batch
 
-from mapt.policies import MappoConfig, MappoLearner, true_reward
+from mapt.policies import Learner, PolicyConfig, true_reward
 from mapt.tasks import load_model, make_task, task_names
 from mapt.tasks.half_cheetah import FRAME_SKIP
 
@@ -58,8 +58,8 @@ def whole_task(task_name: str, n_envs: int, n_threads: int) -> Callable[[], int]
 
 def learner(task_name: str, n_threads: int, update: bool) -> Callable[[], int]:
     """A round of one rollout, with or without the update, under the default configuration."""
-    config = MappoConfig(device="cpu")
-    trained = MappoLearner(make_task(task_name, config.n_envs, n_threads=n_threads), config)
+    config = PolicyConfig(device="cpu")
+    trained = Learner(make_task(task_name, config.n_envs, n_threads=n_threads), config)
 
     def play() -> int:
         rollout = trained.collect()

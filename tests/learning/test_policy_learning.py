@@ -8,22 +8,22 @@ import pytest
 import torch
 
 from learning.identity_task import IdentityTask
-from mapt.policies import MappoConfig, MappoLearner, Rollout, evaluate, train, true_reward
+from mapt.policies import Learner, PolicyConfig, Rollout, evaluate, train, true_reward
 from mapt.tasks import Task, make_task
 
 HORIZON_STEPS = 8
-CONFIG = MappoConfig(
+CONFIG = PolicyConfig(
     n_envs=32, rollout_steps=16, minibatches=4, epochs=8, learning_rate=2e-3, hidden=(32,), seed=1, device="cpu"
 )
 
 
-def trained(config: MappoConfig, reward=true_reward, total_steps: int = 20_000) -> MappoLearner:
-    learner = MappoLearner(IdentityTask(config.n_envs, HORIZON_STEPS), config)
+def trained(config: PolicyConfig, reward=true_reward, total_steps: int = 20_000) -> Learner:
+    learner = Learner(IdentityTask(config.n_envs, HORIZON_STEPS), config)
     train(learner, reward, total_steps)
     return learner
 
 
-def returns(learner: MappoLearner) -> np.ndarray:
+def returns(learner: Learner) -> np.ndarray:
     return evaluate(learner, IdentityTask(32, HORIZON_STEPS), episodes=256)
 
 
@@ -44,7 +44,7 @@ def test_agents_of_their_own_learn_from_rewards_of_their_own() -> None:
     learner = trained(replace(CONFIG, shared_actor=False), individual)
     seen = np.zeros((2, 3, 2), dtype=np.float32)
     seen[..., 0], seen[..., 1] = [[0.6] * 3, [-0.6] * 3], 0.5
-    np.testing.assert_allclose(learner.actor.act(seen)[..., 0], 0.6 * np.outer([1, -1], signs), atol=0.15)
+    np.testing.assert_allclose(learner.policy.act(seen)[..., 0], 0.6 * np.outer([1, -1], signs), atol=0.15)
 
 
 def test_another_reward_teaches_another_behaviour() -> None:
@@ -54,7 +54,7 @@ def test_another_reward_teaches_another_behaviour() -> None:
 
 @pytest.mark.parametrize("tell", [True, False])
 def test_learning_survives_a_reward_whose_scale_jumps(tell: bool) -> None:
-    learner = MappoLearner(IdentityTask(CONFIG.n_envs, HORIZON_STEPS), CONFIG)
+    learner = Learner(IdentityTask(CONFIG.n_envs, HORIZON_STEPS), CONFIG)
     for factor, offset, until in ((1.0, 0.0, 6_000), (1e3, -50.0, 12_000), (1e-2, 3.0, 24_000)):
         if tell:
             learner.reward_changed()
@@ -66,12 +66,12 @@ def cheetahs(n_envs: int) -> Task:
     return make_task("HalfCheetah-6x1", n_envs, n_threads=2)
 
 
-CHEETAH = MappoConfig(n_envs=8, rollout_steps=64, minibatches=2, epochs=2, anneal_steps=50_000, device="cpu")
+CHEETAH = PolicyConfig(n_envs=8, rollout_steps=64, minibatches=2, epochs=2, anneal_steps=50_000, device="cpu")
 
 
 def test_a_seed_decides_everything() -> None:
     def state(seed: int) -> dict[str, torch.Tensor]:
-        learner = MappoLearner(cheetahs(8), replace(CHEETAH, seed=seed))
+        learner = Learner(cheetahs(8), replace(CHEETAH, seed=seed))
         train(learner, true_reward, total_steps=4 * CHEETAH.steps_per_rollout)
         return learner.state_dict()
 
@@ -88,15 +88,15 @@ def test_a_resumed_run_equals_one_that_never_stopped(
     """18 rollouts of 64 steps, so that episodes end and begin after the stop; every tensor is equal to the bit."""
     config = replace(CHEETAH, shared_actor=shared_actor)
     total_steps = 18 * config.steps_per_rollout
-    whole = MappoLearner(cheetahs(8), config)
+    whole = Learner(cheetahs(8), config)
     ends: list[np.ndarray] = []
     train(whole, true_reward, total_steps, lambda _, rollout, __: ends.append(rollout.episode_returns))
 
-    stopped = MappoLearner(cheetahs(8), config)
+    stopped = Learner(cheetahs(8), config)
     train(stopped, true_reward, stop_after_updates * config.steps_per_rollout)
     stopped.save(tmp_path / "policy.safetensors")
     del stopped
-    resumed = MappoLearner.load(tmp_path / "policy.safetensors", cheetahs(8))
+    resumed = Learner.load(tmp_path / "policy.safetensors", cheetahs(8))
     resumed_ends: list[np.ndarray] = []
     train(resumed, true_reward, total_steps, lambda _, rollout, __: resumed_ends.append(rollout.episode_returns))
 

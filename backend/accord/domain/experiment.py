@@ -60,7 +60,7 @@ class ExperimentConfig:
     credit: Credit = "shared"
     #: whether clips are made for every query; a scripted teacher alone needs none
     render_clips: bool = True
-    #: fields of `mapt.policies.MappoConfig` that differ from its defaults
+    #: fields of `mapt.policies.PolicyConfig` that differ from its defaults
     policy: dict[str, int | float | bool | str] = field(default_factory=dict[str, "int | float | bool | str"])
     #: auto, cpu or cuda
     device: str = "auto"

@@ -10,7 +10,7 @@ from accord.store.database import Database
 from accord.workers.policy_blobs import PolicyCheckpoint, read_checkpoint, store_checkpoint
 from accord.workers.pulse import Claim
 from accord.workers.reward_source import RewardSource, make_reward_source
-from mapt.policies import MappoConfig, MappoLearner
+from mapt.policies import Learner, PolicyConfig
 from mapt.tasks import make_task
 
 
@@ -18,7 +18,7 @@ from mapt.tasks import make_task
 class Training:
     """A learner between two iterations."""
 
-    learner: MappoLearner
+    learner: Learner
     source: RewardSource
     #: iterations done
     iteration: int
@@ -46,17 +46,17 @@ def start_or_restore(
     with database.reading() as session:
         row = checkpoints.newest(session, experiment_id)
     if row is None:
-        learner = MappoLearner(task, settings)
+        learner = Learner(task, settings)
         return Training(learner, make_reward_source(blobs, config, settings.n_envs, None, {}), 0, 0)
     stored = read_checkpoint(blobs, row.blob_key)
-    learner = MappoLearner.from_bytes(stored.learner, task)
+    learner = Learner.from_bytes(stored.learner, task)
     source = make_reward_source(blobs, config, settings.n_envs, row.reward_version_id, stored.context)
     return Training(learner, source, row.iteration, row.steps)
 
 
-def learner_config(config: ExperimentConfig, n_threads: int) -> MappoConfig:
+def learner_config(config: ExperimentConfig, n_threads: int) -> PolicyConfig:
     """Settings of the learner: its defaults, the experiment's seed and device, then what the researcher set."""
-    return MappoConfig.from_dict(
+    return PolicyConfig.from_dict(
         {"seed": config.seed, "device": config.device, "n_threads": n_threads, **config.policy}
     )
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.policies import MappoLearner, Rollout, evaluate
+from mapt.policies import Learner, Rollout, evaluate
 from mapt.tasks import Task, TaskSpec, TaskStep, make_task
 
 #: episodes of an evaluation: the mean's standard error is a sixth of their spread
@@ -25,7 +25,7 @@ def iteration_metrics(
 
     Args:
         rewards: (L, E) or (L, E, N), those the policy learned from.
-        losses: what `MappoLearner.update` gave.
+        losses: what `Learner.update` gave.
 
     Returns:
         `true_return` if an episode ended, `learned_return` (the mean reward, times an episode's steps: it can be told
@@ -86,7 +86,7 @@ class InterruptibleTask:
 
 
 def evaluation(
-    learner: MappoLearner, task_name: str, seed: int, name: str, stopped: Callable[[], bool]
+    learner: Learner, task_name: str, seed: int, name: str, stopped: Callable[[], bool]
 ) -> dict[str, float]:
     """True return of whole episodes with mean actions: `name` and its standard deviation, minimum and maximum.
 

@@ -1,19 +1,20 @@
 """Multi-agent policies and how they learn from any reward."""
 
-from mapt.policies.config import MappoConfig
+from mapt.policies.config import Algorithm, PolicyConfig
 from mapt.policies.errors import InvalidCheckpoint, InvalidConfig, InvalidRewards, PolicyError, TrainingDiverged
-from mapt.policies.learner import MappoLearner
-from mapt.policies.networks import Actor
+from mapt.policies.learner import Learner
+from mapt.policies.policy import Policy
 from mapt.policies.rollout import Rollout
 from mapt.policies.training import evaluate, train, true_reward
 
 __all__ = [
-    "Actor",
+    "Algorithm",
     "InvalidCheckpoint",
     "InvalidConfig",
     "InvalidRewards",
-    "MappoConfig",
-    "MappoLearner",
+    "Learner",
+    "Policy",
+    "PolicyConfig",
     "PolicyError",
     "Rollout",
     "TrainingDiverged",

@@ -1,13 +1,14 @@
 """Experience of E environments over L steps, and the collector that gathers it."""
 
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mapt.policies.networks import Actor
+from mapt.policies.policy import Policy
 from mapt.tasks import Task
 
 Float32s = NDArray[np.float32]
@@ -24,9 +25,9 @@ class Rollout:
     state: Float32s
     #: (L, E, N, A): what the task was given, within its limit.
     actions: Float32s
-    #: (L, E, N, A): what the actor drew, before the limit.
+    #: (L, E, N, A): what the policy drew, before the limit.
     drawn_actions: Float32s
-    #: (L, E, N): log-density of the drawn actions.
+    #: (L, E, N): log-probability or log-density of the drawn actions.
     log_probs: Float32s
     #: (L, E): the task's own reward. The learner never reads it.
     rewards: Float64s
@@ -42,10 +43,26 @@ class Rollout:
     qvel: Float64s
     #: True returns of the episodes that ended, in order of their ends.
     episode_returns: Float64s
+    #: (L, E, N, A): which actions were available, where a task says so.
+    available_actions: Bools | None = None
+
+
+@runtime_checkable
+class LimitsActions(Protocol):
+    """A task with discrete actions not all of which are always available."""
+
+    def available_actions(self) -> Bools | None:
+        """(E, N, A), at least one of each agent's, in the state that the newest observations describe."""
+        ...
+
+
+def available_actions(task: Task) -> Bools | None:
+    """What of its actions each agent may choose now (E, N, A); nothing if that is all of them, always."""
+    return task.available_actions() if isinstance(task, LimitsActions) else None
 
 
 class Collector:
-    """Steps a task with an actor, from one rollout to the next.
+    """Steps a task with a policy, from one rollout to the next.
 
     Args:
         task: reset here, with `seed`.
@@ -58,27 +75,22 @@ class Collector:
         self._returns = np.zeros(task.n_envs)
 
     @torch.inference_mode()
-    def collect(self, actor: Actor, n_steps: int, generator: torch.Generator) -> Rollout:
+    def collect(self, policy: Policy, n_steps: int, generator: torch.Generator) -> Rollout:
         """The next `n_steps` steps. `generator`, on the CPU, draws the actions."""
-        spec, device = self.task.spec, actor.log_std.device
         rollout = self._allocate(n_steps)
-        # One draw for all steps: cheaper, and its density follows without another pass of the actor.
-        shape = (n_steps, spec.n_agents, self.task.n_envs, spec.action_dim)
-        noise = torch.randn(shape, generator=generator).to(device)
+        # One draw for all steps is cheaper than one each.
+        noise = policy.noise((n_steps,), self.task.n_envs, generator)
         returns: list[Float64s] = []
         for t in range(n_steps):
             rollout.qpos[t], rollout.qvel[t] = self.task.simulator_state()
             rollout.observations[t], rollout.state[t] = self._observations, self._state
             rollout.episode_start[t] = self._episode_start
-            drawn = actor.sample(self._observations, noise[t])
-            rollout.drawn_actions[t] = drawn.cpu().numpy()
-            rollout.actions[t] = actor.bounded(drawn).cpu().numpy()
+            self._decide(policy, noise[t], rollout, t)
             returns.append(self._step(rollout, t))
-        rollout.log_probs[:] = actor.log_density(noise).transpose(1, 2).cpu().numpy()
         return replace(rollout, episode_returns=np.concatenate(returns))
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Everything that decides the next rollout, but for the actor and the draws."""
+        """Everything that decides the next rollout, but for the policy and the draws."""
         own = {"episode_start": self._episode_start, "returns": self._returns}
         return {
             **{name: torch.from_numpy(array.copy()) for name, array in own.items()},
@@ -91,6 +103,17 @@ class Collector:
         self._returns = arrays.pop("returns").copy()
         snapshot = {name.removeprefix("task."): array for name, array in arrays.items()}
         self._observations, self._state = self.task.restore(snapshot)
+
+    def _decide(self, policy: Policy, noise: Tensor, rollout: Rollout, t: int) -> None:
+        """Draw the actions and record them."""
+        available = None
+        if rollout.available_actions is not None:
+            rollout.available_actions[t] = available_actions(self.task)
+            available = policy.agent_first(rollout.available_actions[t])
+        drawn, log_probs = policy.draw(policy.agent_first(self._observations), noise, available)
+        rollout.drawn_actions[t] = drawn.transpose(0, 1).cpu().numpy()
+        rollout.actions[t] = policy.bounded(drawn).transpose(0, 1).cpu().numpy()
+        rollout.log_probs[t] = log_probs.transpose(0, 1).cpu().numpy()
 
     def _step(self, rollout: Rollout, t: int) -> Float64s:
         """Step the task, record what came, and give the returns of the episodes that ended."""
@@ -124,4 +147,5 @@ class Collector:
             qpos=np.empty((*lead, spec.nq)),
             qvel=np.empty((*lead, spec.nv)),
             episode_returns=np.empty(0),
+            available_actions=None if available_actions(self.task) is None else np.empty(drawn, bool),
         )

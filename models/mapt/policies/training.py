@@ -7,15 +7,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mapt.policies.learner import MappoLearner
-from mapt.policies.networks import Actor
-from mapt.policies.rollout import Rollout
+from mapt.policies.learner import Learner
+from mapt.policies.policy import Policy
+from mapt.policies.rollout import Rollout, available_actions
 from mapt.tasks import Task
 
 #: Rewards (L, E) or (L, E, N) of a rollout.
 RewardFunction = Callable[[Rollout], NDArray[np.floating]]
 #: Called after each update with the learner, its rollout and the update's metrics; True ends the training.
-Callback = Callable[[MappoLearner, Rollout, dict[str, float]], bool | None]
+Callback = Callable[[Learner, Rollout, dict[str, float]], bool | None]
 
 
 def true_reward(rollout: Rollout) -> NDArray[np.floating]:
@@ -24,7 +24,7 @@ def true_reward(rollout: Rollout) -> NDArray[np.floating]:
 
 
 def train(
-    learner: MappoLearner, reward_function: RewardFunction, total_steps: int, callback: Callback | None = None
+    learner: Learner, reward_function: RewardFunction, total_steps: int, callback: Callback | None = None
 ) -> None:
     """Collect, reward and update until the learner has seen `total_steps` environment steps.
 
@@ -38,30 +38,28 @@ def train(
 
 
 def evaluate(
-    policy: MappoLearner | Actor, task: Task, episodes: int = 32, *, deterministic: bool = True, seed: int = 0
+    policy: Learner | Policy, task: Task, episodes: int = 32, *, deterministic: bool = True, seed: int = 0
 ) -> NDArray[np.float64]:
     """True returns (episodes,) of whole episodes on a task of its own, which is reset.
 
     Each environment plays the same number of episodes, so short ones are not counted more often than long ones.
 
     Args:
-        policy: a learner or its actor.
+        policy: a learner's, or the learner itself.
         task: of the same specification, with any number of environments; not the learner's own.
-        deterministic: take the mean action instead of a draw.
+        deterministic: take the mean or the likeliest action instead of a draw.
         seed: decides starts and draws.
     """
-    actor = policy.actor if isinstance(policy, MappoLearner) else policy
+    acting = policy.policy if isinstance(policy, Learner) else policy
     generator = torch.Generator().manual_seed(seed)
-    spec, n_rounds = task.spec, math.ceil(episodes / task.n_envs)
+    n_rounds = math.ceil(episodes / task.n_envs)
     returns = np.zeros((n_rounds + 1, task.n_envs))
     played = np.zeros(task.n_envs, dtype=np.intp)
     envs = np.arange(task.n_envs)
     observations, _ = task.reset(seed)
     while played.min() < n_rounds:
-        noise = (
-            None if deterministic else torch.randn((spec.n_agents, task.n_envs, spec.action_dim), generator=generator)
-        )
-        step = task.step(actor.act(observations, noise))
+        noise = None if deterministic else acting.noise((), task.n_envs, generator)
+        step = task.step(acting.act(observations, noise, available_actions(task)))
         # Environments that are done early play on into the spare last row.
         returns[played, envs] += step.reward
         played = np.minimum(played + (step.terminated | step.truncated), n_rounds)

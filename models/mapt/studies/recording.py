@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mapt.policies import Actor, MappoConfig, MappoLearner, Rollout, train, true_reward
+from mapt.policies import Learner, Policy, PolicyConfig, Rollout, train, true_reward
 from mapt.policies.rollout import Collector
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.storage import SegmentLayout, SegmentWriter
@@ -52,7 +52,7 @@ def record_replay(recording: Recording, path: Path, progress: Callable[[int, flo
         UnknownTask: if no task has this name.
         AlreadyThere: if the folder holds anything.
     """
-    config = MappoConfig(seed=recording.seed, device="cpu")
+    config = PolicyConfig(seed=recording.seed, device="cpu")
     if not 1 <= recording.segment_steps <= config.rollout_steps:
         raise InvalidStudy(f"segments of {recording.segment_steps} steps; a rollout has {config.rollout_steps}")
     if recording.segments < 1 or recording.policy_steps < 1:
@@ -63,16 +63,16 @@ def record_replay(recording: Recording, path: Path, progress: Callable[[int, flo
     try:
         with SegmentWriter.create(path, layout_of(task.spec, recording.segment_steps), about=about) as writer:
 
-            def keep(learner: MappoLearner, rollout: Rollout, _metrics: dict[str, float]) -> None:
+            def keep(learner: Learner, rollout: Rollout, _metrics: dict[str, float]) -> None:
                 done = min(1.0, learner.steps / recording.policy_steps)
                 wanted = round(recording.segments * done) - len(writer)
                 append(writer, rollout, places(rollout, recording.segment_steps, wanted, rng))
                 if progress is not None:
                     progress(learner.steps, float(rollout.rewards.mean()))
 
-            learner = MappoLearner(task, config)
+            learner = Learner(task, config)
             train(learner, true_reward, recording.policy_steps, keep)
-        record_episodes(recording.task, learner.actor, episodes_path(path), recording.seed)
+        record_episodes(recording.task, learner.policy, episodes_path(path), recording.seed)
     finally:
         task.close()
     return Replay.open(path)
@@ -83,12 +83,12 @@ def episodes_path(replay: Path) -> Path:
     return replay / "episodes"
 
 
-def record_episodes(task_name: str, actor: Actor, path: Path, seed: int) -> None:
-    """Play `EPISODES` episodes with draws of the actor, each to its end or the task's horizon."""
+def record_episodes(task_name: str, policy: Policy, path: Path, seed: int) -> None:
+    """Play `EPISODES` episodes with draws of the policy, each to its end or the task's horizon."""
     task = make_task(task_name, EPISODES)
     try:
         length = task.spec.horizon_steps
-        rollout = Collector(task, seed).collect(actor, length, torch.Generator().manual_seed(seed))
+        rollout = Collector(task, seed).collect(policy, length, torch.Generator().manual_seed(seed))
     finally:
         task.close()
     starts = rollout.episode_start[1:]

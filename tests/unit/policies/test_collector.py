@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from mapt.policies import MappoConfig, MappoLearner
+from mapt.policies import Learner, PolicyConfig
 from mapt.tasks import Task, make_task
 
-CONFIG = MappoConfig(n_envs=3, rollout_steps=400, minibatches=1, epochs=1, hidden=(8,), seed=4, device="cpu")
+CONFIG = PolicyConfig(n_envs=3, rollout_steps=400, minibatches=1, epochs=1, hidden=(8,), seed=4, device="cpu")
 
 
 def cheetahs(n_envs: int = CONFIG.n_envs) -> Task:
@@ -16,7 +16,7 @@ def cheetahs(n_envs: int = CONFIG.n_envs) -> Task:
 @pytest.fixture(scope="module")
 def rollouts():
     """Three rollouts: 1,200 steps, across the end of the first episodes."""
-    learner = MappoLearner(cheetahs(), CONFIG)
+    learner = Learner(cheetahs(), CONFIG)
     return [learner.collect() for _ in range(3)]
 
 
@@ -76,7 +76,7 @@ def test_actions_are_the_draws_within_the_limit(rollouts) -> None:
 
 
 def test_a_rollout_is_not_overwritten_by_the_next() -> None:
-    learner = MappoLearner(cheetahs(), CONFIG)
+    learner = Learner(cheetahs(), CONFIG)
     first = learner.collect()
     kept = first.observations.copy(), first.qpos.copy()
     learner.collect()

@@ -3,12 +3,12 @@
 import numpy as np
 
 from learning.identity_task import IdentityTask
-from mapt.policies import MappoConfig, MappoLearner, evaluate, train, true_reward
+from mapt.policies import Learner, PolicyConfig, evaluate, train, true_reward
 from mapt.tasks import make_task
 
 
-def learner() -> MappoLearner:
-    return MappoLearner(IdentityTask(4), MappoConfig(n_envs=4, rollout_steps=8, minibatches=1, hidden=(8,)))
+def learner() -> Learner:
+    return Learner(IdentityTask(4), PolicyConfig(n_envs=4, rollout_steps=8, minibatches=1, hidden=(8,)))
 
 
 def test_every_episode_is_whole_and_counted_once() -> None:
@@ -19,19 +19,19 @@ def test_every_episode_is_whole_and_counted_once() -> None:
 
 
 def test_returns_are_those_of_the_task_itself() -> None:
-    policy = MappoLearner(make_task("HalfCheetah-6x1", 2), MappoConfig(n_envs=2, hidden=(8,), minibatches=1))
+    policy = Learner(make_task("HalfCheetah-6x1", 2), PolicyConfig(n_envs=2, hidden=(8,), minibatches=1))
     task = make_task("HalfCheetah-6x1", 2)
     returns = evaluate(policy, task, episodes=2, seed=5)
     observations, _ = task.reset(5)
     total = np.zeros(2)
     for _ in range(1000):
-        step = task.step(policy.actor.act(observations))
+        step = task.step(policy.policy.act(observations))
         total, observations = total + step.reward, step.observations
     np.testing.assert_allclose(returns, total)
 
 
 def test_a_seed_decides_the_returns_also_with_draws() -> None:
-    policy = learner().actor
+    policy = learner().policy
     first, again, other = (evaluate(policy, IdentityTask(4), 8, deterministic=False, seed=seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
@@ -40,7 +40,7 @@ def test_a_seed_decides_the_returns_also_with_draws() -> None:
 def test_training_stops_at_its_steps_or_when_told() -> None:
     seen: list[int] = []
 
-    def note(trained: MappoLearner, _rollout, metrics) -> bool:
+    def note(trained: Learner, _rollout, metrics) -> bool:
         seen.append(trained.steps)
         return trained.steps >= 96
 

@@ -4,9 +4,11 @@ import pytest
 import torch
 
 from learning.identity_task import IdentityTask
-from mapt.policies import MappoConfig
-from mapt.policies.networks import Critic
+from mapt.policies import PolicyConfig
+from mapt.policies.critics import Critic, EncoderCritic, StateCritic
 from mapt.policies.normalisation import INPUT_LIMIT, InputNormaliser, ReturnStatistics
+
+SPEC = IdentityTask(1).spec
 
 
 def samples(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -67,22 +69,30 @@ def test_a_transform_moves_the_statistics_as_it_would_the_returns() -> None:
     torch.testing.assert_close(moved.std, direct.std, rtol=1e-4, atol=0)
 
 
-def test_new_statistics_leave_every_value_as_it_was() -> None:
-    spec = IdentityTask(1).spec
-    critic = Critic(spec, MappoConfig(value_statistics_rate=0.5))
-    torch.nn.init.normal_(critic.network[-1].get_parameter("weight"))
-    critic.absorb_returns(samples(256, spec.n_agents) * 3 + 4)
-    state = samples(64, spec.state_dim)
-    before = critic.values(state)
-    critic.absorb_returns(samples(256, spec.n_agents) * 300 - 40)
-    torch.testing.assert_close(critic.values(state), before, rtol=1e-4, atol=1e-3)
+@pytest.fixture(params=[StateCritic, EncoderCritic])
+def critic(request: pytest.FixtureRequest) -> Critic:
+    torch.manual_seed(0)
+    return request.param(SPEC, PolicyConfig(value_statistics_rate=0.5, width=8))
+
+
+def values(critic: Critic, n: int = 64) -> torch.Tensor:
+    """Of some moments (n, N), in units of the reward."""
+    observations = torch.stack([samples(n, SPEC.observation_dim)] * SPEC.n_agents)
+    return critic.statistics.denormalise(critic(observations, critic.normalised(samples(n, SPEC.state_dim)))).detach()
+
+
+def test_new_statistics_leave_every_value_as_it_was(critic: Critic) -> None:
+    torch.nn.init.normal_(critic.last_layer().weight)
+    critic.absorb_returns(samples(256, SPEC.n_agents) * 3 + 4)
+    before = values(critic)
+    critic.absorb_returns(samples(256, SPEC.n_agents) * 300 - 40)
+    torch.testing.assert_close(values(critic), before, rtol=1e-4, atol=1e-3)
     assert critic.statistics.std.min() > 150
 
 
-def test_a_critic_that_has_learned_nothing_starts_from_the_mean_return() -> None:
-    spec = IdentityTask(1).spec
-    critic = Critic(spec, MappoConfig())
-    state, returns = samples(64, spec.state_dim), samples(256, spec.n_agents) * 300 - 40
-    torch.testing.assert_close(critic.values(state), torch.zeros(64, spec.n_agents))
+def test_a_critic_that_has_learned_nothing_starts_from_the_mean_return(critic: Critic) -> None:
+    returns = samples(256, SPEC.n_agents) * 300 - 40
+    torch.testing.assert_close(values(critic), torch.zeros(64, SPEC.n_agents))
     critic.absorb_returns(returns)
-    torch.testing.assert_close(critic.values(state), returns.mean(0).expand(64, -1))
+    torch.testing.assert_close(values(critic), critic.statistics.mean.expand(64, SPEC.n_agents))
+    torch.testing.assert_close(critic.statistics.mean.mean(), returns.mean())

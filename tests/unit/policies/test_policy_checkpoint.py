@@ -8,25 +8,25 @@ import pytest
 import torch
 
 from learning.identity_task import IdentityTask
-from mapt.policies import InvalidCheckpoint, MappoConfig, MappoLearner
+from mapt.policies import InvalidCheckpoint, Learner, PolicyConfig
 from mapt.policies.checkpoint import pack
 from mapt.tasks import make_task
 
-CONFIG = MappoConfig(n_envs=4, rollout_steps=8, minibatches=1, epochs=2, hidden=(8,), device="cpu")
+CONFIG = PolicyConfig(n_envs=4, rollout_steps=8, minibatches=1, epochs=2, hidden=(8,), device="cpu")
 
 
 @pytest.fixture
-def learner() -> MappoLearner:
-    trained = MappoLearner(IdentityTask(4), CONFIG)
+def learner() -> Learner:
+    trained = Learner(IdentityTask(4), CONFIG)
     rollout = trained.collect()
     trained.update(rollout, rollout.rewards)
     return trained
 
 
-def test_a_file_gives_the_learner_back(learner: MappoLearner, tmp_path: Path) -> None:
+def test_a_file_gives_the_learner_back(learner: Learner, tmp_path: Path) -> None:
     path = tmp_path / "policy.safetensors"
     learner.save(path)
-    loaded = MappoLearner.load(path, IdentityTask(4))
+    loaded = Learner.load(path, IdentityTask(4))
     assert (loaded.config, loaded.steps) == (learner.config, learner.steps)
     expected = learner.state_dict()
     assert loaded.state_dict().keys() == expected.keys()
@@ -34,19 +34,19 @@ def test_a_file_gives_the_learner_back(learner: MappoLearner, tmp_path: Path) ->
 
 
 def test_a_learner_that_has_not_learned_yet_can_be_saved() -> None:
-    fresh = MappoLearner(IdentityTask(4), CONFIG)
-    loaded = MappoLearner.from_bytes(fresh.to_bytes(), IdentityTask(4))
+    fresh = Learner(IdentityTask(4), CONFIG)
+    loaded = Learner.from_bytes(fresh.to_bytes(), IdentityTask(4))
     assert torch.equal(torch.from_numpy(fresh.collect().actions), torch.from_numpy(loaded.collect().actions))
 
 
-def test_saving_leaves_nothing_but_the_file(learner: MappoLearner, tmp_path: Path) -> None:
+def test_saving_leaves_nothing_but_the_file(learner: Learner, tmp_path: Path) -> None:
     path = tmp_path / "policy.safetensors"
     learner.save(path)
     learner.save(path)
     assert os.listdir(tmp_path) == [path.name]
 
 
-def test_a_state_dict_does_not_change_with_the_learner(learner: MappoLearner) -> None:
+def test_a_state_dict_does_not_change_with_the_learner(learner: Learner) -> None:
     state = learner.state_dict()
     kept = {name: tensor.clone() for name, tensor in state.items()}
     rollout = learner.collect()
@@ -55,25 +55,25 @@ def test_a_state_dict_does_not_change_with_the_learner(learner: MappoLearner) ->
 
 
 @pytest.mark.parametrize("n_bytes", [0, 4, 100, -1])
-def test_a_torn_file_is_refused(learner: MappoLearner, n_bytes: int) -> None:
+def test_a_torn_file_is_refused(learner: Learner, n_bytes: int) -> None:
     with pytest.raises(InvalidCheckpoint, match="damaged"):
-        MappoLearner.from_bytes(learner.to_bytes()[:n_bytes], IdentityTask(4))
+        Learner.from_bytes(learner.to_bytes()[:n_bytes], IdentityTask(4))
 
 
-def test_a_checkpoint_of_another_task_is_refused(learner: MappoLearner) -> None:
+def test_a_checkpoint_of_another_task_is_refused(learner: Learner) -> None:
     with pytest.raises(InvalidCheckpoint, match="of Identity, not of HalfCheetah-6x1"):
-        MappoLearner.from_bytes(learner.to_bytes(), make_task("HalfCheetah-6x1", 4))
+        Learner.from_bytes(learner.to_bytes(), make_task("HalfCheetah-6x1", 4))
 
 
-def test_a_checkpoint_of_a_later_format_is_refused(learner: MappoLearner) -> None:
+def test_a_checkpoint_of_a_later_format_is_refused(learner: Learner) -> None:
     later = pack(learner.state_dict(), {"format": 2, "task": "Identity", "config": CONFIG.to_dict()})
     with pytest.raises(InvalidCheckpoint, match="format 2"):
-        MappoLearner.from_bytes(later, IdentityTask(4))
+        Learner.from_bytes(later, IdentityTask(4))
 
 
 @pytest.mark.parametrize("change", [{"hidden": (9,)}, {"shared_actor": True}, {"n_envs": 8}])
-def test_tensors_of_another_configuration_are_refused(learner: MappoLearner, change: dict) -> None:
+def test_tensors_of_another_configuration_are_refused(learner: Learner, change: dict) -> None:
     config = replace(CONFIG, **change)
-    other = MappoLearner(IdentityTask(config.n_envs), config)
+    other = Learner(IdentityTask(config.n_envs), config)
     with pytest.raises(InvalidCheckpoint, match="does not fit"):
         other.load_state_dict(learner.state_dict())

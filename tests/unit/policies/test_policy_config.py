@@ -4,25 +4,25 @@ import json
 
 import pytest
 
-from mapt.policies import InvalidConfig, MappoConfig
+from mapt.policies import InvalidConfig, PolicyConfig
 
 
 def test_a_configuration_survives_json() -> None:
-    config = MappoConfig(hidden=(32, 16), shared_actor=False, seed=3)
-    assert MappoConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+    config = PolicyConfig(hidden=(32, 16), shared_actor=False, seed=3)
+    assert PolicyConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
 
 def test_what_is_left_out_keeps_its_default() -> None:
-    assert MappoConfig.from_dict({"gamma": 0.9}) == MappoConfig(gamma=0.9)
+    assert PolicyConfig.from_dict({"gamma": 0.9}) == PolicyConfig(gamma=0.9)
 
 
 def test_a_whole_number_may_stand_for_a_float() -> None:
-    assert MappoConfig.from_dict({"gamma": 1}).gamma == 1
+    assert PolicyConfig.from_dict({"gamma": 1}).gamma == 1
 
 
 def test_an_unknown_setting_is_named_beside_the_known_ones() -> None:
     with pytest.raises(InvalidConfig, match=r"Unknown settings: learning_rte\. Known: .*learning_rate"):
-        MappoConfig.from_dict({"learning_rte": 1e-3})
+        PolicyConfig.from_dict({"learning_rte": 1e-3})
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_an_unknown_setting_is_named_beside_the_known_ones() -> None:
 )
 def test_a_value_out_of_range_is_refused_by_name(name: str, value: object) -> None:
     with pytest.raises(InvalidConfig, match=rf"^{name} must"):
-        MappoConfig.from_dict({name: value})
+        PolicyConfig.from_dict({name: value})
 
 
 @pytest.mark.parametrize(
@@ -72,4 +72,4 @@ def test_a_value_out_of_range_is_refused_by_name(name: str, value: object) -> No
 )
 def test_a_value_of_another_type_is_refused_by_name(name: str, value: object) -> None:
     with pytest.raises(InvalidConfig, match=rf"^{name} must"):
-        MappoConfig.from_dict({name: value})
+        PolicyConfig.from_dict({name: value})

@@ -5,19 +5,20 @@ import pytest
 import torch
 from torch.distributions import Normal
 
-from mapt.policies import MappoConfig
-from mapt.policies.networks import Actor, AgentLinear
+from mapt.policies import PolicyConfig
+from mapt.policies.actor_critic import ActorCritic
+from mapt.policies.layers import AgentLinear
 from mapt.tasks import task_spec
 
 SPEC = task_spec("HalfCheetah-2x3")
 
 
-def actor(shared: bool) -> Actor:
+def policy(shared: bool) -> ActorCritic:
     torch.manual_seed(0)
-    net = Actor(SPEC, MappoConfig(shared_actor=shared, hidden=(16,)))
+    net = ActorCritic(SPEC, PolicyConfig(shared_actor=shared, hidden=(16,)))
     # The last layer starts near zero, which would hide who sees what.
     with torch.no_grad():
-        for parameter in net.network.parameters():
+        for parameter in net.actor.network.parameters():
             parameter.normal_()
     return net
 
@@ -38,7 +39,7 @@ def test_batched_layers_equal_a_loop_over_agents() -> None:
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_an_agent_acts_on_its_own_observation_alone(shared: bool) -> None:
-    net, seen = actor(shared), observations()
+    net, seen = policy(shared), observations()
     before = net.act(seen)
     seen[:, 1] += 1.0
     after = net.act(seen)
@@ -49,23 +50,39 @@ def test_an_agent_acts_on_its_own_observation_alone(shared: bool) -> None:
 @pytest.mark.parametrize("shared", [True, False])
 def test_agents_that_see_the_same_act_the_same_only_if_they_share(shared: bool) -> None:
     seen = np.repeat(observations()[:, :1], SPEC.n_agents, axis=1)
-    actions = actor(shared).act(seen)
+    actions = policy(shared).act(seen)
     assert np.allclose(actions[:, 0], actions[:, 1]) == shared
 
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_log_density_is_the_normal_distributions(shared: bool) -> None:
-    net = actor(shared)
+    actor = policy(shared).actor
+    assert actor.log_std is not None
     with torch.no_grad():
-        net.log_std.uniform_(-1, 1)
+        actor.log_std.uniform_(-1, 1)
     inputs = torch.from_numpy(observations()).transpose(0, 1)
     actions = torch.randn(SPEC.n_agents, 5, SPEC.action_dim)
-    normal = Normal(net.network(inputs), net.log_std.exp().expand_as(actions))
-    torch.testing.assert_close(net.log_probs(inputs, actions), normal.log_prob(actions).sum(-1))
-    torch.testing.assert_close(net.entropy(), normal.entropy().sum(-1).mean())
+    normal = Normal(actor.network(inputs), actor.log_std.exp().expand_as(actions))
+    torch.testing.assert_close(actor(inputs).log_probs(actions), normal.log_prob(actions).sum(-1))
+    torch.testing.assert_close(actor(inputs).entropy(), normal.entropy().sum(-1).mean())
+
+
+def test_training_the_actor_of_one_agent_trains_that_agent_alone() -> None:
+    actor = policy(shared=False).actor
+    inputs = torch.from_numpy(observations()).transpose(0, 1)
+    before = actor.network(inputs).detach()
+    alone = actor.alone(1)
+    torch.testing.assert_close(alone.network(inputs[1:2]), before[1:2])
+    torch.optim.SGD(alone.parameters(), lr=0.1).zero_grad()
+    alone.network(inputs[1:2]).square().sum().backward()
+    torch.optim.SGD(alone.parameters(), lr=0.1).step()
+    after = actor.network(inputs).detach()
+    assert torch.equal(after[0], before[0])
+    assert not torch.allclose(after[1], before[1])
+    torch.testing.assert_close(alone.network(inputs[1:2]), after[1:2])
 
 
 def test_actions_stay_within_the_limit() -> None:
-    net = actor(shared=True)
+    net = policy(shared=True)
     noise = torch.full((SPEC.n_agents, 5, SPEC.action_dim), 50.0)
     assert np.abs(net.act(observations(), noise)).max() == SPEC.action_limit

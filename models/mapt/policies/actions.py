@@ -1,0 +1,105 @@
+"""How actions are drawn, and how likely they were: Gaussian numbers, or one choice of several.
+
+Both are drawn from noise that is made beforehand, so that one call draws for a whole rollout and a seed decides it.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from mapt.tasks import TaskSpec
+
+HALF_LOG_TWO_PI = 0.5 * math.log(2 * math.pi)
+#: Logit of a choice that is not available. Its probability is exactly 0 in float32, and 0 times it is still 0, which
+#: minus infinity would turn into NaN in the entropy.
+UNAVAILABLE = -1e10
+
+
+class ActionDistribution(Protocol):
+    """Distribution of the actions of some agents in some environments; `...` are those dimensions."""
+
+    def draw(self, noise: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Actions (..., A) and their log-probabilities (...), from `action_noise`; the likeliest without it."""
+        ...
+
+    def log_probs(self, actions: Tensor) -> Tensor:
+        """Log-probability or log-density (...) of actions (..., A)."""
+        ...
+
+    def entropy(self) -> Tensor:
+        """Mean over everything of the actions' entropy (), in nats."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Gaussian:
+    """Independent normal numbers.
+
+    Args:
+        mean: (..., A).
+        log_std: log of the standard deviations, broadcast against the mean.
+    """
+
+    mean: Tensor
+    log_std: Tensor
+
+    def draw(self, noise: Tensor | None) -> tuple[Tensor, Tensor]:
+        if noise is None:
+            return self.mean, self._log_density(torch.zeros_like(self.mean))
+        return self.mean + self.log_std.exp() * noise, self._log_density(noise)
+
+    def log_probs(self, actions: Tensor) -> Tensor:
+        return self._log_density((actions - self.mean) * torch.exp(-self.log_std))
+
+    def entropy(self) -> Tensor:
+        return (self.log_std + 0.5 + HALF_LOG_TWO_PI).sum(-1).mean()
+
+    def _log_density(self, noise: Tensor) -> Tensor:
+        return (-0.5 * noise.square() - self.log_std - HALF_LOG_TWO_PI).sum(-1)
+
+
+@dataclass(frozen=True, slots=True)
+class Categorical:
+    """One of A choices, written as one-hot.
+
+    Args:
+        logits: (..., A), with `UNAVAILABLE` where a choice cannot be made; see `masked`.
+    """
+
+    logits: Tensor
+
+    @classmethod
+    def masked(cls, logits: Tensor, available: Tensor | None) -> "Categorical":
+        """Of the available choices, bool (..., A), at least one each; all of them without it."""
+        return cls(logits if available is None else logits.masked_fill(~available, UNAVAILABLE))
+
+    def draw(self, noise: Tensor | None) -> tuple[Tensor, Tensor]:
+        # The largest of logits plus Gumbel noise is a draw from their softmax.
+        chosen = (self.logits if noise is None else self.logits + noise).argmax(-1, keepdim=True)
+        actions = torch.zeros_like(self.logits).scatter_(-1, chosen, 1.0)
+        return actions, self.logits.log_softmax(-1).gather(-1, chosen).squeeze(-1)
+
+    def log_probs(self, actions: Tensor) -> Tensor:
+        return self.logits.log_softmax(-1).gather(-1, actions.argmax(-1, keepdim=True)).squeeze(-1)
+
+    def entropy(self) -> Tensor:
+        log_probs = self.logits.log_softmax(-1)
+        return -(log_probs.exp() * log_probs).sum(-1).mean()
+
+
+def action_noise(spec: TaskSpec, lead: tuple[int, ...], generator: torch.Generator) -> Tensor:
+    """What `draw` turns into actions: standard normal, or standard Gumbel if actions are discrete.
+
+    Args:
+        spec: of the task.
+        lead: leading dimensions of the result (*lead, A).
+        generator: on the CPU, so that the draws are the same wherever the networks live.
+    """
+    shape = (*lead, spec.action_dim)
+    if not spec.discrete_actions:
+        return torch.randn(shape, generator=generator)
+    waits = torch.empty(shape).exponential_(generator=generator)
+    return -waits.clamp_min_(torch.finfo(waits.dtype).tiny).log_()

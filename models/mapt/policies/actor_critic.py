@@ -1,0 +1,37 @@
+"""Policies whose agents decide each for itself: MAPPO, HAPPO, and MAT with decentralised actors."""
+
+from torch import Tensor
+
+from mapt.policies.actors import Actors
+from mapt.policies.config import PolicyConfig
+from mapt.policies.critics import Critic, EncoderCritic, StateCritic
+from mapt.policies.policy import Batch, Evaluation, Policy
+from mapt.tasks import TaskSpec
+
+
+class ActorCritic(Policy):
+    """Decentralised actors beside a central critic."""
+
+    def __init__(self, spec: TaskSpec, config: PolicyConfig) -> None:
+        super().__init__(spec)
+        self.actor = Actors(spec, config)
+        self.critic: Critic = (EncoderCritic if config.algorithm == "mat_dec" else StateCritic)(spec, config)
+
+    def draw(self, observations: Tensor, noise: Tensor | None, available: Tensor | None) -> tuple[Tensor, Tensor]:
+        return self.actor(self.actor.normaliser(observations), available).draw(noise)
+
+    def evaluate(self, batch: Batch) -> Evaluation:
+        distribution = self.actor(batch.observations, batch.available)
+        values = self.critic(batch.observations, batch.state)
+        return Evaluation(distribution.log_probs(batch.actions), distribution.entropy(), values)
+
+    def normalised(self, observations: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        return self.actor.normaliser(observations), self.critic.normalised(state)
+
+    def absorb_inputs(self, observations: Tensor, state: Tensor) -> None:
+        self.actor.normaliser.absorb(observations)
+        self.critic.absorb_inputs(state)
+
+    def action_std(self) -> float | None:
+        log_std = self.actor.log_std
+        return None if log_std is None else float(log_std.detach().exp().mean())
