@@ -1,5 +1,7 @@
 """A person labels with the keyboard, and the reward model learns from it."""
 
+import time
+
 from playwright.sync_api import expect
 
 from browser.conftest import NewExperiment, SignIn
@@ -47,10 +49,21 @@ def test_the_policy_takes_up_the_reward_version_and_asks_again(
     # Pairs of the policy's later segments follow by themselves, whatever the page has to say in between.
     for key in KEYS[:4]:
         labeller.press(key)
-    steps = service.rows("select steps from experiments where id = ?", experiment)[0][0]
-    versions = service.rows("select count(*) from reward_versions where experiment_id = ?", experiment)[0][0]
-    assert versions >= 1
-    assert steps >= 0
+    expect(labeller.page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "24")
+    deadline = time.monotonic() + PATIENCE_MS / 1000
+    while not (trained := _steps_with_a_version(service, experiment)) and time.monotonic() < deadline:
+        labeller.page.wait_for_timeout(250)
+    assert trained > 0
+
+
+def _steps_with_a_version(service: Service, experiment: str) -> int:
+    """Environment steps that the policy has learned from a reward version."""
+    rows = service.rows(
+        "select max(step) from metrics"
+        " where experiment_id = ? and name = 'learned_return' and reward_version_id is not null",
+        experiment,
+    )
+    return rows[0][0] or 0
 
 
 def _left_share(service: Service, query: str) -> float:
