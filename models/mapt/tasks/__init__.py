@@ -1,21 +1,43 @@
 """Batched multi-agent tasks behind one protocol; numpy and MuJoCo alone."""
 
-from mapt.tasks.errors import InvalidAction, InvalidSnapshot, InvalidTaskOption, TaskError, UnknownTask
-from mapt.tasks.protocol import Task, TaskSpec, TaskStep
-from mapt.tasks.registry import agent_geoms, load_model, make_task, task_names, task_spec
+from mapt.tasks.entry import MujocoEntry, TaskEntry
+from mapt.tasks.errors import (
+    InvalidAction,
+    InvalidSnapshot,
+    InvalidTaskOption,
+    NoPicture,
+    NoSimulator,
+    TaskError,
+    TaskExists,
+    TaskFileFailed,
+    UnknownTask,
+    UnusableEnvironment,
+)
+from mapt.tasks.protocol import DrawnTask, MaskingTask, Task, TaskSpec, TaskStep
+from mapt.tasks.registry import agent_geoms, load_model, make_task, register_task, task_names, task_spec
 
 __all__ = [
+    "DrawnTask",
     "InvalidAction",
     "InvalidSnapshot",
     "InvalidTaskOption",
+    "MaskingTask",
+    "MujocoEntry",
+    "NoPicture",
+    "NoSimulator",
     "Task",
+    "TaskEntry",
     "TaskError",
+    "TaskExists",
+    "TaskFileFailed",
     "TaskSpec",
     "TaskStep",
     "UnknownTask",
+    "UnusableEnvironment",
     "agent_geoms",
     "load_model",
     "make_task",
+    "register_task",
     "task_names",
     "task_spec",
 ]

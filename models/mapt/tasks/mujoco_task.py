@@ -3,37 +3,19 @@
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from mapt.tasks.contact_forces import ContactForces
 from mapt.tasks.errors import InvalidAction, InvalidSnapshot, InvalidTaskOption
-from mapt.tasks.partition import actuator_index, observation_index
+from mapt.tasks.layout import as_slice
 from mapt.tasks.protocol import TaskSpec, TaskStep
 from mapt.tasks.random_state import generator_from_array, generator_to_array
+from mapt.tasks.rules import Float64s, MujocoRules
 from mapt.tasks.scene import MujocoScene
-
-Float64s = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class MujocoRules:
-    """What makes a scene a task: starts, rewards and ends, each for a batch of environments."""
-
-    #: Physics steps per step of the task.
-    frame_skip: int
-    #: (generator, n) -> qpos (n, nq), qvel (n, nv) of n fresh episodes.
-    draw_start: Callable[[np.random.Generator, int], tuple[Float64s, Float64s]]
-    #: (qpos before, qpos after, controls (E, nu)) -> reward (E,).
-    reward: Callable[[Float64s, Float64s, Float64s], Float64s]
-    #: (qpos after, qvel after) -> terminated (E,) bool.
-    terminated: Callable[[Float64s, Float64s], NDArray[np.bool_]]
-    #: Columns of (qpos, qvel) that make the state.
-    state_columns: slice
+from mapt.tasks.team import Team
 
 
 class MujocoTask:
@@ -44,9 +26,9 @@ class MujocoTask:
 
     Args:
         spec, scene, rules: the task.
+        team: who drives what and sees what.
         n_envs: environments, E.
         n_threads: threads that step them; 0 for one per core.
-        agent_obsk: how many edges away an agent sees its neighbours' positions.
         agent_index: append the agent's one-hot index to its observation.
         dtype: of observations and state. float64 is for comparisons with other simulators.
 
@@ -59,10 +41,10 @@ class MujocoTask:
         spec: TaskSpec,
         scene: MujocoScene,
         rules: MujocoRules,
+        team: Team,
         *,
         n_envs: int,
         n_threads: int,
-        agent_obsk: int,
         agent_index: bool,
         dtype: type[np.floating],
     ) -> None:
@@ -73,17 +55,22 @@ class MujocoTask:
         self._n_envs = n_envs
         self._rules = rules
         self._batch = Batch(model, n_envs, nthread=n_threads)
-        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
-        self._ctrl = self._batch.bind("ctrl")
         self._physics = {name: self._batch.bind(name) for name in ("time", "qpos", "qvel", "qacc_warmstart", "ctrl")}
-        self._actuators = actuator_index(scene.partition).ravel()
-        self._columns = observation_index(scene.partition, agent_obsk, model.nq, model.nv)
+        self._fields = {name: self._batch.bind(name) for name in rules.fields if name != "cfrc_ext"}
+        self._forces = ContactForces(scene, self._batch, n_threads) if "cfrc_ext" in rules.fields else None
+
+        layout = rules.layout(model.nq, model.nv)
+        #: (E, R): every feature, and last the 0 that stands for what an agent lacks.
+        self._row = np.zeros((n_envs, layout.width))
+        self._frame = layout.views(self._row)
+        self._before = {name: np.empty_like(self._frame[name]) for name in rules.before}
+        self._state_columns = as_slice(np.array(layout.columns(rules.state)))
+        self._columns = team.observed
+        self._driven = team.actuators >= 0
+        self._actuators = team.actuators[self._driven]
         self._dtype = dtype
         self._template = _empty_observations(n_envs, self._columns, agent_index, dtype)
-        #: (E, nq + nv + 1): qpos, qvel and the 0 that stands for a missing neighbour.
-        self._row = np.zeros((n_envs, model.nq + model.nv + 1))
-        self._qpos_before = np.empty((n_envs, model.nq))
-        self._controls = np.empty((n_envs, model.nu))
+        self._controls = np.zeros((n_envs, model.nu))
         self._elapsed_steps = np.zeros(n_envs, dtype=np.int64)
         self._rng = np.random.default_rng(0)
 
@@ -102,12 +89,13 @@ class MujocoTask:
 
     def step(self, actions: NDArray[np.floating]) -> TaskStep:
         self._apply(actions)
-        np.copyto(self._qpos_before, self._qpos)
-        self._batch.step(nstep=self._rules.frame_skip)
+        for name, feature in self._before.items():
+            np.copyto(feature, self._frame[name])
+        self._advance()
         self._elapsed_steps += 1
 
-        reward = self._rules.reward(self._qpos_before, self._qpos, self._controls)
-        terminated = self._rules.terminated(self._qpos, self._qvel)
+        reward = self._rules.reward(self._before, self._frame, self._controls)
+        terminated = self._rules.terminated(self._frame)
         truncated = (self._elapsed_steps >= self._spec.horizon_steps) & ~terminated
         final_observations, final_state = observations, state = self._observe()
         ended = np.flatnonzero(terminated | truncated)
@@ -117,55 +105,83 @@ class MujocoTask:
         return TaskStep(observations, state, reward, terminated, truncated, final_observations, final_state)
 
     def simulator_state(self) -> tuple[Float64s, Float64s]:
-        return self._qpos.copy(), self._qvel.copy()
+        return self._physics["qpos"].copy(), self._physics["qvel"].copy()
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        return {
-            **{name: field.copy() for name, field in self._physics.items()},
-            "elapsed_steps": self._elapsed_steps.copy(),
-            "random_state": generator_to_array(self._rng),
+        return {name: field.copy() for name, field in self._kept().items()} | {
+            "random_state": generator_to_array(self._rng)
         }
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        fields = {**self._physics, "elapsed_steps": self._elapsed_steps, "random_state": np.empty(6)}
-        shapes = {name: field.shape for name, field in fields.items()}
+        kept = self._kept()
+        shapes = {**{name: field.shape for name, field in kept.items()}, "random_state": (6,)}
         given = {name: np.shape(field) for name, field in snapshot.items()}
         if given != shapes:
             raise InvalidSnapshot(f"The snapshot holds {given}, but {self._spec.name} here needs {shapes}.")
-        for name, field in self._physics.items():
+        for name, field in kept.items():
             field[...] = snapshot[name]
-        self._elapsed_steps[:] = snapshot["elapsed_steps"]
         self._rng = generator_from_array(snapshot["random_state"])
+        self._refresh()
         return self._observe()
 
     def close(self) -> None:
         """Nothing is held beyond this object: the threads end with its batch."""
 
+    def _kept(self) -> dict[str, np.ndarray]:
+        """What a snapshot holds beside the generator, to be read and written.
+
+        Fields follow from the step that was, not from the state that it reached, so they are kept too.
+        """
+        fields = {f"field.{name}": self._frame[name] for name in self._rules.fields}
+        return {**self._physics, **fields, "elapsed_steps": self._elapsed_steps}
+
     def _apply(self, actions: NDArray[np.floating]) -> None:
         expected = (self._n_envs, self._spec.n_agents, self._spec.action_dim)
         if actions.shape != expected:
             raise InvalidAction(f"Actions must have the shape {expected}, got {actions.shape}.")
-        self._controls[:, self._actuators] = actions.reshape(self._n_envs, -1)
+        self._controls[:, self._actuators] = actions[:, self._driven]
         # A sum is finite only if every term is, and costs one pass.
         if not np.isfinite(self._controls.sum()):
             raise InvalidAction("Actions must be finite numbers.")
-        self._ctrl[:] = self._controls
+        self._physics["ctrl"][:] = self._controls
+
+    def _advance(self) -> None:
+        if self._forces is None:
+            self._batch.step(nstep=self._rules.frame_skip)
+        else:
+            self._batch.step(nstep=self._rules.frame_skip - 1)
+            self._forces.before_last_step()
+            self._batch.step(nstep=1)
+            np.copyto(self._frame["cfrc_ext"], self._forces.after_last_step())
+        self._read_fields(slice(None))
+        self._refresh()
 
     def _start_episodes(self, envs: NDArray[np.intp]) -> None:
         qpos, qvel = self._rules.draw_start(self._rng, len(envs))
         self._batch.reset(envs, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._qpos[envs], self._qvel[envs] = qpos, qvel
+        self._physics["qpos"][envs], self._physics["qvel"][envs] = qpos, qvel
         # Computes the accelerations from which the first step's solver warm-starts.
         self._batch.forward(envs)
         self._elapsed_steps[envs] = 0
+        self._read_fields(envs)
+        if self._forces is not None:
+            self._frame["cfrc_ext"][envs] = 0.0
+        self._refresh()
+
+    def _read_fields(self, envs: NDArray[np.intp] | slice) -> None:
+        for name, field in self._fields.items():
+            self._frame[name][envs] = field[envs]
+
+    def _refresh(self) -> None:
+        """Bring the row up to the physics and the fields that it holds."""
+        self._frame["qpos"][:] = self._physics["qpos"]
+        self._frame["qvel"][:] = self._physics["qvel"]
+        self._rules.compute(self._frame)
 
     def _observe(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        nq = self._spec.nq
-        self._row[:, :nq] = self._qpos
-        self._row[:, nq:-1] = self._qvel
         observations = self._template.copy()
         observations[:, :, : self._columns.shape[1]] = self._row[:, self._columns]
-        return observations, self._row[:, self._rules.state_columns].astype(self._dtype)
+        return observations, self._row[:, self._state_columns].astype(self._dtype)
 
 
 def _empty_observations(

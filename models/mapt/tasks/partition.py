@@ -1,9 +1,11 @@
 """Who moves and who sees what: a body's joints shared out among agents.
 
-The conventions are gymnasium-robotics' MaMuJoCo's: an agent sees position and velocity of its own joints, then the
-positions of joints one, two, ... edges away, each group in the order of the joints' names, then what every agent sees.
+The conventions are gymnasium-robotics' MaMuJoCo's: an agent sees everything of its own joints, then less of the joints
+one, two, ... edges away, each group in the order of the joints' labels, then what every agent sees. A number is named
+by its feature (`qpos`, `qvel`, a field of MjData, or what the task's rules compute) and its place in it.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import chain
 
@@ -11,53 +13,75 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.tasks.errors import InvalidTaskOption
+from mapt.tasks.layout import Column, Layout
 
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """A driven joint: where it stands in qpos, qvel and ctrl."""
+    """A driven joint: what it shows to its agent and to others, and its actuator."""
 
+    #: Name of the joint in the model.
     name: str
-    qpos: int
-    qvel: int
+    #: Index in ctrl.
     actuator: int
+    #: What the agent that drives it sees.
+    own: tuple[Column, ...]
+    #: What an agent sees that only neighbours it.
+    near: tuple[Column, ...]
+    #: By which joints are ordered in an observation; the name where it is empty.
+    label: str = ""
+
+    @property
+    def order(self) -> tuple[str, int]:
+        return self.label or self.name, self.actuator
+
+
+def hinge(name: str, qpos: int, qvel: int, actuator: int) -> Joint:
+    """A joint that shows its angle and speed to its agent, and its angle to others."""
+    return Joint(name, actuator, own=(("qpos", qpos), ("qvel", qvel)), near=(("qpos", qpos),))
 
 
 @dataclass(frozen=True, slots=True)
 class Partition:
     """The joints of a body, which of them are neighbours, and which agent drives which."""
 
-    #: Every driven joint.
+    #: Every joint that is driven or seen.
     joints: tuple[Joint, ...]
-    #: Pairs of names of neighbouring joints.
-    edges: tuple[tuple[str, str], ...]
+    #: Names of joints that are all neighbours of each other.
+    edges: tuple[tuple[str, ...], ...]
     #: Names of the joints each agent drives, in the order of its action.
     agents: tuple[tuple[str, ...], ...]
-    #: Indices into qpos and qvel that every agent sees.
-    shared_qpos: tuple[int, ...]
-    shared_qvel: tuple[int, ...]
+    #: What every agent sees.
+    shared: tuple[Column, ...]
+    #: Features about bodies rather than joints: an agent sees a number of these once, though several joints show it.
+    seen_once: frozenset[str] = frozenset()
 
     def joint(self, name: str) -> Joint:
         return next(joint for joint in self.joints if joint.name == name)
 
     def neighbourhoods(self, agent: int, depth: int) -> tuple[tuple[str, ...], ...]:
-        """Names of joints at exactly 0, 1, ..., `depth` edges from the agent's own, each group sorted."""
+        """Names of joints at exactly 0, 1, ..., `depth` edges from the agent's own, each group in order."""
         seen = set(self.agents[agent])
-        groups = [tuple(sorted(seen))]
+        groups = [self._ordered(seen)]
         for _ in range(depth):
             near = {name for edge in self.edges if set(edge) & set(groups[-1]) for name in edge} - seen
             seen |= near
-            groups.append(tuple(sorted(near)))
+            groups.append(self._ordered(near))
         return tuple(groups)
+
+    def _ordered(self, names: Iterable[str]) -> tuple[str, ...]:
+        return tuple(sorted(names, key=lambda name: self.joint(name).order))
 
 
 def actuator_index(partition: Partition) -> NDArray[np.intp]:
-    """(N, A): the actuator behind each number of each agent's action."""
-    return np.array([[partition.joint(name).actuator for name in names] for names in partition.agents])
+    """(N, A): the actuator behind each number of each agent's action, -1 where an agent drives fewer than others."""
+    driven = [[partition.joint(name).actuator for name in names] for names in partition.agents]
+    width = max(map(len, driven))
+    return np.array([actuators + [-1] * (width - len(actuators)) for actuators in driven])
 
 
-def observation_index(partition: Partition, agent_obsk: int, nq: int, nv: int) -> NDArray[np.intp]:
-    """(N, C): where each number of each observation stands in the row (qpos, qvel, 0).
+def observation_index(partition: Partition, agent_obsk: int, layout: Layout) -> NDArray[np.intp]:
+    """(N, C): the column of the row behind each number of each observation.
 
     An agent at the end of a limb has fewer neighbours. Its missing ones read the 0 at the end of the row, placed before
     the shared part, so that one column means the same for every agent.
@@ -70,17 +94,17 @@ def observation_index(partition: Partition, agent_obsk: int, nq: int, nv: int) -
     """
     if agent_obsk < 0:
         raise InvalidTaskOption(f"agent_obsk must be 0 or more, got {agent_obsk}.")
-    local = [_local_index(partition, agent, agent_obsk, nq) for agent in range(len(partition.agents))]
+    local = [layout.columns(_local(partition, agent, agent_obsk)) for agent in range(len(partition.agents))]
     width = max(map(len, local))
-    shared = [*partition.shared_qpos, *(nq + index for index in partition.shared_qvel)]
-    return np.array([index + [nq + nv] * (width - len(index)) + shared for index in local])
+    shared = layout.columns(partition.shared)
+    return np.array([index + [layout.zero] * (width - len(index)) + shared for index in local])
 
 
-def _local_index(partition: Partition, agent: int, agent_obsk: int, nq: int) -> list[int]:
+def _local(partition: Partition, agent: int, agent_obsk: int) -> list[Column]:
     own, *near = partition.neighbourhoods(agent, agent_obsk)
-    own_joints = [partition.joint(name) for name in own]
-    near_joints = [partition.joint(name) for name in chain.from_iterable(near)]
-    return [
-        *(index for joint in own_joints for index in (joint.qpos, nq + joint.qvel)),
-        *(joint.qpos for joint in near_joints),
-    ]
+    columns: list[Column] = []
+    for column in chain.from_iterable(partition.joint(name).own for name in own):
+        if column[0] not in partition.seen_once or column not in columns:
+            columns.append(column)
+    columns.extend(chain.from_iterable(partition.joint(name).near for name in chain.from_iterable(near)))
+    return columns

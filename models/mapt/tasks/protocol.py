@@ -4,7 +4,7 @@ Dimension letters: E environments, N agents, C observation, A action, S state.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,10 @@ class TaskSpec:
     discrete_actions: bool = False
     #: Continuous actions are meant to lie within plus and minus this.
     action_limit: float = 1.0
+    #: Per agent, how many of the `action_dim` numbers it uses, the first ones; empty when all use all.
+    agent_action_dims: tuple[int, ...] = ()
+    #: True when not every discrete action is available in every state: the task is a `MaskingTask`.
+    masks_actions: bool = False
 
 
 @dataclass(slots=True)
@@ -114,4 +118,26 @@ class Task(Protocol):
 
     def close(self) -> None:
         """Free what the simulator holds. The task is not used afterwards."""
+        ...
+
+
+@runtime_checkable
+class MaskingTask(Task, Protocol):
+    """A task of discrete actions, not all of them available in every state."""
+
+    def available_actions(self) -> NDArray[np.bool_]:
+        """(E, N, A) bool: what may be chosen in the state that the newest observations describe."""
+        ...
+
+
+@runtime_checkable
+class DrawnTask(Task, Protocol):
+    """A task that draws itself, for one that no MuJoCo model can be drawn from."""
+
+    def render(self, env: int) -> NDArray[np.uint8]:
+        """(height, width, 3): a picture of one environment as it is now.
+
+        Raises:
+            NoPicture: if it does not draw itself.
+        """
         ...

@@ -3,17 +3,27 @@
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
-from dataclasses import dataclass
+from itertools import chain
 
 import mujoco
 import numpy as np
 
-from mapt.tasks import half_cheetah
-from mapt.tasks.errors import UnknownTask
-from mapt.tasks.mujoco_task import MujocoRules, MujocoTask
-from mapt.tasks.partition import observation_index
+from mapt.tasks import (
+    ant,
+    coupled_half_cheetah,
+    half_cheetah,
+    hopper,
+    humanoid,
+    many_segments,
+    plugins,
+    pusher,
+    reacher,
+    swimmer,
+    walker2d,
+)
+from mapt.tasks.entry import TaskEntry
+from mapt.tasks.errors import TaskExists, UnknownTask
 from mapt.tasks.protocol import Task, TaskSpec
-from mapt.tasks.scene import MujocoScene
 
 #: How many joints away an agent sees when nobody says: gymnasium-robotics' 1, not the paper's 0. A joint that knows
 #: its neighbours' angles learned more in every pair of runs. True return on HalfCheetah-6x1 after 300,000 steps of
@@ -21,53 +31,46 @@ from mapt.tasks.scene import MujocoScene
 #: 1,636 and 1,321 with a shared one.
 DEFAULT_AGENT_OBSK = 1
 
+_BODIES = (
+    half_cheetah,
+    ant,
+    hopper,
+    walker2d,
+    humanoid,
+    swimmer,
+    reacher,
+    pusher,
+    coupled_half_cheetah,
+    many_segments,
+)
+_ENTRIES: dict[str, TaskEntry] = {entry.name: entry for entry in chain.from_iterable(body.TASKS for body in _BODIES)}
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    scene: MujocoScene
-    rules: MujocoRules
-    agent_names: tuple[str, ...]
 
+def register_task(entry: TaskEntry) -> None:
+    """Make a task known by its name to this process. See docs/tasks.md.
 
-_ENTRIES = {
-    "HalfCheetah-6x1": _Entry(
-        half_cheetah.ONE_JOINT_EACH,
-        half_cheetah.RULES,
-        ("back thigh", "back shin", "back foot", "front thigh", "front shin", "front foot"),
-    ),
-    "HalfCheetah-2x3": _Entry(half_cheetah.ONE_LEG_EACH, half_cheetah.RULES, ("back leg", "front leg")),
-}
+    Raises:
+        TaskExists: if the name is taken.
+    """
+    if entry.name in _ENTRIES:
+        raise TaskExists(entry.name)
+    _ENTRIES[entry.name] = entry
 
 
 def task_names() -> tuple[str, ...]:
-    """Names of all tasks, sorted."""
+    """Names of all tasks, sorted. Many-segment bodies come in any size; those of common sizes are listed."""
+    plugins.load()
     return tuple(sorted(_ENTRIES))
 
 
-def task_spec(name: str, *, agent_obsk: int = DEFAULT_AGENT_OBSK, agent_index: bool = True) -> TaskSpec:
+def task_spec(name: str, *, agent_obsk: int | None = DEFAULT_AGENT_OBSK, agent_index: bool = True) -> TaskSpec:
     """What `make_task` with these options would give, without making it.
 
     Raises:
         UnknownTask: if no task has this name.
         InvalidTaskOption: if `agent_obsk` is negative.
     """
-    entry = _entry(name)
-    nq, nv = half_cheetah.NQ, half_cheetah.NV
-    n_agents, width = observation_index(entry.scene.partition, agent_obsk, nq, nv).shape
-    columns = entry.rules.state_columns
-    return TaskSpec(
-        name=name,
-        n_agents=n_agents,
-        observation_dim=width + n_agents * agent_index,
-        action_dim=len(entry.scene.partition.agents[0]),
-        state_dim=columns.stop - columns.start,
-        horizon_steps=half_cheetah.HORIZON_STEPS,
-        step_seconds=half_cheetah.STEP_SECONDS,
-        agent_names=entry.agent_names,
-        nq=nq,
-        nv=nv,
-        instructions=half_cheetah.INSTRUCTIONS,
-    )
+    return find_entry(name).spec(agent_obsk=agent_obsk, agent_index=agent_index)
 
 
 def make_task(
@@ -75,7 +78,7 @@ def make_task(
     n_envs: int,
     *,
     n_threads: int = 0,
-    agent_obsk: int = DEFAULT_AGENT_OBSK,
+    agent_obsk: int | None = DEFAULT_AGENT_OBSK,
     agent_index: bool = True,
     dtype: type[np.floating] = np.float32,
 ) -> Task:
@@ -84,7 +87,8 @@ def make_task(
     Args:
         n_envs: environments, E.
         n_threads: threads that step them; 0 for one per core.
-        agent_obsk: how many edges away an agent sees its neighbours' positions.
+        agent_obsk: how many edges away an agent sees its neighbours' positions; None for one agent that sees the
+            state and drives every joint.
         agent_index: append the agent's one-hot index to its observation.
         dtype: of observations and state.
 
@@ -92,16 +96,8 @@ def make_task(
         UnknownTask: if no task has this name.
         InvalidTaskOption: if a number is out of its range.
     """
-    entry = _entry(name)
-    return MujocoTask(
-        task_spec(name, agent_obsk=agent_obsk, agent_index=agent_index),
-        entry.scene,
-        entry.rules,
-        n_envs=n_envs,
-        n_threads=n_threads,
-        agent_obsk=agent_obsk,
-        agent_index=agent_index,
-        dtype=dtype,
+    return find_entry(name).make(
+        n_envs, n_threads=n_threads, agent_obsk=agent_obsk, agent_index=agent_index, dtype=dtype
     )
 
 
@@ -110,8 +106,9 @@ def load_model(task_name: str) -> mujoco.MjModel:
 
     Raises:
         UnknownTask: if no task has this name.
+        NoSimulator: if the task is not simulated by MuJoCo here.
     """
-    return _entry(task_name).scene.load_model()
+    return find_entry(task_name).load_model()
 
 
 def agent_geoms(task_name: str) -> tuple[tuple[int, ...], ...]:
@@ -119,11 +116,19 @@ def agent_geoms(task_name: str) -> tuple[tuple[int, ...], ...]:
 
     Raises:
         UnknownTask: if no task has this name.
+        NoSimulator: if the task is not simulated by MuJoCo here.
     """
-    return _entry(task_name).scene.agent_geoms()
+    return find_entry(task_name).agent_geoms()
 
 
-def _entry(name: str) -> _Entry:
-    if name not in _ENTRIES:
+def find_entry(name: str) -> TaskEntry:
+    """The entry behind a name.
+
+    Raises:
+        UnknownTask: if no task has this name.
+    """
+    plugins.load()
+    entry = _ENTRIES.get(name) or many_segments.entry(name)
+    if entry is None:
         raise UnknownTask(name, task_names())
-    return _ENTRIES[name]
+    return entry

@@ -3,6 +3,7 @@
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,13 +16,17 @@ from mapt.tasks.partition import Partition
 
 @dataclass(frozen=True, slots=True)
 class MujocoScene:
-    """A model from gymnasium's assets and its partition among agents."""
+    """A model and its partition among agents. The sizes are stated, so that a spec needs no compiler."""
 
-    #: File name in gymnasium's MuJoCo assets.
-    asset: str
-    #: Mass to which the whole body is scaled.
-    total_mass_kg: float
+    #: Makes a description of the model, for the compiler; `gymnasium_asset` is one such.
+    describe: Callable[[], mujoco.MjSpec]
+    nq: int
+    nv: int
+    #: Simulated time of one step of the physics.
+    physics_step_seconds: float
     partition: Partition
+    #: Mass to which the whole body is scaled.
+    total_mass_kg: float | None = None
 
     def load_model(self) -> mujoco.MjModel:
         """Compile the model.
@@ -32,20 +37,36 @@ class MujocoScene:
         Raises:
             TaskError: if gymnasium's file is missing.
         """
-        spec = mujoco.MjSpec.from_file(str(asset_path(self.asset)))
+        return self.compile(self.describe())
+
+    def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
+        """The model of `describe`'s description, or of one that was changed since."""
         spec.compiler.settotalmass = -1
         model = spec.compile()
-        mujoco.mj_setTotalmass(model, self.total_mass_kg)
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        if self.total_mass_kg is not None:
+            mujoco.mj_setTotalmass(model, self.total_mass_kg)
+            mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
     def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
-        """Per agent, the ids of the geoms on the bodies that its joints move directly."""
+        """Per agent, the ids of the geoms on the bodies that its joints move directly.
+
+        A body that the joints of several agents move belongs to the first of them.
+        """
         model = self.load_model()
-        bodies = [{int(model.joint(name).bodyid[0]) for name in names} for names in self.partition.agents]
+        owner: dict[int, int] = {}
+        for agent, names in enumerate(self.partition.agents):
+            for name in names:
+                owner.setdefault(int(model.joint(name).bodyid[0]), agent)
         return tuple(
-            tuple(geom for geom in range(model.ngeom) if int(model.geom_bodyid[geom]) in owned) for owned in bodies
+            tuple(geom for geom in range(model.ngeom) if owner.get(int(model.geom_bodyid[geom])) == agent)
+            for agent in range(len(self.partition.agents))
         )
+
+
+def gymnasium_asset(name: str) -> Callable[[], mujoco.MjSpec]:
+    """Reads a model of gymnasium's, when it is called."""
+    return lambda: mujoco.MjSpec.from_file(str(asset_path(name)))
 
 
 def asset_path(name: str) -> Path:

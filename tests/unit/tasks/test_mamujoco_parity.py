@@ -1,91 +1,113 @@
-"""Our batched cheetahs against gymnasium-robotics' own, from the same states and actions."""
+"""Our batched bodies against gymnasium-robotics' own, from the same states and actions."""
+
+# mujoco is compiled and ships no stubs.
+# pyright: reportAttributeAccessIssue=false
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-from gymnasium_robotics import mamujoco_v1
 
-from mapt.tasks import Task, TaskStep, make_task
+from mapt.tasks import TaskStep, load_model, make_task, task_names
+from mapt.tasks.registry import find_entry
+from unit.tasks.mamujoco import Reference, assert_close, assert_same_observations
 
-SEEDS = (0, 1, 2)
-#: One episode of 1,000 steps and the first steps after the automatic reset.
-N_STEPS = 1_010
-TOLERANCE = 1e-9
-
-
-class Reference:
-    """One gymnasium-robotics environment that follows one of ours."""
-
-    def __init__(self, conf: str, agent_obsk: int) -> None:
-        self.env = mamujoco_v1.parallel_env("HalfCheetah", conf, agent_obsk=agent_obsk)
-
-    def start_from(self, qpos: np.ndarray, qvel: np.ndarray) -> list[np.ndarray]:
-        self.env.reset(seed=0)
-        self.env.single_agent_env.unwrapped.set_state(qpos, qvel)
-        return list(self.env._get_obs().values())
-
-    def step(self, actions: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, float, bool, bool]:
-        observations, rewards, terminations, truncations, _ = self.env.step(
-            dict(zip(self.env.possible_agents, actions, strict=True))
-        )
-        first = self.env.possible_agents[0]
-        state = self.env.state()
-        return (
-            list(observations.values()),
-            state,
-            float(rewards[first]),
-            bool(terminations[first]),
-            bool(truncations[first]),
-        )
+DEPTHS = (0, 1, 2, 5)
+#: An episode is this old when its environment comes to its horizon within a test.
+N_STEPS, STEPS_BEFORE_HORIZON = 100, 70
+SEED = 7
 
 
-def without_padding(observation: np.ndarray, reference: np.ndarray, n_shared: int = 5) -> np.ndarray:
-    """Our observation with the zeros of missing neighbours, which stand before the shared part, taken out."""
-    n_missing = observation.size - reference.size
-    end = observation.size - n_shared
-    np.testing.assert_array_equal(observation[end - n_missing : end], 0.0)
-    return np.delete(observation, np.s_[end - n_missing : end])
-
-
-def assert_same_observations(ours: np.ndarray, theirs: list[np.ndarray]) -> None:
-    for observation, reference in zip(ours, theirs, strict=True):
-        np.testing.assert_allclose(without_padding(observation, reference), reference, rtol=0, atol=TOLERANCE)
-
-
-def assert_same_step(env: int, ours: TaskStep, reference: Reference, actions: np.ndarray) -> None:
-    observations, state, reward, terminated, truncated = reference.step(actions)
-    assert_same_observations(ours.final_observations[env], observations)
-    np.testing.assert_allclose(ours.final_state[env], state, rtol=0, atol=TOLERANCE)
-    assert ours.reward[env] == pytest.approx(reward, rel=0, abs=TOLERANCE)
-    assert (ours.terminated[env], ours.truncated[env]) == (terminated, truncated)
-
-
-def follow(reference: Reference, task: Task, env: int, observations: np.ndarray) -> None:
-    qpos, qvel = task.simulator_state()
-    assert_same_observations(observations[env], reference.start_from(qpos[env], qvel[env]))
-
-
-@pytest.mark.parametrize("agent_obsk", [0, 1, 2])
-@pytest.mark.parametrize("conf", ["6x1", "2x3"])
-def test_thousand_steps_equal_gymnasium_robotics_across_the_reset(
-    conf: str, agent_obsk: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # MuJoCo also writes its complaint about the attribute into the working directory.
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo also writes its complaints about deprecated attributes into the working directory."""
     monkeypatch.chdir(tmp_path)
-    task = make_task(f"HalfCheetah-{conf}", len(SEEDS), agent_obsk=agent_obsk, agent_index=False, dtype=np.float64)
-    references = [Reference(conf, agent_obsk) for _ in SEEDS]
-    draws = [np.random.default_rng(seed) for seed in SEEDS]
-    observations, _ = task.reset(seed=7)
-    for env, reference in enumerate(references):
-        follow(reference, task, env, observations)
 
-    for t in range(N_STEPS):
-        # Beyond the limit too: the controls are clamped, their cost is not.
-        actions = np.stack([rng.uniform(-1.2, 1.2, (task.spec.n_agents, task.spec.action_dim)) for rng in draws])
+
+def assert_same_step(ours: TaskStep, theirs: Reference, actions: np.ndarray, action_dims: tuple[int, ...]) -> None:
+    step = theirs.step(actions, action_dims)
+    assert_close(ours.final_state[0], step.state)
+    np.testing.assert_allclose(ours.reward[0], step.reward, rtol=1e-9, atol=1e-9)
+    assert (ours.terminated[0], ours.truncated[0]) == (step.terminated, step.truncated)
+
+
+@pytest.mark.parametrize("name", task_names())
+def test_steps_ends_and_resets_equal_gymnasium_robotics_at_every_depth(name: str) -> None:
+    shared = len(find_entry(name).scene.partition.shared)
+    tasks = {
+        depth: make_task(name, 1, n_threads=1, agent_obsk=depth, agent_index=False, dtype=np.float64)
+        for depth in DEPTHS
+    }
+    task, theirs = tasks[DEPTHS[0]], Reference(name, DEPTHS)
+    spec, rng = task.spec, np.random.default_rng(SEED)
+
+    def start(observations: dict[int, np.ndarray]) -> None:
+        qpos, qvel = task.simulator_state()
+        theirs.start_from(qpos[0], qvel[0])
+        for depth in DEPTHS:
+            assert_same_observations(observations[depth][0], theirs.observations(depth), shared)
+
+    start({depth: each.reset(SEED)[0] for depth, each in tasks.items()})
+    age = max(0, spec.horizon_steps - STEPS_BEFORE_HORIZON)
+    for each in tasks.values():
+        each.restore({**each.snapshot(), "elapsed_steps": np.array([age])})
+    theirs.age(age)
+
+    n_ends = 0
+    for _ in range(N_STEPS):
+        # Beyond the limit too: MuJoCo clamps the controls, their cost is not clamped.
+        limit = 1.2 * spec.action_limit
+        actions = rng.uniform(-limit, limit, (1, spec.n_agents, spec.action_dim))
+        steps = {depth: each.step(actions) for depth, each in tasks.items()}
+        ours = steps[DEPTHS[0]]
+        assert_same_step(ours, theirs, actions[0], spec.agent_action_dims)
+        for depth, step in steps.items():
+            assert_same_observations(step.final_observations[0], theirs.observations(depth), shared)
+        if ours.terminated[0] or ours.truncated[0]:
+            n_ends += 1
+            start({depth: step.observations for depth, step in steps.items()})
+            assert_close(ours.state[0], theirs.state())
+    assert n_ends > 0
+
+
+@pytest.mark.parametrize("name", ["Ant-2x4d", "Humanoid-9|8", "Reacher-2x1"])
+def test_without_a_depth_one_agent_sees_the_state_and_drives_every_joint(name: str) -> None:
+    task = make_task(name, 1, n_threads=1, agent_obsk=None, agent_index=False, dtype=np.float64)
+    theirs, rng = Reference(name, (None,)), np.random.default_rng(SEED)
+    observations, state = task.reset(SEED)
+    np.testing.assert_array_equal(observations[:, 0], state)
+    qpos, qvel = task.simulator_state()
+    theirs.start_from(qpos[0], qvel[0])
+    for _ in range(10):
+        actions = rng.uniform(-task.spec.action_limit, task.spec.action_limit, (1, 1, task.spec.action_dim))
         step = task.step(actions)
-        for env, reference in enumerate(references):
-            assert_same_step(env, step, reference, actions[env])
-        assert step.truncated.all() == (t + 1 == task.spec.horizon_steps)
-        for env in np.flatnonzero(step.truncated):
-            follow(references[env], task, int(env), step.observations)
+        assert_same_step(step, theirs, actions[0], task.spec.agent_action_dims)
+        (observation,) = theirs.observations(None)
+        assert_close(step.final_observations[0, 0], observation)
+
+
+@pytest.mark.parametrize("name", sorted({name.split("-")[0]: name for name in task_names()}.values()))
+def test_starts_are_spread_as_gymnasiums(name: str) -> None:
+    n = 200
+    theirs = Reference(name, (0,))
+    drawn = np.array([theirs.draw_start(seed) for seed in range(n)])
+    task = make_task(name, 4_000, n_threads=1)
+    task.reset(0)
+    ours = np.hstack(task.simulator_state())
+    spread = drawn.std(axis=0)
+    assert (np.abs(ours.mean(axis=0) - drawn.mean(axis=0)) <= 5 * spread / np.sqrt(n) + 1e-12).all()
+    np.testing.assert_allclose(ours.std(axis=0), spread, rtol=0.3, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["CoupledHalfCheetah-1p1", "ManySegmentAnt-2x2", "ManySegmentSwimmer-2x1"])
+def test_a_body_put_together_here_is_theirs_in_every_number(name: str) -> None:
+    ours, theirs = load_model(name), Reference(name, (0,)).model
+    fields = [field for field in dir(theirs) if isinstance(getattr(theirs, field), np.ndarray)]
+    physics = [
+        field for field in fields if field.startswith(("body_", "jnt_", "dof_", "geom_", "actuator_", "tendon_"))
+    ]
+    assert len(physics) > 100
+    for field in physics:
+        np.testing.assert_allclose(getattr(ours, field), getattr(theirs, field), atol=1e-14, err_msg=field)
+    for field in ("timestep", "integrator", "viscosity", "density", "gravity", "solver", "iterations"):
+        np.testing.assert_array_equal(getattr(ours.opt, field), getattr(theirs.opt, field))

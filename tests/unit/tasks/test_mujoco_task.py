@@ -1,4 +1,4 @@
-"""Batches of cheetahs: starts, resets, snapshots, what agents see and drive."""
+"""Batches of bodies: starts, resets, snapshots, what agents see and drive."""
 
 import numpy as np
 import pytest
@@ -190,3 +190,49 @@ def test_options_out_of_range_are_refused(n_envs: int, n_threads: int, agent_obs
 def test_geoms_belong_to_the_agent_that_moves_them(name: str, expected: list[list[str]]) -> None:
     model = load_model(name)
     assert [[model.geom(geom).name for geom in geoms] for geoms in agent_geoms(name)] == expected
+
+
+@pytest.mark.parametrize("name", ["Ant-4x2", "CoupledHalfCheetah-1p1", "Humanoid-9|8", "Reacher-2x1"])
+def test_what_follows_from_the_last_step_is_in_the_snapshot_too(name: str) -> None:
+    task, other = make_task(name, 2, n_threads=1), make_task(name, 2, n_threads=1)
+    task.reset(0)
+    other.reset(99)
+    before = play(task, random_actions(task, 4, 30))[-1]
+    snapshot = task.snapshot()
+    actions = random_actions(task, 6, 60)
+    expected = play(task, actions)
+
+    observations, state = other.restore(snapshot)
+
+    np.testing.assert_array_equal(observations, before.observations)
+    np.testing.assert_array_equal(state, before.state)
+    assert_same_steps(play(other, actions), expected)
+
+
+def test_agents_that_drive_fewer_joints_ignore_the_rest_of_their_action() -> None:
+    task = make_task("Humanoid-9|8", 1, n_threads=1)
+    assert task.spec.agent_action_dims == (9, 8)
+    task.reset(0)
+    snapshot = task.snapshot()
+    actions = random_actions(task, 0, 1)[0]
+    first = task.step(actions)
+    actions[:, 1, 8] += 1.0
+    task.restore(snapshot)
+    assert_same_steps([task.step(actions)], [first])
+
+
+def test_many_segment_bodies_come_in_any_size_that_is_asked_for() -> None:
+    spec = task_spec("ManySegmentSwimmer-4x3")
+    assert (spec.n_agents, spec.action_dim, spec.nq) == (4, 3, 15)
+    assert spec.name not in task_names()
+    for name in ("ManySegmentSwimmer-1x1", "ManySegmentAnt-0x2", "ManySegmentAnt-2", "ManySegmentAnt-100x2"):
+        with pytest.raises(UnknownTask):
+            task_spec(name)
+
+
+@pytest.mark.parametrize("name", task_names())
+def test_every_agent_has_geoms_of_its_own(name: str) -> None:
+    geoms = agent_geoms(name)
+    assert len(geoms) == task_spec(name).n_agents
+    taken = [geom for agent in geoms for geom in agent]
+    assert len(taken) == len(set(taken))

@@ -1,0 +1,125 @@
+"""Ant run by a team: a leg each, two legs each, or a joint each.
+
+Physics, reward and starts are gymnasium's Ant-v5; the partitions are gymnasium-robotics' MaMuJoCo's, and one agent per
+joint beside them.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapt.tasks.entry import MujocoEntry
+from mapt.tasks.layout import Column, columns
+from mapt.tasks.partition import Joint, Partition
+from mapt.tasks.rules import Float64s, Frame, MujocoRules, squared, uniform_about
+from mapt.tasks.scene import MujocoScene, gymnasium_asset
+
+FRAME_SKIP = 5
+PHYSICS_STEP_SECONDS = 0.01
+STEP_SECONDS = FRAME_SKIP * PHYSICS_STEP_SECONDS
+CONTROL_COST_WEIGHT = 0.5
+CONTACT_COST_WEIGHT = 5e-4
+HEALTHY_REWARD = 1.0
+HEALTHY_HEIGHT_METRES = (0.2, 1.0)
+TORSO = 1
+#: A force or torque on a body, six numbers, is seen as -1 to 1.
+N_FORCES = 6
+
+#: The torso's height and pose, and its speeds; not how far it has walked.
+SHARED = columns("qpos", 2, 7) + columns("qvel", 0, 6)
+INSTRUCTIONS = (
+    "The ant should walk to the right as fast as it can, on its feet. "
+    "It should neither tip over nor throw itself into the air."
+)
+
+
+def healthy(frame: Frame) -> NDArray[np.bool_]:
+    """(E,) bool: every number is finite, and the torso neither lies nor flies."""
+    finite = np.isfinite(frame["qpos"]).all(axis=1) & np.isfinite(frame["qvel"]).all(axis=1)
+    low, high = HEALTHY_HEIGHT_METRES
+    height = frame["qpos"][:, 2]
+    return finite & (low <= height) & (height <= high)
+
+
+def terminated(frame: Frame) -> NDArray[np.bool_]:
+    return ~healthy(frame)
+
+
+def reward(before: Frame, after: Frame, controls: Float64s) -> Float64s:
+    """Forward speed of the torso and one for every healthy step, less the costs of controls and of contacts."""
+    speed = (after["xpos"][:, TORSO, 0] - before["xpos"][:, TORSO, 0]) / STEP_SECONDS
+    costs = CONTROL_COST_WEIGHT * squared(controls) + CONTACT_COST_WEIGHT * squared(after["contact_forces"])
+    return speed + HEALTHY_REWARD * healthy(after) - costs
+
+
+def clip_contact_forces(frame: Frame) -> None:
+    np.clip(frame["cfrc_ext"], -1.0, 1.0, out=frame["contact_forces"])
+
+
+def rules(n_joints: int, n_bodies: int, height_metres: float) -> MujocoRules:
+    """The rules for an ant of this many joints and bodies (the world is one) that starts at this height."""
+    nq, nv = 7 + n_joints, 6 + n_joints
+    pose = np.zeros(nq)
+    pose[2:4] = height_metres, 1.0
+    return MujocoRules(
+        frame_skip=FRAME_SKIP,
+        draw_start=uniform_about(pose, nv, 0.1, normal_velocities=True),
+        reward=reward,
+        terminated=terminated,
+        before=("xpos",),
+        fields={"xpos": (n_bodies, 3), "cfrc_ext": (n_bodies, N_FORCES)},
+        features={"contact_forces": (n_bodies, N_FORCES)},
+        compute=clip_contact_forces,
+        # The world, body 0, is left out.
+        state=columns("qpos", 2, nq)
+        + columns("qvel", 0, nv)
+        + columns("contact_forces", N_FORCES, N_FORCES * n_bodies),
+    )
+
+
+def leg_joint(name: str, qpos: int, qvel: int, actuator: int, bodies: Sequence[int]) -> Joint:
+    """A joint that shows its agent its angle, its speed and the forces on these bodies, and others its angle."""
+    forces: tuple[Column, ...] = ()
+    for body in bodies:
+        forces += columns("contact_forces", N_FORCES * body, N_FORCES * (body + 1))
+    return Joint(name, actuator, own=(("qpos", qpos), ("qvel", qvel), *forces), near=(("qpos", qpos),))
+
+
+def _leg(number: int) -> tuple[Joint, Joint]:
+    hip = 2 * (number - 1)
+    # Motors begin with the fourth leg.
+    motor = (hip + 2) % 8
+    thigh = 3 * number - 1
+    return (
+        leg_joint(f"hip_{number}", 7 + hip, 6 + hip, motor, (TORSO, thigh)),
+        leg_joint(f"ankle_{number}", 8 + hip, 7 + hip, motor + 1, (thigh, thigh + 1, thigh + 2)),
+    )
+
+
+LEGS = {1: "front left leg", 2: "front right leg", 3: "back left leg", 4: "back right leg"}
+JOINTS = tuple(joint for number in LEGS for joint in _leg(number))
+EDGES = (*((f"ankle_{number}", f"hip_{number}") for number in LEGS), tuple(f"hip_{number}" for number in LEGS))
+RULES = rules(n_joints=8, n_bodies=14, height_metres=0.75)
+
+
+def _entry(conf: str, agents: tuple[tuple[str, ...], ...], names: tuple[str, ...]) -> MujocoEntry:
+    partition = Partition(JOINTS, EDGES, agents, SHARED, frozenset({"contact_forces"}))
+    scene = MujocoScene(gymnasium_asset("ant.xml"), 15, 14, PHYSICS_STEP_SECONDS, partition)
+    return MujocoEntry(f"Ant-{conf}", scene, RULES, names, INSTRUCTIONS)
+
+
+def _legs(*numbers: int) -> tuple[str, ...]:
+    return tuple(f"{part}_{number}" for number in numbers for part in ("hip", "ankle"))
+
+
+TASKS = (
+    _entry("4x2", tuple(_legs(number) for number in LEGS), tuple(LEGS.values())),
+    _entry("2x4", (_legs(1, 2), _legs(3, 4)), ("front legs", "back legs")),
+    _entry("2x4d", (_legs(1, 4), _legs(2, 3)), ("front left, back right", "front right, back left")),
+    _entry(
+        "8x1",
+        tuple((name,) for name in _legs(4, 1, 2, 3)),
+        tuple(f"{LEGS[number]}, {part}" for number in (4, 1, 2, 3) for part in ("hip", "ankle")),
+    ),
+)

@@ -1,0 +1,103 @@
+"""Two half cheetahs side by side, tied by an elastic tendon: gymnasium-robotics' CoupledHalfCheetah, an agent each.
+
+The body is put together from gymnasium's half_cheetah.xml.
+"""
+
+# mujoco is compiled and ships no stubs.
+# pyright: reportAttributeAccessIssue=false
+
+import mujoco
+import numpy as np
+
+from mapt.tasks import half_cheetah
+from mapt.tasks.entry import MujocoEntry
+from mapt.tasks.layout import columns
+from mapt.tasks.partition import Joint, Partition, hinge
+from mapt.tasks.rules import Float64s, Frame, MujocoRules, squared, uniform_about
+from mapt.tasks.scene import MujocoScene, gymnasium_asset
+
+CHEETAHS = ("first", "second")
+SIDES_METRES = (-1.0, 1.0)
+TENDON_RANGE_METRES = (1.5, 3.5)
+TENDON_STIFFNESS = 0.1
+#: Nine of each cheetah.
+NQ = NV = 18
+SECOND = 9
+
+
+def describe() -> mujoco.MjSpec:
+    """Two cheetahs, their parts' names after first_ and second_, and a tendon between their torsos."""
+    read = gymnasium_asset("half_cheetah.xml")
+    spec = read()
+    spec.modelname = "coupled_cheetah"
+    for motor in tuple(spec.actuators):
+        spec.delete(motor)
+    spec.delete(spec.body("torso"))
+    for name, side in zip(CHEETAHS, SIDES_METRES, strict=True):
+        torso = read().body("torso")
+        torso.add_site(name="knot", size=[0.1, 0.0, 0.0])
+        spec.worldbody.add_frame(pos=[0.0, side, 0.0]).attach_body(torso, f"{name}_", "")
+    tendon = spec.add_tendon(
+        name="tendon0",
+        width=0.05,
+        rgba=[0.95, 0.3, 0.3, 1.0],
+        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+        range=list(TENDON_RANGE_METRES),
+        stiffness=[TENDON_STIFFNESS, 0.0, 0.0],
+    )
+    for name in CHEETAHS:
+        tendon.wrap_site(f"{name}_knot")
+    return spec
+
+
+def reward(before: Frame, after: Frame, controls: Float64s) -> Float64s:
+    """Mean over the cheetahs of forward speed less the cost of the controls."""
+    way = after["qpos"][:, (0, SECOND)] - before["qpos"][:, (0, SECOND)]
+    speed = (way / half_cheetah.STEP_SECONDS).mean(axis=1)
+    return speed - half_cheetah.CONTROL_COST_WEIGHT * squared(controls) / 2.0
+
+
+#: The tendon's six moments are about the three root joints of each cheetah; those about x and z are shown.
+_TENDON = (
+    ("ten_J", 0),
+    ("ten_J", 1),
+    ("ten_J", 3),
+    ("ten_J", 4),
+    ("ten_length", 0),
+    ("ten_velocity", 0),
+)
+
+
+def _joints(number: int, cheetah: str) -> tuple[Joint, ...]:
+    """A cheetah's joints. MaMuJoCo shows both agents the angles of the second."""
+    names = [f"{cheetah}_{joint.name}" for joint in half_cheetah.JOINTS]
+    first, *rest = (hinge(name, 12 + i, 12 + i, actuator=6 * number + i) for i, name in enumerate(names))
+    return Joint(first.name, first.actuator, (*first.own, *_TENDON), first.near), *rest
+
+
+_TEAM = tuple(_joints(number, cheetah) for number, cheetah in enumerate(CHEETAHS))
+_PARTITION = Partition(
+    joints=(*_TEAM[0], *_TEAM[1]),
+    edges=tuple((f"{name}_{one}", f"{name}_{other}") for name in CHEETAHS for one, other in half_cheetah.EDGES),
+    agents=tuple(tuple(joint.name for joint in joints) for joints in _TEAM),
+    shared=(
+        *(("qpos", index) for index in (2, 1, SECOND + 2, SECOND + 1)),
+        *(("qvel", index) for index in (0, 2, 1, SECOND, SECOND + 2, SECOND + 1)),
+    ),
+)
+
+TASKS = (
+    MujocoEntry(
+        name="CoupledHalfCheetah-1p1",
+        scene=MujocoScene(describe, NQ, NV, half_cheetah.PHYSICS_STEP_SECONDS, _PARTITION, total_mass_kg=14.0),
+        rules=MujocoRules(
+            frame_skip=half_cheetah.FRAME_SKIP,
+            draw_start=uniform_about(np.zeros(NQ), NV, 0.1, normal_velocities=True),
+            reward=reward,
+            fields={"ten_J": (6,), "ten_length": (1,), "ten_velocity": (1,)},
+            state=columns("qpos", 1, SECOND) + columns("qpos", SECOND + 1, NQ) + columns("qvel", 0, NV) + _TENDON,
+        ),
+        agent_names=("near cheetah", "far cheetah"),
+        instructions="Two cheetahs are tied together. Both should run to the right as fast as they can, at one pace.",
+    ),
+)

@@ -1,0 +1,80 @@
+"""Hopper run by three agents of one joint each: gymnasium's Hopper-v5, with MaMuJoCo's partition."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapt.tasks.entry import MujocoEntry
+from mapt.tasks.layout import columns
+from mapt.tasks.partition import Joint, Partition
+from mapt.tasks.rules import Float64s, Frame, MujocoRules, squared, uniform_about
+from mapt.tasks.scene import MujocoScene, gymnasium_asset
+
+FRAME_SKIP = 4
+PHYSICS_STEP_SECONDS = 0.002
+STEP_SECONDS = FRAME_SKIP * PHYSICS_STEP_SECONDS
+CONTROL_COST_WEIGHT = 1e-3
+HEALTHY_REWARD = 1.0
+HEALTHY_STATE = 100.0
+HEALTHY_HEIGHT_METRES = 0.7
+HEALTHY_ANGLE_RADIANS = 0.2
+START_NOISE = 0.005
+#: Speeds are seen as -10 to 10.
+SEEN_SPEED = 10.0
+#: Root x, root z, pitch and three joints.
+NQ = NV = 6
+
+
+def healthy(frame: Frame) -> NDArray[np.bool_]:
+    """(E,) bool: upright above the ground, with no number out of all bounds."""
+    qpos, qvel = frame["qpos"], frame["qvel"]
+    bounded = (np.abs(qpos[:, 2:]) < HEALTHY_STATE).all(axis=1) & (np.abs(qvel) < HEALTHY_STATE).all(axis=1)
+    return bounded & (qpos[:, 1] > HEALTHY_HEIGHT_METRES) & (np.abs(qpos[:, 2]) < HEALTHY_ANGLE_RADIANS)
+
+
+def terminated(frame: Frame) -> NDArray[np.bool_]:
+    return ~healthy(frame)
+
+
+def reward(before: Frame, after: Frame, controls: Float64s) -> Float64s:
+    """Forward speed and one for every healthy step, less the cost of the controls."""
+    speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
+    return speed + HEALTHY_REWARD * healthy(after) - CONTROL_COST_WEIGHT * squared(controls)
+
+
+def clip_speeds(frame: Frame) -> None:
+    np.clip(frame["qvel"], -SEEN_SPEED, SEEN_SPEED, out=frame["seen_qvel"])
+
+
+RULES = MujocoRules(
+    frame_skip=FRAME_SKIP,
+    draw_start=uniform_about(np.array([0.0, 1.25, 0.0, 0.0, 0.0, 0.0]), NV, START_NOISE),
+    reward=reward,
+    terminated=terminated,
+    features={"seen_qvel": (NV,)},
+    compute=clip_speeds,
+    state=columns("qpos", 1, NQ) + columns("seen_qvel", 0, NV),
+)
+
+
+def _joint(name: str, actuator: int) -> Joint:
+    place = 3 + actuator
+    return Joint(name, actuator, own=(("qpos", place), ("seen_qvel", place)), near=(("qpos", place),))
+
+
+_NAMES = ("thigh_joint", "leg_joint", "foot_joint")
+_PARTITION = Partition(
+    joints=tuple(_joint(name, actuator) for actuator, name in enumerate(_NAMES)),
+    edges=(("foot_joint", "leg_joint"), ("leg_joint", "thigh_joint")),
+    agents=tuple((name,) for name in _NAMES),
+    shared=columns("qpos", 1, 3) + columns("seen_qvel", 0, 3),
+)
+
+TASKS = (
+    MujocoEntry(
+        name="Hopper-3x1",
+        scene=MujocoScene(gymnasium_asset("hopper.xml"), NQ, NV, PHYSICS_STEP_SECONDS, _PARTITION),
+        rules=RULES,
+        agent_names=("thigh", "leg", "foot"),
+        instructions="The hopper should hop to the right as fast as it can, without falling over.",
+    ),
+)

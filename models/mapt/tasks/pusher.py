@@ -1,0 +1,89 @@
+"""Pusher run by shoulder, elbow and wrist: gymnasium's Pusher-v5, with MaMuJoCo's partition."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from mapt.tasks.entry import MujocoEntry
+from mapt.tasks.layout import columns
+from mapt.tasks.partition import Joint, Partition, hinge
+from mapt.tasks.rules import Float64s, Frame, MujocoRules, squared
+from mapt.tasks.scene import MujocoScene, gymnasium_asset
+
+NEAR_WEIGHT = 0.5
+CONTROL_COST_WEIGHT = 0.1
+SPEED_NOISE = 0.005
+#: The object starts in this rectangle, in metres, and at least this far from the goal, which is at the origin of both.
+OBJECT_LOW, OBJECT_HIGH = (-0.3, -0.2), (0.0, 0.2)
+OBJECT_CLEARANCE_METRES = 0.17
+#: Seven joints of the arm, the object's two slides and the goal's two.
+NQ = NV = 11
+N_ARM = 7
+N_BODIES = 13
+TIP, OBJECT, GOAL = 10, 11, 12
+
+
+def draw_start(rng: np.random.Generator, n: int) -> tuple[Float64s, Float64s]:
+    """The arm at zero and nearly at rest, the object anywhere but at the goal."""
+    qpos = np.zeros((n, NQ))
+    qpos[:, 7:9] = _objects(rng, n)
+    qvel = rng.uniform(-SPEED_NOISE, SPEED_NOISE, size=(n, NV))
+    qvel[:, N_ARM:] = 0.0
+    return qpos, qvel
+
+
+def _objects(rng: np.random.Generator, n: int) -> Float64s:
+    """(n, 2): drawn anew until none is too near the goal."""
+    places = np.zeros((n, 2))
+    while (near := np.flatnonzero(np.linalg.norm(places, axis=1) <= OBJECT_CLEARANCE_METRES)).size:
+        places[near] = rng.uniform(OBJECT_LOW, OBJECT_HIGH, size=(near.size, 2))
+    return places
+
+
+def reward(_before: Frame, after: Frame, controls: Float64s) -> Float64s:
+    """Distances in metres of the object from the goal and, half as much, from the tip, and the controls, as costs."""
+    places = after["xpos"]
+    to_goal = np.linalg.norm(places[:, OBJECT] - places[:, GOAL], axis=1)
+    to_tip = np.linalg.norm(places[:, OBJECT] - places[:, TIP], axis=1)
+    return -to_goal - NEAR_WEIGHT * to_tip - CONTROL_COST_WEIGHT * squared(controls)
+
+
+SHOULDER = ("r_shoulder_pan_joint", "r_shoulder_lift_joint", "r_upper_arm_roll_joint")
+ELBOW = ("r_elbow_flex_joint",)
+WRIST = ("r_forearm_roll_joint", "r_wrist_flex_joint", "r_wrist_roll_joint")
+_CHAIN = (*SHOULDER, *ELBOW, *WRIST)
+#: MaMuJoCo labels the first two joints as it does the last, and leaves their order to chance; here it is the arm's.
+_LABELS: dict[str, str] = dict.fromkeys(SHOULDER[:2], WRIST[-1])
+
+
+def _joint(name: str, index: int) -> Joint:
+    shown = hinge(name, index, index, actuator=index)
+    return Joint(name, index, shown.own, shown.near, _LABELS.get(name, ""))
+
+
+_TARGETS = columns("xpos", 3 * TIP, 3 * (GOAL + 1))
+_PARTITION = Partition(
+    joints=tuple(_joint(name, index) for index, name in enumerate(_CHAIN)),
+    edges=tuple(pairwise(_CHAIN)),
+    agents=(SHOULDER, ELBOW, WRIST),
+    shared=_TARGETS,
+)
+
+TASKS = (
+    MujocoEntry(
+        name="Pusher-3p",
+        scene=MujocoScene(gymnasium_asset("pusher_v5.xml"), NQ, NV, 0.01, _PARTITION),
+        rules=MujocoRules(
+            frame_skip=5,
+            draw_start=draw_start,
+            reward=reward,
+            before=(),
+            fields={"xpos": (N_BODIES, 3)},
+            state=columns("qpos", 0, N_ARM) + columns("qvel", 0, N_ARM) + _TARGETS,
+        ),
+        agent_names=("shoulder", "elbow", "wrist"),
+        instructions="The arm should push the object onto the goal, gently, and leave it there.",
+        horizon_steps=100,
+        action_limit=2.0,
+    ),
+)

@@ -1,0 +1,85 @@
+"""Reacher run by two agents of one joint each: gymnasium's Reacher-v5, with MaMuJoCo's partition."""
+
+import numpy as np
+
+from mapt.tasks.entry import MujocoEntry
+from mapt.tasks.layout import columns
+from mapt.tasks.partition import Joint, Partition
+from mapt.tasks.rules import Float64s, Frame, MujocoRules, squared
+from mapt.tasks.scene import MujocoScene, gymnasium_asset
+
+ANGLE_NOISE = 0.1
+SPEED_NOISE = 0.005
+TARGET_RADIUS_METRES = 0.2
+#: Two angles of the arm and the target's place.
+NQ = NV = 4
+FINGERTIP, TARGET = 3, 4
+
+
+def draw_start(rng: np.random.Generator, n: int) -> tuple[Float64s, Float64s]:
+    """An arm nearly straight and nearly at rest, and a target anywhere within its reach."""
+    qpos = rng.uniform(-ANGLE_NOISE, ANGLE_NOISE, size=(n, NQ))
+    qpos[:, 2:] = _targets(rng, n)
+    qvel = rng.uniform(-SPEED_NOISE, SPEED_NOISE, size=(n, NV))
+    qvel[:, 2:] = 0.0
+    return qpos, qvel
+
+
+def _targets(rng: np.random.Generator, n: int) -> Float64s:
+    """(n, 2): even over a disc, by drawing from the square about it until all lie within."""
+    targets = np.full((n, 2), np.inf)
+    while (outside := np.flatnonzero(np.linalg.norm(targets, axis=1) >= TARGET_RADIUS_METRES)).size:
+        targets[outside] = rng.uniform(-TARGET_RADIUS_METRES, TARGET_RADIUS_METRES, size=(outside.size, 2))
+    return targets
+
+
+def measure(frame: Frame) -> None:
+    """Sines and cosines of the arm's angles, and the way from the target to the fingertip."""
+    angles = frame["qpos"][:, :2]
+    np.sin(angles, out=frame["sine"])
+    np.cos(angles, out=frame["cosine"])
+    np.subtract(frame["xpos"][:, FINGERTIP], frame["xpos"][:, TARGET], out=frame["miss"])
+
+
+def reward(_before: Frame, after: Frame, controls: Float64s) -> Float64s:
+    """The fingertip's distance from the target in metres, and the squared controls, both as costs."""
+    return -np.linalg.norm(after["miss"], axis=1) - squared(controls)
+
+
+_SHOULDER = Joint("joint0", 0, own=(("sine", 0), ("cosine", 0), ("qvel", 0)), near=(("sine", 0), ("cosine", 0)))
+_ELBOW = Joint(
+    "joint1",
+    1,
+    own=(("sine", 1), ("cosine", 1), ("qvel", 1), *columns("miss", 0, 3)),
+    near=(("sine", 1), ("cosine", 1)),
+)
+_PARTITION = Partition(
+    joints=(_SHOULDER, _ELBOW),
+    edges=(("joint0", "joint1"),),
+    agents=(("joint0",), ("joint1",)),
+    shared=columns("qpos", 2, 4),
+)
+
+TASKS = (
+    MujocoEntry(
+        name="Reacher-2x1",
+        scene=MujocoScene(gymnasium_asset("reacher.xml"), NQ, NV, 0.01, _PARTITION),
+        rules=MujocoRules(
+            frame_skip=2,
+            draw_start=draw_start,
+            reward=reward,
+            before=(),
+            fields={"xpos": (5, 3)},
+            features={"sine": (2,), "cosine": (2,), "miss": (3,)},
+            compute=measure,
+            state=columns("cosine", 0, 2)
+            + columns("sine", 0, 2)
+            + columns("qpos", 2, 4)
+            + columns("qvel", 0, 2)
+            + columns("miss", 0, 2),
+        ),
+        agent_names=("upper arm", "lower arm"),
+        instructions="The arm should bring its tip to the target quickly, without swinging past it, and hold it there.",
+        horizon_steps=50,
+    ),
+)

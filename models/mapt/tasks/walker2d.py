@@ -1,0 +1,85 @@
+"""Walker2d run by a team: a leg each, or a joint each.
+
+Physics, reward and starts are gymnasium's Walker2d-v5; the partition into legs is MaMuJoCo's.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapt.tasks.entry import MujocoEntry
+from mapt.tasks.layout import columns
+from mapt.tasks.partition import Partition, hinge
+from mapt.tasks.rules import Float64s, Frame, MujocoRules, squared, uniform_about
+from mapt.tasks.scene import MujocoScene, gymnasium_asset
+
+FRAME_SKIP = 4
+PHYSICS_STEP_SECONDS = 0.002
+STEP_SECONDS = FRAME_SKIP * PHYSICS_STEP_SECONDS
+CONTROL_COST_WEIGHT = 1e-3
+HEALTHY_REWARD = 1.0
+HEALTHY_HEIGHT_METRES = (0.8, 2.0)
+HEALTHY_ANGLE_RADIANS = 1.0
+START_NOISE = 0.005
+#: Speeds are -10 to 10 in the state, though not in what agents see.
+STATE_SPEED = 10.0
+#: Root x, root z, pitch and six joints.
+NQ = NV = 9
+
+RIGHT = ("foot_joint", "leg_joint", "thigh_joint")
+LEFT = ("foot_left_joint", "leg_left_joint", "thigh_left_joint")
+JOINTS = tuple(
+    hinge(name, 3 + index, 3 + index, actuator=index) for index, name in enumerate((*RIGHT[::-1], *LEFT[::-1]))
+)
+EDGES = (
+    *((leg[lower], leg[lower + 1]) for leg in (RIGHT, LEFT) for lower in (0, 1)),
+    ("thigh_joint", "thigh_left_joint"),
+)
+INSTRUCTIONS = "The walker should walk or run to the right as fast as it can, upright and without falling over."
+
+
+def healthy(frame: Frame) -> NDArray[np.bool_]:
+    """(E,) bool: upright, neither fallen nor in the air."""
+    low, high = HEALTHY_HEIGHT_METRES
+    height, angle = frame["qpos"][:, 1], frame["qpos"][:, 2]
+    return (low < height) & (height < high) & (np.abs(angle) < HEALTHY_ANGLE_RADIANS)
+
+
+def terminated(frame: Frame) -> NDArray[np.bool_]:
+    return ~healthy(frame)
+
+
+def reward(before: Frame, after: Frame, controls: Float64s) -> Float64s:
+    """Forward speed and one for every healthy step, less the cost of the controls."""
+    speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
+    return speed + HEALTHY_REWARD * healthy(after) - CONTROL_COST_WEIGHT * squared(controls)
+
+
+def clip_speeds(frame: Frame) -> None:
+    np.clip(frame["qvel"], -STATE_SPEED, STATE_SPEED, out=frame["state_qvel"])
+
+
+RULES = MujocoRules(
+    frame_skip=FRAME_SKIP,
+    draw_start=uniform_about(np.array([0.0, 1.25, *[0.0] * 7]), NV, START_NOISE),
+    reward=reward,
+    terminated=terminated,
+    features={"state_qvel": (NV,)},
+    compute=clip_speeds,
+    state=columns("qpos", 1, NQ) + columns("state_qvel", 0, NV),
+)
+
+
+def _entry(conf: str, agents: tuple[tuple[str, ...], ...], names: tuple[str, ...]) -> MujocoEntry:
+    partition = Partition(JOINTS, EDGES, agents, columns("qpos", 1, 3) + columns("qvel", 0, 3))
+    scene = MujocoScene(gymnasium_asset("walker2d_v5.xml"), NQ, NV, PHYSICS_STEP_SECONDS, partition)
+    return MujocoEntry(f"Walker2d-{conf}", scene, RULES, names, INSTRUCTIONS)
+
+
+TASKS = (
+    _entry("2x3", (RIGHT, LEFT), ("right leg", "left leg")),
+    _entry(
+        "6x1",
+        tuple((name,) for name in (*RIGHT, *LEFT)),
+        ("right foot", "right shin", "right thigh", "left foot", "left shin", "left thigh"),
+    ),
+)
