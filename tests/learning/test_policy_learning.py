@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from learning.choice_task import ChoiceTask
 from learning.identity_task import IdentityTask
 from mapt.policies import Learner, PolicyConfig, Rollout, evaluate, train, true_reward
 from mapt.tasks import Task, make_task
@@ -15,6 +16,13 @@ HORIZON_STEPS = 8
 CONFIG = PolicyConfig(
     n_envs=32, rollout_steps=16, minibatches=4, epochs=8, learning_rate=2e-3, hidden=(32,), seed=1, device="cpu"
 )
+ALGORITHMS = ("mappo", "happo", "mat", "mat_dec")
+
+
+def of_algorithm(algorithm: str, **settings: object) -> PolicyConfig:
+    """Small and quick."""
+    small = {"n_envs": 32, "rollout_steps": 16, "minibatches": 4, "epochs": 5, "hidden": [32], "width": 16, "seed": 1}
+    return PolicyConfig.named(algorithm, **{"learning_rate": 3e-3, "device": "cpu", **small, **settings})
 
 
 def trained(config: PolicyConfig, reward=true_reward, total_steps: int = 20_000) -> Learner:
@@ -25,6 +33,48 @@ def trained(config: PolicyConfig, reward=true_reward, total_steps: int = 20_000)
 
 def returns(learner: Learner) -> np.ndarray:
     return evaluate(learner, IdentityTask(32, HORIZON_STEPS), episodes=256)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_every_algorithm_learns_to_say_what_is_seen(algorithm: str) -> None:
+    """Saying zero gets 2/3 a step, saying the number 1; the learner must close eight tenths of the gap."""
+    mean = returns(trained(of_algorithm(algorithm), total_steps=8_000)).mean() / HORIZON_STEPS
+    assert mean > 2 / 3 + 0.8 / 3
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_every_algorithm_learns_to_choose_what_is_shown(algorithm: str) -> None:
+    """The task refuses an action that is not available, so none was drawn in thousands of steps."""
+    config = of_algorithm(algorithm)
+    learner = Learner(ChoiceTask(config.n_envs), config)
+    train(learner, true_reward, total_steps=6_000)
+    task = ChoiceTask(32)
+    mean = evaluate(learner, task, episodes=128).mean() / task.spec.horizon_steps
+    assert mean > ChoiceTask.CHANCE + 0.8 * (1 - ChoiceTask.CHANCE)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("task_type", [IdentityTask, ChoiceTask])
+def test_every_algorithm_goes_on_exactly_where_it_stopped(
+    algorithm: str, task_type: type[IdentityTask] | type[ChoiceTask], tmp_path: Path
+) -> None:
+    """After a new reward was announced, in the midst of episodes; every tensor is equal to the bit."""
+    config = of_algorithm(algorithm, n_envs=4, rollout_steps=5, minibatches=2, anneal_steps=200)
+
+    def go_on(learner: Learner, rollouts: int) -> None:
+        train(learner, true_reward, learner.steps + rollouts * config.steps_per_rollout)
+
+    whole = Learner(task_type(4), config)
+    go_on(whole, 3)
+    whole.reward_changed()
+    whole.save(tmp_path / "policy.safetensors")
+    resumed = Learner.load(tmp_path / "policy.safetensors", task_type(4))
+    go_on(whole, 4)
+    go_on(resumed, 4)
+    expected = whole.state_dict()
+    assert resumed.state_dict().keys() == expected.keys()
+    for name, tensor in resumed.state_dict().items():
+        assert torch.equal(tensor, expected[name]), name
 
 
 @pytest.mark.parametrize("shared_actor", [True, False])

@@ -85,9 +85,7 @@ class InterruptibleTask:
         self._task.close()
 
 
-def evaluation(
-    learner: Learner, task_name: str, seed: int, name: str, stopped: Callable[[], bool]
-) -> dict[str, float]:
+def evaluation(learner: Learner, task_name: str, seed: int, name: str, stopped: Callable[[], bool]) -> dict[str, float]:
     """True return of whole episodes with mean actions: `name` and its standard deviation, minimum and maximum.
 
     Raises:

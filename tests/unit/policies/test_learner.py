@@ -5,9 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
 from learning.identity_task import IdentityTask
 from mapt.policies import InvalidConfig, InvalidRewards, Learner, PolicyConfig, true_reward
+from mapt.tasks import TaskStep
 
 CONFIG = PolicyConfig(n_envs=16, rollout_steps=16, minibatches=2, epochs=4, hidden=(16,), device="cpu")
 
@@ -137,3 +139,28 @@ def test_rewards_that_are_no_numbers_are_refused_and_change_nothing() -> None:
 def test_a_task_of_another_size_is_refused() -> None:
     with pytest.raises(InvalidConfig, match="3 environments"):
         Learner(IdentityTask(3), CONFIG)
+
+
+class TerminatingTask(IdentityTask):
+    """Every episode ends for good where it would have been cut."""
+
+    def step(self, actions: NDArray[np.floating]) -> TaskStep:
+        step = super().step(actions)
+        step.terminated, step.truncated = step.truncated, step.terminated
+        return step
+
+
+@pytest.mark.parametrize("algorithm", ["mappo", "happo", "mat", "mat_dec"])
+@pytest.mark.parametrize("task_type", [IdentityTask, TerminatingTask])
+def test_only_what_is_cut_has_a_value_to_come(algorithm: str, task_type: type[IdentityTask]) -> None:
+    """Rewards of 1 in episodes of one step: returns are 1 if they end, and rise to 1 / (1 - gamma) if they are cut."""
+    config = dataclasses.replace(CONFIG, gamma=0.5, algorithm=algorithm, width=16, learning_rate=5e-3)
+    trained = Learner(task_type(16, horizon_steps=1), config)
+    means = []
+    for _ in range(12):
+        rollout = trained.collect()
+        means.append(trained.update(rollout, np.ones_like(rollout.rewards))["return_mean"])
+    if task_type is TerminatingTask:
+        assert means == pytest.approx([1.0] * 12, abs=1e-5)
+    else:
+        assert means[-1] == pytest.approx(2.0, abs=0.3)

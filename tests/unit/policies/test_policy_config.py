@@ -16,6 +16,29 @@ def test_what_is_left_out_keeps_its_default() -> None:
     assert PolicyConfig.from_dict({"gamma": 0.9}) == PolicyConfig(gamma=0.9)
 
 
+def test_an_algorithm_has_defaults_of_its_own_under_what_is_set() -> None:
+    named = PolicyConfig.named("mat", gamma=0.9)
+    assert named == PolicyConfig.from_dict({"algorithm": "mat", "gamma": 0.9})
+    assert (named.algorithm, named.gamma) == ("mat", 0.9)
+    assert named.learning_rate < PolicyConfig().learning_rate
+    assert PolicyConfig.named("mat", learning_rate=0.5).learning_rate == 0.5
+    assert PolicyConfig.named("mappo") == PolicyConfig()
+
+
+def test_settings_written_before_there_was_a_choice_are_mappos() -> None:
+    before = {
+        name: value
+        for name, value in PolicyConfig(gamma=0.9).to_dict().items()
+        if name not in {"algorithm", "width", "layers", "heads"}
+    }
+    assert PolicyConfig.from_dict(before) == PolicyConfig(gamma=0.9)
+
+
+def test_happo_does_not_share_its_actors() -> None:
+    with pytest.raises(InvalidConfig, match="shared_actor must be false for happo"):
+        PolicyConfig.named("happo", shared_actor=True)
+
+
 def test_a_whole_number_may_stand_for_a_float() -> None:
     assert PolicyConfig.from_dict({"gamma": 1}).gamma == 1
 
@@ -45,6 +68,10 @@ def test_an_unknown_setting_is_named_beside_the_known_ones() -> None:
         ("hidden", []),
         ("hidden", [64, 0]),
         ("activation", "swish"),
+        ("algorithm", "ppo"),
+        ("width", 0),
+        ("layers", 0),
+        ("heads", 3),
         ("value_statistics_rate", 0.0),
         ("seed", -1),
         ("n_threads", -1),
