@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.policies import Learner, Rollout, evaluate
-from mapt.tasks import Task, TaskSpec, TaskStep, make_task
+from mapt.tasks import MaskingTask, Task, TaskSpec, TaskStep, make_task
 
 #: episodes of an evaluation: the mean's standard error is a sixth of their spread
 EVALUATION_EPISODES = 32
@@ -74,6 +74,9 @@ class InterruptibleTask:
 
     def simulator_state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return self._task.simulator_state()
+
+    def available_actions(self) -> NDArray[np.bool_] | None:
+        return self._task.available_actions() if isinstance(self._task, MaskingTask) else None
 
     def snapshot(self) -> dict[str, np.ndarray]:
         return self._task.snapshot()

@@ -41,24 +41,29 @@ class Gaussian:
     Args:
         mean: (..., A).
         log_std: log of the standard deviations, broadcast against the mean.
+        used: of `used_numbers`; the others are 0 and count for nothing.
     """
 
     mean: Tensor
     log_std: Tensor
+    used: Tensor | None = None
 
     def draw(self, noise: Tensor | None) -> tuple[Tensor, Tensor]:
         if noise is None:
-            return self.mean, self._log_density(torch.zeros_like(self.mean))
-        return self.mean + self.log_std.exp() * noise, self._log_density(noise)
+            return self._of_used(self.mean), self._log_density(torch.zeros_like(self.mean))
+        return self._of_used(self.mean + self.log_std.exp() * noise), self._log_density(noise)
 
     def log_probs(self, actions: Tensor) -> Tensor:
         return self._log_density((actions - self.mean) * torch.exp(-self.log_std))
 
     def entropy(self) -> Tensor:
-        return (self.log_std + 0.5 + HALF_LOG_TWO_PI).sum(-1).mean()
+        return self._of_used(self.log_std + 0.5 + HALF_LOG_TWO_PI).sum(-1).mean()
 
     def _log_density(self, noise: Tensor) -> Tensor:
-        return (-0.5 * noise.square() - self.log_std - HALF_LOG_TWO_PI).sum(-1)
+        return self._of_used(-0.5 * noise.square() - self.log_std - HALF_LOG_TWO_PI).sum(-1)
+
+    def _of_used(self, numbers: Tensor) -> Tensor:
+        return numbers if self.used is None else numbers * self.used
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +77,11 @@ class Categorical:
     logits: Tensor
 
     @classmethod
-    def masked(cls, logits: Tensor, available: Tensor | None) -> "Categorical":
-        """Of the available choices, bool (..., A), at least one each; all of them without it."""
-        return cls(logits if available is None else logits.masked_fill(~available, UNAVAILABLE))
+    def masked(cls, logits: Tensor, *masks: Tensor | None) -> "Categorical":
+        """Of the choices that every mask allows, bool (..., A), at least one each; no mask allows all."""
+        for mask in masks:
+            logits = logits if mask is None else logits.masked_fill(~mask, UNAVAILABLE)
+        return cls(logits)
 
     def draw(self, noise: Tensor | None) -> tuple[Tensor, Tensor]:
         # The largest of logits plus Gumbel noise is a draw from their softmax.
@@ -88,6 +95,19 @@ class Categorical:
     def entropy(self) -> Tensor:
         log_probs = self.logits.log_softmax(-1)
         return -(log_probs.exp() * log_probs).sum(-1).mean()
+
+
+def used_numbers(spec: TaskSpec) -> Tensor | None:
+    """Bool (N, 1, A): which numbers of its action each agent uses; nothing if all use all."""
+    if all(dim == spec.action_dim for dim in spec.agent_action_dims):
+        return None
+    return (torch.arange(spec.action_dim) < torch.tensor(spec.agent_action_dims)[:, None])[:, None]
+
+
+def mean_std(log_std: Tensor, used: Tensor | None) -> float:
+    """Mean standard deviation of the numbers that are used."""
+    std = log_std.detach().exp()
+    return float((std if used is None else std[used]).mean())
 
 
 def action_noise(spec: TaskSpec, lead: tuple[int, ...], generator: torch.Generator) -> Tensor:

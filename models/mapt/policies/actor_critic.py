@@ -2,6 +2,7 @@
 
 from torch import Tensor
 
+from mapt.policies.actions import mean_std
 from mapt.policies.actors import Actors
 from mapt.policies.config import PolicyConfig
 from mapt.policies.critics import Critic, EncoderCritic, StateCritic
@@ -34,4 +35,4 @@ class ActorCritic(Policy):
 
     def action_std(self) -> float | None:
         log_std = self.actor.log_std
-        return None if log_std is None else float(log_std.detach().exp().mean())
+        return None if log_std is None else mean_std(log_std, self.actor.used)

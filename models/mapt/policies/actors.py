@@ -5,7 +5,7 @@ import copy
 import torch
 from torch import Tensor, nn
 
-from mapt.policies.actions import ActionDistribution, Categorical, Gaussian
+from mapt.policies.actions import ActionDistribution, Categorical, Gaussian, used_numbers
 from mapt.policies.config import PolicyConfig
 from mapt.policies.layers import AgentLinear, perceptron
 from mapt.policies.normalisation import InputNormaliser
@@ -19,6 +19,8 @@ class Actors(nn.Module):
     unlike strength need unlike noise.
     """
 
+    used: Tensor | None
+
     def __init__(self, spec: TaskSpec, config: PolicyConfig) -> None:
         super().__init__()
         n_agents, width = spec.n_agents, spec.observation_dim
@@ -29,12 +31,15 @@ class Actors(nn.Module):
         self.normaliser = InputNormaliser(n_agents, 1, width, over=1)
         self.network = perceptron(layer, (width, *config.hidden, spec.action_dim), config.activation, last_gain=0.01)
         spread = torch.full((n_agents, 1, spec.action_dim), config.initial_log_std)
+        self.register_buffer("used", used_numbers(spec), persistent=False)
         self.log_std = None if spec.discrete_actions else nn.Parameter(spread)
 
     def forward(self, inputs: Tensor, available: Tensor | None = None) -> ActionDistribution:
         """Distribution of the actions (N, B, A) for normalised observations (N, B, C)."""
         outputs = self.network(inputs)
-        return Categorical.masked(outputs, available) if self.log_std is None else Gaussian(outputs, self.log_std)
+        if self.log_std is None:
+            return Categorical.masked(outputs, available, self.used)
+        return Gaussian(outputs, self.log_std, self.used)
 
     def alone(self, agent: int) -> "Actors":
         """The actor of one agent of those with weights of their own, for (1, B, C).
@@ -45,4 +50,5 @@ class Actors(nn.Module):
         for name, parameter in self.named_parameters():
             owner, _, leaf = name.rpartition(".")
             setattr(actor.get_submodule(owner), leaf, nn.Parameter(parameter.detach()[agent : agent + 1]))
+        actor.used = None if self.used is None else self.used[agent : agent + 1]
         return actor

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from mapt.policies.actions import ActionDistribution, Categorical, Gaussian
+from mapt.policies.actions import ActionDistribution, Categorical, Gaussian, mean_std, used_numbers
 from mapt.policies.config import PolicyConfig
 from mapt.policies.critics import EncoderCritic
 from mapt.policies.normalisation import InputNormaliser
@@ -15,16 +15,21 @@ from mapt.tasks import TaskSpec
 class Decoder(nn.Module):
     """The transformer's decoder and the spread of each agent's actions around what it says."""
 
+    used: Tensor | None
+
     def __init__(self, spec: TaskSpec, config: PolicyConfig) -> None:
         super().__init__()
         self.network = TeamDecoder(spec.action_dim, config)
         spread = torch.full((spec.n_agents, 1, spec.action_dim), config.initial_log_std)
+        self.register_buffer("used", used_numbers(spec), persistent=False)
         self.log_std = None if spec.discrete_actions else nn.Parameter(spread)
 
     def distribution(self, seen: Tensor, actions: Tensor, available: Tensor | None) -> ActionDistribution:
         """Of actions (N, B, A), agent first, given those before each; `seen` (B, N, d)."""
         outputs = self.network(seen, actions.transpose(0, 1)).transpose(0, 1)
-        return Categorical.masked(outputs, available) if self.log_std is None else Gaussian(outputs, self.log_std)
+        if self.log_std is None:
+            return Categorical.masked(outputs, available, self.used)
+        return Gaussian(outputs, self.log_std, self.used)
 
     def draw(self, seen: Tensor, noise: Tensor | None, available: Tensor | None) -> tuple[Tensor, Tensor]:
         """Actions (N, B, A) and log-probabilities (N, B), agent after agent by cached keys."""
@@ -32,10 +37,11 @@ class Decoder(nn.Module):
         draws: list[tuple[Tensor, Tensor]] = []
         for agent in range(seen.shape[1]):
             output = self.network.step(seen, draws[-1][0] if draws else None, agent, caches)
+            used = None if self.used is None else self.used[agent]
             if self.log_std is None:
-                own = Categorical.masked(output, None if available is None else available[agent])
+                own = Categorical.masked(output, None if available is None else available[agent], used)
             else:
-                own = Gaussian(output, self.log_std[agent])
+                own = Gaussian(output, self.log_std[agent], used)
             draws.append(own.draw(None if noise is None else noise[agent]))
         return torch.stack([actions for actions, _ in draws]), torch.stack([log_probs for _, log_probs in draws])
 
@@ -69,4 +75,4 @@ class MultiAgentTransformer(Policy):
 
     def action_std(self) -> float | None:
         log_std = self.decoder.log_std
-        return None if log_std is None else float(log_std.detach().exp().mean())
+        return None if log_std is None else mean_std(log_std, self.decoder.used)

@@ -1,7 +1,6 @@
 """Experience of E environments over L steps, and the collector that gathers it."""
 
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mapt.policies.policy import Policy
-from mapt.tasks import Task
+from mapt.tasks import MaskingTask, Task
 
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
@@ -47,18 +46,9 @@ class Rollout:
     available_actions: Bools | None = None
 
 
-@runtime_checkable
-class LimitsActions(Protocol):
-    """A task with discrete actions not all of which are always available."""
-
-    def available_actions(self) -> Bools | None:
-        """(E, N, A), at least one of each agent's, in the state that the newest observations describe."""
-        ...
-
-
 def available_actions(task: Task) -> Bools | None:
     """What of its actions each agent may choose now (E, N, A); nothing if that is all of them, always."""
-    return task.available_actions() if isinstance(task, LimitsActions) else None
+    return task.available_actions() if isinstance(task, MaskingTask) else None
 
 
 class Collector:

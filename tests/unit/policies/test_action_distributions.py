@@ -2,13 +2,17 @@
 
 import dataclasses
 
+import pytest
 import torch
 from torch.distributions import Categorical as TorchCategorical
+from torch.distributions import Normal
 
+from mapt.policies import PolicyConfig
 from mapt.policies.actions import Categorical, Gaussian, action_noise
+from mapt.policies.learner import make_policy
 from mapt.tasks import task_spec
 
-SPEC = dataclasses.replace(task_spec("HalfCheetah-6x1"), discrete_actions=True, action_dim=5)
+SPEC = dataclasses.replace(task_spec("HalfCheetah-6x1"), discrete_actions=True, action_dim=5, agent_action_dims=())
 
 
 def generator() -> torch.Generator:
@@ -54,3 +58,18 @@ def test_a_gaussian_draw_has_the_density_it_is_told() -> None:
         actions, log_probs = gaussian.draw(noise)
         torch.testing.assert_close(log_probs, gaussian.log_probs(actions), atol=1e-5, rtol=1e-5)
     assert torch.equal(gaussian.draw(None)[0], mean)
+
+
+@pytest.mark.parametrize("algorithm", ["mappo", "mat"])
+def test_numbers_that_an_agent_does_not_use_are_zero_and_count_for_nothing(algorithm: str) -> None:
+    """Agent 1 uses one of two numbers."""
+    spec = dataclasses.replace(task_spec("HalfCheetah-2x3"), action_dim=2, agent_action_dims=(2, 1))
+    torch.manual_seed(0)
+    policy = make_policy(spec, PolicyConfig.named(algorithm, width=8, initial_log_std=0.0))
+    noise = torch.randn(2, 5, 2)
+    with torch.no_grad():
+        actions, log_probs = policy.draw(torch.randn(2, 5, spec.observation_dim), noise, None)
+    assert (actions[1, :, 1] == 0).all()
+    assert (actions[1, :, 0] != 0).all()
+    density = Normal(0.0, 1.0).log_prob(noise)
+    torch.testing.assert_close(log_probs, torch.stack([density[0].sum(-1), density[1, :, 0]]))

@@ -12,7 +12,7 @@ from mapt.policies.transformer import TeamEncoder
 from mapt.tasks import TaskSpec, task_spec
 
 CHEETAH = task_spec("HalfCheetah-6x1")
-CHOICES = dataclasses.replace(CHEETAH, action_dim=5, discrete_actions=True)
+CHOICES = dataclasses.replace(CHEETAH, action_dim=5, agent_action_dims=(), discrete_actions=True)
 B = 9
 
 
