@@ -1,4 +1,4 @@
-"""Environment steps a second: a task alone beside the bare physics and gymnasium-robotics; a learner's rollouts.
+"""Environment steps a second: a task beside the bare physics and beside gymnasium-robotics.
 
 `bare physics` is mujoco.batch with the same model, threads and substeps, given controls and nothing else;
 `MaMuJoCo` is one environment of gymnasium-robotics with the same partition. All take turns in short rounds, so that a
@@ -17,12 +17,9 @@ import numpy as np
 from gymnasium_robotics import mamujoco_v1
 from mujoco.batch import Batch
 
-from mapt.policies import MappoConfig, MappoLearner, true_reward
-from mapt.tasks import load_model, make_task
-from mapt.tasks.registry import find_entry
+from mapt.tasks import load_model, make_task, task_spec
 
 TASKS = ("HalfCheetah-6x1", "Ant-4x2", "Humanoid-9|8")
-LEARNED_TASK = TASKS[0]
 N_ENVS = (16, 64)
 #: Environment steps of one figure in one round: 50 to 400 ms.
 STEPS_PER_ROUND = 3_200
@@ -35,7 +32,8 @@ def bare_physics(task_name: str, n_envs: int, n_threads: int) -> Callable[[], in
     model = load_model(task_name)
     batch = Batch(model, n_envs, nthread=n_threads)
     controls = batch.bind("ctrl")
-    limit, frame_skip = model.actuator_ctrlrange[0, 1], find_entry(task_name).rules.frame_skip
+    limit = model.actuator_ctrlrange[0, 1]
+    frame_skip = round(task_spec(task_name).step_seconds / model.opt.timestep)
     draws = np.random.default_rng(0).uniform(-limit, limit, (STEPS_PER_ROUND // n_envs, n_envs, model.nu))
 
     def play() -> int:
@@ -82,20 +80,6 @@ def mamujoco(task_name: str) -> Callable[[], int]:
     return play
 
 
-def learner(task_name: str, n_threads: int, update: bool) -> Callable[[], int]:
-    """A round of one rollout, with or without the update, under the default configuration."""
-    config = MappoConfig(device="cpu")
-    trained = MappoLearner(make_task(task_name, config.n_envs, n_threads=n_threads), config)
-
-    def play() -> int:
-        rollout = trained.collect()
-        if update:
-            trained.update(rollout, true_reward(rollout))
-        return config.steps_per_rollout
-
-    return play
-
-
 def rates(rounds: int, *contestants: Callable[[], int]) -> list[list[float]]:
     """Steps a second of each contestant in each round, after one round to warm up."""
     seen: list[list[float]] = [[] for _ in contestants]
@@ -136,12 +120,7 @@ def main() -> int:
     print(f"environment steps a second, {n_threads} threads, median of {rounds} rounds")
     reached = compare(names, rounds, n_threads)
     aims = f"{AIM_OF_PHYSICS:.0%} of the bare physics and {AIM_OVER_MAMUJOCO:.0f} times MaMuJoCo"
-    print(f"aims: {aims}: {'reached' if reached else 'MISSED'}\n")
-
-    print(f"{'task':<18}{'rollout':>15}{'rollout + update':>20}")
-    seen = rates(max(1, rounds // 5), *(learner(LEARNED_TASK, n_threads, update) for update in (False, True)))
-    rollout, update = map(statistics.median, seen)
-    print(f"{LEARNED_TASK:<18}{rollout:>15,.0f}{update:>20,.0f}")
+    print(f"aims: {aims}: {'reached' if reached else 'MISSED'}")
     return 0
 
 

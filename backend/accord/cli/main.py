@@ -5,7 +5,7 @@ import sys
 import typer
 from pydantic import ValidationError
 
-from accord.cli import accounts, demo, doctor, export, teach, up
+from accord.cli import accounts, demo, doctor, export, tasks, teach, up
 from accord.cli.output import complain
 from accord.domain.errors import AccordError
 
@@ -21,6 +21,7 @@ app.command("up")(up.up)
 app.command("link")(accounts.link)
 app.command("teach")(teach.teach)
 app.command("demo")(demo.demo)
+app.command("tasks")(tasks.tasks)
 app.command("export")(export.export)
 app.command("doctor")(doctor.doctor)
 app.add_typer(accounts.user, name="user")

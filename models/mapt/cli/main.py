@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from mapt.cli import dataset, report, table
+from mapt.cli import dataset, report, table, tasks
 from mapt.cli.output import complain
 from mapt.policies import PolicyError
 from mapt.preferences.errors import PreferenceError
@@ -20,6 +20,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+app.command("tasks")(tasks.tasks)
 app.command("dataset")(dataset.dataset)
 app.command("table")(table.table)
 app.command("report")(report.report)

@@ -13,6 +13,7 @@ from mapt.tasks.errors import (
     UnknownTask,
     UnusableEnvironment,
 )
+from mapt.tasks.parallel_entry import ParallelEntry
 from mapt.tasks.protocol import DrawnTask, MaskingTask, Task, TaskSpec, TaskStep
 from mapt.tasks.registry import agent_geoms, load_model, make_task, register_task, task_names, task_spec
 
@@ -25,6 +26,7 @@ __all__ = [
     "MujocoEntry",
     "NoPicture",
     "NoSimulator",
+    "ParallelEntry",
     "Task",
     "TaskEntry",
     "TaskError",

@@ -123,7 +123,7 @@ class Task(Protocol):
 
 @runtime_checkable
 class MaskingTask(Task, Protocol):
-    """A task of discrete actions, not all of them available in every state."""
+    """A task of discrete actions, not all of them available in every state: its spec says `masks_actions`."""
 
     def available_actions(self) -> NDArray[np.bool_]:
         """(E, N, A) bool: what may be chosen in the state that the newest observations describe."""

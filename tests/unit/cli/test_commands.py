@@ -33,6 +33,7 @@ def test_the_commands_are_those_of_the_documents():
         "accord demo",
         "accord doctor",
         "accord export",
+        "accord tasks",
         "accord user add",
     }
 

@@ -1,0 +1,15 @@
+"""accord tasks: what an experiment can be made of."""
+
+from accord.cli.output import out
+from accord.domain.errors import Unavailable
+from mapt.cli.tasks import task_table
+from mapt.tasks import TaskError
+from mapt.tasks.registry import DEFAULT_AGENT_OBSK
+
+
+def tasks() -> None:
+    """List every task: agents N, observation C, action A of an agent, and steps of an episode."""
+    try:
+        out.print(task_table(DEFAULT_AGENT_OBSK))
+    except TaskError as error:
+        raise Unavailable(str(error)) from error

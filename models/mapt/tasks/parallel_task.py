@@ -1,0 +1,213 @@
+"""PettingZoo's parallel environments as a `Task`: E of them, stepped one after the other in this process.
+
+Nothing here imports PettingZoo: what its `ParallelEnv` promises is enough. An environment's future must follow from its
+seed and its actions: a snapshot holds those of the episodes that run, and restoring plays them again.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapt.tasks.errors import InvalidAction, InvalidSnapshot, InvalidTaskOption, NoPicture
+from mapt.tasks.protocol import TaskSpec, TaskStep
+from mapt.tasks.random_state import generator_from_array, generator_to_array
+
+_SEEDS = 2**31
+#: PettingZoo's convention for masks: an observation of these two parts.
+_OBSERVATION, _MASK = "observation", "action_mask"
+
+
+class ParallelEnv(Protocol):
+    """What is used of `pettingzoo.ParallelEnv`."""
+
+    possible_agents: list[str]
+    agents: list[str]
+
+    def reset(self, seed: int | None = None) -> tuple[dict[str, Any], dict[str, Any]]: ...
+    def step(self, actions: dict[str, Any]) -> tuple[dict[str, Any], ...]: ...
+    def observation_space(self, agent: str) -> Any: ...
+    def action_space(self, agent: str) -> Any: ...
+    def state(self) -> np.ndarray: ...
+    def render(self) -> np.ndarray | str | list | None: ...
+    def close(self) -> None: ...
+
+
+class ParallelTask:
+    """A `Task`, a `MaskingTask` and a `DrawnTask` on PettingZoo environments.
+
+    An agent that has left, and what it lacks of the widest observation, is zeros; the team's reward is the mean over
+    all agents, so an environment that gives each the team's reward gives just that.
+
+    Args:
+        spec: what `ParallelEntry` found out.
+        make_env: makes one environment.
+        agent_index: append the agent's one-hot index to its observation.
+        dtype: of observations and state.
+
+    Raises:
+        InvalidTaskOption: if `n_envs` is below 1.
+    """
+
+    def __init__(
+        self,
+        spec: TaskSpec,
+        make_env: Callable[[], ParallelEnv],
+        *,
+        n_envs: int,
+        agent_index: bool,
+        dtype: type[np.floating],
+    ) -> None:
+        if n_envs < 1:
+            raise InvalidTaskOption(f"n_envs must be 1 or more, got {n_envs}.")
+        self._spec, self._n_envs, self._dtype = spec, n_envs, dtype
+        self._envs = [make_env() for _ in range(n_envs)]
+        self._agents = tuple(self._envs[0].possible_agents)
+        self._observations = np.zeros((n_envs, spec.n_agents, spec.observation_dim), dtype=dtype)
+        self._own_width = spec.observation_dim - spec.n_agents * agent_index
+        if agent_index:
+            self._observations[:, :, self._own_width :] = np.eye(spec.n_agents)
+        self._state = np.zeros((n_envs, spec.state_dim), dtype=dtype)
+        self._available = np.ones((n_envs, spec.n_agents, spec.action_dim), dtype=bool)
+        self._seeds = np.zeros(n_envs, dtype=np.int64)
+        #: (E, horizon, N, A): what was done since each episode began.
+        self._history = np.zeros((n_envs, spec.horizon_steps, spec.n_agents, spec.action_dim), dtype=np.float32)
+        self._elapsed_steps = np.zeros(n_envs, dtype=np.int64)
+        self._rng = np.random.default_rng(0)
+
+    @property
+    def spec(self) -> TaskSpec:
+        return self._spec
+
+    @property
+    def n_envs(self) -> int:
+        return self._n_envs
+
+    def reset(self, seed: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        self._rng = np.random.default_rng(seed)
+        self._start_episodes(range(self._n_envs))
+        return self._observations.copy(), self._state.copy()
+
+    def step(self, actions: NDArray[np.floating]) -> TaskStep:
+        expected = self._available.shape
+        if actions.shape != expected or not np.isfinite(actions).all():
+            raise InvalidAction(f"Actions must be finite numbers of the shape {expected}, got {actions.shape}.")
+        reward, terminated = np.zeros(self._n_envs), np.zeros(self._n_envs, dtype=bool)
+        truncated = np.zeros_like(terminated)
+        for index in range(self._n_envs):
+            reward[index], terminated[index], truncated[index] = self._step_one(index, actions[index])
+        final_observations, final_state = self._observations.copy(), self._state.copy()
+        observations, state = final_observations, final_state
+        ended = np.flatnonzero(terminated | truncated)
+        if ended.size:
+            self._start_episodes(ended.tolist())
+            observations, state = self._observations.copy(), self._state.copy()
+        return TaskStep(observations, state, reward, terminated, truncated, final_observations, final_state)
+
+    def available_actions(self) -> NDArray[np.bool_]:
+        return self._available.copy()
+
+    def render(self, env: int) -> NDArray[np.uint8]:
+        try:
+            picture = self._envs[env].render()
+        except NotImplementedError:
+            picture = None
+        if not isinstance(picture, np.ndarray) or picture.ndim != 3:
+            raise NoPicture(f"{self._spec.name} draws no picture; make its environments with render_mode='rgb_array'.")
+        return picture.astype(np.uint8)
+
+    def simulator_state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return np.zeros((self._n_envs, 0)), np.zeros((self._n_envs, 0))
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        kept = {name: value.copy() for name, value in self._kept().items()}
+        return {**kept, "random_state": generator_to_array(self._rng)}
+
+    def restore(self, snapshot: dict[str, np.ndarray]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        kept = self._kept()
+        shapes = {**{name: value.shape for name, value in kept.items()}, "random_state": (6,)}
+        given = {name: np.shape(value) for name, value in snapshot.items()}
+        if given != shapes:
+            raise InvalidSnapshot(f"The snapshot holds {given}, but {self._spec.name} here needs {shapes}.")
+        for name, value in kept.items():
+            value[...] = snapshot[name]
+        for index, n_steps in enumerate(self._elapsed_steps.tolist()):
+            self._begin(index)
+            for actions in self._history[index, :n_steps].copy():
+                self._step_one(index, actions)
+        self._rng = generator_from_array(snapshot["random_state"])
+        return self._observations.copy(), self._state.copy()
+
+    def close(self) -> None:
+        for env in self._envs:
+            env.close()
+
+    def _kept(self) -> dict[str, np.ndarray]:
+        return {"seeds": self._seeds, "history": self._history, "elapsed_steps": self._elapsed_steps}
+
+    def _start_episodes(self, indices: Sequence[int]) -> None:
+        for index in indices:
+            self._seeds[index] = self._rng.integers(_SEEDS)
+            self._begin(index)
+
+    def _begin(self, index: int) -> None:
+        observed, _ = self._envs[index].reset(seed=int(self._seeds[index]))
+        self._elapsed_steps[index] = 0
+        self._read(index, observed)
+
+    def _step_one(self, index: int, actions: NDArray[np.floating]) -> tuple[float, bool, bool]:
+        """(the team's reward, terminated, truncated) of one environment's step."""
+        env, step = self._envs[index], self._elapsed_steps[index]
+        # Played again from the history later, so the history's numbers are what is done now.
+        self._history[index, step] = actions
+        self._elapsed_steps[index] += 1
+        done = self._history[index, step]
+        chosen = {name: self._chosen(place, done[place]) for place, name in enumerate(self._agents)}
+        present = tuple(env.agents)
+        observed, rewards, terminations, truncations, _ = env.step({name: chosen[name] for name in present})
+        self._read(index, observed)
+        over = not env.agents or all(terminations[name] or truncations[name] for name in present)
+        cut = any(truncations[name] for name in present)
+        terminated = bool(over and not cut)
+        truncated = bool(not terminated and (over or step + 1 >= self._spec.horizon_steps))
+        return float(sum(rewards.values())) / len(self._agents), terminated, truncated
+
+    def _chosen(self, agent: int, action: NDArray[np.floating]) -> Any:
+        if self._spec.discrete_actions:
+            return int(action.argmax())
+        dims = self._spec.agent_action_dims
+        return action[: dims[agent]] if dims else action
+
+    def _read(self, index: int, observed: dict[str, Any]) -> None:
+        own = self._observations[index, :, : self._own_width]
+        own[:] = 0.0
+        for place, name in enumerate(self._agents):
+            if name in observed:
+                seen, mask = split(observed[name])
+                flat = np.ravel(seen)
+                own[place, : flat.size] = flat
+                if mask is not None:
+                    self._available[index, place] = np.asarray(mask, dtype=bool)
+        self._state[index] = state_of(self._envs[index], own)
+
+
+def split(observed: Any) -> tuple[Any, Any]:
+    """(observation, mask or None) of what an agent was given."""
+    if isinstance(observed, dict):
+        return observed[_OBSERVATION], observed[_MASK]
+    return observed, None
+
+
+def has_masks(env: ParallelEnv) -> bool:
+    """Whether agents are told which actions are available."""
+    space = env.observation_space(env.possible_agents[0])
+    return hasattr(space, "spaces") and _MASK in space.spaces
+
+
+def state_of(env: ParallelEnv, own: NDArray[np.floating]) -> NDArray[np.floating]:
+    """The environment's state where it has one, else all observations, one agent's after the other's."""
+    try:
+        return np.ravel(env.state())
+    except (NotImplementedError, AttributeError):
+        return own.ravel()

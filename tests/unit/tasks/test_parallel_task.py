@@ -1,0 +1,154 @@
+"""PettingZoo environments through the adapter: MaMuJoCo's own, and a small one of masked discrete actions."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium_robotics import mamujoco_v1
+from pettingzoo import ParallelEnv
+
+from mapt.tasks import DrawnTask, MaskingTask, NoPicture, Task, TaskExists, make_task, register_task, task_names
+from mapt.tasks.parallel_entry import ParallelEntry
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+class Levers(ParallelEnv):
+    """Two agents pull one of three levers; a lever cannot be pulled twice in a row. One for each pull of lever 2."""
+
+    def __init__(self) -> None:
+        self.possible_agents = ["left", "right"]
+        self.agents = []
+
+    def observation_space(self, agent: str) -> spaces.Space:
+        return spaces.Dict({"observation": spaces.Box(-1, 3, (2,)), "action_mask": spaces.MultiBinary(3)})
+
+    def action_space(self, agent: str) -> spaces.Space:
+        return spaces.Discrete(3)
+
+    def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
+        self.agents = list(self.possible_agents)
+        self.rng = np.random.default_rng(seed)
+        self.pulled = {"left": -1, "right": -1}
+        return self.seen(), {}
+
+    def seen(self) -> dict:
+        return {
+            agent: {"observation": np.array([pulled, self.rng.uniform()]), "action_mask": np.arange(3) != pulled}
+            for agent, pulled in self.pulled.items()
+        }
+
+    def step(self, actions: dict) -> tuple[dict, dict, dict, dict, dict]:
+        self.pulled = dict(actions)
+        broken = all(action == 0 for action in actions.values())
+        flags = dict.fromkeys(self.agents, False)
+        rewards = {agent: float(action == 2) for agent, action in actions.items()}
+        seen = self.seen()
+        if broken:
+            self.agents = []
+        return seen, rewards, dict.fromkeys(actions, broken), flags, {}
+
+
+LEVERS = ParallelEntry("Levers-2", Levers, horizon_steps=6, step_seconds=0.5, instructions="Pull lever 2.")
+
+
+def levers(n_envs: int) -> Task:
+    return LEVERS.make(n_envs, n_threads=1, agent_obsk=1, agent_index=True, dtype=np.float32)
+
+
+def one_hot(choices: list[list[int]]) -> np.ndarray:
+    return np.eye(3)[np.array(choices)]
+
+
+def test_discrete_actions_are_chosen_and_masked() -> None:
+    task = levers(2)
+    assert isinstance(task, MaskingTask)
+    assert (task.spec.discrete_actions, task.spec.masks_actions, task.spec.action_dim) == (True, True, 3)
+    observations, state = task.reset(0)
+    assert observations.shape == (2, 2, 4)
+    np.testing.assert_array_equal(observations[:, :, 2:], np.broadcast_to(np.eye(2), (2, 2, 2)))
+    np.testing.assert_array_equal(state, observations[:, :, :2].reshape(2, 4))
+    assert task.available_actions().all()
+    step = task.step(one_hot([[2, 1], [2, 2]]))
+    np.testing.assert_array_equal(step.reward, [0.5, 1.0])
+    np.testing.assert_array_equal(task.available_actions(), one_hot([[2, 1], [2, 2]]) == 0)
+
+
+def test_an_end_is_no_cut_and_the_next_episode_starts_by_itself() -> None:
+    task = levers(2)
+    task.reset(0)
+    step = task.step(one_hot([[0, 0], [1, 2]]))
+    np.testing.assert_array_equal(step.terminated, [True, False])
+    np.testing.assert_array_equal(step.final_observations[0, :, 0], [0, 0])
+    np.testing.assert_array_equal(step.observations[0, :, 0], [-1, -1])
+    for choices in ([1, 1], [2, 2], [1, 1], [2, 2]):
+        assert not task.step(one_hot([choices, choices])).truncated.any()
+    np.testing.assert_array_equal(task.step(one_hot([[1, 1], [1, 1]])).truncated, [False, True])
+
+
+def test_a_restored_environment_goes_on_as_it_would_have() -> None:
+    task, other = levers(3), levers(3)
+    task.reset(5)
+    other.reset(6)
+    rng = np.random.default_rng(0)
+    actions = np.eye(3)[rng.integers(0, 3, (20, 3, 2))]
+    before = [task.step(action) for action in actions[:8]][-1]
+    snapshot = task.snapshot()
+    expected = [task.step(action) for action in actions[8:]]
+    observations, _ = other.restore(snapshot)
+    np.testing.assert_array_equal(observations, before.observations)
+    for action, step in zip(actions[8:], expected, strict=True):
+        np.testing.assert_array_equal(other.step(action).observations, step.observations)
+
+
+def test_continuous_agents_of_another_library_are_driven_and_seen() -> None:
+    entry = ParallelEntry(
+        "Foreign-3p", lambda: mamujoco_v1.parallel_env("Pusher", "3p"), 100, 0.05, "Push the object onto the goal."
+    )
+    task = entry.make(2, n_threads=1, agent_obsk=1, agent_index=False, dtype=np.float64)
+    assert (task.spec.agent_action_dims, task.spec.action_limit, task.spec.state_dim) == ((3, 1, 3), 2.0, 23)
+    task.reset(0)
+    steps = [task.step(np.ones((2, 3, 3))) for _ in range(100)]
+    assert steps[-1].truncated.all()
+    assert not any(step.truncated.any() or step.terminated.any() for step in steps[:-1])
+    env = mamujoco_v1.parallel_env("Pusher", "3p")
+    env.reset(seed=int(task.snapshot()["seeds"][0]))
+    np.testing.assert_allclose(steps[-1].state[0], env.state())
+
+
+def test_a_task_that_cannot_draw_says_how_it_could() -> None:
+    task = levers(1)
+    assert isinstance(task, DrawnTask)
+    task.reset(0)
+    with pytest.raises(NoPicture, match="rgb_array"):
+        task.render(0)
+
+
+class DrawnLevers(Levers):
+    def render(self) -> np.ndarray:
+        return np.full((2, 3, 3), 10 + self.pulled["left"], dtype=np.uint8)
+
+
+def test_an_environment_that_draws_itself_is_drawn_as_it_is_now() -> None:
+    task = ParallelEntry("Drawn", DrawnLevers, 6, 0.5, "").make(
+        2, n_threads=1, agent_obsk=1, agent_index=False, dtype=np.float32
+    )
+    assert isinstance(task, DrawnTask)
+    task.reset(0)
+    task.step(one_hot([[1, 1], [2, 1]]))
+    assert [int(task.render(env).max()) for env in range(2)] == [11, 12]
+    assert task.render(0).shape == (2, 3, 3)
+
+
+def test_a_registered_name_is_known_and_taken() -> None:
+    entry = ParallelEntry(f"Levers-{os.getpid()}", Levers, 6, 0.5, "Pull lever 2.")
+    register_task(entry)
+    assert entry.name in task_names()
+    assert make_task(entry.name, 1).spec.name == entry.name
+    with pytest.raises(TaskExists):
+        register_task(entry)
