@@ -29,7 +29,7 @@ def steadiness_preferences(n_pairs: int, seed: int) -> PreferenceDataset:
 
 
 def accuracy_on_fresh_pairs(config: RewardConfig) -> float:
-    settings = TrainConfig(lr=1e-3, max_epochs=30, patience=30, device="cpu")
+    settings = TrainConfig(max_epochs=30, patience=30, device="cpu")
     model = train_reward_model(steadiness_preferences(1500, seed=0), config, settings).model
     fresh = steadiness_preferences(1000, seed=1)
     arrays = (fresh.segments.observations, fresh.segments.actions, fresh.segments.mask)

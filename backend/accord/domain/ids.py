@@ -2,6 +2,7 @@
 
 import re
 import secrets
+import threading
 import time
 
 from accord.domain.errors import InvalidId
@@ -9,9 +10,27 @@ from accord.domain.errors import InvalidId
 _PATTERN = re.compile(r"[0-9a-f]{24}")
 
 
+class _Clock:
+    """Numbers that grow with every call: milliseconds since 1970, then 52 random bits."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._last = 0
+
+    def tick(self) -> int:
+        drawn = (time.time_ns() // 1_000_000) << 52 | secrets.randbits(52)
+        with self._lock:
+            # Rows made within one millisecond keep the order they were made in, on which choices by a seed depend.
+            self._last = max(drawn, self._last + 1)
+            return self._last
+
+
+_clock = _Clock()
+
+
 def new_id(prefix: str) -> str:
-    """A new identifier: 11 digits of milliseconds since 1970, then 13 random ones (52 bits)."""
-    return f"{prefix}_{time.time_ns() // 1_000_000:011x}{secrets.randbits(52):013x}"
+    """A new identifier, later than all that this process made before."""
+    return f"{prefix}_{_clock.tick():024x}"
 
 
 def check_id(id: str, prefix: str) -> str:
