@@ -12,6 +12,7 @@ import argparse
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -25,11 +26,12 @@ from mapt.rewards.model import build_reward_model
 from mapt.rewards.precision import products_in
 from mapt.rewards.relabelling import RolloutRelabeller
 from mapt.rewards.streaming import RewardStream
+from mapt.rewards.train_config import Precision
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 6, 24, 1
 N_ENVS, ROLLOUT_STEPS = 40, 100
 N_PAIRS = 64
-PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
+PRECISIONS: dict[Precision, torch.dtype] = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 # Agent-steps in one forward and backward pass on a CPU. A step of 64 pairs in one piece keeps gigabytes of
 # activations, which the C library gives back to the system and takes anew, page by page, in every step.
 AGENT_STEPS_PER_PASS = 2_400
@@ -166,10 +168,11 @@ def gemm_flops(bench: Bench, size: Size, dtype: torch.dtype) -> float:
 
 def relabelling(bench: Bench, size: Size) -> Iterator[str]:
     """Transitions a second (steps of environments, each with all its agents) of rollouts of 40 x 100."""
-    relabeller = RolloutRelabeller(build_reward_model(size.config), size.n_steps, N_ENVS, device=bench.device.type)
-    rollout = random_rollout()
-    transitions = bench.calls_per_second(lambda: relabeller.relabel(*rollout)) * ROLLOUT_STEPS * N_ENVS
-    yield f"relabelling {size} float32  {transitions:9,.0f} transitions/s, rollouts of {N_ENVS} x {ROLLOUT_STEPS}"
+    model, rollout = build_reward_model(size.config), random_rollout()
+    for name in PRECISIONS:
+        relabeller = RolloutRelabeller(model, size.n_steps, N_ENVS, device=bench.device.type, precision=name)
+        transitions = bench.calls_per_second(partial(relabeller.relabel, *rollout)) * ROLLOUT_STEPS * N_ENVS
+        yield f"relabelling {size} {name:8} {transitions:9,.0f} transitions/s, rollouts of {N_ENVS} x {ROLLOUT_STEPS}"
 
 
 def streaming(bench: Bench, size: Size) -> Iterator[str]:

@@ -142,6 +142,11 @@ class RewardConfig:
         sized = cls.preset(preset, observation_dim=observation_dim, action_dim=action_dim, n_agents=n_agents)
         return cls.from_dict({**sized.to_dict(), "discrete_actions": discrete_actions, **_NAMED[name]})
 
+    @property
+    def dimensions(self) -> tuple[int, int, int]:
+        """Agents, numbers of an observation and of an action: (N, C, A)."""
+        return self.n_agents, self.observation_dim, self.action_dim
+
     def to_dict(self) -> dict[str, object]:
         """Plain values, fit for JSON; `from_dict` reads them back."""
         return asdict(self)

@@ -6,8 +6,7 @@ settle the matter they agree; where they do not, the spread of their predictions
 
 import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -15,11 +14,10 @@ from torch import Tensor
 
 from mapt.preferences.dataset import PreferenceDataset, SegmentSource
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.device import resolve_device
+from mapt.rewards.device import resolve_device, seeded
 from mapt.rewards.ensemble_fitting import (
     EnsembleFitting,
     EnsembleStage,
-    StackScorer,
     logit_losses,
     mean_accuracy,
     pair_logits,
@@ -31,10 +29,11 @@ from mapt.rewards.ensemble_scorers import (
 )
 from mapt.rewards.errors import ModelMismatch
 from mapt.rewards.fitting import TrainProgress, is_reliable
-from mapt.rewards.members import RewardEnsemble, check_fit
+from mapt.rewards.members import RewardEnsemble
 from mapt.rewards.model import build_reward_model
 from mapt.rewards.pair_tensors import PairTensors
-from mapt.rewards.segment_reader import SegmentReader, segment_reader, spread_sample
+from mapt.rewards.precision import resolve_precision
+from mapt.rewards.segment_reader import SegmentReader, check_fit, segment_reader, spread_sample
 from mapt.rewards.settings import check_positive_int
 from mapt.rewards.stacked import StackedModels
 from mapt.rewards.stages import Stages, plan_stages
@@ -92,7 +91,7 @@ def train_reward_ensemble(
     train, hold_out = (
         PairTensors.of(part, device) for part in dataset.split(train_config.hold_out_fraction, train_config.seed)
     )
-    with _seeded(train_config.seed, device):
+    with seeded(train_config.seed, device):
         models = [build_reward_model(config) if initial is None else initial.member(i) for i in range(members)]
         observed = segments.take(spread_sample(segments)).inputs
         for model in models:
@@ -110,13 +109,12 @@ def train_reward_ensemble(
             stop=stop,
         )
         used = torch.as_tensor(np.unique(dataset.pairs), device=device)
-        _run_stages(fitting, stack, segments, used, stages)
+        products = resolve_precision(train_config.precision, config.hidden_dim, device)
+        _run_stages(fitting, stack, segments, stages, used=used, products=products)
     judged = segments if reference is None else segment_reader(reference, device)
     measure_reward_scales(stack, judged, spread_sample(judged))
     metrics = {
-        **_judged(
-            whole_stack_scorer(stack, segments), train.first(MOST_PAIRS_JUDGED), hold_out, train_config.label_noise
-        ),
+        **_judged(stack, segments, train.first(MOST_PAIRS_JUDGED), hold_out, train_config.label_noise),
         "members": float(members),
         "labels": float(len(dataset)),
         "holdout_labels": float(len(hold_out)),
@@ -130,18 +128,27 @@ def train_reward_ensemble(
 
 
 def _run_stages(
-    fitting: EnsembleFitting, stack: StackedModels, segments: SegmentReader, used: Tensor, stages: Stages
+    fitting: EnsembleFitting,
+    stack: StackedModels,
+    segments: SegmentReader,
+    stages: Stages,
+    *,
+    used: Tensor,
+    products: torch.dtype,
 ) -> None:
     if stages.markov is not None:
         markov = [name for name in stack.parameters if name.startswith("markov.")]
         fitting.run(EnsembleStage(stages.markov, markov, markov_stack_scorer(stack, segments, used)))
     if stages.whole is not None and not fitting.stopped:
-        scorer = whole_stack_scorer(stack, segments)
+        scorer = whole_stack_scorer(stack, segments, products)
         fitting.run(EnsembleStage(stages.whole, list(stack.parameters), scorer, start=fitting.early))
 
 
-def _judged(scorer: StackScorer, train: PairTensors, hold_out: PairTensors, label_noise: float) -> dict[str, float]:
-    logits, held_out = pair_logits(train, scorer), pair_logits(hold_out, scorer)
+def _judged(
+    stack: StackedModels, segments: SegmentReader, train: PairTensors, hold_out: PairTensors, label_noise: float
+) -> dict[str, float]:
+    scorer = whole_stack_scorer(stack, segments)
+    logits, held_out = (pair_logits(part, scorer, len(stack)) for part in (train, hold_out))
     together = held_out.sigmoid().mean(dim=0, keepdim=True).logit(eps=1e-6)
     return {
         "loss": logit_losses(logits, train.labels, label_noise).mean().item(),
@@ -158,11 +165,3 @@ def _check_initial(initial: RewardEnsemble | None, config: RewardConfig, members
         raise ModelMismatch("settings of the initial ensemble", config, initial.config)
     if initial is not None and len(initial) != members:
         raise ModelMismatch("members of the initial ensemble", members, len(initial))
-
-
-@contextmanager
-def _seeded(seed: int, device: torch.device) -> Iterator[None]:
-    """Seed torch's global generators, of which initial weights and dropout draw, and give them back as they were."""
-    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
-        torch.manual_seed(seed)
-        yield

@@ -15,22 +15,20 @@ from torch import Tensor
 
 from mapt.preferences.loss import preference_losses
 from mapt.rewards.fitting import (
-    FEWEST_BATCH_PAIRS,
-    FEWEST_STEPS_PER_EPOCH,
     GRADIENT_NORM_LIMIT,
     TrainProgress,
     WeightAverage,
+    adamw,
+    epoch_batches,
     exceeds_chance,
     is_reliable,
 )
 from mapt.rewards.pair_tensors import PairTensors
-from mapt.rewards.stacked import StackedModels
+from mapt.rewards.stacked import SEGMENTS_PER_PASS, StackedModels
 from mapt.rewards.stages import StageSettings
 
 #: From indices of segments, (B,) or (M, B), to the members' scores of them, (M, B).
 StackScorer = Callable[[Tensor], Tensor]
-# Segments in one pass over all members when no gradient is taken.
-SEGMENTS_PER_PASS = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,13 +93,12 @@ class EnsembleFitting:
         """Train the parameters that `stage` names, and leave the members in evaluation mode."""
         judge = self._hold_out if self.reliable else self._train
         trained = {name: self._stack.parameters[name] for name in stage.names}
-        optimiser = stacked_optimiser(trained.values(), stage.settings.lr, stage.settings.weight_decay)
-        before = after = logit_losses(pair_logits(judge, stage.scorer), judge.labels, stage.settings.label_noise)
+        optimiser = adamw(trained.values(), stage.settings, matrix_dims=3)
+        before = after = logit_losses(self._logits(judge, stage), judge.labels, stage.settings.label_noise)
         initial, kept = _copies(trained), _copies(trained)
         best, kept_at = before.mean(dim=1), torch.zeros(len(before), dtype=torch.int64, device=before.device)
         if stage.start is not None:
             best = torch.full_like(best, math.inf)
-        if stage.start is not None:
             _write(trained, stage.start)
         self._average = WeightAverage(list(trained.values()))
         for epoch in range(1, stage.settings.max_epochs + 1):
@@ -109,8 +106,8 @@ class EnsembleFitting:
             if self.stopped:
                 break
             with self._average.in_place():
-                logits = pair_logits(judge, stage.scorer)
-                self._report(stage, loss, logits if self.reliable else pair_logits(self._hold_out, stage.scorer))
+                logits = self._logits(judge, stage)
+                self._report(stage, loss, logits if self.reliable else self._logits(self._hold_out, stage))
                 judged = logit_losses(logits, judge.labels, stage.settings.label_noise)
                 better = judged.mean(dim=1) < best
                 best = torch.where(better, judged.mean(dim=1), best)
@@ -140,11 +137,11 @@ class EnsembleFitting:
 
     def _batches(self, batch_pairs: int) -> Iterator[Tensor]:
         """Indices (M, B) of pairs: every member sees each of its pairs once, in its own order."""
-        n_pairs = len(self._train)
-        size = min(batch_pairs, max(FEWEST_BATCH_PAIRS, n_pairs // FEWEST_STEPS_PER_EPOCH))
         order = torch.rand(self._known.shape, generator=self._draws).argsort(dim=1)
-        order = self._known.gather(1, order).to(self._train.labels.device)
-        yield from order.tensor_split(math.ceil(n_pairs / size), dim=1)
+        yield from epoch_batches(self._known.gather(1, order).to(self._train.labels.device), batch_pairs)
+
+    def _logits(self, pairs: PairTensors, stage: EnsembleStage) -> Tensor:
+        return pair_logits(pairs, stage.scorer, len(self._stack))
 
     def _report(self, stage: EnsembleStage, loss: float, logits: Tensor) -> None:
         self.epochs += 1
@@ -190,28 +187,18 @@ def clip_each_member(parameters: Iterable[Tensor]) -> None:
         gradient.mul_(scale.view(-1, *(1 for _ in gradient.shape[1:])))
 
 
-def stacked_optimiser(parameters: Iterable[Tensor], lr: float, decay: float) -> torch.optim.AdamW:
-    """AdamW over stacked parameters, each with its member axis in front; biases and norms are not shrunk."""
-    stacked = list(parameters)
-    return torch.optim.AdamW(
-        [
-            {"params": [parameter for parameter in stacked if parameter.dim() >= 3], "weight_decay": decay},
-            {"params": [parameter for parameter in stacked if parameter.dim() < 3], "weight_decay": 0.0},
-        ],
-        lr=lr,
-    )
-
-
 def logit_losses(logits: Tensor, labels: Tensor, label_noise: float = 0.0) -> Tensor:
     """Loss of each pair, nats, (M, P), by logits (M, P) and labels (P,)."""
     return preference_losses(logits, labels.expand_as(logits), label_noise)
 
 
 @torch.no_grad()
-def pair_logits(pairs: PairTensors, scorer: StackScorer) -> Tensor:
-    """score_0 - score_1 of every pair by each member, (M, P), without gradient; each segment is scored once."""
+def pair_logits(pairs: PairTensors, scorer: StackScorer, n_members: int) -> Tensor:
+    """score_0 - score_1 of every pair by each of M members, (M, P), without gradient; each segment is scored once."""
     used, position = torch.unique(pairs.pairs, return_inverse=True)
-    score = torch.cat([scorer(part) for part in used.split(SEGMENTS_PER_PASS)], dim=1)
+    score = torch.empty(n_members, len(used), device=used.device)
+    for place in torch.arange(len(used), device=used.device).split(SEGMENTS_PER_PASS):
+        score[:, place] = scorer(used[place])
     return score[:, position[:, 0]] - score[:, position[:, 1]]
 
 

@@ -3,9 +3,10 @@
 import torch
 from torch import Tensor
 
-from mapt.rewards.ensemble_fitting import SEGMENTS_PER_PASS, StackScorer
+from mapt.rewards.ensemble_fitting import StackScorer
+from mapt.rewards.precision import products_in
 from mapt.rewards.segment_reader import SegmentReader
-from mapt.rewards.stacked import StackedModels
+from mapt.rewards.stacked import SEGMENTS_PER_PASS, StackedModels
 
 
 def taken(segments: SegmentReader, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -15,11 +16,14 @@ def taken(segments: SegmentReader, index: Tensor) -> tuple[Tensor, Tensor, Tenso
     return observations, actions, mask
 
 
-def whole_stack_scorer(stack: StackedModels, segments: SegmentReader) -> StackScorer:
-    """Scores by the whole networks."""
+def whole_stack_scorer(
+    stack: StackedModels, segments: SegmentReader, products: torch.dtype = torch.float32
+) -> StackScorer:
+    """Scores by the whole networks, float32, whatever their layers multiply in."""
 
     def score(index: Tensor) -> Tensor:
-        return stack.outputs(*taken(segments, index))[0]
+        with products_in(products, segments.device):
+            return stack.outputs(*taken(segments, index))[0].float()
 
     return score
 
@@ -28,8 +32,11 @@ def whole_stack_scorer(stack: StackedModels, segments: SegmentReader) -> StackSc
 def markov_stack_scorer(stack: StackedModels, segments: SegmentReader, used: Tensor) -> StackScorer:
     """Scores in which only the Markov paths move: all else keeps what it says now of the segments `used`, int (U,)
     ascending and without repetition, and needs one pass over them for the whole training."""
-    fixed = [_fixed(stack, segments, part) for part in used.split(SEGMENTS_PER_PASS)]
-    weights, offset = (torch.cat(parts, dim=1) for parts in zip(*fixed, strict=True))
+    # Filled in place, as in `pair_tensors.markov_scorer`.
+    weights = torch.empty(len(stack), len(used), segments.n_steps, device=used.device)
+    offset = torch.empty(len(stack), len(used), device=used.device)
+    for place in torch.arange(len(used), device=used.device).split(SEGMENTS_PER_PASS):
+        weights[:, place], offset[:, place] = _fixed(stack, segments, used[place])
     member = torch.arange(len(stack), device=used.device)[:, None]
 
     def score(index: Tensor) -> Tensor:

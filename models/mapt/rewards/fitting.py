@@ -8,7 +8,7 @@ hold-out judges the average, and decides which to keep and when to stop.
 import copy
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -56,8 +56,8 @@ class Stage:
     scorer: Scorer
     #: weights to begin with, in place of the model's own
     start: dict[str, Tensor] | None = None
-    #: pairs of a batch whose activations are held at once
-    pairs_per_pass: int = 1 << 30
+    #: pairs of a batch whose activations are held at once; None for all
+    pairs_per_pass: int | None = None
 
 
 class Fitting:
@@ -108,17 +108,16 @@ class Fitting:
         kept_at, after = 0, before
         if stage.start is not None:
             self._model.load_state_dict(stage.start)
-        optimiser, self._average = _optimiser(stage), WeightAverage(stage.parameters)
+        optimiser, self._average = adamw(stage.parameters, stage.settings), WeightAverage(stage.parameters)
         for epoch in range(1, stage.settings.max_epochs + 1):
             loss = self._epoch(stage, optimiser)
             if self.stopped:
                 break
             with self._average.in_place():
                 logits = judge.logits(stage.scorer)
-                self._report(
-                    loss, logits if self.reliable else self._hold_out.logits(stage.scorer), stage.settings.label_noise
-                )
-                judged = preference_losses(logits, judge.labels, stage.settings.label_noise)
+                held_out = logits if self.reliable else self._hold_out.logits(stage.scorer)
+                self._report(loss, held_out, noise)
+                judged = preference_losses(logits, judge.labels, noise)
                 if judged.mean().item() < best:
                     best, kept, kept_at, after = judged.mean().item(), self._weights(), epoch, judged
                 if epoch == stage.settings.remember_epoch:
@@ -133,7 +132,8 @@ class Fitting:
         """Mean loss of one pass over the training pairs; NaN when stopped."""
         losses: list[Tensor] = []
         self._model.train()
-        for index in _batches(len(self._train), stage.settings.batch_pairs, self._shuffle):
+        order = torch.randperm(len(self._train), generator=self._shuffle)
+        for index in epoch_batches(order, stage.settings.batch_pairs):
             self.stopped = self.stopped or (self._stop is not None and self._stop())
             if self.stopped:
                 return math.nan
@@ -144,7 +144,7 @@ class Fitting:
     def _step(self, stage: Stage, optimiser: torch.optim.Optimizer, index: Tensor) -> Tensor:
         optimiser.zero_grad(set_to_none=True)
         loss = torch.zeros((), device=self._train.labels.device)
-        for part in index.split(stage.pairs_per_pass):
+        for part in index.split(stage.pairs_per_pass or len(index)):
             score_0, score_1 = self._train.scores(stage.scorer, part)
             label = self._train.labels[part]
             share = preference_loss(score_0, score_1, label, stage.settings.label_noise) * (len(part) / len(index))
@@ -242,20 +242,27 @@ def judge_logits(logits: Tensor, labels: Tensor, label_noise: float = 0.0) -> Ju
     )
 
 
-def _optimiser(stage: Stage) -> torch.optim.Optimizer:
+def adamw(parameters: Iterable[nn.Parameter], settings: StageSettings, *, matrix_dims: int = 2) -> torch.optim.AdamW:
+    """The optimiser of a stage.
+
+    Args:
+        matrix_dims: dimensions from which a parameter is a matrix; one more for stacked ones.
+    """
     # Biases and norms are not shrunk: their size says nothing about how complex the function is.
-    matrices = [parameter for parameter in stage.parameters if parameter.dim() >= 2]
-    vectors = [parameter for parameter in stage.parameters if parameter.dim() < 2]
+    moved = list(parameters)
+    matrices = [parameter for parameter in moved if parameter.dim() >= matrix_dims]
+    vectors = [parameter for parameter in moved if parameter.dim() < matrix_dims]
     return torch.optim.AdamW(
-        [{"params": matrices, "weight_decay": stage.settings.weight_decay}, {"params": vectors, "weight_decay": 0.0}],
-        lr=stage.settings.lr,
+        [{"params": matrices, "weight_decay": settings.weight_decay}, {"params": vectors, "weight_decay": 0.0}],
+        lr=settings.lr,
         # One pass over all parameters instead of a dozen per tensor.
         fused=True,
     )
 
 
-def _batches(n_pairs: int, batch_pairs: int, shuffle: torch.Generator) -> Iterator[Tensor]:
-    """Indices (B,) of one epoch's batches."""
+def epoch_batches(order: Tensor, batch_pairs: int) -> tuple[Tensor, ...]:
+    """Indices (..., P) of pairs in batches (..., B) of one epoch, of `batch_pairs` at most."""
+    n_pairs = order.shape[-1]
     size = min(batch_pairs, max(FEWEST_BATCH_PAIRS, n_pairs // FEWEST_STEPS_PER_EPOCH))
     # Equal parts: a last batch of one or two pairs would be a step of mere noise.
-    yield from torch.randperm(n_pairs, generator=shuffle).tensor_split(math.ceil(n_pairs / size))
+    return order.tensor_split(math.ceil(n_pairs / size), dim=-1)

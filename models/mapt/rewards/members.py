@@ -12,11 +12,8 @@ from mapt.rewards.config import RewardConfig
 from mapt.rewards.device import resolve_device
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
 from mapt.rewards.model import build_reward_model
-from mapt.rewards.segment_reader import SegmentTensors
-from mapt.rewards.stacked import StackedModels
-
-# Segments in one pass over all members.
-SEGMENTS_PER_PASS = 64
+from mapt.rewards.segment_reader import SegmentTensors, check_fit
+from mapt.rewards.stacked import SEGMENTS_PER_PASS, StackedModels
 
 
 class RewardEnsemble:
@@ -85,14 +82,3 @@ class RewardEnsemble:
             for part in in_batches(segments, SEGMENTS_PER_PASS)
         ]
         return np.concatenate(scores, axis=1) if scores else np.zeros((len(self), 0), dtype=np.float32)
-
-
-def check_fit(config: RewardConfig, segments: SegmentSource) -> None:
-    """
-    Raises:
-        ModelMismatch: if a model of these settings cannot read these segments.
-    """
-    expected = (config.n_agents, config.observation_dim, config.action_dim)
-    found = (segments.n_agents, segments.observation_dim, segments.action_dim)
-    if found != expected:
-        raise ModelMismatch("agents, observation and action dimension", expected, found)

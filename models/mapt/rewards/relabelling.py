@@ -13,6 +13,8 @@ from mapt.rewards.base import PolicyReward, RewardModel
 from mapt.rewards.context import RolloutContext
 from mapt.rewards.device import resolve_device
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
+from mapt.rewards.precision import products_in, resolve_precision
+from mapt.rewards.train_config import Precision
 
 Credit = Literal["shared", "individual"]
 # Agent-steps in one pass: enough to fill the vector units, small enough that activations stay in cache
@@ -37,6 +39,8 @@ class RolloutRelabeller:
         credit: "shared" gives every agent the mean over agents, "individual" each its own.
         device: as in `TrainConfig`.
         kind: as in `RewardModel.policy_rewards`: "value" is r-hat_t itself.
+        precision: as in `TrainConfig`; rewards of bfloat16 products differ from the exact ones by a hundredth
+            of their deviation or less.
 
     Raises:
         InvalidConfig: if an argument is out of its range.
@@ -51,6 +55,7 @@ class RolloutRelabeller:
         device: str = "cpu",
         *,
         kind: PolicyReward = "value",
+        precision: Precision = "auto",
     ) -> None:
         if window < 1 or n_envs < 1:
             raise InvalidConfig(f"window is {window} and n_envs {n_envs}; both must be 1 or more")
@@ -64,6 +69,7 @@ class RolloutRelabeller:
         self._credit = credit
         self._model = copy.deepcopy(model).to(self._device).eval()
         config = model.config
+        self._products = resolve_precision(precision, config.hidden_dim, self._device)
         self._context = RolloutContext(window - 1, n_envs, config.n_agents, config.observation_dim, config.action_dim)
 
     @property
@@ -77,7 +83,7 @@ class RolloutRelabeller:
         Raises:
             ModelMismatch: if it is for a task of other dimensions.
         """
-        expected, found = _dimensions(self._model), _dimensions(model)
+        expected, found = self._model.config.dimensions, model.config.dimensions
         if expected != found:
             raise ModelMismatch("agents, observation and action dimension", expected, found)
         self._model = copy.deepcopy(model).to(self._device).eval()
@@ -105,7 +111,8 @@ class RolloutRelabeller:
         )
         envs = max(1, AGENT_STEPS_PER_PASS // (len(steps.episode) * self._model.config.n_agents))
         parts = zip(observed.split(envs), acted.split(envs), episode.split(envs), strict=True)
-        rewards = torch.cat([self._rewards(*part, length=length) for part in parts])
+        with products_in(self._products, self._device):
+            rewards = torch.cat([self._rewards(*part, length=length) for part in parts]).float()
         if self._credit == "shared":
             rewards = rewards.mean(dim=2)
         self._context.keep(steps)
@@ -153,7 +160,3 @@ class RolloutRelabeller:
 def one_pass(model: RewardModel, kind: PolicyReward) -> bool:
     """Whether a step's reward needs of its past only what one attention layer reads there."""
     return kind == "value" and model.sees_one_window
-
-
-def _dimensions(model: RewardModel) -> tuple[int, int, int]:
-    return model.config.n_agents, model.config.observation_dim, model.config.action_dim

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from mapt.preferences.dataset import SegmentArrays, SegmentSource
+from mapt.rewards.config import RewardConfig
+from mapt.rewards.errors import ModelMismatch
 
 # Segments scored at once when no gradient is taken: so few that their activations stay in cache. At d = 64 and T = 50
 # that was 545 segments a CPU second, with 256 at once 334.
@@ -105,6 +107,16 @@ class StreamedSegments:
     def take(self, index: Tensor) -> SegmentTensors:
         """See `SegmentReader.take`."""
         return SegmentTensors.of(self._source.take(index.cpu().numpy()), self._device)
+
+
+def check_fit(config: RewardConfig, source: SegmentSource) -> None:
+    """
+    Raises:
+        ModelMismatch: if a model of these settings cannot read these segments.
+    """
+    found = (source.n_agents, source.observation_dim, source.action_dim)
+    if found != config.dimensions:
+        raise ModelMismatch("agents, observation and action dimension", config.dimensions, found)
 
 
 def segment_reader(source: SegmentSource, device: torch.device) -> SegmentReader:

@@ -12,6 +12,9 @@ from mapt.rewards.base import SMALLEST_REWARD_DEVIATION, RewardModel
 from mapt.rewards.errors import ModelMismatch
 from mapt.rewards.unrolled_lstm import unroll_lstms
 
+# Segments in one pass over all members, when no gradient is taken.
+SEGMENTS_PER_PASS = 64
+
 
 class StackedModels:
     """M reward models whose parameters lie behind each other along a first axis.

@@ -37,7 +37,7 @@ class RewardStream:
         *,
         kind: PolicyReward = "value",
     ) -> None:
-        self._relabeller = RolloutRelabeller(model, window, n_envs, credit, device, kind=kind)
+        self._relabeller = RolloutRelabeller(model, window, n_envs, credit, device, kind=kind, precision="float32")
         self._model = self._relabeller.model
         self._device = self._model.reward_mean.device
         self._credit = credit

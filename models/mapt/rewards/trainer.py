@@ -11,13 +11,13 @@ import torch
 from mapt.preferences.dataset import PreferenceDataset, SegmentSource
 from mapt.rewards.base import RewardModel
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.device import resolve_device
+from mapt.rewards.device import resolve_device, seeded
 from mapt.rewards.errors import ModelMismatch
 from mapt.rewards.fitting import Fitting, Stage, TrainProgress, is_reliable, judge_pairs
 from mapt.rewards.model import build_reward_model
 from mapt.rewards.pair_tensors import PairTensors, markov_scorer, step_rewards, whole_scorer
 from mapt.rewards.precision import resolve_precision
-from mapt.rewards.segment_reader import SegmentReader, segment_reader, spread_sample
+from mapt.rewards.segment_reader import SegmentReader, check_fit, segment_reader, spread_sample
 from mapt.rewards.stages import Stages, plan_stages
 from mapt.rewards.train_config import TrainConfig
 
@@ -74,16 +74,16 @@ def train_reward_model(
         NotEnoughPairs: with fewer than two pairs.
         ModelMismatch: if dataset, config and `initial` do not fit each other.
     """
-    _check_fit(dataset, config, initial)
+    check_fit(config, dataset.segments)
+    if initial is not None and initial.config != config:
+        raise ModelMismatch("settings of the initial model", config, initial.config)
     started = time.perf_counter()
     device = resolve_device(train_config.device)
     segments = segment_reader(dataset.segments, device)
     train, hold_out = (
         PairTensors.of(part, device) for part in dataset.split(train_config.hold_out_fraction, train_config.seed)
     )
-    # Initial weights and dropout draw from torch's global generators: seeded here, and given back as they were.
-    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
-        torch.manual_seed(train_config.seed)
+    with seeded(train_config.seed, device):
         model = (build_reward_model(config) if initial is None else copy.deepcopy(initial)).to(device)
         sample = segments.take(spread_sample(segments))
         model.measure_inputs(*sample.inputs, keep_function=initial is not None)
@@ -130,23 +130,13 @@ def _run_stages(
         fitting.run(Stage(stages.markov, list(model.markov.parameters()), markov_scorer(model, segments)))
     if stages.whole is not None and not fitting.stopped:
         scorer = whole_scorer(model, segments, products)
-        numbers = model.config.n_agents * segments.n_steps * model.config.hidden_dim
-        fitting.run(
-            Stage(
-                stages.whole,
-                list(model.parameters()),
-                scorer,
-                start=fitting.early,
-                pairs_per_pass=max(1, NUMBERS_PER_PASS // (2 * numbers)) if segments.device.type == "cpu" else 1 << 30,
-            )
-        )
+        parameters = list(model.parameters())
+        passes = _pairs_per_pass(model, segments)
+        fitting.run(Stage(stages.whole, parameters, scorer, start=fitting.early, pairs_per_pass=passes))
 
 
-def _check_fit(dataset: PreferenceDataset, config: RewardConfig, initial: RewardModel | None) -> None:
-    segments = dataset.segments
-    expected = (config.n_agents, config.observation_dim, config.action_dim)
-    found = (segments.n_agents, segments.observation_dim, segments.action_dim)
-    if found != expected:
-        raise ModelMismatch("agents, observation and action dimension", expected, found)
-    if initial is not None and initial.config != config:
-        raise ModelMismatch("settings of the initial model", config, initial.config)
+def _pairs_per_pass(model: RewardModel, segments: SegmentReader) -> int | None:
+    if segments.device.type != "cpu":
+        return None
+    numbers_of_a_pair = 2 * model.config.n_agents * segments.n_steps * model.config.hidden_dim
+    return max(1, NUMBERS_PER_PASS // numbers_of_a_pair)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from mapt.rewards.errors import ModelMismatch
 from mapt.rewards.model import RewardModel
+from mapt.rewards.segment_reader import check_fit
 from mapt.studies.attention_figures import draw_agent_attention, draw_step_attention
 from mapt.studies.diagnosis import Diagnosis, Sample, diagnose, draw_sample
 from mapt.studies.replay import Replay
@@ -42,7 +42,7 @@ def make_report(models: dict[str, RewardModel], replay: Replay, plan: ReportPlan
         UnknownTeacher, InvalidTeacher, InvalidStudy: if the plan does not fit.
     """
     for model in models.values():
-        _check_fit(model, replay)
+        check_fit(model.config, replay.source)
     folder.mkdir(parents=True, exist_ok=True)
     sample = draw_sample(replay, plan.teacher, plan.n_pairs, plan.fresh_of_seed)
     diagnoses = [diagnose(name, model, sample) for name, model in models.items()]
@@ -138,10 +138,3 @@ def agent_names(replay: Replay) -> list[str]:
     except UnknownTask:
         names = ()
     return list(names) if len(names) == n_agents else [f"agent {n}" for n in range(n_agents)]
-
-
-def _check_fit(model: RewardModel, replay: Replay) -> None:
-    expected = (model.config.n_agents, model.config.observation_dim, model.config.action_dim)
-    found = (replay.source.n_agents, replay.source.observation_dim, replay.source.action_dim)
-    if expected != found:
-        raise ModelMismatch("agents, observation and action dimension", expected, found)

@@ -11,15 +11,16 @@ from mapt.preferences.errors import NotEnoughPairs
 from mapt.preferences.loss import preference_loss
 from mapt.rewards.config import MODEL_NAMES, RewardConfig
 from mapt.rewards.ensemble import RewardEnsemble, train_reward_ensemble
-from mapt.rewards.ensemble_fitting import ensemble_step, stacked_optimiser
+from mapt.rewards.ensemble_fitting import ensemble_step
 from mapt.rewards.ensemble_scorers import whole_stack_scorer
 from mapt.rewards.ensemble_storage import FORMAT, load_reward_ensemble, save_reward_ensemble
 from mapt.rewards.errors import DamagedCheckpoint, InvalidConfig, ModelMismatch, NewerCheckpoint
-from mapt.rewards.fitting import GRADIENT_NORM_LIMIT
+from mapt.rewards.fitting import GRADIENT_NORM_LIMIT, adamw
 from mapt.rewards.model import RewardModel, build_reward_model
 from mapt.rewards.pair_tensors import PairTensors
 from mapt.rewards.segment_reader import segment_reader
 from mapt.rewards.stacked import StackedModels
+from mapt.rewards.stages import StageSettings
 from mapt.rewards.train_config import TrainConfig
 
 N, C, A, T = 3, 4, 2, 6
@@ -134,11 +135,12 @@ def test_a_step_that_expects_mistakes_counts_them_as_such():
 
 
 def test_the_optimiser_of_a_stack_shrinks_matrices_alone():
+    settings = StageSettings(lr=0.1, weight_decay=0.5, batch_pairs=1, max_epochs=1, patience=1, label_noise=0.0)
     stack = StackedModels(drawn_models(2, config()))
     for parameter in stack.parameters.values():
         parameter.grad = torch.zeros_like(parameter)
     before = {name: parameter.detach().clone() for name, parameter in stack.parameters.items()}
-    stacked_optimiser(stack.parameters.values(), 0.1, 0.5).step()
+    adamw(stack.parameters.values(), settings, matrix_dims=3).step()
     for name, parameter in build_reward_model(config()).named_parameters():
         shrunk = 0.95 if parameter.dim() == 2 else 1.0
         torch.testing.assert_close(stack.parameters[name].detach(), shrunk * before[name])
@@ -315,3 +317,13 @@ def test_a_missing_ensemble_is_named(tmp_path):
 
 def test_the_format_is_named_in_the_file():
     assert FORMAT.encode() in save_reward_ensemble(RewardEnsemble.of(drawn_models(1, config())))[:4096]
+
+
+def test_an_ensemble_learns_in_bfloat16_what_it_learns_in_float32():
+    network, settings = config(markov_path=False), TrainConfig(max_epochs=6, device="cpu")
+    exact, rough = (
+        train_reward_ensemble(preferences(80), network, replace(settings, precision=precision), 2).metrics["loss"]
+        for precision in ("float32", "bfloat16")
+    )
+    assert rough != exact
+    assert rough == pytest.approx(exact, rel=0.2)

@@ -56,6 +56,17 @@ def test_rewards_of_rollouts_equal_each_step_in_its_own_window(build, variant, l
     np.testing.assert_allclose(relabelled, window_by_window(model, window, *rollouts), **TOLERANCE)
 
 
+@pytest.mark.parametrize("window", [1, 6])
+def test_rewards_of_bfloat16_products_are_near_the_exact_ones(build, window):
+    model, rollout = build(), draw(30)
+    exact, rough = (
+        RolloutRelabeller(model, window, N_ENVS, "individual", precision=precision).relabel(*rollout)
+        for precision in ("float32", "bfloat16")
+    )
+    assert rough.dtype == np.float32
+    assert 0 < np.sqrt(np.square(rough - exact).mean()) < 0.02 * exact.std()
+
+
 @pytest.mark.parametrize("kind", ["value", "attended", "weighted"])
 def test_each_kind_of_reward_is_the_model_s_own_on_each_window(build, kind):
     model = build()
