@@ -20,12 +20,13 @@ import av
 import mujoco
 import numpy as np
 
-from accord.rendering.encode import write_clip
-from accord.rendering.probe import Backend, probe_backend, render_environment
+from accord.rendering.probe import probe_backend
 from accord.rendering.process import RenderProcess
 from accord.rendering.protocol import ClipJob
-from accord.rendering.renderer import ClipRenderer
-from accord.rendering.settings import RenderSettings
+from mapt.rendering.encode import write_clip
+from mapt.rendering.environment import Backend, render_environment
+from mapt.rendering.renderer import ClipRenderer
+from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model
 
 TASK = "HalfCheetah-6x1"

@@ -8,7 +8,6 @@ from sqlalchemy.orm import Session
 from accord.api import schemas
 from accord.domain.policy import may_see_returns
 from accord.domain.words import ExperimentStatus, Phase, Role
-from accord.rendering.colours import agent_colour
 from accord.services import experiments, metrics
 from accord.services.collect import load_arrays
 from accord.services.label import LabelOutcome
@@ -17,6 +16,7 @@ from accord.services.offer import OfferedQuery
 from accord.store.blobs import BlobStore
 from accord.store.queries import SideRow
 from accord.store.tables import ExperimentRow, RewardVersionRow, WorkerRow, utc_now
+from mapt.rendering.colours import agent_colour
 from mapt.tasks import task_names, task_spec
 
 

@@ -1,1 +1,1 @@
-"""Simulator states to frames to H.264 clips, in processes of their own. Never imports torch."""
+"""Clips by `mapt.rendering`, made in processes of their own. Never imports torch."""

@@ -11,10 +11,10 @@ import sys
 from collections import OrderedDict
 from multiprocessing.connection import Connection
 
-from accord.rendering.encode import write_clip
 from accord.rendering.protocol import ClipJob, Reply, receive_job, send_reply
-from accord.rendering.renderer import ClipRenderer
-from accord.rendering.settings import RenderSettings
+from mapt.rendering.encode import write_clip
+from mapt.rendering.renderer import ClipRenderer
+from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model
 
 #: OpenGL contexts kept open, one for each task and look

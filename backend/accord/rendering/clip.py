@@ -1,4 +1,4 @@
-"""A clip: what it is made from, what it is, and the key that ties the two."""
+"""The name of a clip: a key made from everything that goes into it."""
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
@@ -6,30 +6,16 @@
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import asdict
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from accord.rendering.settings import RenderSettings
+from mapt.rendering.settings import RenderSettings
 
 #: raise it when the same inputs give other frames: a change of colours, camera, scene or encoder
 RENDERER_VERSION = 1
-
-
-@dataclass(frozen=True, slots=True)
-class ClipFile:
-    """A finished H.264 clip in a file."""
-
-    path: Path
-    frames: int
-    seconds: float
-    #: pixels
-    width: int
-    height: int
-    size_bytes: int
 
 
 def clip_key(

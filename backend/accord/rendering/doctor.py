@@ -8,10 +8,12 @@ import numpy as np
 from av.error import FFmpegError
 
 from accord.domain.checks import Check
-from accord.rendering.encode import CODEC, write_clip
-from accord.rendering.errors import RenderFailed, RenderingUnavailable
-from accord.rendering.probe import INSTALL, probe_backend
-from accord.rendering.settings import RenderSettings
+from accord.rendering.errors import RenderingUnavailable
+from accord.rendering.probe import probe_backend
+from mapt.rendering.encode import CODEC, write_clip
+from mapt.rendering.environment import INSTALL
+from mapt.rendering.errors import ClipNotWritten
+from mapt.rendering.settings import RenderSettings
 
 FRAMES = 5
 
@@ -38,7 +40,7 @@ def check_encoder() -> Check:
             clip = write_clip(frames, Path(folder) / "check.mp4", settings)
             with av.open(str(clip.path)) as container:
                 decoded = sum(1 for _ in container.decode(video=0))
-        except (RenderFailed, FFmpegError) as error:
+        except (ClipNotWritten, FFmpegError) as error:
             return Check(name, ok=False, detail=str(error), fix=reinstall)
     if decoded != FRAMES:
         return Check(name, ok=False, detail=f"{FRAMES} frames in, {decoded} out", fix=reinstall)

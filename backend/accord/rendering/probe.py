@@ -3,18 +3,12 @@
 A driver may be missing, broken or hang, so each is tried in a child process that draws one frame.
 """
 
-import os
 import subprocess
 import sys
-from typing import Literal
 
 from accord.rendering.errors import RenderingUnavailable
+from mapt.rendering.environment import BACKENDS, INSTALL, Backend, render_environment
 
-Backend = Literal["egl", "osmesa"]
-
-#: in the order of preference
-BACKENDS: tuple[Backend, ...] = ("egl", "osmesa")
-INSTALL = "apt-get install -y --no-install-recommends libegl1 libgl1"
 #: what the child prints when its frame shows what it should
 DREW = "drew a frame"
 #: the first frame takes 1 to 2 s; a busy machine may need ten times that
@@ -61,13 +55,3 @@ def try_backend(backend: Backend, limit_seconds: float) -> str | None:
         return None
     lines = done.stderr.strip().splitlines()
     return lines[-1] if lines else f"exit status {done.returncode}"
-
-
-def render_environment(backend: Backend) -> dict[str, str]:
-    """The environment for a process that draws: this process's, with what must be set before mujoco's import."""
-    return os.environ | {
-        "MUJOCO_GL": backend,
-        "PYOPENGL_PLATFORM": backend,
-        # Mesa's rasteriser draws in the calling thread: one process a core is faster than threads.
-        "LP_NUM_THREADS": "0",
-    }

@@ -13,11 +13,10 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Self
 
-from accord.rendering.clip import ClipFile
-from accord.rendering.encode import partial_path
 from accord.rendering.errors import RenderFailed, RenderTimedOut
-from accord.rendering.probe import Backend, render_environment
 from accord.rendering.protocol import ClipJob, Reply, receive_reply, send_job
+from mapt.rendering.encode import ClipFile, partial_path
+from mapt.rendering.environment import Backend, render_environment
 
 #: starting takes 1 to 2 s; a busy machine may need ten times that
 START_LIMIT_SECONDS = 60.0

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accord.rendering.clip import ClipFile
-from accord.rendering.settings import CodecSettings, RenderSettings
+from mapt.rendering.encode import ClipFile
+from mapt.rendering.settings import CodecSettings, RenderSettings
 
 
 @dataclass(frozen=True, slots=True)

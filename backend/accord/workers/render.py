@@ -9,16 +9,17 @@ import numpy as np
 from mujoco import MjModel  # pyright: ignore[reportAttributeAccessIssue]  (compiled, without stubs)
 
 from accord.domain.words import WorkerRole
-from accord.rendering.clip import ClipFile, clip_key
+from accord.rendering.clip import clip_key
 from accord.rendering.errors import RenderFailed
 from accord.rendering.probe import probe_backend
 from accord.rendering.process import RenderProcess
 from accord.rendering.protocol import ClipJob as DrawJob
-from accord.rendering.settings import RenderSettings
 from accord.services import clips
 from accord.services.clips import ClipJob, MadeClip
 from accord.services.collect import load_arrays
 from accord.workers.loop import Context, run_worker
+from mapt.rendering.encode import ClipFile
+from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model, task_spec
 
 

@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 
 from accord.rendering.errors import RenderingUnavailable
-from accord.rendering.probe import Backend, probe_backend
+from accord.rendering.probe import probe_backend
 from integration.rendering.drawing import Drawing
+from mapt.rendering.environment import Backend
 
 
 @pytest.fixture(scope="session")

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from accord.rendering.probe import Backend, render_environment
-from accord.rendering.renderer import ClipRenderer
-from accord.rendering.settings import CodecSettings, RenderSettings
+from mapt.rendering.environment import Backend, render_environment
+from mapt.rendering.renderer import ClipRenderer
+from mapt.rendering.settings import CodecSettings, RenderSettings
 from mapt.tasks import load_model
 
 

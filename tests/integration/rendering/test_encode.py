@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from accord.rendering.encode import write_clip
-from accord.rendering.errors import RenderFailed
-from accord.rendering.settings import CodecSettings, RenderSettings
+from mapt.rendering.encode import write_clip
+from mapt.rendering.errors import ClipNotWritten
+from mapt.rendering.settings import CodecSettings, RenderSettings
 
 SETTINGS = RenderSettings(width=96, height=64, codec=CodecSettings(keyframe_interval_frames=4))
 
@@ -84,7 +84,7 @@ def test_error_in_the_middle_leaves_nothing(tmp_path: Path) -> None:
     [([], "at least one frame"), ([np.zeros((64, 64, 3), np.uint8)], r"\(64, 64, 3\)")],
 )
 def test_frames_that_are_no_clip_are_refused(tmp_path: Path, frames: list[NDArray[np.uint8]], message: str) -> None:
-    with pytest.raises(RenderFailed, match=message):
+    with pytest.raises(ClipNotWritten, match=message):
         write_clip(frames, tmp_path / "clip.mp4", SETTINGS)
     assert list(tmp_path.iterdir()) == []
 
@@ -92,11 +92,11 @@ def test_frames_that_are_no_clip_are_refused(tmp_path: Path, frames: list[NDArra
 def test_failure_keeps_the_clip_that_was_there(tmp_path: Path) -> None:
     path = write_clip(grey_ramp(5), tmp_path / "clip.mp4", SETTINGS).path
     before = path.read_bytes()
-    with pytest.raises(RenderFailed):
+    with pytest.raises(ClipNotWritten):
         write_clip([], path, SETTINGS)
     assert path.read_bytes() == before
 
 
-def test_missing_folder_is_a_render_failure(tmp_path: Path) -> None:
-    with pytest.raises(RenderFailed, match=r"clip\.mp4"):
+def test_a_missing_folder_is_said_by_the_clips_name(tmp_path: Path) -> None:
+    with pytest.raises(ClipNotWritten, match=r"clip\.mp4"):
         write_clip(grey_ramp(5), tmp_path / "nowhere" / "clip.mp4", SETTINGS)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from accord.rendering.colours import AGENT_COLOURS, rgb_bytes
-from accord.rendering.settings import Quality, RenderSettings
 from integration.rendering.drawing import Drawing
 from integration.rendering.gaits import trot, wild_run
+from mapt.rendering.colours import AGENT_COLOURS, rgb_bytes
+from mapt.rendering.settings import Quality, RenderSettings
 from mapt.tasks import agent_geoms
 
 SMALL = RenderSettings(width=320, height=240)

@@ -16,13 +16,13 @@ import numpy as np
 import psutil
 import pytest
 
-from accord.rendering.encode import partial_path
 from accord.rendering.errors import RenderFailed, RenderTimedOut
-from accord.rendering.probe import Backend
 from accord.rendering.process import RenderProcess
 from accord.rendering.protocol import ClipJob
-from accord.rendering.settings import RenderSettings
 from integration.rendering.gaits import trot
+from mapt.rendering.encode import partial_path
+from mapt.rendering.environment import Backend
+from mapt.rendering.settings import RenderSettings
 
 #: for what must happen soon, on a machine that is busy
 DEADLINE_SECONDS = 60.0
@@ -206,7 +206,7 @@ from pathlib import Path
 import numpy as np
 from accord.rendering.process import RenderProcess
 from accord.rendering.protocol import ClipJob
-from accord.rendering.settings import RenderSettings
+from mapt.rendering.settings import RenderSettings
 
 process = RenderProcess(sys.argv[1])
 print(process.pid, flush=True)

@@ -9,7 +9,8 @@ import pytest
 from accord.rendering import probe
 from accord.rendering.doctor import check_encoder, check_rendering
 from accord.rendering.errors import RenderingUnavailable
-from accord.rendering.probe import Backend, probe_backend, render_environment, try_backend
+from accord.rendering.probe import probe_backend, try_backend
+from mapt.rendering.environment import Backend, render_environment
 
 
 def test_this_machine_can_draw_and_encode(backend: Backend) -> None:

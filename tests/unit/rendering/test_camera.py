@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from accord.rendering.camera import View, camera_path
+from mapt.rendering.camera import View, camera_path
 
 VIEW = View(half_width=1.3, half_height=1.0, height=0.6)
 WINDOW = 8

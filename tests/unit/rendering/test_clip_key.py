@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from accord.rendering.clip import clip_key
-from accord.rendering.settings import CodecSettings, RenderSettings
+from mapt.rendering.settings import CodecSettings, RenderSettings
 from mapt.tasks import agent_geoms, load_model
 
 TASK = "HalfCheetah-6x1"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from accord.rendering.colours import (
+from mapt.rendering.colours import (
     AGENT_COLOURS,
     BACKDROP_COLOUR,
     FLOOR_COLOURS,

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from accord.rendering.colours import AGENT_COLOURS, BODY_COLOUR, rgba
-from accord.rendering.scene import moving_geoms, painted
-from accord.rendering.settings import RenderSettings
+from mapt.rendering.colours import AGENT_COLOURS, BODY_COLOUR, rgba
+from mapt.rendering.scene import moving_geoms, painted
+from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model
 
 MOVES_LIKE = ("geom_size", "geom_pos", "body_pos", "body_mass", "jnt_range", "actuator_gainprm", "qpos0")

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accord.rendering.clip import ClipFile
 from accord.rendering.protocol import ClipJob, Reply, receive_job, receive_reply, send_job, send_reply
-from accord.rendering.settings import CodecSettings, RenderSettings
+from mapt.rendering.encode import ClipFile
+from mapt.rendering.settings import CodecSettings, RenderSettings
 
 
 @pytest.mark.parametrize("size", [(321, 240), (320, 0), (-2, 240)])

@@ -1,6 +1,6 @@
 """Simulator states to frames, with one OpenGL context for all clips of a task.
 
-`MUJOCO_GL` is read when mujoco is first imported: see `accord.rendering.probe.render_environment`.
+`MUJOCO_GL` is read when mujoco is first imported: see `mapt.rendering.environment`.
 """
 
 # mujoco is compiled and ships no stubs.
@@ -14,10 +14,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from accord.rendering.camera import SMOOTHING_SECONDS, View, camera_path
-from accord.rendering.decor import BACKDROP_METRES, add_backdrop, add_marks, add_shadows
-from accord.rendering.scene import VIEW_ANGLE_DEGREES, moving_geoms, painted
-from accord.rendering.settings import RenderSettings
+from mapt.rendering.camera import SMOOTHING_SECONDS, View, camera_path
+from mapt.rendering.decor import BACKDROP_METRES, add_backdrop, add_marks, add_shadows
+from mapt.rendering.scene import VIEW_ANGLE_DEGREES, moving_geoms, painted
+from mapt.rendering.settings import RenderSettings
 
 #: width of the view in lengths of the body
 VIEW_BODY_LENGTHS = 1.75

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from accord.rendering.colours import (
+from mapt.rendering.colours import (
     BACKDROP_COLOUR,
     BODY_COLOUR,
     FLOOR_COLOURS,
@@ -20,7 +20,7 @@ from accord.rendering.colours import (
     rgb_bytes,
     rgba,
 )
-from accord.rendering.settings import RenderSettings
+from mapt.rendering.settings import RenderSettings
 
 #: side of a square of the floor; a body at 5 m/s passes one in three frames of 20 Hz
 FLOOR_SQUARE_METRES = 0.5

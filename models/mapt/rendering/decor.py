@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from accord.rendering.colours import BACKDROP_COLOUR, POST_COLOUR, SHADOW_COLOUR, START_COLOUR, rgba
+from mapt.rendering.colours import BACKDROP_COLOUR, POST_COLOUR, SHADOW_COLOUR, START_COLOUR, rgba
 
 #: a part higher than this casts no shadow, metres; the lower, the wider its shadow
 SHADOW_REACH_METRES = 0.35

@@ -6,6 +6,7 @@ PyAV is called directly: imageio's plugin for it has no way to set crf, preset o
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import count
 from pathlib import Path
@@ -18,13 +19,25 @@ from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTr
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
-from accord.rendering.clip import ClipFile
-from accord.rendering.errors import RenderFailed
-from accord.rendering.settings import RenderSettings
+from mapt.rendering.errors import ClipNotWritten
+from mapt.rendering.settings import RenderSettings
 
 CODEC = "libx264"
 PIXEL_FORMAT = "yuv420p"
 PARTIAL_SUFFIX = ".partial"
+
+
+@dataclass(frozen=True, slots=True)
+class ClipFile:
+    """A finished H.264 clip in a file."""
+
+    path: Path
+    frames: int
+    seconds: float
+    #: pixels
+    width: int
+    height: int
+    size_bytes: int
 
 
 def write_clip(frames: Iterable[NDArray[np.uint8]], path: Path, settings: RenderSettings) -> ClipFile:
@@ -36,14 +49,14 @@ def write_clip(frames: Iterable[NDArray[np.uint8]], path: Path, settings: Render
         settings: size, rate and codec.
 
     Raises:
-        RenderFailed: if the frames are of another size or none, or the encoder or the disk refuses.
+        ClipNotWritten: if the frames are of another size or none, or the encoder or the disk refuses.
     """
     try:
         with partial_file(path) as partial:
             written = _encode(frames, partial, settings)
             size_bytes = partial.stat().st_size
     except (FFmpegError, OSError) as error:
-        raise RenderFailed(f"The clip {path.name} could not be written: {error}") from error
+        raise ClipNotWritten(f"The clip {path.name} could not be written: {error}") from error
     seconds = written / settings.frame_rate_hz
     return ClipFile(path, written, seconds, settings.width, settings.height, size_bytes)
 
@@ -73,12 +86,12 @@ def _encode(frames: Iterable[NDArray[np.uint8]], path: Path, settings: RenderSet
         numbers = count()
         for frame in frames:
             if frame.shape != shape:
-                raise RenderFailed(f"A frame is {frame.shape}, but the clip is {shape}.")
+                raise ClipNotWritten(f"A frame is {frame.shape}, but the clip is {shape}.")
             container.mux(stream.encode(_picture(frame, next(numbers), stream, reformatter)))
         container.mux(stream.encode())
         written = next(numbers)
     if written == 0:
-        raise RenderFailed("A clip needs at least one frame.")
+        raise ClipNotWritten("A clip needs at least one frame.")
     return written
 
 

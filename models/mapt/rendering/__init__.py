@@ -1,0 +1,1 @@
+"""Simulator states to frames, and frames to H.264. Never imports torch."""

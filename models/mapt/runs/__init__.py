@@ -1,0 +1,1 @@
+"""Runs of a policy without the service: trained, resumed, evaluated, compared."""
