@@ -19,6 +19,7 @@ from mapt.tasks.errors import TaskError
 from mapt.tasks.scene import MujocoScene
 
 _READ = ("actuator_length", "actuator_velocity", "xpos", "xquat", "xmat", "cvel", "subtree_com")
+_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 
 
 class ContactForces:
@@ -64,10 +65,15 @@ class ContactForces:
             qpos[:, start : start + 3] = stage["xpos"][:, body]
             qpos[:, start + 3 : start + 7] = stage["xquat"][:, body]
             # Spatial velocity is measured at the centre of mass; a free joint's at the body's frame, its spin within.
-            qvel[:, dof : dof + 3] = drift + np.cross(spin, arm)
+            qvel[:, dof : dof + 3] = drift + cross(spin, arm)
             qvel[:, dof + 3 : dof + 6] = np.einsum("eij,ei->ej", turn, spin)
         self._batch.forward()
         return self._forces
+
+
+def cross(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cross products (E, 3): half the time of numpy's on so few."""
+    return left[:, _NEXT] * right[:, _AFTER] - left[:, _AFTER] * right[:, _NEXT]
 
 
 def _joints(model: mujoco.MjModel) -> tuple[list[tuple[int, int, int]], tuple[NDArray[np.intp], NDArray[np.intp]]]:

@@ -3,7 +3,6 @@
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
-import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
@@ -60,16 +59,18 @@ class MujocoTask:
         self._forces = ContactForces(scene, self._batch, n_threads) if "cfrc_ext" in rules.fields else None
 
         layout = rules.layout(model.nq, model.nv)
-        #: (E, R): every feature, and last the 0 that stands for what an agent lacks.
-        self._row = np.zeros((n_envs, layout.width))
+        #: (E, R): every feature, then the 0 that stands for what an agent lacks, and last a 1.
+        self._row = np.zeros((n_envs, layout.width + 1))
+        self._row[:, -1] = 1.0
         self._frame = layout.views(self._row)
         self._before = {name: np.empty_like(self._frame[name]) for name in rules.before}
         self._state_columns = as_slice(np.array(layout.columns(rules.state)))
-        self._columns = team.observed
-        self._driven = team.actuators >= 0
-        self._actuators = team.actuators[self._driven]
+        self._columns = team.with_index(layout.zero, layout.width) if agent_index else team.observed
+        # In the order of ctrl: where every agent drives all that it could, both are unbroken runs.
+        driven = np.flatnonzero(team.actuators >= 0)
+        driven = driven[np.argsort(team.actuators.flat[driven])]
+        self._driven, self._actuators = as_slice(driven), as_slice(team.actuators.flat[driven])
         self._dtype = dtype
-        self._template = _empty_observations(n_envs, self._columns, agent_index, dtype)
         self._controls = np.zeros((n_envs, model.nu))
         self._elapsed_steps = np.zeros(n_envs, dtype=np.int64)
         self._rng = np.random.default_rng(0)
@@ -85,7 +86,7 @@ class MujocoTask:
     def reset(self, seed: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         self._rng = np.random.default_rng(seed)
         self._start_episodes(np.arange(self._n_envs))
-        return self._observe()
+        return self._observe(slice(None))
 
     def step(self, actions: NDArray[np.floating]) -> TaskStep:
         self._apply(actions)
@@ -97,11 +98,12 @@ class MujocoTask:
         reward = self._rules.reward(self._before, self._frame, self._controls)
         terminated = self._rules.terminated(self._frame)
         truncated = (self._elapsed_steps >= self._spec.horizon_steps) & ~terminated
-        final_observations, final_state = observations, state = self._observe()
+        final_observations, final_state = observations, state = self._observe(slice(None))
         ended = np.flatnonzero(terminated | truncated)
         if ended.size:
             self._start_episodes(ended)
-            observations, state = self._observe()
+            observations, state = observations.copy(), state.copy()
+            observations[ended], state[ended] = self._observe(ended)
         return TaskStep(observations, state, reward, terminated, truncated, final_observations, final_state)
 
     def simulator_state(self) -> tuple[Float64s, Float64s]:
@@ -122,7 +124,7 @@ class MujocoTask:
             field[...] = snapshot[name]
         self._rng = generator_from_array(snapshot["random_state"])
         self._refresh()
-        return self._observe()
+        return self._observe(slice(None))
 
     def close(self) -> None:
         """Nothing is held beyond this object: the threads end with its batch."""
@@ -139,7 +141,7 @@ class MujocoTask:
         expected = (self._n_envs, self._spec.n_agents, self._spec.action_dim)
         if actions.shape != expected:
             raise InvalidAction(f"Actions must have the shape {expected}, got {actions.shape}.")
-        self._controls[:, self._actuators] = actions[:, self._driven]
+        self._controls[:, self._actuators] = actions.reshape(self._n_envs, -1)[:, self._driven]
         # A sum is finite only if every term is, and costs one pass.
         if not np.isfinite(self._controls.sum()):
             raise InvalidAction("Actions must be finite numbers.")
@@ -157,9 +159,10 @@ class MujocoTask:
         self._refresh()
 
     def _start_episodes(self, envs: NDArray[np.intp]) -> None:
-        qpos, qvel = self._rules.draw_start(self._rng, len(envs))
-        self._batch.reset(envs, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        self._physics["qpos"][envs], self._physics["qvel"][envs] = qpos, qvel
+        # What Batch.reset would do to a row, without its pass over everything else that a simulation holds.
+        for field in self._physics.values():
+            field[envs] = 0.0
+        self._physics["qpos"][envs], self._physics["qvel"][envs] = self._rules.draw_start(self._rng, len(envs))
         # Computes the accelerations from which the first step's solver warm-starts.
         self._batch.forward(envs)
         self._elapsed_steps[envs] = 0
@@ -178,18 +181,10 @@ class MujocoTask:
         self._frame["qvel"][:] = self._physics["qvel"]
         self._rules.compute(self._frame)
 
-    def _observe(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        observations = self._template.copy()
-        observations[:, :, : self._columns.shape[1]] = self._row[:, self._columns]
-        return observations, self._row[:, self._state_columns].astype(self._dtype)
-
-
-def _empty_observations(
-    n_envs: int, columns: NDArray[np.intp], agent_index: bool, dtype: type[np.floating]
-) -> NDArray[np.floating]:
-    """(E, N, C) with the agents' one-hot indices in place and zeros elsewhere."""
-    n_agents, width = columns.shape
-    observations = np.zeros((n_envs, n_agents, width + n_agents * agent_index), dtype=dtype)
-    if agent_index:
-        observations[:, :, width:] = np.eye(n_agents, dtype=dtype)
-    return observations
+    def _observe(self, envs: NDArray[np.intp] | slice) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Observations and state of these environments."""
+        seen = self._row[envs].astype(self._dtype)
+        observations = seen.take(self._columns.ravel(), axis=1).reshape(-1, *self._columns.shape)
+        state = seen[:, self._state_columns]
+        # A slice is a view of what is let go here; an index has made its own.
+        return observations, state.copy() if isinstance(self._state_columns, slice) else state

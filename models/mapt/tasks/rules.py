@@ -69,4 +69,5 @@ def uniform_about(
 
 def squared(numbers: Float64s) -> Float64s:
     """Sum of squares of each environment, (E,)."""
-    return np.square(numbers.reshape(len(numbers), -1)).sum(axis=1)
+    flat = numbers.reshape(len(numbers), -1)
+    return np.vecdot(flat, flat)

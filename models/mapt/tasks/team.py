@@ -43,3 +43,8 @@ class Team:
     def action_dims(self) -> tuple[int, ...]:
         """Numbers of each agent's action that drive something; those after them are ignored."""
         return tuple(int(driven) for driven in (self.actuators >= 0).sum(axis=1))
+
+    def with_index(self, zero: int, one: int) -> NDArray[np.intp]:
+        """(N, C + N): what is observed, then a one-hot index of the agent out of these two columns."""
+        index = np.where(np.eye(len(self.observed), dtype=bool), one, zero)
+        return np.concatenate([self.observed, index], axis=1)
