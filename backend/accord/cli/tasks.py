@@ -2,14 +2,14 @@
 
 from accord.cli.output import out
 from accord.domain.errors import Unavailable
-from mapt.cli.tasks import task_table
 from mapt.tasks import TaskError
+from mapt.tasks.listing import task_listing
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 
 
 def tasks() -> None:
     """List every task: agents N, observation C, action A of an agent, and steps of an episode."""
     try:
-        out.print(task_table(DEFAULT_AGENT_OBSK))
+        out.print(task_listing(DEFAULT_AGENT_OBSK), markup=False)
     except TaskError as error:
         raise Unavailable(str(error)) from error

@@ -1,3 +1,4 @@
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -45,6 +46,15 @@ def test_every_option_says_what_it_is_for(path):
             assert getattr(parameter, "help", None), f"{path} {parameter.name}"
 
 
+@pytest.mark.parametrize("module", ["accord.cli.main", "accord.cli.serve"])
+def test_commands_and_server_start_without_torch_and_matplotlib(module):
+    # They take longer to import than most commands take to run. The import rules do not see what a package's
+    # __init__.py brings along.
+    program = f"import sys, {module}; print({{'torch', 'matplotlib'}} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.strip() == "set()"
+
+
 def test_an_error_of_ours_is_one_sentence_and_status_2(monkeypatch, capsys):
     def fail() -> None:
         raise DatabaseTooNew("The database [x] is too new.")
@@ -61,6 +71,17 @@ def test_children_read_the_same_settings_from_their_environment(monkeypatch, tmp
     for name, value in environment_of(settings).items():
         monkeypatch.setenv(name, value)
     assert Settings() == settings
+
+
+def test_tasks_are_listed_in_lines_of_equal_columns(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["accord", "tasks"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    heading, *lines = capsys.readouterr().out.splitlines()
+    assert heading.split() == ["task", "N", "C", "A", "horizon", "state", "step,", "s"]
+    assert {len(line) for line in lines} == {len(heading)}
+    assert "HalfCheetah-6x1 6 15 1 1000 17 0.05".split() in [line.split() for line in lines]
 
 
 def test_options_go_before_the_environment(monkeypatch, tmp_path):
