@@ -81,7 +81,7 @@ def test_tasks_are_listed_in_lines_of_equal_columns(monkeypatch, capsys):
     heading, *lines = capsys.readouterr().out.splitlines()
     assert heading.split() == ["task", "N", "C", "A", "horizon", "state", "step,", "s"]
     assert {len(line) for line in lines} == {len(heading)}
-    assert "HalfCheetah-6x1 6 15 1 1000 17 0.05".split() in [line.split() for line in lines]
+    assert ["HalfCheetah-6x1", "6", "15", "1", "1000", "17", "0.05"] in [line.split() for line in lines]
 
 
 def test_options_go_before_the_environment(monkeypatch, tmp_path):
