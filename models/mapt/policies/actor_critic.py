@@ -24,7 +24,7 @@ class ActorCritic(Policy):
     def evaluate(self, batch: Batch) -> Evaluation:
         distribution = self.actor(batch.observations, batch.available)
         values = self.critic(batch.observations, batch.state)
-        return Evaluation(distribution.log_probs(batch.actions), distribution.entropy(), values)
+        return Evaluation(distribution.log_probs(batch.actions), distribution, values)
 
     def normalised(self, observations: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         return self.actor.normaliser(observations), self.critic.normalised(state)

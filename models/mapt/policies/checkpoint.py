@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import safetensors.torch
-import torch
 from safetensors import SafetensorError
 from torch import Tensor
 
@@ -39,18 +38,6 @@ def unflatten(tensors: Mapping[str, Tensor]) -> dict[str, dict[str, Tensor]]:
         part, _, name = key.partition(".")
         parts[part][name] = tensor
     return parts
-
-
-def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
-    """The optimiser's state as "index of the parameter.name"; empty before its first step."""
-    state = optimiser.state_dict()["state"]
-    return {f"{index}.{name}": tensor for index, slots in state.items() for name, tensor in slots.items()}
-
-
-def load_optimiser(optimiser: torch.optim.Optimizer, tensors: Mapping[str, Tensor]) -> None:
-    """Put back what `optimiser_tensors` gave."""
-    state = {int(index): slots for index, slots in unflatten(tensors).items()}
-    optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
 
 
 def pack(tensors: dict[str, Tensor], description: Mapping[str, object]) -> bytes:

@@ -92,12 +92,16 @@ def inputs(policy: Policy, rollout: Rollout) -> tuple[Tensor, Tensor]:
     return _agent_first(policy, rollout.observations), _flat(policy, rollout.state)
 
 
-def minibatches(config: PolicyConfig, generator: torch.Generator, device: torch.device) -> Iterator[Tensor]:
-    """Indices (B / minibatches,) of each gradient step of all passes; each pass in an order of its own."""
+def minibatches(batch: Batch, config: PolicyConfig, generator: torch.Generator) -> Iterator[tuple[Batch, bool]]:
+    """Samples of each gradient step of all passes, each pass in an order of its own, and whether it is the last pass.
+
+    A pass is put in order whole, which takes a tenth of the time of picking each step's samples.
+    """
     size = config.steps_per_rollout // config.minibatches
-    for _ in range(config.epochs):
+    for number in range(config.epochs):
         order = torch.randperm(config.steps_per_rollout, generator=generator)
-        yield from order.to(device).split(size)
+        for part in batch.pick(order.to(batch.returns.device)).split(size):
+            yield part, number == config.epochs - 1
 
 
 def _flat(policy: Policy, array: NDArray[np.generic]) -> Tensor:

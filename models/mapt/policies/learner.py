@@ -4,7 +4,7 @@ It never reads a task's own reward. What an algorithm is made of lies beside it:
 behind `Policy`, and how they are moved (`updates`) behind `Update`.
 """
 
-from collections.abc import Iterator
+import math
 from pathlib import Path
 from typing import Self
 
@@ -18,16 +18,15 @@ from mapt.policies.actor_critic import ActorCritic
 from mapt.policies.config import PolicyConfig
 from mapt.policies.device import resolve_device, torch_threads
 from mapt.policies.errors import InvalidConfig, TrainingDiverged
-from mapt.policies.experience import checked_rewards, inputs, minibatches, prepare
+from mapt.policies.experience import checked_rewards, inputs, prepare
 from mapt.policies.mat import MultiAgentTransformer
+from mapt.policies.optimiser import Adam
 from mapt.policies.policy import Policy
 from mapt.policies.reward_units import RewardUnits
 from mapt.policies.rollout import Collector, Rollout
 from mapt.policies.updates import make_update
 from mapt.tasks import Task, TaskSpec
 
-#: Adam's epsilon as PPO's reference code has it: gradients of normalised losses are small.
-ADAM_EPSILON = 1e-5
 #: Fraction of the learning rate that is left when annealing ends.
 FINAL_LEARNING_RATE = 0.1
 
@@ -60,9 +59,7 @@ class Learner:
             torch.manual_seed(config.seed)
             self.policy = make_policy(task.spec, config).to(self.device)
         self._update = make_update(self.policy, config)
-        self._optimiser = torch.optim.Adam(
-            self._update.parameters, lr=config.learning_rate, eps=ADAM_EPSILON, fused=True
-        )
+        self._optimiser = Adam(self._update.groups, config.learning_rate, config.max_gradient_norm)
         self._collector = Collector(task, config.seed)
         self._reward_units = RewardUnits(config, task.spec.horizon_steps)
 
@@ -100,30 +97,25 @@ class Learner:
             metrics = self._reward_units.follow(each, self.policy.critic.statistics)
             batch, of_batch = prepare(self.policy, rollout, each, self.config)
             rate = self._set_learning_rate()
-            steps = self._update.run(batch, self._minibatches, self._gradient_step, self._generator)
+            steps = self._update.run(batch, self._gradient_step, self._generator)
             # Statistics of inputs change last, so that collecting and learning saw the same ones.
             self.policy.absorb_inputs(*inputs(self.policy, rollout))
         metrics |= of_batch | averages(steps) | {"learning_rate": rate}
         spread = self.policy.action_std()
         return metrics if spread is None else metrics | {"action_std": spread}
 
-    def _minibatches(self) -> Iterator[Tensor]:
-        return minibatches(self.config, self._generator, self.device)
-
-    def _gradient_step(self, loss: Tensor) -> Tensor:
-        self._optimiser.zero_grad()
-        loss.backward()
-        norm = torch.nn.utils.clip_grad_norm_(self._update.parameters, self.config.max_gradient_norm)
-        if not torch.isfinite(norm):
+    def _gradient_step(self, loss: Tensor, group: int = 0) -> Tensor:
+        gradients, norm = self._optimiser.gradients(loss, group)
+        if not math.isfinite(norm):
             raise TrainingDiverged(f"The gradient's norm became {norm.item()} after {self.steps} steps.")
-        self._optimiser.step()
+        self._optimiser.step(gradients, group)
         return norm
 
     def _set_learning_rate(self) -> float:
         anneal = self.config.anneal_steps
         done = min(self.steps / anneal, 1.0) if anneal else 0.0
         rate = self.config.learning_rate * (1.0 - (1.0 - FINAL_LEARNING_RATE) * done)
-        self._optimiser.param_groups[0]["lr"] = rate
+        self._optimiser.learning_rate = rate
         return rate
 
     def state_dict(self) -> dict[str, Tensor]:
@@ -131,7 +123,7 @@ class Learner:
         networks = {name: network.state_dict() for name, network in self.policy.named_children()}
         own = {"steps": torch.tensor(self.steps), "generator": self._generator.get_state()}
         parts = networks | {
-            "optimiser": checkpoint.optimiser_tensors(self._optimiser),
+            "optimiser": self._optimiser.state_dict(),
             "collector": self._collector.state_dict(),
             "learner": own | self._reward_units.state_dict(),
         }
@@ -147,7 +139,7 @@ class Learner:
             parts = checkpoint.unflatten(tensors)
             for name, network in self.policy.named_children():
                 network.load_state_dict(parts[name])
-            checkpoint.load_optimiser(self._optimiser, parts.get("optimiser", {}))
+            self._optimiser.load_state_dict(parts.get("optimiser", {}))
             self._collector.load_state_dict(parts["collector"])
             own = parts["learner"]
             self._generator.set_state(own["generator"])

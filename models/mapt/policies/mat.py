@@ -63,9 +63,7 @@ class MultiAgentTransformer(Policy):
     def evaluate(self, batch: Batch) -> Evaluation:
         seen = self.critic.encoder(batch.observations.transpose(0, 1))
         distribution = self.decoder.distribution(seen, batch.actions, batch.available)
-        return Evaluation(
-            distribution.log_probs(batch.actions), distribution.entropy(), self.critic.head(seen).squeeze(-1)
-        )
+        return Evaluation(distribution.log_probs(batch.actions), distribution, self.critic.head(seen).squeeze(-1))
 
     def normalised(self, observations: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         return self.normaliser(observations), state

@@ -4,14 +4,16 @@ Networks work agent first, (N, B, C): one matrix product serves all agents, whet
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import repeat
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mapt.policies.actions import action_noise
+from mapt.policies.actions import ActionDistribution, action_noise
 from mapt.policies.critics import Critic
 from mapt.tasks import TaskSpec
 
@@ -43,6 +45,20 @@ class Batch:
             None if self.available is None else self.available.index_select(1, index),
         )
 
+    def split(self, size: int) -> Iterator["Batch"]:
+        """Views of `size` samples each, in order; the last may be smaller."""
+        parts = zip(
+            self.observations.split(size, 1),
+            self.actions.split(size, 1),
+            self.log_probs.split(size, 1),
+            self.advantages.split(size, 1),
+            self.state.split(size),
+            self.returns.split(size),
+            repeat(None) if self.available is None else self.available.split(size, 1),
+            strict=False,
+        )
+        return (Batch(*part) for part in parts)
+
     def of_agent(self, agent: int) -> "Batch":
         """The same samples with one agent on the agent axis; state and returns stay whole."""
         own = slice(agent, agent + 1)
@@ -62,8 +78,8 @@ class Evaluation:
 
     #: (N, B): log-probabilities of its actions.
     log_probs: Tensor
-    #: (): mean entropy of the actions, in nats.
-    entropy: Tensor
+    #: Of its actions.
+    distribution: ActionDistribution
     #: (B, N): values in the critic's units.
     values: Tensor
 

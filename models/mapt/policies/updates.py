@@ -1,33 +1,33 @@
 """How the gradient steps of an update are taken: all networks at once, or agent after agent."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from mapt.policies.actions import ActionDistribution
 from mapt.policies.actor_critic import ActorCritic
 from mapt.policies.config import PolicyConfig
+from mapt.policies.experience import minibatches
 from mapt.policies.policy import Batch, Policy
 
-#: Takes a gradient step on a loss and gives the gradient's norm.
-Step = Callable[[Tensor], Tensor]
-#: Indices of the samples of each step, shuffled anew by every call.
-Minibatches = Callable[[], Iterable[Tensor]]
+#: Takes a gradient step of a group of parameters on a loss, and gives the gradient's norm.
+Step = Callable[[Tensor, int], Tensor]
+Metrics = dict[str, Tensor]
 
 
 class Update(Protocol):
     """Improves a policy on a batch."""
 
     @property
-    def parameters(self) -> list[nn.Parameter]:
-        """What `step` is to move, where a loss gives it a gradient."""
+    def groups(self) -> list[list[nn.Parameter]]:
+        """What `step` moves: every parameter of a group has a gradient of each of that group's losses."""
         ...
 
-    def run(
-        self, batch: Batch, minibatches: Minibatches, step: Step, generator: torch.Generator
-    ) -> list[dict[str, Tensor]]:
+    def run(self, batch: Batch, step: Step, generator: torch.Generator) -> list[Metrics]:
         """Take the steps, by draws of `generator`, which is on the CPU; metrics of each step of the last passes."""
         ...
 
@@ -44,21 +44,22 @@ class JointUpdate:
 
     def __init__(self, policy: Policy, config: PolicyConfig) -> None:
         self._policy, self._config = policy, config
-        self.parameters = list(policy.parameters())
+        self.groups = [list(policy.parameters())]
 
-    def run(
-        self, batch: Batch, minibatches: Minibatches, step: Step, generator: torch.Generator
-    ) -> list[dict[str, Tensor]]:
-        metrics = [self._step(batch.pick(index), step) for index in minibatches()]
-        return metrics[-self._config.minibatches :]
+    def run(self, batch: Batch, step: Step, generator: torch.Generator) -> list[Metrics]:
+        parts = minibatches(batch, self._config, generator)
+        return [self._step(part, step, told=is_last_pass) for part, is_last_pass in parts][-self._config.minibatches :]
 
-    def _step(self, batch: Batch, step: Step) -> dict[str, Tensor]:
+    def _step(self, batch: Batch, step: Step, *, told: bool) -> Metrics:
         now = self._policy.evaluate(batch)
-        actor_loss, metrics = clipped_loss(now.log_probs - batch.log_probs, batch.advantages, self._config.clip)
+        log_ratio = now.log_probs - batch.log_probs
+        actor_loss = clipped_loss(log_ratio, batch.advantages, self._config.clip)
         critic_loss = F.mse_loss(now.values, batch.returns)
-        loss = actor_loss + self._config.value_weight * critic_loss - self._config.entropy_weight * now.entropy
-        norm = step(loss)
-        return metrics | {"critic_loss": critic_loss.detach(), "entropy": now.entropy.detach(), "gradient_norm": norm}
+        metrics = {"critic_loss": critic_loss.detach()}
+        if told:
+            metrics |= actor_metrics(actor_loss, log_ratio, now.distribution, self._config)
+        loss = with_entropy(actor_loss, now.distribution, self._config) + self._config.value_weight * critic_loss
+        return metrics | {"gradient_norm": step(loss, 0)}
 
 
 class SequentialUpdate:
@@ -71,58 +72,60 @@ class SequentialUpdate:
     def __init__(self, policy: ActorCritic, config: PolicyConfig) -> None:
         self._critic, self._config = policy.critic, config
         self._actors = [policy.actor.alone(agent) for agent in range(policy.spec.n_agents)]
-        self.parameters = [
-            *(parameter for actor in self._actors for parameter in actor.parameters()),
-            *policy.critic.parameters(),
-        ]
+        self.groups = [*(list(actor.parameters()) for actor in self._actors), list(policy.critic.parameters())]
 
-    def run(
-        self, batch: Batch, minibatches: Minibatches, step: Step, generator: torch.Generator
-    ) -> list[dict[str, Tensor]]:
-        metrics: list[dict[str, Tensor]] = []
+    def run(self, batch: Batch, step: Step, generator: torch.Generator) -> list[Metrics]:
+        config, metrics = self._config, list[Metrics]()
         factor = torch.ones_like(batch.log_probs[0])
         for agent in torch.randperm(len(self._actors), generator=generator).tolist():
             own = batch.of_agent(agent)
-            steps = [self._agent_step(agent, own.pick(index), factor[index], step) for index in minibatches()]
-            metrics += steps[-self._config.minibatches :]
+            parts = minibatches(replace(own, advantages=factor * own.advantages), config, generator)
+            steps = [self._agent_step(agent, part, step, told=is_last_pass) for part, is_last_pass in parts]
+            metrics += [*steps[-config.minibatches :], {"factor_spread": factor.std()}]
             with torch.no_grad():
                 log_probs = self._actors[agent](own.observations, own.available).log_probs(own.actions)
                 factor = factor * (log_probs - own.log_probs)[0].exp()
-        steps = [self._critic_step(batch.pick(index), step) for index in minibatches()]
-        return metrics + steps[-self._config.minibatches :]
+        steps = [self._critic_step(part, step) for part, _ in minibatches(batch, config, generator)]
+        return metrics + steps[-config.minibatches :]
 
-    def _agent_step(self, agent: int, batch: Batch, factor: Tensor, step: Step) -> dict[str, Tensor]:
+    def _agent_step(self, agent: int, batch: Batch, step: Step, *, told: bool) -> Metrics:
         distribution = self._actors[agent](batch.observations, batch.available)
         log_ratio = distribution.log_probs(batch.actions) - batch.log_probs
-        loss, metrics = clipped_loss(log_ratio, factor * batch.advantages, self._config.clip)
-        entropy = distribution.entropy()
-        norm = step(loss - self._config.entropy_weight * entropy)
-        return metrics | {"entropy": entropy.detach(), "gradient_norm": norm, "factor_spread": factor.std()}
+        loss = clipped_loss(log_ratio, batch.advantages, self._config.clip)
+        metrics = actor_metrics(loss, log_ratio, distribution, self._config) if told else {}
+        return metrics | {"gradient_norm": step(with_entropy(loss, distribution, self._config), agent)}
 
-    def _critic_step(self, batch: Batch, step: Step) -> dict[str, Tensor]:
+    def _critic_step(self, batch: Batch, step: Step) -> Metrics:
         loss = F.mse_loss(self._critic(batch.observations, batch.state), batch.returns)
-        step(self._config.value_weight * loss)
+        step(self._config.value_weight * loss, len(self._actors))
         return {"critic_loss": loss.detach()}
 
 
-def clipped_loss(log_ratio: Tensor, advantages: Tensor, clip: float) -> tuple[Tensor, dict[str, Tensor]]:
-    """PPO's clipped objective (Schulman et al. 2017, eq. 7), to be made small.
+def clipped_loss(log_ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
+    """PPO's clipped objective (Schulman et al. 2017, eq. 7), to be made small, ().
 
     Args:
         log_ratio: log of how much likelier the actions have become, any shape.
         advantages: of the same shape.
         clip: change of probability beyond which nothing is earned.
-
-    Returns:
-        The loss () and metrics by name.
     """
     ratio = log_ratio.exp()
-    clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
-    loss = -torch.minimum(ratio * advantages, clipped * advantages).mean()
-    with torch.no_grad():
-        return loss, {
-            "actor_loss": loss.detach(),
-            # Schulman's low-variance estimate of KL(old, new).
-            "kl": (ratio - 1.0 - log_ratio).mean(),
-            "clip_fraction": (ratio != clipped).float().mean(),
-        }
+    return -torch.minimum(ratio * advantages, ratio.clamp(1.0 - clip, 1.0 + clip) * advantages).mean()
+
+
+def with_entropy(loss: Tensor, distribution: ActionDistribution, config: PolicyConfig) -> Tensor:
+    """The loss, made smaller by the entropy of the actions where that counts."""
+    return loss - config.entropy_weight * distribution.entropy() if config.entropy_weight else loss
+
+
+@torch.no_grad()
+def actor_metrics(loss: Tensor, log_ratio: Tensor, distribution: ActionDistribution, config: PolicyConfig) -> Metrics:
+    """What a step's loss without entropy, its log-ratios and its actions say, by name."""
+    ratio = log_ratio.exp()
+    return {
+        "actor_loss": loss.detach(),
+        # Schulman's low-variance estimate of KL(old, new).
+        "kl": (ratio - 1.0 - log_ratio).mean(),
+        "clip_fraction": (ratio != ratio.clamp(1.0 - config.clip, 1.0 + config.clip)).float().mean(),
+        "entropy": distribution.entropy(),
+    }

@@ -8,7 +8,7 @@ from torch import nn
 from learning.identity_task import IdentityTask
 from mapt.policies import Learner, PolicyConfig
 from mapt.policies.experience import checked_rewards, prepare
-from mapt.policies.learner import ADAM_EPSILON
+from mapt.policies.optimiser import EPSILON
 
 CONFIG = PolicyConfig.named(
     "happo", n_envs=4, rollout_steps=6, epochs=3, minibatches=1, hidden=[5], learning_rate=0.02, clip=0.05, device="cpu"
@@ -42,7 +42,7 @@ def test_every_agent_is_updated_with_the_factor_of_those_before_it() -> None:
             net[layer].bias = nn.Parameter(start[f"network.{layer}.bias"][agent, 0].clone())
         log_std = nn.Parameter(start["log_std"][agent, 0].clone())
         parameters = [*net.parameters(), log_std]
-        adam = torch.optim.Adam(parameters, lr=CONFIG.learning_rate, eps=ADAM_EPSILON)
+        adam = torch.optim.Adam(parameters, lr=CONFIG.learning_rate, eps=EPSILON)
         for _ in range(CONFIG.epochs):
             gain = torch.zeros(())
             for b in range(n_samples):
