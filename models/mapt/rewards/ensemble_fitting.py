@@ -114,7 +114,7 @@ class EnsembleFitting:
                 kept_at, after = torch.where(better, epoch, kept_at), torch.where(better[:, None], judged, after)
                 kept = {name: where_member(better, trained[name].detach(), kept[name]) for name in trained}
                 if epoch == stage.settings.remember_epoch:
-                    self.early = _copies(trained)
+                    self.early = kept
             if (epoch - kept_at >= stage.settings.patience).all():
                 break
         gained = (

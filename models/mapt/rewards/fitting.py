@@ -87,7 +87,7 @@ class Fitting:
         self._started = time.perf_counter()
         self.history: list[TrainProgress] = []
         self.stopped = False
-        #: the averaged weights after `remember_epoch` of the last stage that has one
+        #: the weights that judged best up to `remember_epoch` of the last stage that has one
         self.early: dict[str, Tensor] | None = None
 
     @property
@@ -121,7 +121,7 @@ class Fitting:
                 if judged.mean().item() < best:
                     best, kept, kept_at, after = judged.mean().item(), self._weights(), epoch, judged
                 if epoch == stage.settings.remember_epoch:
-                    self.early = self._weights()
+                    self.early = kept
             if epoch - kept_at >= stage.settings.patience:
                 break
         gained = not stage.settings.must_convince or bool(exceeds_chance(before - after))

@@ -13,7 +13,11 @@ from mapt.preferences.teachers import Evidence, OracleTeacher
 from mapt.rewards import segment_reader
 from mapt.rewards.config import MODEL_NAMES, RewardConfig
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
+from mapt.rewards.fitting import Fitting, Stage, judge_pairs
+from mapt.rewards.model import build_reward_model
 from mapt.rewards.network import MAPT
+from mapt.rewards.pair_tensors import PairTensors, markov_scorer
+from mapt.rewards.stages import StageSettings
 from mapt.rewards.train_config import TrainConfig
 from mapt.rewards.trainer import train_reward_model
 
@@ -252,6 +256,21 @@ def test_the_attention_path_is_kept_only_where_the_hold_out_gains():
         for epochs in (1, 12)
     ]
     assert metrics[1]["holdout_loss"] <= metrics[0]["holdout_loss"]
+
+
+def test_what_a_stage_learned_by_heart_early_is_not_handed_on():
+    coin_flips = np.random.default_rng(5).integers(0, 2, 400)
+    data, cpu = preferences(400, labels=coin_flips), torch.device("cpu")
+    train, hold_out = (PairTensors.of(part, cpu) for part in data.split(0.2, 0))
+    model = build_reward_model(CONFIG).eval()
+    scorer = markov_scorer(model, segment_reader.segment_reader(data.segments, cpu))
+    untrained = judge_pairs(hold_out, scorer).loss
+    settings = StageSettings(2e-2, 0.0, 32, 80, 80, 0.0, remember_epoch=80)
+    fitting = Fitting(model, train, hold_out, seed=0, max_epochs=80)
+    fitting.run(Stage(settings, list(model.markov.parameters()), scorer))
+    assert fitting.history[-1].holdout_loss > untrained + 0.1
+    model.load_state_dict(fitting.early)
+    assert judge_pairs(hold_out, scorer).loss <= untrained
 
 
 def test_a_dataset_of_other_dimensions_is_refused():
