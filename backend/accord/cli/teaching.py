@@ -1,6 +1,5 @@
 """A scripted teacher at work: next queries, judgement, labels, over the REST API."""
 
-import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -16,6 +15,8 @@ from accord.cli.client import Api
 from accord.domain.errors import Invalid
 from mapt.preferences.errors import PreferenceError
 from mapt.preferences.teachers import Evidence, ScriptedTeacher, make_teacher
+from mapt.studies.errors import InvalidStudy
+from mapt.studies.naming import setting
 
 #: the API gives at most so many queries at once
 _MOST_QUERIES = 16
@@ -56,21 +57,10 @@ def parse_teacher(name: str, parameters: Sequence[str]) -> TeacherChoice:
     Raises:
         Invalid: as TeacherChoice, or if a parameter is no KEY=VALUE.
     """
-    parsed: dict[str, Any] = {}
-    for text in parameters:
-        key, equals, value = text.partition("=")
-        if not key.isidentifier() or not equals:
-            raise Invalid(f"--parameter {text!r} is no KEY=VALUE. One looks like mistake=0.1.")
-        parsed[key] = _value(value)
-    return TeacherChoice(name, parsed)
-
-
-def _value(text: str) -> Any:
-    """JSON where it is, else a word."""
     try:
-        return json.loads(text)
-    except ValueError:
-        return text
+        return TeacherChoice(name, dict(setting(text) for text in parameters))
+    except InvalidStudy as error:
+        raise Invalid(f"--parameter {error}. One looks like mistake=0.1.") from error
 
 
 @dataclass(frozen=True, slots=True)

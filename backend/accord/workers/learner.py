@@ -7,10 +7,11 @@ from accord.domain.experiment import ExperimentConfig
 from accord.services import checkpoints
 from accord.store.blobs import BlobStore
 from accord.store.database import Database
-from accord.workers.policy_blobs import PolicyCheckpoint, read_checkpoint, store_checkpoint
+from accord.workers.policy_blobs import read_checkpoint, store_checkpoint
 from accord.workers.pulse import Claim
 from accord.workers.reward_source import RewardSource, make_reward_source
 from mapt.policies import Learner, PolicyConfig
+from mapt.runs.checkpoint import PolicyCheckpoint
 from mapt.tasks import make_task
 
 

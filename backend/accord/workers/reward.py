@@ -98,7 +98,7 @@ class RewardWorker:
         if trained.metrics["stopped"]:
             claim.check()
             return False
-        key = store_reward_model(context.blobs, row.id, trained.model, trained.metrics)
+        key = store_reward_model(context.blobs, row.id, trained.model, trained.metrics, dataset.segments.n_steps)
         with context.database.transaction() as session:
             claim.check_within(session)
             steps = experiments.get(session, row.id).steps

@@ -10,13 +10,15 @@ from mapt.rewards.checkpoints import load_reward_model, save_reward_model
 _WEIGHTS, _CARD = ".safetensors", ".json"
 
 
-def store_reward_model(blobs: BlobStore, experiment_id: str, model: RewardModel, metrics: Mapping[str, float]) -> str:
+def store_reward_model(
+    blobs: BlobStore, experiment_id: str, model: RewardModel, metrics: Mapping[str, float], segment_steps: int
+) -> str:
     """Write a model. Returns the key of its weights, for the row that comes after.
 
     Raises:
         BlobsNotWritable: if the blobs are read-only or full.
     """
-    saved = save_reward_model(model, metrics)
+    saved = save_reward_model(model, metrics, segment_steps=segment_steps)
     stem = f"rewards/{experiment_id}/{new_id('rwb')}"
     blobs.put(stem + _CARD, saved.card)
     blobs.put(stem + _WEIGHTS, saved.weights)

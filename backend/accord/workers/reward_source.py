@@ -10,9 +10,7 @@ from accord.store.blobs import BlobStore
 from accord.store.tables import RewardVersionRow
 from accord.workers.reward_blobs import read_reward_model
 from mapt.policies import Rollout
-from mapt.rewards.relabelling import RolloutRelabeller
-
-Context = dict[str, NDArray[np.generic]]
+from mapt.runs.learned_reward import Context, VersionedReward
 
 
 class RewardSource(Protocol):
@@ -62,42 +60,32 @@ class LearnedReward:
             version_id, context: as of the checkpoint that training goes on from.
         """
         self._blobs = blobs
-        self._config = config
-        self._n_envs = n_envs
-        self._restored = context
-        self._relabeller: RolloutRelabeller | None = None
-        self.version_id = version_id
+        self._reward = VersionedReward(
+            config.segment_steps,
+            n_envs,
+            credit=config.credit,
+            kind=config.policy_reward,
+            device=config.device,
+            version=version_id,
+            context=context,
+        )
+
+    @property
+    def version_id(self) -> str | None:
+        return self._reward.version
 
     def adopt(self, version: RewardVersionRow) -> bool:
         """See `RewardSource.adopt`; the steps that rewards look back on are kept."""
-        if self._relabeller is not None and version.id == self.version_id:
+        if self._reward.holds(version.id):
             return False
-        model = read_reward_model(self._blobs, version.blob_key)
-        if self._relabeller is None:
-            self._relabeller = RolloutRelabeller(
-                model,
-                self._config.segment_steps,
-                self._n_envs,
-                self._config.credit,
-                self._config.device,
-                kind=self._config.policy_reward,
-            )
-            if self._restored:
-                self._relabeller.load_state_dict(self._restored)
-        else:
-            self._relabeller.replace_model(model)
-        changed = version.id != self.version_id
-        self.version_id = version.id
-        return changed
+        return self._reward.adopt(read_reward_model(self._blobs, version.blob_key), version.id)
 
     def rewards(self, rollout: Rollout) -> NDArray[np.floating]:
         """See `RewardSource.rewards`. Call `adopt` before."""
-        if self._relabeller is None:
-            raise RuntimeError("There is no reward version yet.")
-        return self._relabeller.relabel(rollout.observations, rollout.actions, rollout.episode_start)
+        return self._reward.rewards(rollout)
 
     def context(self) -> Context:
-        return self._relabeller.state_dict() if self._relabeller else self._restored
+        return self._reward.context()
 
 
 def make_reward_source(

@@ -19,10 +19,11 @@ from accord.workers import learner
 from accord.workers.cutting import cut
 from accord.workers.learner import Training
 from accord.workers.loop import Context
-from accord.workers.measures import EVALUATION_EPISODES, evaluation, iteration_metrics
+from accord.workers.measures import EVALUATION_EPISODES, evaluation
 from accord.workers.pacing import Progress, segments_to_hand_in, waits_for
 from accord.workers.pulse import Claim
 from mapt.policies import Rollout
+from mapt.runs.measures import iteration_metrics
 
 log = logging.getLogger(__name__)
 

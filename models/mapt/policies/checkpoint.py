@@ -2,10 +2,10 @@
 
 import json
 import os
-import tempfile
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import safetensors.torch
@@ -20,6 +20,7 @@ FORMAT_VERSION = 1
 _DESCRIPTION = "mapt.policies"
 #: A safetensors file starts with the length of its JSON header in this many bytes, little-endian.
 _LENGTH_BYTES = 8
+_NONE = "This is no checkpoint of a learner, or it is damaged."
 
 
 def flatten(parts: Mapping[str, Mapping[str, Tensor]]) -> dict[str, Tensor]:
@@ -46,25 +47,47 @@ def pack(tensors: dict[str, Tensor], description: Mapping[str, object]) -> bytes
     return safetensors.torch.save(tensors, metadata={_DESCRIPTION: header})
 
 
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What a checkpoint says of itself."""
+
+    #: name of the task
+    task: str
+    #: the learner's settings, as `PolicyConfig.to_dict` gave them
+    config: dict[str, object]
+
+
+def describe(content: bytes) -> Description:
+    """The description in a checkpoint's header.
+
+    Raises:
+        InvalidCheckpoint: if it is damaged or of another format.
+    """
+    try:
+        length = int.from_bytes(content[:_LENGTH_BYTES], "little")
+        header = json.loads(content[_LENGTH_BYTES : _LENGTH_BYTES + length])
+        description = json.loads(header["__metadata__"][_DESCRIPTION])
+        version, task, config = description["format"], description["task"], description["config"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise InvalidCheckpoint(_NONE) from error
+    if version != FORMAT_VERSION:
+        raise InvalidCheckpoint(f"The checkpoint has format {version}; this version reads {FORMAT_VERSION}.")
+    return Description(task, config)
+
+
 def unpack(content: bytes, task_name: str) -> tuple[dict[str, Tensor], dict[str, object]]:
     """Tensors and the learner's settings.
 
     Raises:
         InvalidCheckpoint: if it is damaged, of another format or of another task.
     """
+    description = describe(content)
+    if description.task != task_name:
+        raise InvalidCheckpoint(f"The checkpoint is of {description.task}, not of {task_name}.")
     try:
-        tensors = safetensors.torch.load(content)
-        length = int.from_bytes(content[:_LENGTH_BYTES], "little")
-        header = json.loads(content[_LENGTH_BYTES : _LENGTH_BYTES + length])
-        description = json.loads(header["__metadata__"][_DESCRIPTION])
-        version, task, config = description["format"], description["task"], description["config"]
-    except (SafetensorError, ValueError, KeyError) as error:
-        raise InvalidCheckpoint("This is no checkpoint of a learner, or it is damaged.") from error
-    if version != FORMAT_VERSION:
-        raise InvalidCheckpoint(f"The checkpoint has format {version}; this version reads {FORMAT_VERSION}.")
-    if task != task_name:
-        raise InvalidCheckpoint(f"The checkpoint is of {task}, not of {task_name}.")
-    return tensors, config
+        return safetensors.torch.load(content), description.config
+    except SafetensorError as error:
+        raise InvalidCheckpoint(_NONE) from error
 
 
 @contextmanager
@@ -81,13 +104,13 @@ def refusing_mismatch() -> Iterator[None]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write by way of a temporary file in the same folder, flushed to disk before it takes the name."""
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-        try:
+    """Write by way of a file beside it, flushed to disk before it takes the name."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-            os.replace(file.name, path)
-        except BaseException:
-            Path(file.name).unlink(missing_ok=True)
-            raise
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)

@@ -43,10 +43,20 @@ class LoadedRewardModel:
 
     model: RewardModel
     metrics: dict[str, float]
+    #: T of the segments that it was trained on, if it was told
+    segment_steps: int | None
+    #: SHA-256 of the weights
+    sha256: str
 
 
-def save_reward_model(model: RewardModel, metrics: Mapping[str, float]) -> SavedRewardModel:
-    """Serialise a model; reading it back gives the same bits."""
+def save_reward_model(
+    model: RewardModel, metrics: Mapping[str, float], *, segment_steps: int | None = None
+) -> SavedRewardModel:
+    """Serialise a model; reading it back gives the same bits.
+
+    Args:
+        segment_steps: T of the segments that it was trained on, for whoever relabels with it.
+    """
     weights = save({name: tensor.contiguous().cpu() for name, tensor in model.state_dict().items()})
     card = {
         "format": FORMAT,
@@ -56,6 +66,7 @@ def save_reward_model(model: RewardModel, metrics: Mapping[str, float]) -> Saved
         "reward_mean": model.reward_mean.item(),
         "reward_deviation": model.reward_deviation.item(),
         "metrics": dict(metrics),
+        "segment_steps": segment_steps,
         "weights_sha256": hashlib.sha256(weights).hexdigest(),
     }
     return SavedRewardModel(weights, json.dumps(card, indent=2, sort_keys=True, allow_nan=False).encode())
@@ -80,9 +91,13 @@ def load_reward_model(weights: bytes | Path, card: bytes | Path) -> LoadedReward
         raise DamagedCheckpoint(f"its format version is {version!r}")
     if version > FORMAT_VERSION:
         raise NewerCheckpoint(version, FORMAT_VERSION)
-    if described.get("weights_sha256") != hashlib.sha256(weight_bytes).hexdigest():
+    sha256 = hashlib.sha256(weight_bytes).hexdigest()
+    if described.get("weights_sha256") != sha256:
         raise DamagedCheckpoint("weights and card do not belong together, or one was cut short")
-    return LoadedRewardModel(_build(described, weight_bytes), _metrics(described))
+    segment_steps = described.get("segment_steps")
+    if segment_steps is not None and not (isinstance(segment_steps, int) and segment_steps >= 1):
+        raise DamagedCheckpoint(f"its segment_steps is {segment_steps!r}")
+    return LoadedRewardModel(_build(described, weight_bytes), _metrics(described), segment_steps, sha256)
 
 
 def _build(described: Mapping[str, object], weights: bytes) -> RewardModel:

@@ -1,4 +1,4 @@
-"""Models and teachers as they are written: NAME, or NAME:setting=value:setting=value."""
+"""Settings as they are written: KEY=VALUE; models and teachers: NAME, or NAME:setting=value:setting=value."""
 
 import json
 from dataclasses import dataclass
@@ -23,16 +23,24 @@ class Written:
         name, *parts = text.strip().split(":")
         settings: dict[str, object] = {}
         for part in parts:
-            key, equals, value = part.partition("=")
-            if not key or not equals:
-                raise InvalidStudy(f"{part!r} in {text!r} is no setting; it looks like hidden_dim=128")
-            settings[key] = _value(value)
+            try:
+                key, value = setting(part)
+            except InvalidStudy as error:
+                raise InvalidStudy(f"{error} in {text!r}; one looks like hidden_dim=128") from error
+            settings[key] = value
         return cls(name, settings)
 
 
-def _value(text: str) -> object:
-    """A number, true, false or null as JSON writes them; anything else is a word."""
+def setting(text: str) -> tuple[str, object]:
+    """Key and value of KEY=VALUE: a number, true, false, null or a list as JSON writes them, or else a word.
+
+    Raises:
+        InvalidStudy: if it is none.
+    """
+    name, equals, value = text.strip().partition("=")
+    if not name or not equals:
+        raise InvalidStudy(f"{text!r} is no KEY=VALUE")
     try:
-        return json.loads(text)
+        return name, json.loads(value)
     except ValueError:
-        return text
+        return name, value

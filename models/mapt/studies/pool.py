@@ -128,9 +128,9 @@ def _environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _keep(folder: Path | None, trained: TrainedReward) -> None:
+def _keep(folder: Path | None, segment_steps: int, trained: TrainedReward) -> None:
     if folder is not None:
-        save_reward_model(trained.model, trained.metrics).write(folder)
+        save_reward_model(trained.model, trained.metrics, segment_steps=segment_steps).write(folder)
 
 
 def _work(connection: Connection, cells: Path, parent: int) -> None:
@@ -147,7 +147,9 @@ def _work(connection: Connection, cells: Path, parent: int) -> None:
         except (EOFError, KeyboardInterrupt):
             return
         try:
-            result = run_cell(job.settings, Replay.open(job.replay), orphaned, partial(_keep, job.model))
+            replay = Replay.open(job.replay)
+            keep = partial(_keep, job.model, replay.source.n_steps)
+            result = run_cell(job.settings, replay, orphaned, keep)
         except KeyboardInterrupt:
             return
         except Exception as error:  # noqa: BLE001  (one cell's failure must not take the others with it)

@@ -16,6 +16,7 @@ from mapt.tasks.errors import (
 from mapt.tasks.parallel_entry import ParallelEntry
 from mapt.tasks.protocol import DrawnTask, MaskingTask, Task, TaskSpec, TaskStep
 from mapt.tasks.registry import agent_geoms, load_model, make_task, register_task, task_names, task_spec
+from mapt.tasks.wrapped import WrappedTask
 
 __all__ = [
     "DrawnTask",
@@ -36,6 +37,7 @@ __all__ = [
     "TaskStep",
     "UnknownTask",
     "UnusableEnvironment",
+    "WrappedTask",
     "agent_geoms",
     "load_model",
     "make_task",

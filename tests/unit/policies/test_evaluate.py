@@ -3,7 +3,7 @@
 import numpy as np
 
 from learning.identity_task import IdentityTask
-from mapt.policies import Learner, PolicyConfig, evaluate, train, true_reward
+from mapt.policies import Learner, PolicyConfig, evaluate, play, train, true_reward
 from mapt.tasks import make_task
 
 
@@ -16,6 +16,12 @@ def test_every_episode_is_whole_and_counted_once() -> None:
     assert returns.shape == (7,)
     # The actor starts near zero, whose reward is 2/3 a step.
     assert np.abs(returns - 8 * 2 / 3).max() < 2.5
+
+
+def test_lengths_are_those_of_the_episodes() -> None:
+    played = play(learner(), IdentityTask(3, horizon_steps=5), episodes=7)
+    assert played.lengths.tolist() == [5] * 7
+    assert played.returns.shape == (7,)
 
 
 def test_returns_are_those_of_the_task_itself() -> None:

@@ -107,3 +107,20 @@ def test_a_missing_file_is_named(tmp_path):
 def test_a_number_that_is_none_cannot_be_stored_as_a_metric(build):
     with pytest.raises(ValueError, match="JSON"):
         save_reward_model(build(), {"loss": float("nan")})
+
+
+def test_a_card_keeps_the_steps_of_a_segment_where_they_are_told(build):
+    saved, silent = save_reward_model(build(), {}, segment_steps=50), save_reward_model(build(), {})
+    assert load_reward_model(saved.weights, saved.card).segment_steps == 50
+    assert load_reward_model(silent.weights, silent.card).segment_steps is None
+    with pytest.raises(DamagedCheckpoint, match="segment_steps"):
+        load_reward_model(saved.weights, edited(saved.card, segment_steps="fifty"))
+
+
+def test_a_version_is_known_by_its_weights(build):
+    model = build()
+    first = save_reward_model(model, METRICS)
+    model.set_reward_scale(0.7, 2.5)
+    other = save_reward_model(model, METRICS)
+    hashes = [load_reward_model(saved.weights, saved.card).sha256 for saved in (first, first, other)]
+    assert hashes[0] == hashes[1] != hashes[2]
