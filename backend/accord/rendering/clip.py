@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mapt.rendering.settings import RenderSettings
 
 #: raise it when the same inputs give other frames: a change of colours, camera, scene or encoder
-RENDERER_VERSION = 1
+RENDERER_VERSION = 2
 
 
 def clip_key(

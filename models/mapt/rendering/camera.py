@@ -1,8 +1,9 @@
 """Where the camera looks, frame by frame.
 
 A labeller judges the gait by the body against the frame, and the speed by the floor that passes. So the camera
-keeps one height, one distance and one direction for all clips of a task, and goes along smoothly instead of copying
-every jolt of the body. Only where the body would leave the view does it give way: it leans after the body.
+keeps one height, one distance and one direction for all clips of a task (see `mapt.rendering.framing`), and goes along
+smoothly instead of copying every jolt of the body. Only where the body would leave the view does it give way: it leans
+after the body.
 """
 
 from dataclasses import dataclass
@@ -18,29 +19,32 @@ SAFE_SHARE = 0.94
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the camera sees of the plane in which the body moves."""
+    """What the camera sees at the distance of the body, metres from the middle to an edge."""
 
-    #: metres from the middle to an edge
     half_width: float
     half_height: float
-    #: height above the floor that the camera looks at, metres
-    height: float
 
 
-def camera_path(lowest: NDArray[np.float64], highest: NDArray[np.float64], view: View, window: int) -> NDArray:
+def camera_path(
+    lowest: NDArray[np.float64],
+    highest: NDArray[np.float64],
+    wished: NDArray[np.float64],
+    view: View,
+    window: int,
+) -> NDArray[np.float64]:
     """The points the camera looks at.
 
     Args:
-        lowest, highest: corners of the body's bounding box in the vertical plane, metres (T,2): along, up.
+        lowest, highest: corners of the body's bounding box in the picture's plane, metres (T,2): right, up.
+        wished: (T,2), a smooth path that it takes as long as the body fits.
         view: what is seen.
-        window: frames on each side over which the path is smoothed.
+        window: frames on each side over which giving way is smoothed.
 
     Returns:
-        (T,2) float64: along, up. The bounding box is within the view in every frame, if it fits at all.
+        (T,2) float64: right, up. The bounding box is within the view in every frame, if it fits at all.
     """
     half = np.array([view.half_width, view.half_height]) * SAFE_SHARE
     middle = (lowest + highest) / 2
-    wished = np.column_stack([smooth(middle[:, 0], window), np.full(len(middle), view.height)])
     # Too far from the wish on one side or the other: how much the camera must give way, made smooth without
     # becoming less than is needed.
     ahead = envelope(np.maximum(highest - half - wished, 0.0), window)

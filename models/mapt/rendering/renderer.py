@@ -14,19 +14,23 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.rendering.camera import SMOOTHING_SECONDS, View, camera_path
-from mapt.rendering.decor import BACKDROP_METRES, add_backdrop, add_marks, add_shadows
-from mapt.rendering.scene import VIEW_ANGLE_DEGREES, moving_geoms, painted
+from mapt.rendering import decor
+from mapt.rendering.body import Body
+from mapt.rendering.camera import SMOOTHING_SECONDS, camera_path
+from mapt.rendering.framing import LOOK_DOWN_DEGREES, Framing, frame
+from mapt.rendering.scene import has_squares, painted
 from mapt.rendering.settings import RenderSettings
 
-#: width of the view in lengths of the body
-VIEW_BODY_LENGTHS = 1.75
-#: how far the camera looks down, degrees: enough to see the floor's squares
-LOOK_DOWN_DEGREES = 9.0
-#: part of the view's height that is below the floor's line
-FLOOR_SHARE = 0.2
-#: how far behind the body the floor begins to fade into the backdrop
-FADING_METRES = 0.5
+Float64s = NDArray[np.float64]
+#: how far behind the body the floor begins to fade into the backdrop, in squares of it
+FADING = 1.0
+#: where it begins to fade and is gone, in distances of the camera, when seen from higher up
+FADING_FAR, FADED_FAR = 1.25, 2.2
+#: how far the ground is below the lowest part or floor, in squares
+GROUND_DEPTH = 0.05
+#: posts, lines and grid go on beyond the view's edge by this
+BEYOND = 1.5
+_ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
 class ClipRenderer:
@@ -44,22 +48,22 @@ class ClipRenderer:
             ValueError: if a geom is not of the model.
         """
         self._settings = settings
-        self._model = painted(model, agent_geoms, settings)
-        self._data = mujoco.MjData(self._model)
-        self._body = moving_geoms(self._model)
-        self._view = self._framing()
-        self._camera = self._side_view()
-        # Fog is a setting of the OpenGL context: it must be known before the renderer opens one.
-        self._model.vis.map.fogstart = (self._camera.distance + FADING_METRES) / self._model.stat.extent
-        self._model.vis.map.fogend = (self._camera.distance + BACKDROP_METRES) / self._model.stat.extent
+        self._framing: Framing = frame(Body(model), settings.width / settings.height)
+        self._model = painted(model, agent_geoms, settings, self._framing.square_metres)
+        self._body = Body(self._model)
+        self._shared = _shared(self._model, agent_geoms)
+        self._squares = has_squares(self._model)
+        self._ground = self._lowest() - GROUND_DEPTH * self._framing.square_metres
+        self._camera = self._looking()
+        self._fade()
         self._renderer = mujoco.Renderer(self._model, settings.height, settings.width)
         flags = self._renderer.scene.flags
-        flags[mujoco.mjtRndFlag.mjRND_FOG] = True
+        flags[mujoco.mjtRndFlag.mjRND_FOG] = self._framing.kind != "above"
         flags[mujoco.mjtRndFlag.mjRND_SHADOW] = settings.quality == "pretty"
         for dear in ("SKYBOX", "REFLECTION", "HAZE"):
             flags[getattr(mujoco.mjtRndFlag, f"mjRND_{dear}")] = False
 
-    def frames(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> Iterator[NDArray[np.uint8]]:
+    def frames(self, qpos: Float64s, qvel: Float64s) -> Iterator[NDArray[np.uint8]]:
         """Draw one frame a state.
 
         Args:
@@ -72,17 +76,41 @@ class ClipRenderer:
             ValueError: if the states are not of this model, none, or not finite.
         """
         self._check(qpos, qvel)
-        lowest, highest = self._extents(qpos)
-        start = float(lowest[0, 0] + highest[0, 0]) / 2
-        window = round(SMOOTHING_SECONDS * self._settings.frame_rate_hz)
-        for state, (along, up) in zip(qpos, camera_path(lowest, highest, self._view, window), strict=True):
-            self._place(state)
-            self._camera.lookat[:] = along, 0.0, up
-            self._renderer.update_scene(self._data, self._camera)
-            add_backdrop(self._renderer.scene, along)
-            add_shadows(self._renderer.scene, *self._boxes())
-            add_marks(self._renderer.scene, along, self._view.half_width, start)
+        lowest, highest = self._body.extents(qpos, self._framing.axes)
+        start = (lowest[0] + highest[0]) / 2 @ self._framing.axes
+        framing, targets = self._targets(lowest, highest)
+        self._camera.distance = framing.distance
+        for state, target in zip(qpos, targets, strict=True):
+            self._body.place(state)
+            self._camera.lookat[:] = target
+            self._renderer.update_scene(self._body.data, self._camera)
+            self._decorate(framing, target, start)
             yield self._renderer.render()
+
+    def _targets(self, lowest: Float64s, highest: Float64s) -> tuple[Framing, Float64s]:
+        """The framing for these corners (T,3), along its axes, and what the camera looks at (T,3), in the world."""
+        window = round(SMOOTHING_SECONDS * self._settings.frame_rate_hz)
+        targets = self._framing.wished(lowest, highest, window)
+        framing = self._framing.fitting(*self._framing.in_perspective(lowest, highest, targets))
+        lowest, highest = framing.in_perspective(lowest, highest, targets)
+        targets[:, :2] = camera_path(lowest, highest, targets[:, :2], framing.view, window)
+        return framing, targets @ framing.axes
+
+    def _decorate(self, framing: Framing, target: Float64s, start: Float64s) -> None:
+        scene, square, floor = self._renderer.scene, framing.square_metres, framing.floor
+        reach = framing.view.half_width * BEYOND
+        if framing.kind == "side":
+            decor.add_backdrop(scene, target, square)
+            decor.add_posts(scene, target, reach, floor, square)
+        else:
+            decor.add_ground(scene, target, self._ground, square)
+        if framing.follows and not self._squares:
+            decor.add_grid(scene, target, reach, floor, square)
+        if framing.kind != "above":
+            decor.add_shadows(scene, self._body.boxes(np.eye(3)), floor, square)
+        if framing.follows and abs(start[0] - target[0]) < reach:
+            decor.add_start(scene, start, floor, square)
+        decor.add_bands(scene, self._body.data, self._shared)
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -108,39 +136,32 @@ class ClipRenderer:
         if not np.isfinite(qpos).all():
             raise ValueError("The states hold NaN or infinite positions: the simulation diverged.")
 
-    def _place(self, qpos: NDArray[np.float64]) -> None:
-        # Positions and lights are all that is drawn: no dynamics, so no velocities.
-        self._data.qpos[:] = qpos
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_camlight(self._model, self._data)
-
-    def _boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Centres and half sizes of the world-aligned boxes around the body's geoms, metres (geoms,3)."""
-        turn = self._data.geom_xmat[self._body].reshape(-1, 3, 3)
-        centre, half = np.split(self._model.geom_aabb[self._body], 2, axis=1)
-        centre = self._data.geom_xpos[self._body] + np.einsum("gij,gj->gi", turn, centre)
-        return centre, np.einsum("gij,gj->gi", np.abs(turn), half)
-
-    def _extents(self, qpos: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lowest and highest corners of the body, along and up, metres: two of (T,2)."""
-        corners = np.empty((2, len(qpos), 2))
-        for step, state in enumerate(qpos):
-            self._place(state)
-            centre, half = self._boxes()
-            corners[0, step] = (centre - half).min(axis=0)[[0, 2]]
-            corners[1, step] = (centre + half).max(axis=0)[[0, 2]]
-        return corners[0], corners[1]
-
-    def _side_view(self) -> mujoco.MjvCamera:
+    def _looking(self) -> mujoco.MjvCamera:
         camera = mujoco.MjvCamera()
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        camera.azimuth, camera.elevation = 90, -LOOK_DOWN_DEGREES
-        camera.distance = self._view.half_height / np.tan(np.radians(VIEW_ANGLE_DEGREES / 2))
+        camera.azimuth, camera.elevation = 90, -LOOK_DOWN_DEGREES[self._framing.kind]
+        camera.distance = self._framing.distance
         return camera
 
-    def _framing(self) -> View:
-        """What to see of this body: found from its length when it stands."""
-        lowest, highest = self._extents(self._model.qpos0[None])
-        half_width = float(np.ptp([lowest[0, 0], highest[0, 0]])) * VIEW_BODY_LENGTHS / 2
-        half_height = half_width * self._settings.height / self._settings.width
-        return View(half_width, half_height, half_height * (1 - 2 * FLOOR_SHARE))
+    def _fade(self) -> None:
+        # Fog is a setting of the OpenGL context: it must be known before the renderer opens one.
+        square, distance = self._framing.square_metres, self._framing.distance
+        near, far = FADING_FAR * distance, FADED_FAR * distance
+        if self._framing.kind == "side":
+            near, far = distance + FADING * square, distance + decor.BACKDROP * square
+        extent, fog = self._model.stat.extent, self._model.vis.map
+        fog.fogstart, fog.fogend = near / extent, far / extent
+
+    def _lowest(self) -> float:
+        """Height of the lowest part as the model is placed, or of the floor if that is lower."""
+        lowest, _ = self._body.extents(self._model.qpos0[None], np.eye(3))
+        return min(self._framing.floor, float(lowest[0, 2]))
+
+
+def _shared(model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]]) -> dict[int, tuple[int, ...]]:
+    """Agents by geom, of the limbs that several agents move."""
+    movers = {
+        geom: tuple(agent for agent, geoms in enumerate(agent_geoms) if geom in geoms)
+        for geom in np.flatnonzero(np.isin(model.geom_type, _ROUND)).tolist()
+    }
+    return {geom: agents for geom, agents in movers.items() if len(agents) > 1}

@@ -16,35 +16,43 @@ from mapt.rendering.colours import (
     BACKDROP_COLOUR,
     BODY_COLOUR,
     FLOOR_COLOURS,
+    POST_COLOUR,
     agent_colour,
     rgb_bytes,
     rgba,
 )
 from mapt.rendering.settings import RenderSettings
 
-#: side of a square of the floor; a body at 5 m/s passes one in three frames of 20 Hz
-FLOOR_SQUARE_METRES = 0.5
 #: vertical angle of view in degrees; narrow, so that the body's size does not change along the frame
 VIEW_ANGLE_DEGREES = 25.0
 
 
-def painted(model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]], settings: RenderSettings) -> mujoco.MjModel:
+def painted(
+    model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]], settings: RenderSettings, square_metres: float = 0.5
+) -> mujoco.MjModel:
     """A copy of the model as clips show it.
 
     Args:
         model: any model with a floor plane or without.
-        agent_geoms: ids of the geoms that each of the N agents moves.
+        agent_geoms: ids of the geoms that each of the N agents moves; the first of several colours a geom.
         settings: size and quality.
+        square_metres: side of the floor's squares; half a metre is passed in three frames of 20 Hz at 3 m/s.
 
     Raises:
         ValueError: if a geom is not of the model.
     """
     model = copy.copy(model)
     _colour_geoms(model, agent_geoms)
-    _paint_floors(model)
+    _paint_floors(model, square_metres)
     _light_evenly(model)
     _set_quality(model, settings)
     return model
+
+
+def has_squares(model: mujoco.MjModel) -> bool:
+    """Whether a floor of the model has a texture, which is painted in squares."""
+    materials = model.geom_matid[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE]
+    return bool((model.mat_texid[materials[materials >= 0], mujoco.mjtTextureRole.mjTEXROLE_RGB] >= 0).any())
 
 
 def moving_geoms(model: mujoco.MjModel) -> np.ndarray:
@@ -53,24 +61,31 @@ def moving_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 
 def _colour_geoms(model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]]) -> None:
-    body = moving_geoms(model)
-    model.geom_matid[body] = -1  # a material's texture would tint the colour
-    model.geom_rgba[body] = rgba(BODY_COLOUR)
     for agent, geoms in enumerate(agent_geoms):
         for geom in geoms:
             if not 0 <= geom < model.ngeom:
                 raise ValueError(f"Agent {agent} moves geom {geom}, but the model has {model.ngeom} geoms.")
-            model.geom_rgba[geom] = rgba(agent_colour(agent))
+    solid = np.flatnonzero(model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
+    body = moving_geoms(model)
+    model.geom_matid[solid] = -1  # a material's texture would tint the colour
+    model.geom_rgba[np.setdiff1d(solid, body)] = rgba(POST_COLOUR)
+    # A target or a thing to be pushed is no part of the team's body: it keeps its own colour.
+    roots = model.body_rootid[model.geom_bodyid]
+    ours = np.isin(roots[body], roots[[geom for geoms in agent_geoms for geom in geoms]])
+    model.geom_rgba[body[ours]] = rgba(BODY_COLOUR)
+    model.geom_rgba[body, 3] = 1
+    for agent, geoms in reversed(list(enumerate(agent_geoms))):
+        model.geom_rgba[list(geoms)] = rgba(agent_colour(agent))
 
 
-def _paint_floors(model: mujoco.MjModel) -> None:
+def _paint_floors(model: mujoco.MjModel, square_metres: float) -> None:
     model.mat_reflectance[:] = 0
     model.mat_specular[:] = 0
     for floor in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE):
-        _paint_floor(model, int(floor))
+        _paint_floor(model, int(floor), square_metres)
 
 
-def _paint_floor(model: mujoco.MjModel, floor: int) -> None:
+def _paint_floor(model: mujoco.MjModel, floor: int, square_metres: float) -> None:
     model.geom_rgba[floor] = 1
     material = model.geom_matid[floor]
     if material < 0:
@@ -86,7 +101,7 @@ def _paint_floor(model: mujoco.MjModel, floor: int) -> None:
     texels[:] = np.where(light[..., None], rgb_bytes(FLOOR_COLOURS[1]), rgb_bytes(FLOOR_COLOURS[0]))
     # A texture holds two squares a side and is laid out over the whole plane (half sizes in geom_size).
     model.mat_texuniform[material] = False
-    model.mat_texrepeat[material] = model.geom_size[floor, :2] / FLOOR_SQUARE_METRES
+    model.mat_texrepeat[material] = model.geom_size[floor, :2] / square_metres
 
 
 def _texels(model: mujoco.MjModel, texture: int) -> np.ndarray:

@@ -49,19 +49,16 @@ class MujocoScene:
         return model
 
     def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
-        """Per agent, the ids of the geoms on the bodies that its joints move directly.
+        """Per agent, the ids of the geoms that its joints move directly, with those of bodies fixed to these.
 
-        A body that the joints of several agents move belongs to the first of them.
+        A body that joints of several agents move is in the list of each.
         """
         model = self.load_model()
-        owner: dict[int, int] = {}
-        for agent, names in enumerate(self.partition.agents):
-            for name in names:
-                owner.setdefault(int(model.joint(name).bodyid[0]), agent)
-        return tuple(
-            tuple(geom for geom in range(model.ngeom) if owner.get(int(model.geom_bodyid[geom])) == agent)
-            for agent in range(len(self.partition.agents))
-        )
+        moved = [
+            {int(model.body_weldid[model.joint(name).bodyid[0]]) for name in names} for names in self.partition.agents
+        ]
+        carrier = model.body_weldid[model.geom_bodyid]
+        return tuple(tuple(geom for geom in range(model.ngeom) if int(carrier[geom]) in bodies) for bodies in moved)
 
 
 def gymnasium_asset(name: str) -> Callable[[], mujoco.MjSpec]:

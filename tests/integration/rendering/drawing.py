@@ -1,6 +1,6 @@
-"""Raw frames of a cheetah, drawn in a process of its own as in production: pytest's has mujoco without OpenGL.
+"""Raw frames of a task, drawn in a process of its own as in production: pytest's has mujoco without OpenGL.
 
-As a script: `drawing.py <folder with qpos.npy> <agents' geoms> <settings>`, the last two as JSON.
+As a script: `drawing.py <folder with qpos.npy> <task> <agents' geoms> <settings>`, the last two as JSON.
 """
 
 import json
@@ -17,6 +17,8 @@ from mapt.rendering.renderer import ClipRenderer
 from mapt.rendering.settings import CodecSettings, RenderSettings
 from mapt.tasks import load_model
 
+CHEETAH = "HalfCheetah-6x1"
+
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
@@ -25,20 +27,22 @@ class Drawing:
     backend: Backend
     folder: Path
 
-    def frames(self, qpos: NDArray[np.float64], agents: list[list[int]], settings: RenderSettings) -> NDArray[np.uint8]:
-        """Frames (T,H,W,3) of states (T,9), from a new process."""
+    def frames(
+        self, qpos: NDArray[np.float64], agents: list[list[int]], settings: RenderSettings, task: str = CHEETAH
+    ) -> NDArray[np.uint8]:
+        """Frames (T,H,W,3) of states (T,nq), from a new process."""
         np.save(self.folder / "qpos.npy", qpos)
-        arguments = [str(self.folder), json.dumps(agents), json.dumps(asdict(settings))]
+        arguments = [str(self.folder), task, json.dumps(agents), json.dumps(asdict(settings))]
         subprocess.run([sys.executable, __file__, *arguments], env=render_environment(self.backend), check=True)
         return np.load(self.folder / "frames.npy")
 
 
 def main() -> None:
-    folder, agents, look = Path(sys.argv[1]), json.loads(sys.argv[2]), json.loads(sys.argv[3])
+    folder, task, agents, look = Path(sys.argv[1]), sys.argv[2], json.loads(sys.argv[3]), json.loads(sys.argv[4])
     settings = RenderSettings(**look | {"codec": CodecSettings(**look["codec"])})
-    qpos = np.load(folder / "qpos.npy")
-    with ClipRenderer(load_model("HalfCheetah-6x1"), agents, settings) as renderer:
-        np.save(folder / "frames.npy", np.stack(list(renderer.frames(qpos, np.zeros_like(qpos)))))
+    qpos, model = np.load(folder / "qpos.npy"), load_model(task)
+    with ClipRenderer(model, agents, settings) as renderer:
+        np.save(folder / "frames.npy", np.stack(list(renderer.frames(qpos, np.zeros((len(qpos), model.nv))))))
 
 
 if __name__ == "__main__":

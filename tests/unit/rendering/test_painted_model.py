@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapt.rendering.colours import AGENT_COLOURS, BODY_COLOUR, rgba
+from mapt.rendering.colours import AGENT_COLOURS, BODY_COLOUR, POST_COLOUR, rgba
 from mapt.rendering.scene import moving_geoms, painted
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model
@@ -44,3 +44,12 @@ def test_painting_changes_nothing_that_moves() -> None:
 def test_geom_that_the_model_lacks_is_refused(geom: int) -> None:
     with pytest.raises(ValueError, match="the model has 9 geoms"):
         painted(load_model("HalfCheetah-6x1"), [[3], [geom]], RenderSettings())
+
+
+def test_a_target_keeps_its_own_colour_and_an_arm_has_its_agents() -> None:
+    given = load_model("Reacher-2x1")
+    model = painted(given, agent_geoms("Reacher-2x1"), RenderSettings())
+    target, tip, wall = (given.geom(name).id for name in ("target", "fingertip", "sideN"))
+    np.testing.assert_allclose(model.geom_rgba[target], given.geom_rgba[target])
+    np.testing.assert_allclose(model.geom_rgba[tip], rgba(AGENT_COLOURS[1]), rtol=1e-6)
+    np.testing.assert_allclose(model.geom_rgba[wall], rgba(POST_COLOUR), rtol=1e-6)

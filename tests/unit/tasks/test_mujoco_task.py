@@ -231,8 +231,24 @@ def test_many_segment_bodies_come_in_any_size_that_is_asked_for() -> None:
 
 
 @pytest.mark.parametrize("name", task_names())
-def test_every_agent_has_geoms_of_its_own(name: str) -> None:
+def test_every_agent_moves_geoms(name: str) -> None:
     geoms = agent_geoms(name)
     assert len(geoms) == task_spec(name).n_agents
-    taken = [geom for agent in geoms for geom in agent]
-    assert len(taken) == len(set(taken))
+    assert all(geoms)
+
+
+def test_a_limb_of_several_joints_is_moved_by_each_of_their_agents() -> None:
+    model, geoms = load_model("Humanoid-17x1"), agent_geoms("Humanoid-17x1")
+    names = task_spec("Humanoid-17x1").agent_names
+    thigh = model.geom("right_thigh1").id
+    assert [name for name, own in zip(names, geoms, strict=True) if thigh in own] == [
+        "right hip x",
+        "right hip y",
+        "right hip z",
+    ]
+
+
+def test_what_is_fixed_to_a_limb_is_moved_with_it() -> None:
+    model = load_model("Humanoid-9|8")
+    _, legs = agent_geoms("Humanoid-9|8")
+    assert {model.geom(f"{side}_foot").id for side in ("left", "right")} <= set(legs)

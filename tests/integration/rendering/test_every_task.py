@@ -1,0 +1,92 @@
+"""Real frames of every task: the body is in the picture, large enough, its agents in their colours."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from integration.rendering.drawing import Drawing
+from mapt.rendering.colours import AGENT_COLOURS, rgb_bytes
+from mapt.rendering.scene import moving_geoms
+from mapt.rendering.settings import RenderSettings
+from mapt.tasks import agent_geoms, load_model, make_task, task_names, task_spec
+
+SMALL = RenderSettings(width=320, height=240)
+FRAMES = 8
+#: steps between two frames: an episode of many tasks is over after twenty steps of chance
+STRIDE = 6
+ORANGE, SKY_BLUE, WHITE = 0, 2, 7
+
+
+def states(task: str) -> NDArray[np.float64]:
+    """qpos (T,nq) of a team that sways to and fro for one episode, or until the clip is full."""
+    env = make_task(task, 1, n_threads=1)
+    spec = env.spec
+    env.reset(3)
+    phases = np.arange(spec.n_agents * spec.action_dim).reshape(1, spec.n_agents, spec.action_dim)
+    seen = []
+    for step in range(FRAMES * STRIDE):
+        seen.append(env.simulator_state()[0][0])
+        ended = env.step(0.6 * spec.action_limit * np.sin(0.3 * step + phases))
+        if ended.terminated[0] or ended.truncated[0]:
+            break
+    return np.array(seen[:: max(1, len(seen) // FRAMES)])
+
+
+def shown(frames: NDArray[np.uint8], agents: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Where (T,H,W) the colour of one of these agents shows, in full light or less."""
+    found = np.zeros(frames.shape[:-1], dtype=bool)
+    for agent in agents:
+        colour = np.array(rgb_bytes(AGENT_COLOURS[agent]), dtype=float)
+        shade = np.clip((frames @ colour) / (colour @ colour), 0.6, 1.05)
+        found |= np.abs(frames - shade[..., None] * colour).max(axis=-1) < 10
+    return found
+
+
+@pytest.mark.parametrize("task", task_names())
+def test_the_whole_body_is_in_every_frame_and_large_enough(drawing: Drawing, task: str) -> None:
+    qpos = states(task)
+    # One agent that moves all there is, so that every part is orange.
+    frames = drawing.frames(qpos, [moving_geoms(load_model(task)).tolist()], SMALL, task)
+    body = shown(frames, (ORANGE,))
+    for frame in body:
+        rows, columns = np.flatnonzero(frame.any(axis=1)), np.flatnonzero(frame.any(axis=0))
+        assert rows[0] >= 2, "the body leaves the frame at the top"
+        assert rows[-1] < SMALL.height - 2, "the body leaves the frame at the bottom"
+        assert columns[0] >= 2, "the body leaves the frame at the left"
+        assert columns[-1] < SMALL.width - 2, "the body leaves the frame at the right"
+        share = max(np.ptp(columns) / SMALL.width, np.ptp(rows) / SMALL.height)
+        assert share > 0.25, f"the body takes {share:.0%} of the frame"
+
+
+@pytest.mark.parametrize("task", [name for name in task_names() if task_spec(name).n_agents <= 6])
+def test_every_agent_of_a_small_team_shows_in_its_colour(drawing: Drawing, task: str) -> None:
+    geoms = [list(own) for own in agent_geoms(task)]
+    frames = drawing.frames(states(task)[:3], geoms, SMALL, task)
+    for agent in range(len(geoms)):
+        assert shown(frames, (agent,)).sum(axis=(1, 2)).max() > 25, AGENT_COLOURS[agent]
+
+
+def test_rings_show_the_agents_that_share_a_limb(drawing: Drawing) -> None:
+    task = "Humanoid-17x1"
+    model, thigh = load_model(task), load_model(task).geom("right_thigh1").id
+    agents: list[list[int]] = [[] for _ in AGENT_COLOURS]
+    agents[ORANGE] = np.setdiff1d(moving_geoms(model), thigh).tolist()
+    alone = drawing.frames(model.qpos0[None], [*agents[:WHITE], [thigh]], SMALL, task)
+    agents[SKY_BLUE] = [thigh]
+    shared = drawing.frames(model.qpos0[None], [*agents[:WHITE], [thigh]], SMALL, task)
+    assert not shown(alone, (SKY_BLUE,)).any()
+    assert shown(shared, (SKY_BLUE,)).sum() > 20
+    assert shown(shared, (WHITE,)).sum() > 20
+
+
+@pytest.mark.parametrize("task", ["Ant-4x2", "Humanoid-9|8", "Swimmer-2x1"])
+def test_the_floor_passes_a_body_that_travels(drawing: Drawing, task: str) -> None:
+    standing = np.repeat(load_model(task).qpos0[None], 4, axis=0)
+    going = standing.copy()
+    going[:, 0] += 0.2 * np.arange(4)
+    still, moving = (
+        drawing.frames(qpos, [list(own) for own in agent_geoms(task)], SMALL, task).astype(int)
+        for qpos in (standing, going)
+    )
+    assert np.abs(np.diff(still, axis=0)).max() == 0
+    assert (np.abs(np.diff(moving, axis=0)).max(axis=-1) > 10).mean() > 0.04
