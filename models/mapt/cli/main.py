@@ -4,23 +4,28 @@ import sys
 
 import typer
 
-from mapt.cli import dataset, report, table, tasks
+from mapt.cli import curves, dataset, evaluate, report, table, tasks, train
 from mapt.cli.output import complain
 from mapt.policies import PolicyError
 from mapt.preferences.errors import PreferenceError
+from mapt.rendering.errors import RenderingError
 from mapt.rewards.errors import RewardModelError
+from mapt.runs.errors import RunError
 from mapt.studies.errors import StudyError
 from mapt.tasks import TaskError
 
 app = typer.Typer(
     name="mapt",
-    help="Learn rewards of teams of agents from preferences, and see how good they are.",
+    help="Learn rewards of teams of agents from preferences, train policies, and see how good they are.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 app.command("tasks")(tasks.tasks)
+app.command("train")(train.train)
+app.command("evaluate")(evaluate.evaluate)
+app.command("curves")(curves.curves)
 app.command("dataset")(dataset.dataset)
 app.command("table")(table.table)
 app.command("report")(report.report)
@@ -30,7 +35,7 @@ def main() -> None:
     """The entry point of the script `mapt`."""
     try:
         app()
-    except (StudyError, TaskError, PreferenceError, RewardModelError, PolicyError) as error:
+    except (StudyError, RunError, TaskError, PreferenceError, RewardModelError, PolicyError, RenderingError) as error:
         complain(str(error))
         sys.exit(2)
     except KeyboardInterrupt:

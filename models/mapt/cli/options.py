@@ -13,6 +13,7 @@ SegmentSteps = Annotated[int, typer.Option(min=1, help="Steps of a segment, T.")
 PolicySteps = Annotated[
     int, typer.Option(min=1, help="Environment steps of the policy's training from which segments are kept.")
 ]
+Device = Annotated[str, typer.Option(help="Where the networks are: cpu, cuda or auto.")]
 Segments = Annotated[int, typer.Option(min=10, help="Segments to keep of each replay, spread over the training.")]
 
 

@@ -1,0 +1,40 @@
+"""mapt evaluate: what a trained policy gets."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mapt.cli.options import Device
+from mapt.cli.output import out, say
+from mapt.cli.train import sentence
+from mapt.runs.evaluation import EPISODES, evaluate_policy
+from mapt.runs.saved_policy import load_policy
+from mapt.runs.video import record_video
+
+
+def evaluate(
+    run: Annotated[Path, typer.Argument(help="Folder of a run, or a checkpoint of a policy.")],
+    *,
+    episodes: Annotated[int, typer.Option(min=1, help="Whole episodes to play.")] = EPISODES,
+    seed: Annotated[int, typer.Option(min=0, help="Decides their starts.")] = 0,
+    agent_obsk: Annotated[
+        int | None, typer.Option(min=0, help="How many joints away an agent sees.  [default: what the run says, or 1]")
+    ] = None,
+    device: Device = "auto",
+    video: Annotated[Path | None, typer.Option(help="Film an episode too, to this mp4.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, with every episode.")] = False,
+) -> None:
+    """Play whole episodes with mean actions: mean, spread and interquartile mean of the true return."""
+    saved = load_policy(run, device, agent_obsk)
+    evaluation = evaluate_policy(saved.policy, saved.task, agent_obsk=saved.agent_obsk, episodes=episodes, seed=seed)
+    about = {"task": saved.task, "algorithm": saved.algorithm, "steps": saved.steps}
+    if as_json:
+        out.print_json(json.dumps(about | evaluation.to_dict()), highlight=False)
+    else:
+        say(f"{saved.task}, {saved.algorithm} after {saved.steps:,} steps: {sentence(evaluation)}")
+    if video is not None:
+        record_video(saved.policy, saved.task, video, agent_obsk=saved.agent_obsk, seed=seed)
+        if not as_json:
+            say(f"[dim]{video}[/dim]")

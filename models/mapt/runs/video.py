@@ -1,0 +1,118 @@
+"""A video of one episode of a policy, drawn in a process of its own: EGL and CUDA in one have hung."""
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import save_file
+
+from mapt.policies import Policy
+from mapt.policies.rollout import available_actions
+from mapt.rendering.encode import write_clip
+from mapt.rendering.environment import BACKENDS, INSTALL, Backend, render_environment
+from mapt.rendering.errors import NothingDraws
+from mapt.rendering.film import DONE
+from mapt.rendering.settings import RenderSettings
+from mapt.tasks import DrawnTask, NoPicture, Task, make_task
+
+#: the longest episodes take a minute on a quiet machine
+_LIMIT_SECONDS = 600.0
+
+
+def record_video(policy: Policy, task_name: str, path: Path, *, agent_obsk: int, seed: int = 0) -> None:
+    """Write an mp4 of one episode with mean actions, one frame a step.
+
+    Args:
+        path: replaced; its folder exists.
+        seed: decides the start.
+
+    Raises:
+        NothingDraws: if nothing draws this task here; the message says why and what helps.
+        ClipNotWritten: if the disk or the encoder refuses.
+    """
+    task = make_task(task_name, 1, agent_obsk=agent_obsk)
+    try:
+        if isinstance(task, DrawnTask):
+            _film_drawn(policy, task, path, seed)
+        elif task.spec.nq == 0:
+            raise NothingDraws(f"{task_name} has no simulator's state to draw, and does not draw itself.")
+        else:
+            states = [task.simulator_state() for _ in _episode(policy, task, seed)]
+            qpos, qvel = (np.concatenate(parts) for parts in zip(*states, strict=True))
+            _film_states(task_name, qpos, qvel, _frame_rate(task), path)
+    finally:
+        task.close()
+
+
+def _episode(policy: Policy, task: Task, seed: int) -> Iterator[None]:
+    """Step through one episode; the task is in the state of each step when it yields."""
+    observations, _ = task.reset(seed)
+    while True:
+        yield
+        step = task.step(policy.act(observations, None, available_actions(task)))
+        if bool(step.terminated[0] | step.truncated[0]):
+            return
+        observations = step.observations
+
+
+def _frame_rate(task: Task) -> float:
+    return 1.0 / task.spec.step_seconds
+
+
+def _film_drawn(policy: Policy, task: DrawnTask, path: Path, seed: int) -> None:
+    def frames() -> Iterator[NDArray[np.uint8]]:
+        for _ in _episode(policy, task, seed):
+            yield _even(task.render(0))
+
+    try:
+        task.reset(seed)
+        height, width, _ = _even(task.render(0)).shape
+        write_clip(frames(), path, RenderSettings(width=width, height=height, frame_rate_hz=_frame_rate(task)))
+    except NoPicture as error:
+        raise NothingDraws(str(error)) from error
+
+
+def _even(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Without its last row or column where their number is odd: an encoder's chroma needs even sizes."""
+    height, width, _ = frame.shape
+    return frame[: height - height % 2, : width - width % 2]
+
+
+def _film_states(
+    task_name: str, qpos: NDArray[np.float64], qvel: NDArray[np.float64], frame_rate_hz: float, path: Path
+) -> None:
+    said: list[str] = []
+    with tempfile.TemporaryDirectory() as folder:
+        states = Path(folder) / "states.safetensors"
+        save_file({"qpos": qpos, "qvel": qvel}, states)
+        for backend in BACKENDS:
+            failure = _try(backend, [task_name, str(states), f"{frame_rate_hz:g}", str(path.resolve())])
+            if failure is None:
+                return
+            said.append(f"{backend}: {failure}")
+    raise NothingDraws(f"{task_name} was not drawn without a display ({'; '.join(said)}). It may help: {INSTALL}")
+
+
+def _try(backend: Backend, arguments: list[str]) -> str | None:
+    """Film with this backend. None if it did, else what went wrong, in a line."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "mapt.rendering.film", *arguments],
+            env=render_environment(backend),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_LIMIT_SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"not finished in {_LIMIT_SECONDS:g} seconds"
+    if DONE in done.stdout:  # OSMesa draws well and then fails at its exit
+        return None
+    lines = done.stderr.strip().splitlines()
+    return lines[-1] if lines else f"exit status {done.returncode}"
