@@ -30,6 +30,8 @@ from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 _NOTED_SHARE = 0.1
 #: status of a command that was asked to stop
 _STOPPED = 130
+#: settings of a policy that are options of their own
+_OPTIONS = {"algorithm", "seed", "device"}
 
 
 def train(
@@ -77,11 +79,11 @@ def train(
     The same command goes on with runs that were ended; with more steps it makes finished ones longer.
     """
     learned = None if reward == TRUE else _learned(Path(reward), segment_steps, policy_reward, credit)
-    own = dict(setting(text) for text in settings or [])
+    own = _own(settings or [])
     runs = [
         RunSettings(
             task=task,
-            policy=PolicyConfig.named(algorithm, **{"device": device, **own, "seed": number}),
+            policy=PolicyConfig.named(algorithm, **own, device=device, seed=number),
             steps=steps,
             reward=learned,
             agent_obsk=agent_obsk,
@@ -93,6 +95,14 @@ def train(
     if not _train_all(runs, folders, checkpoint_minutes * 60, video=video):
         complain("Stopped; the same command goes on.")
         raise typer.Exit(_STOPPED)
+
+
+def _own(settings: Sequence[str]) -> dict[str, object]:
+    """Raises InvalidStudy, InvalidRun."""
+    own = dict(setting(text) for text in settings)
+    for name in _OPTIONS & own.keys():
+        raise InvalidRun(f"--set {name}: give --{name} instead.")
+    return own
 
 
 def _learned(path: Path, segment_steps: int | None, kind: str, credit: str) -> LearnedRewardSettings:
