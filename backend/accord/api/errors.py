@@ -19,12 +19,14 @@ from accord.domain.errors import (
     Invalid,
     LeaseLost,
     NotFound,
+    TaskUnavailable,
     TooManyRequests,
     Unauthenticated,
     Unavailable,
     WrongState,
 )
 from accord.domain.ids import new_id
+from mapt.tasks import TaskError
 
 log = logging.getLogger(__name__)
 
@@ -85,6 +87,10 @@ def install(app: FastAPI) -> None:
             log.error("%s: %s", error.code, error, exc_info=error)
         return accord_error_response(error)
 
+    async def on_task_error(_request: Request, error: Exception) -> JSONResponse:
+        log.error("%s", error, exc_info=error)
+        return accord_error_response(TaskUnavailable(str(error)))
+
     async def on_invalid_request(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, RequestValidationError)
         details = [_problem(each) for each in error.errors()]
@@ -107,6 +113,7 @@ def install(app: FastAPI) -> None:
         )
 
     app.add_exception_handler(AccordError, on_accord_error)
+    app.add_exception_handler(TaskError, on_task_error)
     app.add_exception_handler(RequestValidationError, on_invalid_request)
     app.add_exception_handler(HTTPException, on_http_exception)
     app.add_exception_handler(Exception, on_any_error)

@@ -14,7 +14,7 @@
     │   ├── InvalidLabel, InvalidId, InvalidExperiment, UnknownTask, BodyTooLarge
     ├── TooManyRequests
     └── Unavailable                   this machine cannot do it now; says how to mend it
-        ├── DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable, PortInUse, BlobMissing
+        ├── DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable, PortInUse, BlobMissing, TaskUnavailable
 
 Nothing here knows of HTTP: `accord.api.errors` maps a class to a status. `code` is stable and part of the
 public API; the message is a sentence that says what was wrong and what to do.
@@ -203,6 +203,15 @@ class BlobMissing(Unavailable):
 
     def __init__(self, key: str) -> None:
         super().__init__(f"The blob {key!r} is not in the store. Was its folder moved or emptied?")
+
+
+class TaskUnavailable(Unavailable):
+    """A task cannot be had here: a file that should bring it fails, or is not named to this server."""
+
+    code = "task_unavailable"
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"{reason} Mend what MAPT_TASKS names, and start Accord again.")
 
 
 class PortInUse(Unavailable):
