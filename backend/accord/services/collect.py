@@ -113,6 +113,11 @@ def blob_key(session: Session, segment_id: str) -> str:
     return found
 
 
+def drawn_blob_key(segment_blob_key: str) -> str:
+    """Where the clip is that a task drew of itself while the segment was played."""
+    return segment_blob_key.removesuffix(".safetensors") + ".mp4"
+
+
 def load_arrays(blobs: BlobStore, blob_key: str) -> dict[str, NDArray[np.floating]]:
     """A segment's arrays by name: observations, actions, rewards, qpos, qvel (see SegmentRow).
 

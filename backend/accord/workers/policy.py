@@ -15,6 +15,7 @@ from accord.workers.pulse import Claim, ClaimLost
 from accord.workers.sentence import sentence
 from accord.workers.training import PolicyRun
 from mapt.policies import InvalidConfig, TrainingDiverged
+from mapt.rendering.errors import ClipNotWritten
 from mapt.tasks import TaskError
 
 log = logging.getLogger(__name__)
@@ -22,7 +23,7 @@ log = logging.getLogger(__name__)
 #: while one experiment waits for labels, the worker looks this often whether another could be trained meanwhile
 _LOOK_AROUND_SECONDS = 2.0
 #: trying these again would end the same way: the experiment has failed, and says why
-_HOPELESS = (Invalid, InvalidConfig, TaskError, TrainingDiverged)
+_HOPELESS = (Invalid, InvalidConfig, TaskError, ClipNotWritten, TrainingDiverged)
 
 
 class PolicyWorker:

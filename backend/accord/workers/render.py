@@ -1,13 +1,18 @@
 """The render worker: `python -m accord.workers.render`. Clips that queries wait for, one at a time."""
 
+import hashlib
+import io
 import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+import av
 import numpy as np
+from av.error import FFmpegError
 from mujoco import MjModel  # pyright: ignore[reportAttributeAccessIssue]  (compiled, without stubs)
 
+from accord.domain.errors import BlobMissing
 from accord.domain.words import WorkerRole
 from accord.rendering.clip import clip_key
 from accord.rendering.errors import RenderFailed
@@ -16,7 +21,7 @@ from accord.rendering.process import RenderProcess
 from accord.rendering.protocol import ClipJob as DrawJob
 from accord.services import clips
 from accord.services.clips import ClipJob, MadeClip
-from accord.services.collect import load_arrays
+from accord.services.collect import drawn_blob_key, load_arrays
 from accord.workers.loop import Context, run_worker
 from mapt.rendering.encode import ClipFile
 from mapt.rendering.settings import RenderSettings
@@ -86,6 +91,8 @@ class RenderWorker:
             clips.finish(session, job.clip_id, made)
 
     def _draw_and_store(self, process: RenderProcess, job: ClipJob) -> MadeClip:
+        if task_spec(job.task).nq == 0:
+            return self._drawn(job)
         arrays = load_arrays(self._context.blobs, job.segment_blob_key)
         look = self._look(job.task)
         qpos, qvel = (arrays[name].astype(np.float64, copy=False) for name in ("qpos", "qvel"))
@@ -107,6 +114,30 @@ class RenderWorker:
             seconds=clip.seconds,
             width=clip.width,
             height=clip.height,
+        )
+
+    def _drawn(self, job: ClipJob) -> MadeClip:
+        """The clip that the task drew of itself while the segment was played.
+
+        Raises:
+            RenderFailed: if it is not there, or is no clip.
+        """
+        key = drawn_blob_key(job.segment_blob_key)
+        try:
+            content = self._context.blobs.read(key)
+            with av.open(io.BytesIO(content)) as container:
+                video = container.streams.video[0]
+                frames, width, height = video.frames, video.width, video.height
+        except (BlobMissing, FFmpegError) as error:
+            raise RenderFailed(f"{job.task} draws itself, and drew no clip of this segment: {error}") from error
+        return MadeClip(
+            cache_key=hashlib.sha256(content).hexdigest(),
+            blob_key=key,
+            size_bytes=len(content),
+            frames=frames,
+            seconds=frames * task_spec(job.task).step_seconds,
+            width=width,
+            height=height,
         )
 
     def _look(self, task: str) -> _Look:

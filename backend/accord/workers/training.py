@@ -17,6 +17,7 @@ from accord.services.collect import NewSegment
 from accord.store.tables import RewardVersionRow
 from accord.workers import learner
 from accord.workers.cutting import cut
+from accord.workers.drawing import Redrawing, draws_itself
 from accord.workers.learner import Training
 from accord.workers.loop import Context
 from accord.workers.measures import EVALUATION_EPISODES, evaluation
@@ -57,6 +58,9 @@ class PolicyRun:
         self._training: Training = learner.start_or_restore(
             context.database, context.blobs, experiment_id, config, context.settings.torch_threads
         )
+        asks = config.reward_source == "preferences" and config.render_clips
+        #: whether clips can be drawn by the task alone, and so by this worker
+        self._draws = asks and draws_itself(self._training.learner.task)
         #: collected and not learned from yet
         self._rollout: Rollout | None = None
         self._collect_seconds = 0.0
@@ -119,13 +123,18 @@ class PolicyRun:
         training = self._training
         self._say(Phase.COLLECTING if training.iteration == 0 else Phase.TRAINING)
         started = time.monotonic()
+        before = training.learner.task.snapshot() if self._draws else None
         rollout = self._rollout = training.learner.collect()
         self._collect_seconds = time.monotonic() - started
-        self._hand_in(rollout)
+        self._hand_in(rollout, before)
         return rollout
 
-    def _hand_in(self, rollout: Rollout) -> None:
-        """Give some segments of the rollout to the pool that queries are made from."""
+    def _hand_in(self, rollout: Rollout, before: dict[str, np.ndarray] | None) -> None:
+        """Give some segments of the rollout to the pool that queries are made from.
+
+        Args:
+            before: snapshot of the task before the rollout, where it must draw itself.
+        """
         training, config = self._training, self._config
         with self._context.database.reading() as session:
             newest = select.candidates(session, self._id, limit=1)
@@ -145,6 +154,10 @@ class PolicyRun:
             collect.store_arrays(self._context.blobs, self._id, self._segment(rollout, first, env))
             for first, env in places[:wanted]
         ]
+        if before is not None:
+            redrawing = Redrawing(training.learner.task, before, rollout)
+            keys = [segment.blob_key for segment in stored]
+            redrawing.store(self._context.blobs, places[:wanted], config.segment_steps, keys)
         with self._context.database.transaction() as session:
             self._claim.check_within(session)
             collect.collect(session, self._id, stored)

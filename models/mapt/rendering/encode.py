@@ -4,7 +4,7 @@ PyAV is called directly: imageio's plugin for it has no way to set crf, preset o
 """
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -51,14 +51,23 @@ def write_clip(frames: Iterable[NDArray[np.uint8]], path: Path, settings: Render
     Raises:
         ClipNotWritten: if the frames are of another size or none, or the encoder or the disk refuses.
     """
+    written = 0
+    with open_clip(path, settings) as add:
+        for frame in frames:
+            add(frame)
+            written += 1
+    seconds = written / settings.frame_rate_hz
+    return ClipFile(path, written, seconds, settings.width, settings.height, path.stat().st_size)
+
+
+@contextmanager
+def open_clip(path: Path, settings: RenderSettings) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
+    """For whoever has frames of several clips at a time: call what is given with each frame. See `write_clip`."""
     try:
         with partial_file(path) as partial:
-            written = _encode(frames, partial, settings)
-            size_bytes = partial.stat().st_size
+            yield from _encode(partial, settings)
     except (FFmpegError, OSError) as error:
         raise ClipNotWritten(f"The clip {path.name} could not be written: {error}") from error
-    seconds = written / settings.frame_rate_hz
-    return ClipFile(path, written, seconds, settings.width, settings.height, size_bytes)
 
 
 @contextmanager
@@ -77,22 +86,24 @@ def partial_path(path: Path, pid: int) -> Path:
     return path.with_name(f"{path.name}.{pid}{PARTIAL_SUFFIX}")
 
 
-def _encode(frames: Iterable[NDArray[np.uint8]], path: Path, settings: RenderSettings) -> int:
+def _encode(path: Path, settings: RenderSettings) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
     shape = (settings.height, settings.width, 3)
     # The index goes to the front (`faststart`), so that a browser can play after the first bytes.
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = _open_stream(container.add_stream(CODEC, _rate(settings)), settings)
         reformatter = VideoReformatter()
         numbers = count()
-        for frame in frames:
+
+        def add(frame: NDArray[np.uint8]) -> None:
             if frame.shape != shape:
                 raise ClipNotWritten(f"A frame is {frame.shape}, but the clip is {shape}.")
             container.mux(stream.encode(_picture(frame, next(numbers), stream, reformatter)))
+
+        yield add
         container.mux(stream.encode())
         written = next(numbers)
     if written == 0:
         raise ClipNotWritten("A clip needs at least one frame.")
-    return written
 
 
 def _open_stream(stream: VideoStream, settings: RenderSettings) -> VideoStream:
