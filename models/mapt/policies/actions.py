@@ -21,8 +21,12 @@ UNAVAILABLE = -1e10
 class ActionDistribution(Protocol):
     """Distribution of the actions of some agents in some environments; `...` are those dimensions."""
 
+    def choose(self, noise: Tensor | None) -> Tensor:
+        """Actions (..., A), from `action_noise`; the likeliest without it."""
+        ...
+
     def draw(self, noise: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Actions (..., A) and their log-probabilities (...), from `action_noise`; the likeliest without it."""
+        """What `choose` gives, and the log-probabilities (...) of it."""
         ...
 
     def log_probs(self, actions: Tensor) -> Tensor:
@@ -48,10 +52,11 @@ class Gaussian:
     log_std: Tensor
     used: Tensor | None = None
 
+    def choose(self, noise: Tensor | None) -> Tensor:
+        return self._of_used(self.mean if noise is None else self.mean + self.log_std.exp() * noise)
+
     def draw(self, noise: Tensor | None) -> tuple[Tensor, Tensor]:
-        if noise is None:
-            return self._of_used(self.mean), self._log_density(torch.zeros_like(self.mean))
-        return self._of_used(self.mean + self.log_std.exp() * noise), self._log_density(noise)
+        return self.choose(noise), self._log_density(torch.zeros_like(self.mean) if noise is None else noise)
 
     def log_probs(self, actions: Tensor) -> Tensor:
         return self._log_density((actions - self.mean) * torch.exp(-self.log_std))
@@ -83,11 +88,14 @@ class Categorical:
             logits = logits if mask is None else logits.masked_fill(~mask, UNAVAILABLE)
         return cls(logits)
 
-    def draw(self, noise: Tensor | None) -> tuple[Tensor, Tensor]:
+    def choose(self, noise: Tensor | None) -> Tensor:
         # The largest of logits plus Gumbel noise is a draw from their softmax.
         chosen = (self.logits if noise is None else self.logits + noise).argmax(-1, keepdim=True)
-        actions = torch.zeros_like(self.logits).scatter_(-1, chosen, 1.0)
-        return actions, self.logits.log_softmax(-1).gather(-1, chosen).squeeze(-1)
+        return torch.zeros_like(self.logits).scatter_(-1, chosen, 1.0)
+
+    def draw(self, noise: Tensor | None) -> tuple[Tensor, Tensor]:
+        actions = self.choose(noise)
+        return actions, self.log_probs(actions)
 
     def log_probs(self, actions: Tensor) -> Tensor:
         return self.logits.log_softmax(-1).gather(-1, actions.argmax(-1, keepdim=True)).squeeze(-1)

@@ -6,6 +6,7 @@ from torch import Tensor, nn
 from mapt.policies.actions import ActionDistribution, Categorical, Gaussian, mean_std, used_numbers
 from mapt.policies.config import PolicyConfig
 from mapt.policies.critics import EncoderCritic
+from mapt.policies.decoding import decode
 from mapt.policies.normalisation import InputNormaliser
 from mapt.policies.policy import Batch, Evaluation, Policy
 from mapt.policies.transformer import TeamDecoder
@@ -26,24 +27,24 @@ class Decoder(nn.Module):
 
     def distribution(self, seen: Tensor, actions: Tensor, available: Tensor | None) -> ActionDistribution:
         """Of actions (N, B, A), agent first, given those before each; `seen` (B, N, d)."""
-        outputs = self.network(seen, actions.transpose(0, 1)).transpose(0, 1)
-        if self.log_std is None:
-            return Categorical.masked(outputs, available, self.used)
-        return Gaussian(outputs, self.log_std, self.used)
+        return self._of_outputs(self.network(seen, actions.transpose(0, 1)).transpose(0, 1), available)
 
     def draw(self, seen: Tensor, noise: Tensor | None, available: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Actions (N, B, A) and log-probabilities (N, B), agent after agent by cached keys."""
-        caches = self.network.caches(seen)
-        draws: list[tuple[Tensor, Tensor]] = []
-        for agent in range(seen.shape[1]):
-            output = self.network.step(seen, draws[-1][0] if draws else None, agent, caches)
-            used = None if self.used is None else self.used[agent]
-            if self.log_std is None:
-                own = Categorical.masked(output, None if available is None else available[agent], used)
-            else:
-                own = Gaussian(output, self.log_std[agent], used)
-            draws.append(own.draw(None if noise is None else noise[agent]))
-        return torch.stack([actions for actions, _ in draws]), torch.stack([log_probs for _, log_probs in draws])
+        """Actions (N, B, A) and log-probabilities (N, B), agent after agent."""
+
+        def choose(agent: int, output: Tensor) -> Tensor:
+            own = slice(agent, agent + 1)
+            of_agent = self._of_outputs(output[None], None if available is None else available[own], own)
+            return of_agent.choose(None if noise is None else noise[own])[0]
+
+        return self._of_outputs(decode(self.network, seen, choose), available).draw(noise)
+
+    def _of_outputs(self, outputs: Tensor, available: Tensor | None, agents: slice = slice(None)) -> ActionDistribution:
+        """Of actions of some agents (n, B, A), by the network's outputs for them."""
+        used = None if self.used is None else self.used[agents]
+        if self.log_std is None:
+            return Categorical.masked(outputs, available, used)
+        return Gaussian(outputs, self.log_std[agents], used)
 
 
 class MultiAgentTransformer(Policy):

@@ -30,15 +30,16 @@ class Adam:
     def gradients(self, loss: Tensor, group: int = 0) -> tuple[list[Tensor], Tensor]:
         """Gradients of a loss, scaled down, and the norm () that they had before."""
         gradients = torch.autograd.grad(loss, self._groups[group].parameters)
-        norm = torch.linalg.vector_norm(torch.stack(torch._foreach_norm(gradients)))
-        return torch._foreach_mul(gradients, (self._max_norm / (norm + 1e-6)).clamp(max=1.0)), norm
+        norm = torch.linalg.vector_norm(torch.stack(torch._foreach_norm(gradients)))  # pyright: ignore[reportPrivateImportUsage]
+        scale = (self._max_norm / (norm + 1e-6)).clamp(max=1.0)
+        return list(torch._foreach_mul(gradients, scale)), norm  # pyright: ignore[reportPrivateImportUsage]
 
     @torch.no_grad()
     def step(self, gradients: list[Tensor], group: int = 0) -> None:
         """Move a group by its `gradients`."""
         own = self._groups[group]
         own.count += 1
-        torch._fused_adam_(
+        torch._fused_adam_(  # pyright: ignore[reportPrivateImportUsage]
             own.parameters,
             gradients,
             own.means,
@@ -78,7 +79,7 @@ class _Group:
     """Parameters and what Adam knows of their gradients."""
 
     def __init__(self, parameters: Sequence[nn.Parameter]) -> None:
-        self.parameters = list(parameters)
+        self.parameters: list[Tensor] = list(parameters)
         self.means = [torch.zeros_like(parameter, requires_grad=False) for parameter in parameters]
         self.squares = [torch.zeros_like(parameter, requires_grad=False) for parameter in parameters]
         #: Steps taken, a float32 on the parameters' device, as the kernel wants it.

@@ -1,11 +1,10 @@
 """The Multi-Agent Transformer's encoder and decoder (Wen et al. 2022), over the N agents of one moment.
 
 Tensors are sample first, (B, N, d). The decoder takes agents in order: what it says of an agent depends on what all
-agents see and on the actions of the agents before it, whether it is run over all at once or one after the other.
+agents see and on the actions of the agents before it, whether it is run over all at once or one after the other, as
+`decoding` does.
 Layers are pre-norm and start close to passing their input on, which trains without a warm-up.
 """
-
-from dataclasses import dataclass
 
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -17,27 +16,12 @@ from mapt.policies.layers import initialise
 BRANCH_GAIN = 0.1
 
 
-@dataclass(slots=True)
-class Cache:
-    """Keys and values (B, heads, N, d / heads) of the agents decoded so far; the rest is not yet written."""
-
-    keys: Tensor
-    values: Tensor
-
-    @classmethod
-    def empty(cls, like: Tensor, n_heads: int) -> "Cache":
-        """For the agents of representations (B, N, d)."""
-        n_samples, n_agents, width = like.shape
-        shape = (n_samples, n_heads, n_agents, width // n_heads)
-        return cls(like.new_empty(shape), like.new_empty(shape))
-
-
 class Attention(nn.Module):
     """Dot-product attention of each agent to all agents, or to those up to itself."""
 
     def __init__(self, width: int, n_heads: int) -> None:
         super().__init__()
-        self._n_heads = n_heads
+        self.n_heads = n_heads
         self.query, self.key, self.value, self.out = (_linear(width, width, gain=1.0) for _ in range(4))
         initialise(self.out, BRANCH_GAIN)
 
@@ -50,19 +34,8 @@ class Attention(nn.Module):
         )
         return self._join(F.scaled_dot_product_attention(query, key, value, is_causal=causal))
 
-    def step(self, asking: Tensor, asked: Tensor, agent: int, cache: Cache) -> Tensor:
-        """What `forward` gives agent number `agent` if causal, (B, 1, d), of its inputs (B, 1, d) alone.
-
-        The agents before it are in the cache, to which it is added.
-        """
-        cache.keys[:, :, agent] = self._split(self.key(asked))[:, :, 0]
-        cache.values[:, :, agent] = self._split(self.value(asked))[:, :, 0]
-        known = slice(0, agent + 1)
-        query = self._split(self.query(asking))
-        return self._join(F.scaled_dot_product_attention(query, cache.keys[:, :, known], cache.values[:, :, known]))
-
     def _split(self, inputs: Tensor) -> Tensor:
-        return inputs.unflatten(-1, (self._n_heads, -1)).transpose(1, 2)
+        return inputs.unflatten(-1, (self.n_heads, -1)).transpose(1, 2)
 
     def _join(self, heads: Tensor) -> Tensor:
         return self.out(heads.transpose(1, 2).flatten(2))
@@ -97,15 +70,10 @@ class DecoderLayer(nn.Module):
         """(B, N, d) of embedded previous actions and of representations of what is seen."""
         normed = self.norm(done)
         done = self.done_norm(done + self.among_actions(normed, normed, causal=True))
-        return self._finish(seen, self.from_seen(self.seen_norm(seen), done, causal=True))
+        return self.finish(seen, self.from_seen(self.seen_norm(seen), done, causal=True))
 
-    def step(self, done: Tensor, seen: Tensor, agent: int, caches: tuple[Cache, Cache]) -> Tensor:
-        """The same (B, 1, d) for agent number `agent`, of its own inputs (B, 1, d)."""
-        normed = self.norm(done)
-        done = self.done_norm(done + self.among_actions.step(normed, normed, agent, caches[0]))
-        return self._finish(seen, self.from_seen.step(self.seen_norm(seen), done, agent, caches[1]))
-
-    def _finish(self, seen: Tensor, found: Tensor) -> Tensor:
+    def finish(self, seen: Tensor, found: Tensor) -> Tensor:
+        """Outputs of agents (..., d), of what is seen and what was found by asking."""
         agents = seen + found
         return agents + self.feed_forward(agents)
 
@@ -136,7 +104,7 @@ class TeamDecoder(nn.Module):
     def __init__(self, action_dim: int, config: PolicyConfig) -> None:
         super().__init__()
         width = config.width
-        self._n_heads = config.heads
+        self.action_dim = action_dim
         # One more input than an action has: it tells the first agent that nobody acted before it.
         self.embed = nn.Sequential(_linear(action_dim + 1, width), nn.GELU())
         self.layers = nn.ModuleList(DecoderLayer(width, config.heads) for _ in range(config.layers))
@@ -144,41 +112,16 @@ class TeamDecoder(nn.Module):
 
     def forward(self, seen: Tensor, actions: Tensor) -> Tensor:
         """One pass over all agents; output n reads actions (B, N, A) before n alone."""
-        previous = F.pad(actions[:, :-1], (1, 0, 1, 0))
-        previous[:, 0, 0] = 1.0
-        agents = self.embed(previous)
+        agents = self.embed(self.tokens(actions))
         for layer in self.layers:
             agents = layer(agents, seen)
         return self.head(agents)
 
-    def caches(self, seen: Tensor) -> list[tuple[Cache, Cache]]:
-        """Empty ones for `step`."""
-        return [(Cache.empty(seen, self._n_heads), Cache.empty(seen, self._n_heads)) for _ in self.layers]
-
-    def step(self, seen: Tensor, previous: Tensor | None, agent: int, caches: list[tuple[Cache, Cache]]) -> Tensor:
-        """Output (B, A) for agent number `agent`, which must follow the last call's.
-
-        Args:
-            seen: (B, N, d) of all agents.
-            previous: action (B, A) of the agent before; none for the first.
-            agent: from 0.
-            caches: of `caches`, written to.
-        """
-        own = seen[:, agent : agent + 1]
-        agents = self.embed(self._token(previous, own))
-        for layer, cache in zip(self.layers, caches, strict=True):
-            assert isinstance(layer, DecoderLayer)
-            agents = layer.step(agents, own, agent, cache)
-        return self.head(agents)[:, 0]
-
-    def _token(self, previous: Tensor | None, own: Tensor) -> Tensor:
-        if previous is not None:
-            return F.pad(previous, (1, 0))[:, None]
-        first = self.embed[0]
-        assert isinstance(first, nn.Linear)
-        token = own.new_zeros(len(own), 1, first.in_features)
-        token[..., 0] = 1.0
-        return token
+    def tokens(self, actions: Tensor) -> Tensor:
+        """What each agent is told (B, N, 1 + A) of the action before its own, for actions (B, N, A)."""
+        told = F.pad(actions[:, :-1], (1, 0, 1, 0))
+        told[:, 0, 0] = 1.0
+        return told
 
 
 def output_head(width: int, n_out: int, gain: float) -> nn.Sequential:
