@@ -22,9 +22,8 @@ class ActorCritic(Policy):
         return self.actor(self.actor.normaliser(observations), available).draw(noise)
 
     def evaluate(self, batch: Batch) -> Evaluation:
-        distribution = self.actor(batch.observations, batch.available)
-        values = self.critic(batch.observations, batch.state)
-        return Evaluation(distribution.log_probs(batch.actions), distribution, values)
+        log_probs, distribution = self.actor.evaluate(batch.observations, batch.actions, batch.available)
+        return Evaluation(log_probs, distribution, self.critic(batch.observations, batch.state))
 
     def normalised(self, observations: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         return self.actor.normaliser(observations), self.critic.normalised(state)

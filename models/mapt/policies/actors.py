@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from mapt.policies.actions import ActionDistribution, Categorical, Gaussian, used_numbers
 from mapt.policies.config import PolicyConfig
+from mapt.policies.gaussian_perceptron import GaussianPerceptron
 from mapt.policies.layers import AgentLinear, perceptron
 from mapt.policies.normalisation import InputNormaliser
 from mapt.tasks import TaskSpec
@@ -28,6 +29,7 @@ class Actors(nn.Module):
         def layer(n_in: int, n_out: int) -> nn.Module:
             return nn.Linear(n_in, n_out) if config.shared_actor else AgentLinear(n_agents, n_in, n_out)
 
+        self._in_one_node = not (config.shared_actor or spec.discrete_actions) and config.activation == "tanh"
         self.normaliser = InputNormaliser(n_agents, 1, width, over=1)
         self.network = perceptron(layer, (width, *config.hidden, spec.action_dim), config.activation, last_gain=0.01)
         spread = torch.full((n_agents, 1, spec.action_dim), config.initial_log_std)
@@ -40,6 +42,18 @@ class Actors(nn.Module):
         if self.log_std is None:
             return Categorical.masked(outputs, available, self.used)
         return Gaussian(outputs, self.log_std, self.used)
+
+    def evaluate(
+        self, inputs: Tensor, actions: Tensor, available: Tensor | None = None
+    ) -> tuple[Tensor, ActionDistribution]:
+        """Log-probabilities (N, B) of actions (N, B, A), with gradients, and the distribution, maybe without."""
+        if self._in_one_node and self.log_std is not None:
+            layers = [layer for layer in self.network if isinstance(layer, AgentLinear)]
+            tensors = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
+            log_probs, mean = GaussianPerceptron.apply(inputs, actions, self.used, self.log_std, *tensors)
+            return log_probs, Gaussian(mean, self.log_std, self.used)
+        distribution = self(inputs, available)
+        return distribution.log_probs(actions), distribution
 
     def alone(self, agent: int) -> "Actors":
         """The actor of one agent of those with weights of their own, for (1, B, C).

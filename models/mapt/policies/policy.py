@@ -78,7 +78,7 @@ class Evaluation:
 
     #: (N, B): log-probabilities of its actions.
     log_probs: Tensor
-    #: Of its actions.
+    #: Of its actions; only its entropy is sure to have gradients.
     distribution: ActionDistribution
     #: (B, N): values in the critic's units.
     values: Tensor
