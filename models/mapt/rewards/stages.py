@@ -54,36 +54,42 @@ def plan_stages(config: TrainConfig, network: RewardConfig, n_pairs: int, *, war
         warm: whether it goes on from a trained model.
         reliable: whether the hold-out is large enough to judge by.
     """
-    markov, whole = config.markov_epochs, config.max_epochs
-    if warm:
-        markov, whole = config.warm_markov_epochs, config.warm_epochs
-    # Many labels need fewer passes over them.
-    markov = min(markov, math.ceil(config.markov_visits / n_pairs)) if network.markov_path else 0
-    whole = min(whole, math.ceil(config.visits / n_pairs))
+    markov = _markov_stage(config, n_pairs, warm=warm) if network.markov_path else None
     # A Markov model is its Markov path; and nothing is added to one that nothing can be judged by.
-    done = markov > 0 and (network.architecture == "mlp" or not reliable)
-    return Stages(
-        StageSettings(
-            config.markov_lr,
-            config.weight_decay,
-            config.batch_pairs,
-            markov,
-            config.markov_patience,
-            config.label_noise,
-            remember_epoch=0 if warm else math.ceil(EARLY_SHARE * markov),
-        )
-        if markov
-        else None,
-        None
-        if done
-        else StageSettings(
-            config.lr,
-            config.weight_decay,
-            config.batch_pairs,
-            whole,
-            config.patience,
-            config.label_noise,
-            # Without a Markov path there is nothing good to fall back to.
-            must_convince=network.markov_path and reliable,
-        ),
+    if markov is not None and (network.architecture == "mlp" or not reliable):
+        return Stages(markov, None)
+    # Without a Markov path there is nothing good to fall back to.
+    must_convince = network.markov_path and reliable
+    return Stages(markov, _whole_stage(config, n_pairs, warm=warm, must_convince=must_convince))
+
+
+def _markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSettings | None:
+    epochs = _epochs(config.warm_markov_epochs if warm else config.markov_epochs, config.markov_visits, n_pairs)
+    if not epochs:
+        return None
+    return StageSettings(
+        lr=config.markov_lr,
+        weight_decay=config.markov_weight_decay,
+        batch_pairs=config.batch_pairs,
+        max_epochs=epochs,
+        patience=config.markov_patience,
+        label_noise=config.label_noise,
+        remember_epoch=0 if warm else math.ceil(EARLY_SHARE * epochs),
     )
+
+
+def _whole_stage(config: TrainConfig, n_pairs: int, *, warm: bool, must_convince: bool) -> StageSettings:
+    return StageSettings(
+        lr=config.lr,
+        weight_decay=config.weight_decay,
+        batch_pairs=config.batch_pairs,
+        max_epochs=_epochs(config.warm_epochs if warm else config.max_epochs, config.visits, n_pairs),
+        patience=config.patience,
+        label_noise=config.label_noise,
+        must_convince=must_convince,
+    )
+
+
+def _epochs(most: int, visits: int, n_pairs: int) -> int:
+    # Many labels need fewer passes over them.
+    return min(most, math.ceil(visits / n_pairs))

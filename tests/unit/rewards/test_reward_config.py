@@ -70,6 +70,7 @@ def test_a_network_setting_out_of_its_range_is_refused(name, value):
         ("patience", 0),
         ("hold_out_fraction", 0.9),
         ("weight_decay", -1.0),
+        ("markov_weight_decay", -1.0),
         ("seed", -1),
     ],
 )
