@@ -19,7 +19,6 @@ CHECKPOINT_FILE = "checkpoint.safetensors"
 METRICS_FILE = "metrics.jsonl"
 EVALUATION_FILE = "evaluation.json"
 VIDEO_FILE = "final.mp4"
-EVENTS_FOLDER = "tensorboard"
 REWARDS_FOLDER = "rewards"
 
 
@@ -32,7 +31,6 @@ class RunFolder:
         self.metrics = path / METRICS_FILE
         self.evaluation = path / EVALUATION_FILE
         self.video = path / VIDEO_FILE
-        self.events = path / EVENTS_FOLDER
         self.rewards = path / REWARDS_FOLDER
 
     @contextmanager
@@ -50,18 +48,21 @@ class RunFolder:
                 raise RunBusy(self.path) from error
             yield
 
-    def claim(self, settings: RunSettings) -> None:
-        """Write the settings of a new run, or make sure that the run that is here has these.
+    def check(self, settings: RunSettings) -> None:
+        """Make sure that a run that is here has these settings.
 
         Raises:
             OtherRun: if it has others.
             DamagedRun: if its settings cannot be read.
         """
+        if (self.path / RUN_FILE).exists() and (differences := self.settings().differences(settings)):
+            raise OtherRun(self.path, differences)
+
+    def claim(self, settings: RunSettings) -> None:
+        """Write the settings of a new run, or of one that is made longer; raises as `check` does."""
+        self.check(settings)
         if (self.path / RUN_FILE).exists():
-            before = self.settings()
-            if differences := before.differences(settings):
-                raise OtherRun(self.path, differences)
-            settings = replace(settings, steps=max(settings.steps, before.steps))
+            settings = replace(settings, steps=max(settings.steps, self.settings().steps))
         card = {"format_version": FORMAT_VERSION, **settings.to_dict()}
         write_whole(self.path / RUN_FILE, json.dumps(card, indent=2).encode() + b"\n")
 

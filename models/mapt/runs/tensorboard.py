@@ -7,6 +7,8 @@ from tensorboardX import SummaryWriter
 
 from mapt.runs.metrics_file import Metrics
 
+#: names of event files, which TensorBoard looks for
+EVENTS = "events.out.tfevents.*"
 #: seconds after which a point is on disk at the latest
 _FLUSH_SECONDS = 10
 #: where a curve is found on the page, by what its name begins with; all others are the learner's
@@ -27,14 +29,14 @@ class EventFile:
     """Writes each number of each line as a scalar, by environment steps.
 
     Args:
-        folder: of the event files; what a process before this one wrote is replaced by `lines`, so that no point is
-            missing or there twice.
+        folder: of the run, whose name TensorBoard shows; what a process before this one wrote is replaced by `lines`,
+            so that no point is missing or there twice.
         lines: so far.
     """
 
     def __init__(self, folder: Path, lines: Iterable[Metrics]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        for old in folder.glob("events.out.tfevents.*"):
+        for old in folder.glob(EVENTS):
             old.unlink()
         self._writer = SummaryWriter(str(folder), flush_secs=_FLUSH_SECONDS)
         for line in lines:

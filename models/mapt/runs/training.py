@@ -47,6 +47,7 @@ class Run:
     def __init__(self, settings: RunSettings, folder: RunFolder, checkpoint_seconds: float, watch: Watch) -> None:
         self._settings, self._folder, self._watch = settings, folder, watch
         self._checkpoint_seconds = checkpoint_seconds
+        folder.check(settings)
         self._task = TimedTask(make_task(settings.task, settings.policy.n_envs, agent_obsk=settings.agent_obsk))
         try:
             self.learner, self._source, self.iteration = self._start_or_restore()
@@ -55,7 +56,7 @@ class Run:
             raise
         folder.claim(settings)
         self._metrics = MetricsFile(folder.metrics, self.iteration)
-        self._events = EventFile(folder.events, read_metrics(folder.metrics))
+        self._events = EventFile(folder.path, read_metrics(folder.metrics))
         self._saved_at, self._saved_iteration = time.monotonic(), self.iteration
 
     def __enter__(self) -> Self:

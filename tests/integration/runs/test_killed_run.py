@@ -10,6 +10,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from mapt.runs.folder import RunFolder
 from mapt.runs.metrics_file import TIMINGS, Metrics, read_metrics
+from mapt.runs.tensorboard import EVENTS
 from support.waiting import until
 from unit.runs import short_task
 from unit.runs.conftest import reward_model, write_reward
@@ -82,8 +83,8 @@ def test_a_run_that_was_killed_ends_with_the_bytes_of_one_that_was_not(tmp_path)
     assert lines == decided(whole)
     assert any("evaluation_mean" in line for line in lines)
 
-    events = EventAccumulator(str(killed.events), size_guidance={"scalars": 0}).Reload()
-    assert len(list(killed.events.iterdir())) == 1
+    events = EventAccumulator(str(killed.path), size_guidance={"scalars": 0}).Reload()
+    assert len(list(killed.path.glob(EVENTS))) == 1
     assert [event.step for event in events.Scalars("learner/kl")] == [line["steps"] for line in lines]
 
 

@@ -119,9 +119,14 @@ def test_what_cannot_be_trained_is_refused_in_one_sentence(mapt, tmp_path, argum
 
 def test_a_folder_of_another_run_is_refused(mapt, tmp_path):
     mapt(*training(tmp_path))
-    ended = mapt(*training(tmp_path, "--set", "clip=0.3"))
-    assert ended.status == 2
-    assert "policy.clip: 0.1, not 0.3" in ended.errors
+    for more, message in (
+        (("--set", "clip=0.3"), "policy.clip: 0.1, not 0.3"),
+        (("--set", "n_envs=8"), "policy.n_envs: 4, not 8"),
+        (("--task", "Ant-4x2"), f"task: {NAME}, not Ant-4x2"),
+    ):
+        ended = mapt(*training(tmp_path, *more))
+        assert ended.status == 2
+        assert message in ended.errors
 
 
 @pytest.mark.parametrize("command", [["evaluate"], ["curves", "--output", "c.png"]])
