@@ -1,5 +1,8 @@
 """Real frames of every task: the body is in the picture, large enough, its agents in their colours."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -90,3 +93,23 @@ def test_the_floor_passes_a_body_that_travels(drawing: Drawing, task: str) -> No
     )
     assert np.abs(np.diff(still, axis=0)).max() == 0
     assert (np.abs(np.diff(moving, axis=0)).max(axis=-1) > 10).mean() > 0.04
+
+
+def test_the_documented_task_of_ones_own_is_drawn(
+    drawing: Drawing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document = (Path(__file__).parents[3] / "docs" / "tasks.md").read_text()
+    block = re.search(r"```python\n(.*?)```", document, re.DOTALL)
+    assert block is not None
+    file = tmp_path / "tug.py"
+    # Under another name, for what another test has registered cannot be taken back.
+    file.write_text(block[1].replace("Tug-2x1", "DrawnTug-2x1"))
+    monkeypatch.setenv("MAPT_TASKS", str(file))
+    geoms = [list(own) for own in agent_geoms("DrawnTug-2x1")]
+    qpos = np.linspace([0.0, 0.0], [3.0, 0.5], 8)
+    frames = drawing.frames(qpos, geoms, SMALL, "DrawnTug-2x1")
+    for agent in range(2):
+        assert shown(frames, (agent,)).sum(axis=(1, 2)).min() > 200
+    ground = ~shown(frames, (0, 1))
+    moved = np.abs(np.diff(frames.astype(int), axis=0)).max(axis=-1) > 10
+    assert (moved & ground[1:] & ground[:-1]).mean() > 0.01  # it has no floor: a grid passes

@@ -1,23 +1,25 @@
 """docs/tasks.md's own task works as it stands there."""
 
 import re
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
-from mapt.tasks import TaskFileFailed, UnknownTask, agent_geoms, make_task, task_names, task_spec
+from mapt.tasks import DrawnTask, TaskFileFailed, UnknownTask, agent_geoms, make_task, task_names, task_spec
+from support import buttons
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "tasks.md"
-FIRST_BLOCK = re.search(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
+MUJOCO_BLOCK, PETTINGZOO_BLOCK = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
 
 
 def test_the_documented_file_is_a_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert FIRST_BLOCK is not None
     with pytest.raises(UnknownTask):
         task_spec("Tug-2x1")
     file = tmp_path / "tug.py"
-    file.write_text(FIRST_BLOCK[1])
+    file.write_text(MUJOCO_BLOCK)
     monkeypatch.setenv("MAPT_TASKS", str(file))
     assert "Tug-2x1" in task_names()
     task = make_task("Tug-2x1", 4, n_threads=1)
@@ -28,6 +30,31 @@ def test_the_documented_file_is_a_task(tmp_path: Path, monkeypatch: pytest.Monke
     steps = [task.step(push) for _ in range(200)]
     assert (steps[10].reward > steps[0].reward).all()
     assert steps[-1].truncated.all()
+
+
+def test_the_documented_pettingzoo_environment_is_a_task_that_draws_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def parallel_env(render_mode: str) -> buttons.Buttons:
+        asked.append(render_mode)
+        return buttons.Buttons()
+
+    game = ModuleType("my_game")
+    game.__dict__["parallel_env"] = parallel_env
+    monkeypatch.setitem(sys.modules, "my_game", game)
+    file = tmp_path / "my_tasks.py"
+    file.write_text("import my_game\n" + PETTINGZOO_BLOCK)
+    monkeypatch.setenv("MAPT_TASKS", str(file))
+    assert task_spec("MyGame-3").instructions == "What the team should achieve."
+    task = make_task("MyGame-3", 2)
+    task.reset(0)
+    steps = [task.step(np.tile([0.0, 1.0], (2, 2, 1))) for _ in range(100)]
+    assert steps[-1].truncated.all()
+    assert isinstance(task, DrawnTask)
+    assert task.render(1).shape == (*buttons.PICTURE, 3)
+    assert set(asked) == {"rgb_array"}
 
 
 def test_a_file_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
