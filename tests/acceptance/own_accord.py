@@ -5,20 +5,19 @@ import signal
 import sqlite3
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import httpx
 import psutil
 
-DEADLINE_SECONDS = 120.0
-Found = TypeVar("Found")
+from support import short_cheetah
+from support.waiting import PATIENCE_SECONDS, until
 
 #: quick to collect, quick to train on; the machine that runs the tests may be busy
-ENVIRONMENT = {
+ENVIRONMENT = short_cheetah.ENVIRONMENT | {
     "OMP_NUM_THREADS": "1",
     "ACCORD_TORCH_THREADS": "1",
     "ACCORD_POLL_SECONDS": "0.05",
@@ -28,7 +27,7 @@ ENVIRONMENT = {
 TINY_POLICY = {"n_envs": 4, "rollout_steps": 50, "epochs": 2, "minibatches": 2}
 STEPS_PER_ITERATION = 200
 TINY: dict[str, Any] = {
-    "task": "HalfCheetah-6x1",
+    "task": short_cheetah.NAME,
     "segment_steps": 10,
     "total_steps": 40 * STEPS_PER_ITERATION,
     "label_budget": 40,
@@ -36,15 +35,6 @@ TINY: dict[str, Any] = {
     "labels_per_version": 8,
     "policy": TINY_POLICY,
 }
-
-
-def until(condition: Callable[[], Found | None], what: str, seconds: float = DEADLINE_SECONDS) -> Found:
-    """The condition's value once it is true."""
-    deadline = time.monotonic() + seconds
-    while not (found := condition()):
-        assert time.monotonic() < deadline, f"not in {seconds:.0f} s: {what}"
-        time.sleep(0.02)
-    return found
 
 
 class Accord:
@@ -70,7 +60,7 @@ class Accord:
         assert self.supervisor.is_running(), self.log.read_text()
         assert self.supervisor.status() != psutil.STATUS_ZOMBIE, self.log.read_text()
         with suppress(httpx.TransportError, FileNotFoundError):
-            return httpx.get(f"{self.url}/api/v1/health", trust_env=False, timeout=5.0).is_success
+            return httpx.get(f"{self.url}/api/v1/health", trust_env=False, timeout=30.0).is_success
         return False
 
     @property
@@ -117,13 +107,15 @@ class Accord:
             with suppress(psutil.NoSuchProcess):
                 process.kill()
         with suppress(subprocess.TimeoutExpired, psutil.TimeoutExpired):
-            self._supervisor.wait(20)
+            self._supervisor.wait(PATIENCE_SECONDS)
 
     def run(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         """Another command on the same home."""
         command = [sys.executable, "-m", "accord.cli", *arguments, "--home", str(self.home)]
         environment = os.environ | ENVIRONMENT
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
+        return subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE_SECONDS
+        )
 
     def token(self, name: str, role: str) -> str:
         done = self.run("user", "add", name, "--role", role)
@@ -171,7 +163,7 @@ class Person:
                     params=query,
                     headers=self._headers,
                     trust_env=False,
-                    timeout=10.0,
+                    timeout=60.0,
                 )
                 return None if answer.status_code == 503 else answer
             return None

@@ -11,14 +11,15 @@ from pathlib import Path
 
 import pytest
 
-from acceptance.own_accord import Accord, until
+from acceptance.own_accord import Accord
 from accord.store.database import Database
+from support.waiting import PATIENCE_SECONDS, until
 
 
 def up(home: Path, *options: str, **environment: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "accord.cli", "up", "--home", str(home), "--no-example", *options]
     return subprocess.run(
-        command, env=os.environ | environment, capture_output=True, text=True, check=False, timeout=120
+        command, env=os.environ | environment, capture_output=True, text=True, check=False, timeout=PATIENCE_SECONDS
     )
 
 

@@ -7,7 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from acceptance.own_accord import ENVIRONMENT, TINY, Accord, Person, until
+from acceptance.own_accord import ENVIRONMENT, TINY, Accord, Person
+from support.waiting import PATIENCE_SECONDS, until
 
 
 def test_demo_runs_the_whole_loop_and_leaves_table_curves_and_plot(tmp_path: Path) -> None:
@@ -19,7 +20,7 @@ def test_demo_runs_the_whole_loop_and_leaves_table_curves_and_plot(tmp_path: Pat
         capture_output=True,
         text=True,
         check=False,
-        timeout=280,
+        timeout=PATIENCE_SECONDS,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     for heading in ("untrained", "learned", "share", "labels", "versions"):

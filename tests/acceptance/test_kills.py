@@ -4,8 +4,9 @@ import io
 
 import av
 
-from acceptance.own_accord import STEPS_PER_ITERATION, TINY, Accord, Person, alive, until
+from acceptance.own_accord import STEPS_PER_ITERATION, TINY, Accord, Person, alive
 from accord.workers.training import CHECKPOINT_ITERATIONS
+from support.waiting import PATIENCE_SECONDS, until
 
 #: who is killed once so many labels are acknowledged
 VICTIMS = {"render": 2, "reward": 10, "policy": 16, "api": 20, "child": 24, "supervisor": 30}
@@ -24,7 +25,7 @@ def test_no_process_is_missed_when_it_is_killed(accord: Accord) -> None:
             steps.append(person.experiment(id)["steps"])
             return len(acknowledged) >= count
 
-        until(enough, f"{count} labels, after {list(VICTIMS)}", seconds=180)
+        until(enough, f"{count} labels, after {list(VICTIMS)}")
 
     for victim, count in VICTIMS.items():
         label_until(count)
@@ -40,7 +41,7 @@ def test_no_process_is_missed_when_it_is_killed(accord: Accord) -> None:
         assert experiment["status"] in {"running", "finished"}, experiment["phase_detail"]
         return experiment["status"] == "finished"
 
-    until(finished, "the experiment finishes", seconds=180)
+    until(finished, "the experiment finishes")
     assert_page_is_told(accord)
     assert_labels_kept(accord, id, acknowledged)
     assert_training_went_on(accord, id, steps)
@@ -66,8 +67,8 @@ def kill_supervisor(accord: Accord) -> None:
     """kill -9 the parent: nothing of it may go on. Then start again."""
     family = list(until(accord.all_up, "all processes run").values())
     accord.supervisor.kill()
-    accord.supervisor.wait(20)
-    until(lambda: not any(alive(process) for process in family), "nothing outlives the supervisor", seconds=20)
+    accord.supervisor.wait(PATIENCE_SECONDS)
+    until(lambda: not any(alive(process) for process in family), "nothing outlives the supervisor")
     accord.start()
 
 

@@ -1,7 +1,6 @@
 """The application behind a real HTTP server, in a thread of the test's own process."""
 
 import threading
-import time
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from accord.domain.words import Role
 from accord.settings import Settings
 from support.scenes import user
 from support.stores import Stores
+from support.waiting import PATIENCE_SECONDS, until
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Served:
 
 def client(url: str, token: str | None, **options: object) -> httpx.Client:
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
-    return httpx.Client(base_url=url, headers=headers, trust_env=False, timeout=30, **options)  # type: ignore[arg-type]
+    return httpx.Client(base_url=url, headers=headers, trust_env=False, timeout=PATIENCE_SECONDS, **options)  # type: ignore[arg-type]
 
 
 @contextmanager
@@ -58,11 +58,8 @@ def served(stores: Stores, home: Path, **changes: object) -> Generator[Served]:
         thread = threading.Thread(target=server.run, args=([listener],))
         thread.start()
         try:
-            deadline = time.monotonic() + 30
-            while not server.started:
-                assert thread.is_alive(), "the server did not start"
-                assert time.monotonic() < deadline, "the server does not start"
-                time.sleep(0.005)
+            until(lambda: server.started or not thread.is_alive(), "the server starts")
+            assert thread.is_alive(), "the server did not start"
             made = {role: clients.enter_context(client(url, token)) for role, token in tokens.items()}
             yield Served(
                 stores=stores,
@@ -77,4 +74,4 @@ def served(stores: Stores, home: Path, **changes: object) -> Generator[Served]:
             )
         finally:
             server.should_exit = True
-            thread.join(30)
+            thread.join(PATIENCE_SECONDS)

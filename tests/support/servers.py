@@ -12,7 +12,7 @@ from pathlib import Path
 
 import httpx
 
-START_SECONDS = 30.0
+from support.waiting import PATIENCE_SECONDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class Server:
     url: str
     log: Path
 
-    def stop(self, timeout_seconds: float = 20.0) -> int:
+    def stop(self, timeout_seconds: float = PATIENCE_SECONDS) -> int:
         """SIGTERM; returns the exit status."""
         self.process.send_signal(signal.SIGTERM)
         return self.process.wait(timeout_seconds)
@@ -60,7 +60,7 @@ def running_server(home: Path, environment: Mapping[str, str] | None = None) -> 
 
 def _address(process: subprocess.Popen[bytes], log: Path) -> str:
     """The address it says it listens on: it chose the port itself."""
-    deadline = time.monotonic() + START_SECONDS
+    deadline = time.monotonic() + PATIENCE_SECONDS
     while time.monotonic() < deadline:
         # the newest line: the log may hold an earlier server's too
         lines = [line for line in log.read_text().splitlines() if f"[{process.pid}] serves at " in line]
@@ -73,7 +73,7 @@ def _address(process: subprocess.Popen[bytes], log: Path) -> str:
 
 
 def _until_answers(process: subprocess.Popen[bytes], url: str, log: Path) -> None:
-    deadline = time.monotonic() + START_SECONDS
+    deadline = time.monotonic() + PATIENCE_SECONDS
     while time.monotonic() < deadline and process.poll() is None:
         with suppress(httpx.TransportError):
             if httpx.get(f"{url}/api/v1/health", trust_env=False).is_success:

@@ -3,7 +3,6 @@
 import os
 import pwd
 import shutil
-import socket
 import subprocess
 import tempfile
 from collections.abc import Generator
@@ -15,6 +14,7 @@ from sqlalchemy import create_engine, text
 
 from accord.store.blobs import BlobStore, open_blobs
 from accord.store.database import Database
+from support.ports import free_port
 
 POSTGRES_BIN = Path("/usr/lib/postgresql/15/bin")
 
@@ -73,9 +73,7 @@ def postgres() -> Generator[str]:
             [POSTGRES_BIN / program, *arguments], check=True, stdout=subprocess.DEVNULL, cwd=folder, **identity
         )
 
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     try:
         run("initdb", "-D", str(data), "-A", "trust", "-U", "accord", "--no-sync", "-E", "UTF8")
         options = f"-p {port} -k {folder} -h 127.0.0.1 -c fsync=off"

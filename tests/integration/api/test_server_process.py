@@ -20,6 +20,7 @@ from accord.store.tables import LabelRow
 from support.scenes import scene, user
 from support.served import client
 from support.servers import running_server
+from support.waiting import PATIENCE_SECONDS
 
 
 def start(home: Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -29,7 +30,7 @@ def start(home: Path, **environment: str) -> subprocess.CompletedProcess[str]:
         env=os.environ | {"ACCORD_HOME": str(home), "ACCORD_PORT": "0"} | environment,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_SECONDS,
         check=False,
     )
 
@@ -64,7 +65,7 @@ def test_an_acknowledged_label_survives_a_kill(tmp_path: Path, kill_after: int) 
         threads = [threading.Thread(target=label, args=(server.url, token)) for token in tokens]
         for thread in threads:
             thread.start()
-        assert enough.wait(60)
+        assert enough.wait(PATIENCE_SECONDS)
         server.kill()
         for thread in threads:
             thread.join()
@@ -146,9 +147,9 @@ def test_the_server_of_accord_up_closes_its_database_when_asked_to_end(tmp_path:
             pass_fds=[listener.fileno()],
         )
         try:
-            assert httpx.get(f"{address_of(listener)}/api/v1/health", timeout=60).status_code == 200
+            assert httpx.get(f"{address_of(listener)}/api/v1/health", timeout=PATIENCE_SECONDS).status_code == 200
             process.terminate()
-            assert process.wait(30) == 0
+            assert process.wait(PATIENCE_SECONDS) == 0
         finally:
             process.kill()
             process.wait()

@@ -16,6 +16,7 @@ from accord.services.offer import Offer
 from accord.store.tables import QueryRow, UserRow
 from support.scenes import Scene, scene, user
 from support.stores import Stores
+from support.waiting import PATIENCE_SECONDS
 
 LABELLING = Path(__file__).with_name("labelling.py")
 
@@ -208,7 +209,7 @@ def test_processes_that_label_at_once_label_each_query_once(both: Stores) -> Non
         )
         for token in tokens
     ]
-    labelled = [process.communicate(timeout=120)[0].split() for process in processes]
+    labelled = [process.communicate(timeout=PATIENCE_SECONDS)[0].split() for process in processes]
     assert [process.returncode for process in processes] == [0, 0, 0, 0]
     assert sorted(each for one in labelled for each in one) == sorted(made.query_ids)
     with both.database.reading() as session:

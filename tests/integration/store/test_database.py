@@ -3,8 +3,6 @@
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,6 +14,7 @@ from accord.services import workers
 from accord.store.database import Database
 from accord.store.group_commit import CommitFailed
 from support.stores import Stores
+from support.waiting import PATIENCE_SECONDS, until
 
 COUNTING = Path(__file__).with_name("counting.py")
 
@@ -28,13 +27,6 @@ def names(database: Database) -> set[str]:
 def add(session: Session, name: str) -> None:
     workers.report(session, name, "render", 1, "idle")
     session.flush()
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.001)
 
 
 def test_what_a_block_wrote_is_there_when_it_has_ended(both: Stores) -> None:
@@ -67,7 +59,7 @@ def test_processes_that_read_and_then_write_never_fail_and_lose_nothing(sqlite: 
     with sqlite.database.transaction() as session:
         add(session, "counter")
     processes = [subprocess.Popen([sys.executable, str(COUNTING), sqlite.database_url, "50"]) for _ in range(4)]
-    assert [process.wait(120) for process in processes] == [0, 0, 0, 0]
+    assert [process.wait(PATIENCE_SECONDS) for process in processes] == [0, 0, 0, 0]
     with sqlite.database.reading() as session:
         assert workers.all(session)[0].restarts == 200
 
@@ -106,7 +98,7 @@ class Crowd:
         for thread in threads:
             thread.start()
         for thread in threads:
-            thread.join(30)
+            thread.join(PATIENCE_SECONDS)
             assert not thread.is_alive()
 
 

@@ -1,17 +1,6 @@
-"""Waiting for what processes do."""
-
-import time
-from collections.abc import Callable
+"""Whether a process runs."""
 
 import psutil
-
-
-def until(condition: Callable[[], object], seconds: float = 30.0) -> None:
-    """Wait until it is true."""
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.01)
 
 
 def alive(pid: int) -> bool:

@@ -19,8 +19,8 @@ from accord.services import label
 from accord.workers.reward import RewardWorker
 from accord.workers.stop import Stop
 from accord.workers.training import PolicyRun
-from integration.workers.supervising import until
 from integration.workers.workplace import STEPS_PER_ITERATION, Workplace
+from support.waiting import until
 
 SETTINGS: dict[str, Any] = {
     "query_selection": "disagreement",
@@ -275,19 +275,19 @@ def test_a_kill_between_a_version_and_its_ensemble_loses_nothing(bench: Bench, s
             "UPDATE experiments SET config = json_set(config, '$.ensemble_members', 4)"
         )
     worker = start()
-    until(lambda: len(bench.queries()) == 10, 60)
+    until(lambda: len(bench.queries()) == 10)
     place.label(bench.id, 8)
-    until(lambda: place.rows("SELECT 1 FROM reward_versions"), 60)
+    until(lambda: place.rows("SELECT 1 FROM reward_versions"))
     worker.kill()
     worker.wait()
     assert bench.ensembles() == []
     bench.train_policy()
     start()
-    until(bench.ensembles, 60)
+    until(bench.ensembles)
     assert place.rows("SELECT number FROM reward_versions") == [(1,)]
     before = len(bench.queries())
     labelled = place.label(bench.id, before - 8)
-    until(lambda: place.rows("SELECT 1 FROM reward_versions WHERE number = 2"), 60)
+    until(lambda: place.rows("SELECT 1 FROM reward_versions WHERE number = 2"))
     bench.train_policy()
-    until(lambda: "disagreement" in {query[0] for query in bench.queries()}, 60)
+    until(lambda: "disagreement" in {query[0] for query in bench.queries()})
     assert place.rows("SELECT max(label_count) FROM reward_versions") == [(8 + len(labelled),)]

@@ -7,8 +7,8 @@ from accord.domain.words import WorkerRole
 from accord.workers.backoff import Backoff
 from accord.workers.loop import Context, run_loop
 from accord.workers.pulse import Pulse
-from integration.workers.supervising import until
 from integration.workers.workplace import Workplace, workplace
+from support.waiting import until
 
 
 class Moody:

@@ -12,7 +12,8 @@ from accord.workers.backoff import Backoff
 from accord.workers.children import ChildSpec
 from accord.workers.stop import Stop
 from accord.workers.supervisor import Death, Supervisor
-from integration.workers.supervising import alive, until
+from integration.workers.supervising import alive
+from support.waiting import PATIENCE_SECONDS, until
 
 HERE = Path(__file__).parent
 ENVIRONMENT = {"PYTHONPATH": str(HERE)}
@@ -118,6 +119,6 @@ def test_sigterm_to_the_supervisor_leaves_no_process(tmp_path):
     until(lambda: len(starts(tmp_path)) == 2)
     grandchild = int((tmp_path / "grandchild").read_text())
     parent.terminate()
-    assert parent.wait(20) == 0
+    assert parent.wait(PATIENCE_SECONDS) == 0
     # A grandchild that was killed is gone a moment later: nobody waits for it.
     until(lambda: not any(alive(pid) for pid in [*starts(tmp_path), grandchild]))

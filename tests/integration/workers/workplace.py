@@ -18,10 +18,11 @@ from accord.workers.loop import Context
 from accord.workers.pulse import Claim, Pulse
 from accord.workers.stop import Stop
 from accord.workers.training import PolicyRun
+from support import short_cheetah
 
 STEPS_PER_ITERATION = 100
 TINY: dict[str, Any] = {
-    "task": "HalfCheetah-6x1",
+    "task": short_cheetah.NAME,
     "segment_steps": 10,
     "total_steps": 6 * STEPS_PER_ITERATION,
     "label_budget": 16,
