@@ -9,14 +9,13 @@ from pathlib import Path
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 
-from mapt.rewards.config import RewardConfig
-from mapt.rewards.errors import DamagedCheckpoint, InvalidConfig, NewerCheckpoint
+from mapt.rewards.cards import POLARITY, checked_card, config_in, metrics_in, read_stored
+from mapt.rewards.errors import DamagedCheckpoint, InvalidConfig
 from mapt.rewards.model import RewardModel, build_reward_model
 
 FORMAT = "mapt.reward"
 # 2 added `architecture` and `discrete_actions` to the settings; a model of format 1 has their defaults.
 FORMAT_VERSION = 2
-POLARITY = "label is P(segment 0 preferred): 1 segment 0, 0 segment 1, 0.5 equal; P = sigmoid(score_0 - score_1)"
 WEIGHTS_FILE = "reward.safetensors"
 CARD_FILE = "reward.json"
 
@@ -79,52 +78,28 @@ def load_reward_model(weights: bytes | Path, card: bytes | Path) -> LoadedReward
         NewerCheckpoint: if a later version of this library wrote it.
         DamagedCheckpoint: if it is no reward model, or not whole.
     """
-    weight_bytes, card_bytes = _read(weights), _read(card)
+    weight_bytes, card_bytes = read_stored(weights), read_stored(card)
     try:
-        described = json.loads(card_bytes)
+        read = json.loads(card_bytes)
     except ValueError as error:
         raise DamagedCheckpoint("its card is no JSON") from error
-    if not isinstance(described, dict) or described.get("format") != FORMAT:
-        raise DamagedCheckpoint(f"its card does not name the format {FORMAT}")
-    version = described.get("format_version")
-    if not isinstance(version, int) or version < 1:
-        raise DamagedCheckpoint(f"its format version is {version!r}")
-    if version > FORMAT_VERSION:
-        raise NewerCheckpoint(version, FORMAT_VERSION)
+    described = checked_card(read, FORMAT, FORMAT_VERSION)
     sha256 = hashlib.sha256(weight_bytes).hexdigest()
     if described.get("weights_sha256") != sha256:
         raise DamagedCheckpoint("weights and card do not belong together, or one was cut short")
     segment_steps = described.get("segment_steps")
     if segment_steps is not None and not (isinstance(segment_steps, int) and segment_steps >= 1):
         raise DamagedCheckpoint(f"its segment_steps is {segment_steps!r}")
-    return LoadedRewardModel(_build(described, weight_bytes), _metrics(described), segment_steps, sha256)
+    return LoadedRewardModel(_build(described, weight_bytes), metrics_in(described), segment_steps, sha256)
 
 
 def _build(described: Mapping[str, object], weights: bytes) -> RewardModel:
-    settings = described.get("config")
-    if not isinstance(settings, dict):
-        raise DamagedCheckpoint("its card holds no settings")
+    config = config_in(described)
     try:
-        model = build_reward_model(RewardConfig.from_dict(settings))
+        model = build_reward_model(config)
         model.load_state_dict(load(weights))
     except (InvalidConfig, SafetensorError) as error:
         raise DamagedCheckpoint(str(error)) from error
     except RuntimeError as error:
         raise DamagedCheckpoint("its weights do not fit its settings") from error
     return model.eval()
-
-
-def _metrics(described: Mapping[str, object]) -> dict[str, float]:
-    metrics = described.get("metrics")
-    if not isinstance(metrics, dict) or not all(isinstance(value, int | float) for value in metrics.values()):
-        raise DamagedCheckpoint("its card holds no metrics")
-    return {str(name): float(value) for name, value in metrics.items()}
-
-
-def _read(source: bytes | Path) -> bytes:
-    if isinstance(source, bytes):
-        return source
-    try:
-        return source.read_bytes()
-    except FileNotFoundError as error:
-        raise DamagedCheckpoint(f"{source.name} is missing") from error

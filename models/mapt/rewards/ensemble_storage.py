@@ -10,9 +10,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from mapt.rewards.checkpoints import POLARITY
-from mapt.rewards.config import RewardConfig
-from mapt.rewards.errors import DamagedCheckpoint, InvalidConfig, ModelMismatch, NewerCheckpoint
+from mapt.rewards.cards import POLARITY, checked_card, config_in, metrics_in, read_stored
+from mapt.rewards.errors import DamagedCheckpoint, InvalidConfig, ModelMismatch
 from mapt.rewards.members import RewardEnsemble
 from mapt.rewards.model import build_reward_model
 from mapt.rewards.stacked import StackedModels
@@ -44,13 +43,8 @@ def load_reward_ensemble(source: bytes | Path) -> RewardEnsemble:
         NewerCheckpoint: if a later version of this library wrote it.
         DamagedCheckpoint: if it is no ensemble, or not whole.
     """
-    stored = _read(source)
+    stored = read_stored(source)
     card = _card(stored)
-    version = card.get("format_version")
-    if not isinstance(version, int) or version < 1:
-        raise DamagedCheckpoint(f"its format version is {version!r}")
-    if version > FORMAT_VERSION:
-        raise NewerCheckpoint(version, FORMAT_VERSION)
     try:
         state = load(stored)
     except SafetensorError as error:
@@ -61,18 +55,16 @@ def load_reward_ensemble(source: bytes | Path) -> RewardEnsemble:
 
 
 def _build(card: Mapping[str, object], state: dict[str, Tensor]) -> RewardEnsemble:
-    settings, metrics = card.get("config"), card.get("metrics")
-    if not isinstance(settings, dict) or not isinstance(metrics, dict):
-        raise DamagedCheckpoint("its card holds no settings or no metrics")
+    config, metrics = config_in(card), metrics_in(card)
     scales = state.get("reward_mean")
     if scales is None or scales.dim() != 1 or not len(scales):
         raise DamagedCheckpoint("it holds no members")
     try:
-        stack = StackedModels([build_reward_model(RewardConfig.from_dict(settings))] * len(scales))
+        stack = StackedModels([build_reward_model(config)] * len(scales))
         stack.load(state)
     except (InvalidConfig, ModelMismatch) as error:
         raise DamagedCheckpoint(str(error)) from error
-    return RewardEnsemble(stack, {str(name): float(value) for name, value in metrics.items()})
+    return RewardEnsemble(stack, metrics)
 
 
 def _card(stored: bytes) -> Mapping[str, object]:
@@ -82,9 +74,7 @@ def _card(stored: bytes) -> Mapping[str, object]:
         card = json.loads(header["__metadata__"]["card"])
     except (struct.error, ValueError, KeyError, TypeError) as error:
         raise DamagedCheckpoint("its header holds no card") from error
-    if not isinstance(card, dict) or card.get("format") != FORMAT:
-        raise DamagedCheckpoint(f"its card does not name the format {FORMAT}")
-    return card
+    return checked_card(card, FORMAT, FORMAT_VERSION)
 
 
 def _digest(state: Mapping[str, Tensor]) -> str:
@@ -93,12 +83,3 @@ def _digest(state: Mapping[str, Tensor]) -> str:
         digest.update(name.encode())
         digest.update(state[name].numpy().tobytes())
     return digest.hexdigest()
-
-
-def _read(source: bytes | Path) -> bytes:
-    if isinstance(source, bytes):
-        return source
-    try:
-        return source.read_bytes()
-    except FileNotFoundError as error:
-        raise DamagedCheckpoint(f"{source.name} is missing") from error

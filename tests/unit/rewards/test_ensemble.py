@@ -285,6 +285,7 @@ def with_card(stored: bytes, **changes: object) -> bytes:
         {"config": {"observation_dim": 4}},
         {"config": config("MA-MLP").to_dict()},
         {"metrics": None},
+        {"metrics": {"loss": "low"}},
         {"weights_sha256": "0" * 64},
     ],
 )
