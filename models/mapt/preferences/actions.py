@@ -3,14 +3,11 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.preferences.errors import PreferenceError, ShapeError
+from mapt.preferences.dataset import SegmentArrays
+from mapt.preferences.errors import InvalidAction, NotOneHot, ShapeError
 
 # How a message calls the places of an action in its array, from the last one back.
 _PLACES = ("agent", "step", "segment")
-
-
-class InvalidAction(PreferenceError):
-    """A discrete action is none of those there are, or was not available when it was chosen."""
 
 
 def one_hot_actions(actions: ArrayLike, n_actions: int, available: ArrayLike | None = None) -> NDArray[np.float32]:
@@ -38,6 +35,23 @@ def one_hot_actions(actions: ArrayLike, n_actions: int, available: ArrayLike | N
     return one_hot
 
 
+def action_numbers(segments: SegmentArrays) -> NDArray[np.int64]:
+    """Which of its A choices each one-hot action is, int64 (S, T, N); in the padding anything.
+
+    Raises:
+        NotOneHot: naming the first segment with an action that is none.
+    """
+    broken = (~_is_one_hot(segments.actions).all(axis=-1) & segments.mask).any(axis=-1)
+    if broken.any():
+        raise NotOneHot(int(broken.argmax()))
+    return segments.actions.argmax(axis=-1)
+
+
+def _is_one_hot(actions: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Whether an action (..., A) is a single 1 among zeros, (...)."""
+    return ((actions == 0) | (actions == 1)).all(axis=-1) & (actions.sum(axis=-1) == 1)
+
+
 def _from_numbers(numbers: NDArray[np.generic], n_actions: int) -> NDArray[np.float32]:
     if not numbers.ndim or n_actions < 1:
         raise ShapeError("actions", numbers.shape, f"(..., N), whole numbers below {n_actions}")
@@ -50,7 +64,7 @@ def _checked(given: NDArray[np.generic], n_actions: int) -> NDArray[np.float32]:
     if given.ndim < 2 or given.shape[-1] != n_actions or given.dtype.kind not in "bf":
         raise ShapeError("actions", given.shape, f"(..., N) of whole numbers or one-hot (..., N, {n_actions})")
     one_hot = given.astype(np.float32)
-    broken = ~(((one_hot == 0) | (one_hot == 1)).all(axis=-1) & (one_hot.sum(axis=-1) == 1))
+    broken = ~_is_one_hot(one_hot)
     if broken.any():
         raise InvalidAction(f"the action of {_place(broken)} is not one-hot")
     return one_hot

@@ -8,6 +8,7 @@ PreferenceError
 ├── InvalidPair
 ├── NotEnoughPairs
 ├── NotOneHot
+├── InvalidAction
 └── FileError                 of a file or folder, which is left as it was
     ├── AlreadyThere
     ├── NotReadable
@@ -74,6 +75,10 @@ class NotOneHot(PreferenceError):
 
     def __init__(self, segment: int) -> None:
         super().__init__(f"actions of segment {segment} are not one-hot, as discrete actions are")
+
+
+class InvalidAction(PreferenceError):
+    """A discrete action is none of those there are, or was not available when it was chosen."""
 
 
 class FileError(PreferenceError):

@@ -10,8 +10,9 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mapt.preferences.actions import action_numbers
 from mapt.preferences.dataset import IntArray, SegmentArrays
-from mapt.preferences.errors import AlreadyThere, NotFinite, NotOneHot, ShapeError, Truncated
+from mapt.preferences.errors import AlreadyThere, NotFinite, ShapeError, Truncated
 from mapt.preferences.storage_layout import (
     MANIFEST,
     Column,
@@ -160,13 +161,7 @@ class SegmentWriter:
         layout, actions = self.layout, segments.actions
         if actions.shape[2:] != (layout.n_agents, layout.action_dim):
             raise ShapeError("actions", actions.shape, f"(B, T, {layout.n_agents}, {layout.action_dim})")
-        if not layout.discrete:
-            return actions
-        one_hot = ((actions == 0) | (actions == 1)).all(axis=-1) & (actions.sum(axis=-1) == 1)
-        broken = (~one_hot.all(axis=-1) & segments.mask).any(axis=-1)
-        if broken.any():
-            raise NotOneHot(int(broken.argmax()))
-        return actions.argmax(axis=-1)
+        return action_numbers(segments) if layout.discrete else actions
 
     def _checked(self, name: str, values: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[Any]:
         """`values`, if they have the layout's dimensions, at most its steps, and no NaN where the step is real."""

@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from mapt.preferences.actions import InvalidAction, one_hot_actions
+from mapt.preferences.actions import one_hot_actions
 from mapt.preferences.dataset import SegmentArrays
-from mapt.preferences.errors import PreferenceError, ShapeError
+from mapt.preferences.errors import InvalidAction, PreferenceError, ShapeError
 
 S, T, N, A = 2, 4, 3, 5
 

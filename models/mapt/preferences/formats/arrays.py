@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.preferences.actions import one_hot_actions
 from mapt.preferences.dataset import FloatArray
-from mapt.preferences.errors import NotReadable
+from mapt.preferences.errors import InvalidAction, NotReadable
 
 
 def as_array(path: Path | str, where: str, values: object) -> NDArray[Any]:
@@ -61,7 +62,10 @@ def numbered_actions(path: Path | str, where: str, values: object, n_actions: in
     """
     array = as_array(path, where, values)
     array = numbers(path, where, array[..., 0] if array.ndim == 3 and array.shape[2] == 1 else array, 2)
-    codes = array.astype(np.int64)
-    if (codes != array).any() or (codes < 0).any() or (codes >= n_actions).any():
-        raise NotReadable(path, f"{where} holds an action that is none of {n_actions}")
-    return np.eye(n_actions, dtype=np.float32)[codes]
+    chosen = array.astype(np.int64)
+    if (chosen != array).any():
+        raise NotReadable(path, f"{where} holds an action that is no whole number")
+    try:
+        return one_hot_actions(chosen, n_actions)
+    except InvalidAction as error:
+        raise NotReadable(path, f"{where}: {error}") from error

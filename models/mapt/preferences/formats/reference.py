@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.preferences.actions import action_numbers
 from mapt.preferences.dataset import FloatArray, PreferenceDataset, SegmentArrays
 from mapt.preferences.errors import MissingPart, NotExpressible, NotReadable, UnknownLabel
 from mapt.preferences.formats.arrays import finite_floats, numbered_actions
@@ -69,6 +70,7 @@ def write_reference(path: Path | str, dataset: PreferenceDataset, *, discrete: b
 
     Raises:
         AlreadyThere: if there is a file.
+        NotOneHot: if discrete actions are not one-hot.
         NotExpressible: if a label is not 1, 0 or 0.5, or the segments differ in length.
     """
     write_pickle(Path(path), _items(Path(path), dataset, discrete))
@@ -83,7 +85,7 @@ def _items(path: Path, dataset: PreferenceDataset, discrete: bool) -> Iterator[d
         if not segments.mask.all():
             # The reference cuts each trajectory to the length of the last: shorter ones would crash it.
             raise NotExpressible(path, "segments of unequal length have no place in this format")
-        actions: NDArray[Any] = segments.actions.argmax(axis=-1)[..., None] if discrete else segments.actions
+        actions: NDArray[Any] = action_numbers(segments)[..., None] if discrete else segments.actions
         first, second = (
             {"obs": observed, "actions": acted} for observed, acted in zip(segments.observations, actions, strict=True)
         )

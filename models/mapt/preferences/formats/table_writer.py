@@ -14,7 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from mapt.preferences.errors import AlreadyThere, NotOneHot, ShapeError
+from mapt.preferences.actions import action_numbers
+from mapt.preferences.errors import AlreadyThere, ShapeError
 from mapt.preferences.formats.records import SegmentRecords
 from mapt.preferences.formats.table_schemas import (
     LABELS,
@@ -146,7 +147,7 @@ def _array_columns(records: SegmentRecords, layout: SegmentLayout) -> dict[str, 
     mask, lengths = records.segments.mask, records.lengths
     arrays: dict[str, NDArray[Any]] = {
         "observations": records.segments.observations,
-        "actions": _codes(records) if layout.discrete else records.segments.actions,
+        "actions": action_numbers(records.segments).astype(np.uint16) if layout.discrete else records.segments.actions,
         **records.extras(),
     }
     columns: dict[str, pa.Array] = {"length_steps": pa.array(lengths.astype(np.int32))}
@@ -157,11 +158,3 @@ def _array_columns(records: SegmentRecords, layout: SegmentLayout) -> dict[str, 
         element = pa.field("element", pa.from_numpy_dtype(flat.dtype), nullable=False)
         columns[name] = pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(flat), type=pa.list_(element))
     return columns
-
-
-def _codes(records: SegmentRecords) -> NDArray[np.uint16]:
-    actions, mask = records.segments.actions, records.segments.mask
-    one_hot = (((actions == 0) | (actions == 1)).all(axis=-1) & (actions.sum(axis=-1) == 1)).all(axis=-1) | ~mask
-    if not one_hot.all():
-        raise NotOneHot(int((~one_hot).any(axis=1).argmax()))
-    return actions.argmax(axis=-1).astype(np.uint16)

@@ -77,7 +77,7 @@ def test_numbered_actions_become_one_hot(tmp_path):
         item[name]["actions"] = np.array([[[2], [0]]] * 3)
     found = read_reference(write(tmp_path, [item]), n_actions=4)
     assert found.records.segments.actions[0, 0].tolist() == [[0, 0, 1, 0], [1, 0, 0, 0]]
-    with pytest.raises(NotReadable, match="none of 2"):
+    with pytest.raises(NotReadable, match="is not one of 0 to 1"):
         read_reference(write(tmp_path, [item]), n_actions=2)
 
 
