@@ -48,12 +48,7 @@ class Judge:
     def scores(self, indices: IntArray) -> NDArray[np.float64]:
         """What it judges these segments by, without mistakes or doubt, (S,)."""
         parts = np.array_split(indices, max(1, len(indices) // _SEGMENTS_AT_ONCE))
-        return np.concatenate([self._scores(self._evidence(part)) for part in parts])
-
-    def _scores(self, evidence: Evidence) -> NDArray[np.float64]:
-        gamma = self._teacher.habits.gamma
-        age = evidence.lengths[:, None] - 1 - np.arange(evidence.mask.shape[1])
-        return self._teacher.rule.scores(evidence.with_rewards(evidence.rewards * gamma ** np.maximum(age, 0)))
+        return np.concatenate([self._teacher.scores(self._evidence(part)) for part in parts])
 
     def _evidence(self, indices: IntArray) -> Evidence:
         """These segments, as much of them as the teacher reads."""

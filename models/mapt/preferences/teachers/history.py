@@ -1,5 +1,6 @@
 """Rules about how a segment went: none but the return is a sum over its steps of something that a step alone shows."""
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Literal
 
@@ -31,56 +32,61 @@ class Return(RewardRule):
 
 
 @dataclass(frozen=True, slots=True)
-class BestSecond(RewardRule):
+class SecondRule(RewardRule):
+    """A rule about one window of the segment, measured by the mean of the whole."""
+
+    window_steps: int = SECOND_STEPS
+    #: how much of the segment's own mean is taken off: at 1 the window that stands out most, at 0 the best
+    above_mean: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_window(self.window_steps)
+
+    @abstractmethod
+    def window(self, evidence: Evidence) -> Float64s:
+        """Mean reward of the window that counts, float64 (B,)."""
+
+    def scores(self, evidence: Evidence) -> Float64s:
+        """See `Rule.scores`."""
+        return self.window(evidence) - self.above_mean * real_means(evidence.rewards, evidence.mask)
+
+
+class BestSecond(SecondRule):
     """The segment whose best second is better: the largest mean reward of any window, whatever the rest was like."""
 
-    window_steps: int = SECOND_STEPS
-    #: how much of the segment's own mean is taken off: at 1 the best second that stands out most, at 0 the best
-    above_mean: float = 1.0
+    __slots__ = ()
 
-    def __post_init__(self) -> None:
-        check_window(self.window_steps)
-
-    def scores(self, evidence: Evidence) -> Float64s:
-        """See `Rule.scores`."""
+    def window(self, evidence: Evidence) -> Float64s:
+        """See `SecondRule.window`."""
         means, starts = window_means(evidence.rewards, evidence.mask, self.window_steps)
-        best = np.where(starts, means, -np.inf).max(axis=1)
-        return best - self.above_mean * real_means(evidence.rewards, evidence.mask)
+        return np.where(starts, means, -np.inf).max(axis=1)
 
 
-@dataclass(frozen=True, slots=True)
-class WorstSecond(RewardRule):
-    """The segment whose worst second is better: the smallest mean reward of any window, whatever the rest was like."""
+class WorstSecond(SecondRule):
+    """The segment whose worst second is better: the smallest mean reward of any window, whatever the rest was like.
 
-    window_steps: int = SECOND_STEPS
-    #: as of `BestSecond`: at 1 the steadiest segment, at 0 the one with the better worst second
-    above_mean: float = 1.0
+    With `above_mean` 1 that is the steadiest segment.
+    """
 
-    def __post_init__(self) -> None:
-        check_window(self.window_steps)
+    __slots__ = ()
 
-    def scores(self, evidence: Evidence) -> Float64s:
-        """See `Rule.scores`."""
+    def window(self, evidence: Evidence) -> Float64s:
+        """See `SecondRule.window`."""
         means, starts = window_means(evidence.rewards, evidence.mask, self.window_steps)
-        worst = np.where(starts, means, np.inf).min(axis=1)
-        return worst - self.above_mean * real_means(evidence.rewards, evidence.mask)
+        return np.where(starts, means, np.inf).min(axis=1)
 
 
-@dataclass(frozen=True, slots=True)
-class Recency(RewardRule):
-    """The segment that ends better: its last second counts, the rest serves as the measure of it."""
+class Recency(SecondRule):
+    """The segment that ends better: its last second counts, the rest serves as the measure of it.
 
-    window_steps: int = SECOND_STEPS
-    #: as of `BestSecond`: at 1 the segment that improves most, at 0 the one with the better end
-    above_mean: float = 1.0
+    With `above_mean` 1 that is the segment that improves most.
+    """
 
-    def __post_init__(self) -> None:
-        check_window(self.window_steps)
+    __slots__ = ()
 
-    def scores(self, evidence: Evidence) -> Float64s:
-        """See `Rule.scores`."""
-        last = last_means(evidence.rewards, evidence.mask, self.window_steps)
-        return last - self.above_mean * real_means(evidence.rewards, evidence.mask)
+    def window(self, evidence: Evidence) -> Float64s:
+        """See `SecondRule.window`."""
+        return last_means(evidence.rewards, evidence.mask, self.window_steps)
 
 
 @dataclass(frozen=True, slots=True)

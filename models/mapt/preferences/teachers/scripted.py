@@ -87,8 +87,8 @@ class ScriptedTeacher:
         """See `Teacher.judge`."""
         if len(first) != len(second):
             raise ShapeError("second", (len(second),), f"as many segments as the first side, {len(first)}")
-        whole = self._scores(first, second)
-        faded = whole if self.habits.gamma == 1 else self._scores(self._fade(first), self._fade(second))
+        whole = np.stack((self.rule.scores(first), self.rule.scores(second)), axis=1)
+        faded = whole if self.habits.gamma == 1 else np.stack((self.scores(first), self.scores(second)), axis=1)
         bounds = self._bounds(whole, np.stack((first.lengths, second.lengths), axis=1))
         difference = faded[:, 0] - faded[:, 1]
         # Two draws a pair whatever the habits: the same chance decides in batches of any size.
@@ -100,6 +100,17 @@ class ScriptedTeacher:
         if self.habits.skip:
             label[whole.max(axis=1) <= bounds.skip] = np.nan
         return label.astype(np.float32)
+
+    def scores(self, evidence: Evidence) -> Float64s:
+        """What it judges segments by, faded, without doubt or mistakes: float64 (B,).
+
+        Raises:
+            EvidenceMissing: if the evidence lacks what the rule reads.
+        """
+        if self.habits.gamma == 1:
+            return self.rule.scores(evidence)
+        age = evidence.lengths[:, None] - 1 - np.arange(evidence.mask.shape[1])
+        return self.rule.scores(evidence.with_rewards(evidence.rewards * self.habits.gamma ** np.maximum(age, 0)))
 
     @property
     def needs_episodes(self) -> bool:
@@ -119,13 +130,6 @@ class ScriptedTeacher:
     def parameters(self) -> dict[str, Any]:
         """See `Teacher.parameters`."""
         return {**self._record, **_fields(self.habits), **_fields(self.rule)}
-
-    def _scores(self, first: Evidence, second: Evidence) -> Float64s:
-        return np.stack((self.rule.scores(first), self.rule.scores(second)), axis=1)
-
-    def _fade(self, evidence: Evidence) -> Evidence:
-        age = evidence.lengths[:, None] - 1 - np.arange(evidence.mask.shape[1])
-        return evidence.with_rewards(evidence.rewards * self.habits.gamma ** np.maximum(age, 0))
 
     def _choose(self, difference: Float64s, unit: Float64s, choosing: Float64s) -> Float64s:
         if self.habits.beta is None:
