@@ -1,5 +1,7 @@
 """How good a reward model's preferences and rewards are."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -20,19 +22,41 @@ def accuracy(probabilities: ArrayLike, labels: ArrayLike) -> float:
     return float(((predicted > 0.5) == (label > 0.5))[decided].mean())
 
 
-def calibration_error(probabilities: ArrayLike, labels: ArrayLike) -> float:
-    """Expected calibration error: mean distance of predicted probability and label, over ten equal bins.
+@dataclass(frozen=True, slots=True)
+class CalibrationBin:
+    """Predictions of about the same probability."""
+
+    predicted: float
+    #: how often the labels agreed
+    observed: float
+    count: int
+
+
+def calibration_bins(probabilities: ArrayLike, labels: ArrayLike) -> tuple[CalibrationBin, ...]:
+    """Those of ten equal bins of the predicted probability that hold any pair.
 
     Every pair counts twice, once in each order, since which segment comes first says nothing.
+
+    Args:
+        probabilities: predicted P(segment 0 preferred), (B,).
+        labels: (B,).
     """
     predicted, label = _float_arrays(probabilities, labels)
-    if not len(predicted):
+    predicted, label = np.concatenate((predicted, 1 - predicted)), np.concatenate((label, 1 - label))
+    place = np.minimum((predicted * CALIBRATION_BINS).astype(np.int64), CALIBRATION_BINS - 1)
+    return tuple(
+        CalibrationBin(float(predicted[inside].mean()), float(label[inside].mean()), int(inside.sum()))
+        for inside in (place == number for number in range(CALIBRATION_BINS))
+        if inside.any()
+    )
+
+
+def calibration_error(probabilities: ArrayLike, labels: ArrayLike) -> float:
+    """Expected calibration error: mean distance of predicted probability and label, over ten equal bins."""
+    bins = calibration_bins(probabilities, labels)
+    if not bins:
         return float("nan")
-    predicted = np.concatenate((predicted, 1 - predicted))
-    label = np.concatenate((label, 1 - label))
-    bins = np.minimum((predicted * CALIBRATION_BINS).astype(np.int64), CALIBRATION_BINS - 1)
-    gap = np.bincount(bins, weights=predicted - label, minlength=CALIBRATION_BINS)
-    return float(np.abs(gap).sum() / len(predicted))
+    return sum(each.count * abs(each.predicted - each.observed) for each in bins) / sum(each.count for each in bins)
 
 
 def rank_correlation(first: ArrayLike, second: ArrayLike) -> float:

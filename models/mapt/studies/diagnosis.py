@@ -9,8 +9,9 @@ import torch
 from numpy.typing import NDArray
 
 from mapt.preferences.dataset import SegmentArrays
-from mapt.rewards.metrics import rank_correlation
+from mapt.rewards.metrics import CalibrationBin, calibration_bins, rank_correlation
 from mapt.rewards.model import RewardModel
+from mapt.rewards.segment_reader import EVALUATION_SEGMENTS
 from mapt.studies.attention_maps import AttentionMaps, attention_maps
 from mapt.studies.cell import count_parameters
 from mapt.studies.judging import Judge
@@ -20,7 +21,6 @@ from mapt.studies.replay import Replay
 
 #: the paper's figures 2 and 4 are of so many state-action pairs
 STATE_ACTIONS = 100_000
-CALIBRATION_BINS = 10
 #: segments whose attention is drawn, by the share of segments with a smaller return
 SHOWN_RANKS = (0.1, 0.5, 0.95)
 
@@ -75,16 +75,6 @@ def draw_sample(replay: Replay, teacher: str, n_pairs: int, fresh_of_seed: int |
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationBin:
-    """Predictions of about the same probability; every pair counts in both orders."""
-
-    predicted: float
-    #: how often the labels agreed
-    observed: float
-    count: int
-
-
-@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """A model on a sample."""
 
@@ -132,17 +122,6 @@ def diagnose(name: str, model: RewardModel, sample: Sample) -> Diagnosis:
     return Diagnosis(name, model.config.to_dict(), measured, predictions, calibration, maps, attention)
 
 
-def calibration_bins(probabilities: NDArray[np.floating], labels: NDArray[np.floating]) -> tuple[CalibrationBin, ...]:
-    """The bins of `calibration_error` that hold any pair, each pair in both orders."""
-    predicted, label = np.concatenate((probabilities, 1 - probabilities)), np.concatenate((labels, 1 - labels))
-    place = np.minimum((predicted * CALIBRATION_BINS).astype(np.int64), CALIBRATION_BINS - 1)
-    return tuple(
-        CalibrationBin(float(predicted[inside].mean()), float(label[inside].mean()), int(inside.sum()))
-        for inside in (place == bin_ for bin_ in range(CALIBRATION_BINS))
-        if inside.any()
-    )
-
-
 def weight_concentration(weights: NDArray[np.floating], mask: NDArray[np.bool_]) -> float:
     """1 - entropy / greatest entropy of weights (S, T), mean over segments of more than one step: 0 to 1."""
     real = mask & (weights > 0)
@@ -162,10 +141,9 @@ def breadth(rewards: NDArray[np.floating]) -> float:
 def _past_share(model: RewardModel, segments: SegmentArrays, predictions: Predictions) -> float:
     if model.markov is None:
         return 1.0
-    observations, actions = (torch.as_tensor(array) for array in (segments.observations, segments.actions))
-    markov = torch.cat(
-        [model.markov_rewards(*part) for part in zip(observations.split(128), actions.split(128), strict=True)]
-    ).numpy()[segments.mask]
+    arrays = (torch.as_tensor(array) for array in (segments.observations, segments.actions))
+    parts = zip(*(array.split(EVALUATION_SEGMENTS) for array in arrays), strict=True)
+    markov = torch.cat([model.markov_rewards(*part) for part in parts]).numpy()[segments.mask]
     whole = predictions.agent_rewards[segments.mask]
     return float((whole - markov).var() / max(float(whole.var()), 1e-12))
 

@@ -4,15 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
 
 from mapt.preferences.dataset import SegmentArrays
-from mapt.rewards.metrics import accuracy, calibration_error, correlation, rank_correlation
+from mapt.rewards.fitting import judge_logits
+from mapt.rewards.metrics import correlation, rank_correlation
 from mapt.rewards.model import RewardModel
+from mapt.rewards.segment_reader import EVALUATION_SEGMENTS
 
-#: segments in one pass
-_SEGMENTS_PER_PASS = 128
 #: what part of the test segments, the newest, counts as late
 LATE_SHARE = 0.2
 
@@ -38,7 +37,7 @@ class Predictions:
 def predict(model: RewardModel, segments: SegmentArrays) -> Predictions:
     """Run `model`, on the CPU, over segments, some at a time."""
     arrays = (segments.observations, segments.actions, segments.mask)
-    parts = zip(*(torch.as_tensor(array).split(_SEGMENTS_PER_PASS) for array in arrays), strict=True)
+    parts = zip(*(torch.as_tensor(array).split(EVALUATION_SEGMENTS) for array in arrays), strict=True)
     outputs = [model(*part) for part in parts]
     return Predictions(
         torch.cat([output.score for output in outputs]).numpy(),
@@ -50,13 +49,8 @@ def predict(model: RewardModel, segments: SegmentArrays) -> Predictions:
 def preference_quality(logits: NDArray[np.floating], labels: NDArray[np.floating]) -> dict[str, float]:
     """`accuracy`, `loss` (nats) and `ece` of predicted logits (P,) against labels (P,), NaN where skipped."""
     given = np.isfinite(labels)
-    predicted, label = torch.as_tensor(logits[given]).double(), torch.as_tensor(labels[given]).double()
-    probabilities = predicted.sigmoid().numpy()
-    return {
-        "accuracy": accuracy(probabilities, label.numpy()),
-        "loss": F.binary_cross_entropy_with_logits(predicted, label).item(),
-        "ece": calibration_error(probabilities, label.numpy()),
-    }
+    judged = judge_logits(torch.as_tensor(logits[given]).double(), torch.as_tensor(labels[given]).double())
+    return {"accuracy": judged.accuracy, "loss": judged.loss, "ece": judged.calibration_error}
 
 
 def reward_quality(

@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapt.rewards.metrics import accuracy, calibration_error, correlation, rank_correlation
+from mapt.rewards.metrics import (
+    CalibrationBin,
+    accuracy,
+    calibration_bins,
+    calibration_error,
+    correlation,
+    rank_correlation,
+)
 
 
 def test_accuracy_leaves_ties_out():
@@ -18,6 +25,13 @@ def test_probabilities_that_come_true_are_calibrated():
     # Of four pairs at 0.75, three came out that way.
     assert calibration_error([0.75] * 4, [1, 1, 1, 0]) == pytest.approx(0)
     assert calibration_error([1.0, 0.0], [1, 0]) == pytest.approx(0)
+
+
+def test_a_pair_counts_in_both_orders_and_bins_without_any_are_left_out():
+    bins = calibration_bins([0.75] * 4, [1, 1, 0.5, 0])
+    assert bins == (CalibrationBin(0.25, 0.375, 4), CalibrationBin(0.75, 0.625, 4))
+    assert calibration_bins([1.0], [1]) == (CalibrationBin(0.0, 0.0, 1), CalibrationBin(1.0, 1.0, 1))
+    assert calibration_bins([], []) == ()
 
 
 def test_overconfidence_is_the_distance_to_what_came_true():

@@ -5,13 +5,11 @@ import pytest
 import torch
 
 from mapt.preferences.dataset import SegmentArrays
-from mapt.rewards.metrics import calibration_error
 from mapt.rewards.model import RewardModel, build_reward_model
 from mapt.studies.attention_maps import attention_maps
 from mapt.studies.diagnosis import (
     STATE_ACTIONS,
     breadth,
-    calibration_bins,
     diagnose,
     draw_sample,
     weight_concentration,
@@ -60,16 +58,6 @@ def test_padding_is_never_attended_to(replay):
     maps = attention_maps(drawn_model("MAPT", replay), SegmentArrays(whole.observations, whole.actions, mask))
     assert maps.steps is not None
     assert (maps.steps.transpose(0, 2, 1)[~mask] == 0).all()
-
-
-def test_calibration_bins_add_up_to_the_calibration_error():
-    rng = np.random.default_rng(0)
-    probabilities = rng.random(500)
-    labels = (rng.random(500) < probabilities**2).astype(float)
-    bins = calibration_bins(probabilities, labels)
-    assert sum(each.count for each in bins) == 1000
-    error = sum(each.count * abs(each.predicted - each.observed) for each in bins) / 1000
-    assert error == pytest.approx(calibration_error(probabilities, labels))
 
 
 def test_concentration_is_0_for_equal_weights_and_1_for_a_single_step():
