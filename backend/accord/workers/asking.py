@@ -43,6 +43,8 @@ class _Round:
     paired: set[frozenset[str]]
     #: newest first, at most two
     versions: list[RewardVersionRow]
+    #: the pairs that a choice by features keeps away from
+    asked: Sequence[frozenset[str]]
     #: of the segments to look into
     blob_keys: dict[str, str]
 
@@ -109,7 +111,7 @@ class Asker:
             scores = scout.scores(version.id, ensemble, keys, found.config.device)
         if needs_features(name):
             features = scout.features(keys)
-            pairs = [found.blob_keys[id] for pair in _asked(found.paired) for id in sorted(pair)]
+            pairs = [found.blob_keys[id] for pair in found.asked for id in sorted(pair)]
             asked = scout.features(pairs).reshape(-1, 2, features.shape[1]) if pairs else None
         return SegmentView(scores, features, asked), version
 
@@ -130,16 +132,17 @@ def _read_round(session: Session, experiment_id: str) -> _Round | None:
     paired = select.paired(session, experiment_id)
     versions = publish.versions(session, experiment_id)[:-3:-1]
     looked_into: list[str] = []
+    asked: Sequence[frozenset[str]] = ()
     if versions and config.query_selection != "uniform":
-        looked_into = segment_ids[:SCORED_SEGMENTS]
-        if needs_features(config.query_selection):
-            looked_into = [*looked_into, *(id for pair in _asked(paired) for id in pair)]
+        asked = _asked(paired) if needs_features(config.query_selection) else ()
+        looked_into = [*segment_ids[:SCORED_SEGMENTS], *(id for pair in asked for id in pair)]
     return _Round(
         config,
         wanted,
         segment_ids,
         paired,
         versions,
+        asked,
         select.segment_blobs(session, list(dict.fromkeys(looked_into))),
     )
 
