@@ -5,7 +5,6 @@ from accord.domain.words import Role
 
 _SEES_RETURNS = frozenset({Role.TEACHER, Role.RESEARCHER, Role.ADMIN})
 _RUNS_EXPERIMENTS = frozenset({Role.RESEARCHER, Role.ADMIN})
-_LABELS = frozenset(Role)
 _LABELS_IN_BATCHES = frozenset({Role.TEACHER, Role.RESEARCHER, Role.ADMIN})
 
 
@@ -15,10 +14,6 @@ def may_see_returns(role: Role) -> bool:
 
 def may_run_experiments(role: Role) -> bool:
     return role in _RUNS_EXPERIMENTS
-
-
-def may_label(role: Role) -> bool:
-    return role in _LABELS
 
 
 def may_label_in_batches(role: Role) -> bool:
