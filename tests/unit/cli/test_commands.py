@@ -1,29 +1,17 @@
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-import typer
 
 from accord.cli.main import app, main
 from accord.cli.options import load_settings, service_url, url_of
 from accord.cli.up import environment_of
 from accord.domain.errors import DatabaseTooNew
 from accord.settings import Settings
+from support.reference import commands_of
 
-
-def leaves(command: Any, path: str) -> Iterator[tuple[str, Any]]:
-    inner = getattr(command, "commands", None)
-    if inner is None:
-        yield path, command
-        return
-    for name, child in inner.items():
-        yield from leaves(child, f"{path} {name}")
-
-
-COMMANDS = dict(leaves(typer.main.get_command(app), "accord"))
+COMMANDS = commands_of(app, "accord")
 
 
 def test_the_commands_are_those_of_the_documents():
@@ -37,13 +25,6 @@ def test_the_commands_are_those_of_the_documents():
         "accord tasks",
         "accord user add",
     }
-
-
-@pytest.mark.parametrize("path", COMMANDS)
-def test_every_option_says_what_it_is_for(path):
-    for parameter in COMMANDS[path].params:
-        if parameter.name != "help":
-            assert getattr(parameter, "help", None), f"{path} {parameter.name}"
 
 
 @pytest.mark.parametrize("module", ["accord.cli.main", "accord.cli.serve"])

@@ -1,33 +1,15 @@
-"""docs/reference.md names every setting, command and option."""
+"""docs/reference.md names every setting, command and option, and none that is not there."""
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 
-from accord.cli.main import app
+from accord.cli.main import app as accord
 from accord.settings import Settings
+from mapt.cli.main import app as mapt
+from support.reference import REFERENCE, commands_of, options_of, section
 
-REFERENCE = (Path(__file__).parents[3] / "docs" / "reference.md").read_text()
-
-
-def commands(command: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """(path, command) of every leaf. typer carries its own copy of click, so there is no public type to ask for."""
-    inner = getattr(command, "commands", None)
-    if inner is None:
-        yield path, command
-        return
-    for name, child in inner.items():
-        yield from commands(child, f"{path} {name}")
-
-
-COMMANDS = dict(commands(typer.main.get_command(app), "accord"))
-
-
-def section(command: str) -> str:
-    return REFERENCE.partition(f"### {command}\n")[2].partition("\n### ")[0].partition("\n## ")[0]
+COMMANDS: dict[str, Any] = commands_of(accord, "accord") | commands_of(mapt, "mapt")
 
 
 @pytest.mark.parametrize("name", Settings.model_fields)
@@ -38,20 +20,33 @@ def test_every_setting_is_documented_with_its_description(name: str) -> None:
     assert field.description in REFERENCE
 
 
+def test_no_setting_is_documented_that_is_not_there() -> None:
+    documented = {word.strip("`") for word in REFERENCE.split() if word.startswith("`ACCORD_")}
+    assert documented - {"ACCORD_TOKEN"} <= {f"ACCORD_{name.upper()}" for name in Settings.model_fields}
+
+
 @pytest.mark.parametrize("path", COMMANDS)
 def test_every_command_has_a_section_and_says_what_it_does(path: str) -> None:
-    assert section(path)
+    assert section(path), f"docs/reference.md has no section ### {path}"
     assert COMMANDS[path].help
 
 
 @pytest.mark.parametrize("path", COMMANDS)
-def test_every_option_is_in_its_commands_section(path: str) -> None:
-    for parameter in COMMANDS[path].params:
-        if parameter.param_type_name == "option" and not getattr(parameter, "hidden", False):
-            for option in (*parameter.opts, *parameter.secondary_opts):
-                assert f"`{option}`" in section(path), f"{path} {option} is missing from docs/reference.md"
+def test_every_option_says_what_it_is_for_and_is_in_its_commands_section(path: str) -> None:
+    for option in options_of(COMMANDS[path]):
+        assert option.help, f"{path} {option.name} says nothing"
+        for name in (*option.opts, *option.secondary_opts):
+            assert f"`{name}`" in section(path), f"{path} {name} is missing from docs/reference.md"
 
 
-def test_no_setting_is_documented_that_is_not_there() -> None:
-    documented = {word.strip("`") for word in REFERENCE.split() if word.startswith("`ACCORD_")}
-    assert documented - {"ACCORD_TOKEN"} <= {f"ACCORD_{name.upper()}" for name in Settings.model_fields}
+@pytest.mark.parametrize("path", COMMANDS)
+def test_no_option_is_documented_that_is_not_there(path: str) -> None:
+    rows = [line for line in section(path).splitlines() if line.startswith("| `--")]
+    documented = {word.strip("`,") for row in rows for word in row.split("|")[1].split() if "--" in word}
+    there = {name for option in COMMANDS[path].params for name in (*option.opts, *option.secondary_opts)}
+    assert documented <= there
+
+
+def test_every_documented_command_is_there() -> None:
+    headings = {line.removeprefix("### ") for line in REFERENCE.splitlines() if line.startswith("### ")}
+    assert {heading for heading in headings if heading.startswith(("accord ", "mapt "))} == set(COMMANDS)
