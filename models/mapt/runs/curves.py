@@ -77,28 +77,20 @@ def draw_curves(groups: Sequence[Group], path: Path) -> None:
 
 
 def _draw_group(axes: Axes, group: Group, index: int) -> None:
-    drawn = style(index)
-    seeds = len(group.runs)
+    drawn, seeds = style(index), len(group.runs)
+    # For the legend alone: one entry for line and marks.
     label = f"{group.label} ({seeds} seed{'s' if seeds > 1 else ''})"
+    axes.plot([], [], color=drawn.colour, linestyle=drawn.dashes, marker=drawn.mark, markersize=5, label=label)
     if any(len(run.curve_steps) for run in group.runs):
         curves = seed_curves(group.runs)
         whole = curves.whole()
         steps, returns = curves.steps[whole], curves.returns[:, whole]
         mean, spread = returns.mean(axis=0), returns.std(axis=0)
-        axes.plot(steps, mean, color=drawn.colour, linestyle=drawn.dashes, linewidth=1.8, label=label)
-        axes.fill_between(steps, mean - spread, mean + spread, color=drawn.colour, alpha=0.18, linewidth=0)
-        axes.plot(curves.steps, curves.returns.T, color=drawn.colour, linewidth=0.6, alpha=0.5)
-        label = "_"
-    evaluated = [one for run in group.runs for one in run.evaluations]
-    axes.plot(
-        [one.steps for one in evaluated],
-        [one.mean for one in evaluated],
-        linestyle="none",
-        marker=drawn.mark,
-        markersize=5,
-        color=drawn.colour,
-        label=label,
-    )
+        axes.plot(steps, mean, color=drawn.colour, linestyle=drawn.dashes, linewidth=1.8)
+        axes.fill_between(steps, mean - spread, mean + spread, color=drawn.colour, alpha=0.15, linewidth=0)
+        axes.plot(curves.steps, curves.returns.T, color=drawn.colour, linewidth=0.5, alpha=0.4)
+    evaluated = [(one.steps, one.mean) for run in group.runs for one in run.evaluations]
+    axes.plot(*np.array(evaluated).reshape(-1, 2).T, drawn.mark, markersize=5, color=drawn.colour)
 
 
 def _short(steps: float) -> str:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mapt.runs.evaluation import interquartile_mean
 from mapt.runs.results import PARTS, Evaluated, Group, RunResult
 
 _NONE = "-"
@@ -17,8 +16,8 @@ def markdown(groups: Sequence[Group], milestones: Sequence[int] = ()) -> str:
         milestones: steps to tell of; without any, each group's last evaluation.
     """
     lines = [
-        "True return of mean actions. Mean, sample standard deviation and interquartile mean are over seeds, "
-        "each seed's value the mean over its episodes.",
+        "True return of mean actions. Mean and sample standard deviation are over seeds, each seed's value the mean "
+        "over its episodes. The interquartile mean is of a seed's episodes, averaged over seeds.",
         "",
         "| task | algorithm | reward | steps | seeds | mean | spread | interquartile mean | by seed |",
         "|---|---|---|---:|---:|---:|---:|---:|---|",
@@ -42,11 +41,16 @@ def _returns(group: Group, milestones: Sequence[int]) -> list[str]:
 def _row(group: Group, steps: int, found: Sequence[tuple[RunResult, Evaluated | None]]) -> str:
     there = [(run, one) for run, one in found if one is not None]
     values = np.array([one.mean for _, one in there])
-    spread = f"{values.std(ddof=1):,.0f}" if len(values) > 1 else _NONE
-    mean, iqm = (f"{values.mean():,.0f}", f"{interquartile_mean(values):,.0f}") if len(values) else (_NONE, _NONE)
-    each = ", ".join(f"{run.settings.policy.seed}: {one.mean:,.0f}" for run, one in there) or _NONE
+    spread = _whole(values.std(ddof=1)) if len(values) > 1 else _NONE
+    mean, iqm = (_whole(values.mean()), _whole(np.mean([one.iqm for _, one in there]))) if there else (_NONE, _NONE)
+    each = ", ".join(f"{run.settings.policy.seed}: {_whole(one.mean)}" for run, one in there) or _NONE
     cells = [*_names(group), f"{steps:,}", str(len(values)), mean, spread, iqm, each]
     return f"| {' | '.join(cells)} |"
+
+
+def _whole(value: np.floating | float) -> str:
+    """Without a sign where it is 0."""
+    return f"{round(float(value)):,}"
 
 
 def _times(group: Group) -> str | None:

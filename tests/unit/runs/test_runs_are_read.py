@@ -95,11 +95,13 @@ def test_runs_go_together_that_differ_in_their_seeds_alone(settings, tmp_path):
 
 def test_the_table_tells_mean_spread_and_each_seed(settings, tmp_path):
     folders = [
-        write_run(tmp_path / str(seed), settings(2, policy_seed=seed), [1.0, 2.0], final=[value - 1, value + 1])
+        write_run(
+            tmp_path / str(seed), settings(2, policy_seed=seed), [1.0, 2.0], final=[value - 1, value, value, value + 41]
+        )
         for seed, value in ((0, 100.0), (1, 300.0))
     ]
     text = markdown(grouped(read(*folders)))
-    assert f"| mappo | true | {2 * STEPS_PER_ITERATION:,} | 2 | 200 | 141 | 200 | 0: 100, 1: 300 |" in text
+    assert f"| mappo | true | {2 * STEPS_PER_ITERATION:,} | 2 | 210 | 141 | 200 | 0: 110, 1: 310 |" in text
     # Ten seconds an iteration.
     assert f"| mappo | true | {STEPS_PER_ITERATION / 10:,.0f} | 10% | 20% | 30% | 40% |" in text
     assert "Not finished" not in text
