@@ -3,6 +3,9 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+# A file's tests stay in one process, in order: they share servers and browsers. The files that take longest come first.
+TEST_PROCESSES ?= 2
+SIDE_BY_SIDE := --numprocesses $(TEST_PROCESSES) --dist loadfile --no-loadscope-reorder
 PAGE_SOURCES := $(shell find frontend/src frontend/public frontend/index.html frontend/package-lock.json frontend/vite.config.ts 2>/dev/null)
 
 .PHONY: run test check bench learn format system system-test clean
@@ -11,7 +14,7 @@ run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in
 	$(BIN)/accord up --example
 
 test: $(INSTALLED) system-test check ## Format, lint, types, import rules, then every test that takes minutes, not hours
-	$(BIN)/python -m pytest -m "not benchmark and not learn"
+	$(BIN)/python -m pytest -m "not benchmark and not learn" $(SIDE_BY_SIDE)
 
 check: $(INSTALLED) ## Format, lint, types, import rules, the page
 	$(BIN)/ruff format --check backend models tests frontend
