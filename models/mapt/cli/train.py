@@ -72,6 +72,9 @@ def train(
         float, typer.Option(min=0, help="Minutes between checkpoints; 0 for one after every iteration.")
     ] = 5.0,
     device: Device = "auto",
+    physics_threads: Annotated[
+        int, typer.Option(min=0, help="Threads that step the task; 0 for one per core, 1 beside other runs.")
+    ] = 0,
     video: Annotated[bool, typer.Option(help="Make a video of the final policy.")] = True,
 ) -> None:
     """Train a policy with each seed, measure it and film it.
@@ -92,7 +95,7 @@ def train(
         for number in numbers("--seed", seed, 0)
     ]
     folders = [RunFolder(output / f"seed-{run.policy.seed}") for run in runs]
-    if not _train_all(runs, folders, checkpoint_minutes * 60, video=video):
+    if not _train_all(runs, folders, checkpoint_minutes * 60, video=video, physics_threads=physics_threads):
         complain("Stopped; the same command goes on.")
         raise typer.Exit(_STOPPED)
 
@@ -114,7 +117,12 @@ def _learned(path: Path, segment_steps: int | None, kind: str, credit: str) -> L
 
 
 def _train_all(
-    runs: Sequence[RunSettings], folders: Sequence[RunFolder], checkpoint_seconds: float, *, video: bool
+    runs: Sequence[RunSettings],
+    folders: Sequence[RunFolder],
+    checkpoint_seconds: float,
+    *,
+    video: bool,
+    physics_threads: int,
 ) -> bool:
     """One run after the other. Returns whether all were finished."""
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"))
@@ -127,7 +135,9 @@ def _train_all(
         for run, folder in zip(runs, folders, strict=True):
             with _shown(run, progress) as show:
                 watch = Watch(on_iteration=show, note=note, stopped=stopped)
-                evaluation = complete_run(run, folder, checkpoint_seconds, watch, video=video)
+                evaluation = complete_run(
+                    run, folder, checkpoint_seconds, watch, video=video, physics_threads=physics_threads
+                )
             if evaluation is None:
                 return False
             note(f"seed {run.policy.seed}: {sentence(evaluation)}; {folder.path}")

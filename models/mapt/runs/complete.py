@@ -9,7 +9,13 @@ from mapt.runs.video import record_video
 
 
 def complete_run(
-    settings: RunSettings, folder: RunFolder, checkpoint_seconds: float, watch: Watch, *, video: bool = True
+    settings: RunSettings,
+    folder: RunFolder,
+    checkpoint_seconds: float,
+    watch: Watch,
+    *,
+    video: bool = True,
+    physics_threads: int = 0,
 ) -> Evaluation | None:
     """Train, evaluate and film; whatever of it is done already is not done again.
 
@@ -22,7 +28,10 @@ def complete_run(
         RunBusy: if another process trains in this folder.
         See `Run` for what else.
     """
-    with folder.locked(), Run(settings, folder, checkpoint_seconds, watch) as run:
+    with (
+        folder.locked(),
+        Run(settings, folder, checkpoint_seconds, watch, physics_threads=physics_threads) as run,
+    ):
         if not run.train():
             return None
         evaluation = folder.read_evaluation(run.learner.steps)

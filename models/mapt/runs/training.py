@@ -38,17 +38,28 @@ class Run:
         settings: as the folder's run has them, or of a new run.
         folder: where the run is, or will be.
         checkpoint_seconds: between two checkpoints at least.
+        physics_threads: as `n_threads` of `make_task`; nothing that is learned depends on it.
 
     Raises:
         OtherRun, DamagedRun: if the folder holds another run, or one that cannot be read.
         UnknownTask, InvalidConfig, CheckpointError, ModelMismatch: if the settings cannot be met.
     """
 
-    def __init__(self, settings: RunSettings, folder: RunFolder, checkpoint_seconds: float, watch: Watch) -> None:
+    def __init__(
+        self,
+        settings: RunSettings,
+        folder: RunFolder,
+        checkpoint_seconds: float,
+        watch: Watch,
+        *,
+        physics_threads: int = 0,
+    ) -> None:
         self._settings, self._folder, self._watch = settings, folder, watch
-        self._checkpoint_seconds = checkpoint_seconds
+        self._checkpoint_seconds, self._physics_threads = checkpoint_seconds, physics_threads
         folder.check(settings)
-        self._task = TimedTask(make_task(settings.task, settings.policy.n_envs, agent_obsk=settings.agent_obsk))
+        self._task = TimedTask(
+            make_task(settings.task, settings.policy.n_envs, n_threads=physics_threads, agent_obsk=settings.agent_obsk)
+        )
         try:
             self.learner, self._source, self.iteration = self._start_or_restore()
         except BaseException:
@@ -140,7 +151,13 @@ class Run:
         """Episodes of the policy as it is; nothing that is learned from is touched."""
         settings = self._settings
         seed = settings.policy.seed
-        return evaluate_policy(self.learner.policy, settings.task, agent_obsk=settings.agent_obsk, seed=seed)
+        return evaluate_policy(
+            self.learner.policy,
+            settings.task,
+            agent_obsk=settings.agent_obsk,
+            seed=seed,
+            n_threads=self._physics_threads,
+        )
 
     def _save(self) -> None:
         progress = {"iteration": self.iteration, **self._source.progress}

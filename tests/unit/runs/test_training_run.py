@@ -70,6 +70,14 @@ def test_a_finished_run_is_made_longer_and_is_then_the_long_run(settings, tmp_pa
     assert grown.evaluation.read_bytes() == whole.evaluation.read_bytes() != short
 
 
+def test_threads_of_the_physics_change_nothing_that_is_learned(settings, tmp_path):
+    folders = [RunFolder(tmp_path / str(threads)) for threads in (1, 3)]
+    for folder, threads in zip(folders, (1, 3), strict=True):
+        complete_run(settings(iterations=2), folder, 0.0, Watch(), video=False, physics_threads=threads)
+    assert folders[0].checkpoint.read_bytes() == folders[1].checkpoint.read_bytes()
+    assert folders[0].evaluation.read_bytes() == folders[1].evaluation.read_bytes()
+
+
 def test_evaluations_on_the_way_change_nothing_that_is_learned(settings, tmp_path):
     often = train(settings(iterations=4, evaluate_every_steps=2 * STEPS_PER_ITERATION), tmp_path / "often")
     never = train(settings(iterations=4), tmp_path / "never")
