@@ -13,6 +13,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from accord.api.pages import FOLDER
+from browser.labeller import PATIENCE_MS
 from browser.service import SMALL, Service
 
 _FLAGS = (
@@ -35,7 +36,7 @@ def browser() -> Iterator[Browser]:
     if chromium is None:
         pytest.skip("no Chromium on this machine: apt-get install chromium")
     # What is expected happens at once or never, but on a busy machine at once takes longer than the usual 5 s.
-    expect.set_options(timeout=30_000)
+    expect.set_options(timeout=PATIENCE_MS)
     with sync_playwright() as playwright:
         launched = playwright.chromium.launch(executable_path=chromium, args=list(_FLAGS))
         yield launched
@@ -43,7 +44,8 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def service(tmp_path_factory: pytest.TempPathFactory, browser: Browser) -> Iterator[Service]:
+    """Not without a browser: the tests would be skipped, and starting it takes the machine for a while."""
     if not (FOLDER / "index.html").is_file():
         pytest.skip("the page is not built: python frontend/build_page.py")
     service = Service(tmp_path_factory.mktemp("accord"))

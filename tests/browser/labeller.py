@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 from playwright.sync_api import Page, TimeoutError, expect
 
+from support.waiting import PATIENCE_SECONDS
+
 #: a busy machine renders, trains and runs a browser at once
-PATIENCE_MS = 120_000
+PATIENCE_MS = round(1000 * PATIENCE_SECONDS)
 #: a key that came too soon after the pair is ignored by the page: a person presses it again
 RETRY_MS = 1_500
 

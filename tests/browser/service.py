@@ -1,9 +1,7 @@
 """`accord up` as a process of its own, over a home folder and a port that stay the same when it is started again."""
 
 import os
-import random
 import signal
-import socket
 import sqlite3
 import subprocess
 import sys
@@ -15,9 +13,11 @@ from typing import Any
 import httpx
 import psutil
 
-#: a deadline, not an expectation: other tests may have the machine
-START_SECONDS = 180.0
-STOP_SECONDS = 30.0
+from accord.domain.words import Role
+from accord.services import accounts
+from accord.store.database import Database
+from support.ports import free_port
+from support.waiting import PATIENCE_SECONDS
 
 #: few and short clips, few labels: the whole loop within a minute of a busy machine
 SMALL: dict[str, Any] = {
@@ -47,7 +47,7 @@ class Service:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "accord.cli", *command], env=environment(), stdout=log, stderr=log
             )
-        deadline = time.monotonic() + START_SECONDS
+        deadline = time.monotonic() + PATIENCE_SECONDS
         while time.monotonic() < deadline and self._process.poll() is None:
             with suppress(httpx.TransportError):
                 if httpx.get(f"{self.url}/api/v1/health", trust_env=False).is_success:
@@ -59,7 +59,7 @@ class Service:
         """SIGTERM, as a person's Ctrl-C."""
         if self._process is not None and self.is_alive():
             self._process.send_signal(signal.SIGTERM)
-            self._process.wait(STOP_SECONDS)
+            self._process.wait(PATIENCE_SECONDS)
 
     def is_alive(self) -> bool:
         return self._process is not None and self._process.poll() is None
@@ -72,40 +72,29 @@ class Service:
         for process in family:
             with suppress(psutil.NoSuchProcess):
                 process.kill()
-        self._process.wait(STOP_SECONDS)
-        psutil.wait_procs(family, timeout=STOP_SECONDS)
+        self._process.wait(PATIENCE_SECONDS)
+        psutil.wait_procs(family, timeout=PATIENCE_SECONDS)
 
     def add_user(self, name: str, role: str) -> tuple[str, str]:
-        """A new user's bearer token and sign-in link, by the command that people use."""
-        command = ["user", "add", name, "--role", role, "--home", str(self.home)]
-        done = subprocess.run(
-            [sys.executable, "-m", "accord.cli", *command],
-            env=environment(),
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        words = dict(line.split(maxsplit=1) for line in done.stdout.splitlines() if line.strip())
-        return words["token"], words["link"]
+        """A new user's bearer token and sign-in link, as `accord user add` makes them."""
+        database = Database.open(f"sqlite:///{self.home / 'accord.db'}")
+        try:
+            with database.transaction() as session:
+                row, token = accounts.create_user(session, name, Role(role))
+                link_token = accounts.make_link(session, row.id, minutes=60)
+        finally:
+            database.close()
+        return token, f"{self.url}/sign-in/{link_token}"
 
     def api(self, token: str) -> httpx.Client:
         """A client of the REST API, as a researcher's script uses it."""
         headers = {"Authorization": f"Bearer {token}"}
-        return httpx.Client(base_url=f"{self.url}/api/v1", headers=headers, trust_env=False, timeout=30.0)
+        return httpx.Client(base_url=f"{self.url}/api/v1", headers=headers, trust_env=False, timeout=PATIENCE_SECONDS)
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         """What the database holds, read past the API."""
         with closing(sqlite3.connect(self.home / "accord.db")) as connection:
             return connection.execute(statement, values).fetchall()
-
-
-def free_port() -> int:
-    """Below the range from which the kernel gives ports to outgoing connections: it must still be free after a kill."""
-    for port in random.sample(range(20_000, 32_000), 100):
-        with socket.socket() as probe, suppress(OSError):
-            probe.bind(("127.0.0.1", port))
-            return port
-    raise AssertionError("no free port between 20000 and 32000")
 
 
 def environment() -> dict[str, str]:
