@@ -21,7 +21,7 @@ from mapt.runs.video import record_video
 from mapt.tasks import ParallelEntry, load_model, register_task, task_spec
 from mapt.tasks.plugins import VARIABLE
 from unit.runs import short_task
-from unit.runs.short_task import HORIZON_STEPS, NAME
+from unit.runs.short_task import HORIZON_STEPS, NAME, known_task  # noqa: F401  (every test here takes it)
 from unit.tasks.test_parallel_task import DrawnLevers, Levers
 
 SMALL = {"hidden": [8], "device": "cpu", "n_envs": 2, "rollout_steps": 8, "minibatches": 1, "epochs": 1}

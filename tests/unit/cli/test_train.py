@@ -11,7 +11,7 @@ import pytest
 from mapt.cli.main import main
 from mapt.runs.folder import RunFolder
 from unit.runs.conftest import STEPS_PER_ITERATION, reward_model, write_reward
-from unit.runs.short_task import NAME
+from unit.runs.short_task import NAME, known_task  # noqa: F401  (a fixture that every test here takes)
 
 TINY = ("n_envs=4", "rollout_steps=24", "minibatches=2", "epochs=2", "hidden=[8]")
 

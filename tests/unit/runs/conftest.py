@@ -12,7 +12,7 @@ from mapt.rewards.config import RewardConfig
 from mapt.rewards.model import RewardModel, build_reward_model
 from mapt.runs.settings import LearnedRewardSettings, RunSettings
 from mapt.tasks import task_spec
-from unit.runs.short_task import NAME
+from unit.runs.short_task import NAME, known_task  # noqa: F401  (a fixture that every test here takes)
 
 #: E * L
 STEPS_PER_ITERATION = 4 * 24
