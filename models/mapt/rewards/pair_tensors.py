@@ -62,9 +62,9 @@ def whole_scorer(model: RewardModel, segments: SegmentReader, products: torch.dt
 
 
 @torch.no_grad()
-def markov_scorer(model: RewardModel, segments: SegmentReader) -> Scorer:
+def markov_scorer(model: RewardModel, segments: SegmentReader, used: Tensor) -> Scorer:
     """Scores in which only the Markov path moves: the attention path's rewards and the weights of the steps
-    stay what they are now, so that they need one pass over the segments for the whole training."""
+    stay what they are now, so that they need one pass over the segments `used`, int64 (U,), for the whole training."""
 
     def markov_score(part: SegmentTensors, weights: Tensor) -> Tensor:
         rewards = model.markov_rewards(part.observations, part.actions).mean(dim=2)
@@ -72,16 +72,19 @@ def markov_scorer(model: RewardModel, segments: SegmentReader) -> Scorer:
 
     # Filled in place: small tensors that are kept between large ones that go leave the memory in pieces, and 50,000
     # pairs then take gigabytes.
-    weights = torch.empty(len(segments), segments.n_steps, device=segments.device)
-    offset = torch.empty(len(segments), device=segments.device)
-    for place in torch.arange(len(segments), device=segments.device).split(EVALUATION_SEGMENTS):
-        part = segments.take(place)
+    weights = torch.empty(len(used), segments.n_steps, device=segments.device)
+    offset = torch.empty(len(used), device=segments.device)
+    place_of = torch.full((len(segments),), -1, device=segments.device)
+    place_of[used] = torch.arange(len(used), device=segments.device)
+    for place in torch.arange(len(used), device=segments.device).split(EVALUATION_SEGMENTS):
+        part = segments.take(used[place])
         output = model(*part.inputs)
         weights[place] = output.weights
         offset[place] = output.score - markov_score(part, output.weights)
 
     def score(index: Tensor) -> Tensor:
-        return offset[index] + markov_score(segments.take(index), weights[index])
+        place = place_of[index]
+        return offset[place] + markov_score(segments.take(index), weights[place])
 
     return score
 

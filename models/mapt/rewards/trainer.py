@@ -6,7 +6,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from mapt.preferences.dataset import PreferenceDataset, SegmentSource
 from mapt.rewards.base import RewardModel
@@ -98,7 +100,8 @@ def train_reward_model(
             stop=stop,
         )
         products = resolve_precision(train_config.precision, config.hidden_dim, device)
-        _run_stages(fitting, model, segments, stages, products)
+        used = torch.as_tensor(np.unique(dataset.pairs), device=device)
+        _run_stages(fitting, model, segments, stages, used=used, products=products)
     judged = segments if reference is None else segment_reader(reference, device)
     rewards = step_rewards(model, judged, spread_sample(judged))
     model.set_reward_scale(float(rewards.mean()), float(rewards.std()))
@@ -123,11 +126,17 @@ def train_reward_model(
 
 
 def _run_stages(
-    fitting: Fitting, model: RewardModel, segments: SegmentReader, stages: Stages, products: torch.dtype
+    fitting: Fitting,
+    model: RewardModel,
+    segments: SegmentReader,
+    stages: Stages,
+    *,
+    used: Tensor,
+    products: torch.dtype,
 ) -> None:
     model.eval()
     if stages.markov is not None and model.markov is not None:
-        fitting.run(Stage(stages.markov, list(model.markov.parameters()), markov_scorer(model, segments)))
+        fitting.run(Stage(stages.markov, list(model.markov.parameters()), markov_scorer(model, segments, used)))
     if stages.whole is not None and not fitting.stopped:
         scorer = whole_scorer(model, segments, products)
         parameters = list(model.parameters())

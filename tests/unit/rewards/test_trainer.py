@@ -16,7 +16,7 @@ from mapt.rewards.errors import InvalidConfig, ModelMismatch
 from mapt.rewards.fitting import Fitting, Stage, judge_pairs
 from mapt.rewards.model import build_reward_model
 from mapt.rewards.network import MAPT
-from mapt.rewards.pair_tensors import PairTensors, markov_scorer
+from mapt.rewards.pair_tensors import PairTensors, markov_scorer, whole_scorer
 from mapt.rewards.stages import StageSettings
 from mapt.rewards.train_config import TrainConfig
 from mapt.rewards.trainer import train_reward_model
@@ -258,12 +258,22 @@ def test_the_attention_path_is_kept_only_where_the_hold_out_gains():
     assert metrics[1]["holdout_loss"] <= metrics[0]["holdout_loss"]
 
 
+def test_before_the_markov_path_moves_its_scores_are_the_whole_network_s():
+    data = preferences(30)
+    model = build_reward_model(CONFIG).eval()
+    segments = segment_reader.segment_reader(data.segments, torch.device("cpu"))
+    used = torch.tensor([3, 17, 20, 58])
+    asked = torch.tensor([58, 3, 20])
+    with torch.inference_mode():
+        torch.testing.assert_close(markov_scorer(model, segments, used)(asked), whole_scorer(model, segments)(asked))
+
+
 def test_what_a_stage_learned_by_heart_early_is_not_handed_on():
     coin_flips = np.random.default_rng(5).integers(0, 2, 400)
     data, cpu = preferences(400, labels=coin_flips), torch.device("cpu")
     train, hold_out = (PairTensors.of(part, cpu) for part in data.split(0.2, 0))
     model = build_reward_model(CONFIG).eval()
-    scorer = markov_scorer(model, segment_reader.segment_reader(data.segments, cpu))
+    scorer = markov_scorer(model, segment_reader.segment_reader(data.segments, cpu), torch.arange(len(data.segments)))
     untrained = judge_pairs(hold_out, scorer).loss
     settings = StageSettings(2e-2, 0.0, 32, 80, 80, 0.0, remember_epoch=80)
     fitting = Fitting(model, train, hold_out, seed=0, max_epochs=80)
