@@ -14,6 +14,7 @@ from mapt.runs.tensorboard import EVENTS
 from support.waiting import until
 from unit.runs import short_task
 from unit.runs.conftest import reward_model, write_reward
+from unit.runs.short_task import known_task  # noqa: F401  (every test here takes it)
 
 STEPS_PER_ITERATION = 4 * 24
 ITERATIONS = 40
