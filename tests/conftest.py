@@ -1,4 +1,4 @@
-"""What every test needs, before torch is imported."""
+"""What every test needs, before torch is imported, and fixtures that folders share."""
 
 import os
 
@@ -6,3 +6,5 @@ import os
 # that made a training ten times slower; one thread that sleeps when it waits is also what the workers are given.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+pytest_plugins = ["support.mapt_command", "support.short_cheetah"]

@@ -37,7 +37,7 @@ from mapt.policies.experience import checked_rewards, prepare
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.model import build_reward_model
 from mapt.rewards.relabelling import RolloutRelabeller
-from mapt.tasks import Task, TaskStep, make_task
+from mapt.tasks import Task, TaskStep, WrappedTask, make_task
 
 SEGMENT_STEPS = 50
 PARTS = ("physics", "inference", "reward", "update")
@@ -59,18 +59,16 @@ class Clock:
         self.cpu[name] += time.process_time() - cpu
 
 
-class TimedTask:
+class TimedTask(WrappedTask):
     """A task that tells a clock how long its physics takes."""
 
     def __init__(self, task: Task) -> None:
-        self._task, self.clock = task, Clock()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._task, name)
+        super().__init__(task)
+        self.clock = Clock()
 
     def step(self, actions: np.ndarray) -> TaskStep:
         with self.clock.part("physics"):
-            return self._task.step(actions)
+            return super().step(actions)
 
 
 class Run:
@@ -79,7 +77,7 @@ class Run:
     def __init__(self, task_name: str, config: PolicyConfig, reward: str, physics_threads: int) -> None:
         self.name = reward
         self._task = TimedTask(make_task(task_name, config.n_envs, n_threads=physics_threads))
-        self.learner = Learner(self._task, config)  # pyright: ignore[reportArgumentType]
+        self.learner = Learner(self._task, config)
         self._reward = true_reward if reward == "true" else self._mapt()
         self.clocks: list[Clock] = []
 

@@ -1,18 +1,38 @@
-"""HalfCheetah-6x1 with episodes a twentieth as long, for tests that play whole ones though it is not about them.
+"""Cheetahs of short episodes, for tests that play whole ones though it is not about them.
 
-A file of tasks, as docs/tasks.md has it: named in MAPT_TASKS, it is known to every process of a service.
+A file of tasks, as docs/tasks.md has it: named in MAPT_TASKS, it is known to every process of a service. A test that
+imports it for its names registers nothing: tests that are collected for every task there is must not find these.
 """
 
 from dataclasses import replace
 
+import pytest
+
 from mapt.tasks import MujocoEntry, register_task
+from mapt.tasks.plugins import VARIABLE
 from mapt.tasks.registry import find_entry
 
+#: HalfCheetah-6x1 with episodes a twentieth as long
 NAME = "ShortHalfCheetah-6x1"
-ENVIRONMENT = {"MAPT_TASKS": __file__}
+HORIZON_STEPS = 50
+#: HalfCheetah-2x3 with episodes a fiftieth as long
+SHORTEST_NAME = "ShortestHalfCheetah-2x3"
+SHORTEST_HORIZON_STEPS = 20
+ENVIRONMENT = {VARIABLE: __file__}
 
-if __name__ == "short_cheetah":
-    # Run as a file of tasks; a test that imports this module for its names registers nothing.
-    whole = find_entry("HalfCheetah-6x1")
-    assert isinstance(whole, MujocoEntry)
-    register_task(replace(whole, name=NAME, horizon_steps=50))
+
+@pytest.fixture
+def short_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lets this process and those it starts know the tasks with short episodes."""
+    monkeypatch.setenv(VARIABLE, __file__)
+
+
+def _register(whole: str, name: str, horizon_steps: int) -> None:
+    entry = find_entry(whole)
+    assert isinstance(entry, MujocoEntry)
+    register_task(replace(entry, name=name, horizon_steps=horizon_steps))
+
+
+if __name__ == "short_cheetah":  # run as a file of tasks
+    _register("HalfCheetah-6x1", NAME, HORIZON_STEPS)
+    _register("HalfCheetah-2x3", SHORTEST_NAME, SHORTEST_HORIZON_STEPS)

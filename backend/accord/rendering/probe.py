@@ -3,11 +3,9 @@
 A driver may be missing, broken or hang, so each is tried in a child process that draws one frame.
 """
 
-import subprocess
-import sys
-
 from accord.rendering.errors import RenderingUnavailable
-from mapt.rendering.environment import BACKENDS, INSTALL, Backend, render_environment
+from mapt.rendering.apart import draw_apart
+from mapt.rendering.environment import BACKENDS, INSTALL, Backend
 
 #: what the child prints when its frame shows what it should
 DREW = "drew a frame"
@@ -37,21 +35,6 @@ def probe_backend(limit_seconds: float = PROBE_LIMIT_SECONDS) -> Backend:
 
 def try_backend(backend: Backend, limit_seconds: float) -> str | None:
     """Draw one frame with this backend in a child process. None if it did, else what went wrong, in a line."""
-    command = [sys.executable, "-P", "-m", "accord.rendering.probe_child"]
-    try:
-        done = subprocess.run(
-            command,
-            env=render_environment(backend),
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=limit_seconds,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return f"no frame in {limit_seconds:g} seconds"
-    if DREW in done.stdout:  # OSMesa draws well and then fails at its exit
-        return None
-    lines = done.stderr.strip().splitlines()
-    return lines[-1] if lines else f"exit status {done.returncode}"
+    return draw_apart(
+        backend, "accord.rendering.probe_child", done=DREW, limit_seconds=limit_seconds, undone="no frame"
+    )

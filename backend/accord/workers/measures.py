@@ -6,12 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.policies import Learner, evaluate
+from mapt.runs.evaluation import EPISODES, SEED_OF_STARTS
 from mapt.tasks import Task, TaskStep, WrappedTask, make_task
-
-#: episodes of an evaluation: the mean's standard error is a sixth of their spread
-EVALUATION_EPISODES = 32
-#: keeps the evaluation's starts apart from those of training
-_EVALUATION_SEED = 1_000_003
 
 
 class Interrupted(Exception):
@@ -38,9 +34,9 @@ def evaluation(learner: Learner, task_name: str, seed: int, name: str, stopped: 
     Raises:
         Interrupted: if `stopped` said so meanwhile.
     """
-    task = InterruptibleTask(make_task(task_name, EVALUATION_EPISODES, n_threads=learner.config.n_threads), stopped)
+    task = InterruptibleTask(make_task(task_name, EPISODES, n_threads=learner.config.n_threads), stopped)
     try:
-        returns = evaluate(learner, task, EVALUATION_EPISODES, seed=seed + _EVALUATION_SEED)
+        returns = evaluate(learner, task, EPISODES, seed=seed + SEED_OF_STARTS)
     finally:
         task.close()
     return {

@@ -20,10 +20,11 @@ from accord.workers.cutting import cut
 from accord.workers.drawing import Redrawing, draws_itself
 from accord.workers.learner import Training
 from accord.workers.loop import Context
-from accord.workers.measures import EVALUATION_EPISODES, evaluation
+from accord.workers.measures import evaluation
 from accord.workers.pacing import Progress, segments_to_hand_in, waits_for
 from accord.workers.pulse import Claim
 from mapt.policies import Rollout
+from mapt.runs.evaluation import EPISODES
 from mapt.runs.measures import iteration_metrics
 
 log = logging.getLogger(__name__)
@@ -234,7 +235,7 @@ class PolicyRun:
 
     def _measure(self, name: str) -> None:
         """Play whole episodes with the policy as it is, and record their true return."""
-        self._say(Phase.EVALUATING, f"{EVALUATION_EPISODES} episodes.")
+        self._say(Phase.EVALUATING, f"{EPISODES} episodes.")
         values = evaluation(
             self._training.learner, self._config.task, self._config.seed, name, lambda: self._context.stop.requested
         )

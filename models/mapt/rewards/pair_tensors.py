@@ -64,7 +64,8 @@ def whole_scorer(model: RewardModel, segments: SegmentReader, products: torch.dt
 @torch.no_grad()
 def markov_scorer(model: RewardModel, segments: SegmentReader, used: Tensor) -> Scorer:
     """Scores in which only the Markov path moves: the attention path's rewards and the weights of the steps
-    stay what they are now, so that they need one pass over the segments `used`, int64 (U,), for the whole training."""
+    stay what they are now, so that they need one pass over the segments `used`, int64 (U,) ascending and without
+    repetition, for the whole training."""
 
     def markov_score(part: SegmentTensors, weights: Tensor) -> Tensor:
         rewards = model.markov_rewards(part.observations, part.actions).mean(dim=2)
@@ -74,8 +75,6 @@ def markov_scorer(model: RewardModel, segments: SegmentReader, used: Tensor) -> 
     # pairs then take gigabytes.
     weights = torch.empty(len(used), segments.n_steps, device=segments.device)
     offset = torch.empty(len(used), device=segments.device)
-    place_of = torch.full((len(segments),), -1, device=segments.device)
-    place_of[used] = torch.arange(len(used), device=segments.device)
     for place in torch.arange(len(used), device=segments.device).split(EVALUATION_SEGMENTS):
         part = segments.take(used[place])
         output = model(*part.inputs)
@@ -83,8 +82,8 @@ def markov_scorer(model: RewardModel, segments: SegmentReader, used: Tensor) -> 
         offset[place] = output.score - markov_score(part, output.weights)
 
     def score(index: Tensor) -> Tensor:
-        place = place_of[index]
-        return offset[place] + markov_score(segments.take(index), weights[place])
+        at = torch.searchsorted(used, index)
+        return offset[at] + markov_score(segments.take(index), weights[at])
 
     return score
 

@@ -14,7 +14,7 @@ EPISODES = 32
 #: environments that play at once
 _MOST_ENVS = 32
 #: keeps the starts apart from those of training
-_SEED = 1_000_003
+SEED_OF_STARTS = 1_000_003
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ def evaluate_policy(
     """
     task = make_task(task_name, min(episodes, _MOST_ENVS), n_threads=n_threads, agent_obsk=agent_obsk)
     try:
-        played = play(policy, task, episodes, seed=seed + _SEED)
+        played = play(policy, task, episodes, seed=seed + SEED_OF_STARTS)
     finally:
         task.close()
     return Evaluation(tuple(played.returns.tolist()), tuple(played.lengths.tolist()))

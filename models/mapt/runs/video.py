@@ -1,7 +1,5 @@
 """A video of one episode of a policy, drawn in a process of its own: EGL and CUDA in one have hung."""
 
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,8 +10,9 @@ from safetensors.numpy import save_file
 
 from mapt.policies import Policy
 from mapt.policies.rollout import available_actions
+from mapt.rendering.apart import draw_apart
 from mapt.rendering.encode import write_clip
-from mapt.rendering.environment import BACKENDS, INSTALL, Backend, render_environment
+from mapt.rendering.environment import BACKENDS, INSTALL
 from mapt.rendering.errors import NothingDraws
 from mapt.rendering.film import DONE
 from mapt.rendering.settings import RenderSettings
@@ -90,29 +89,15 @@ def _film_states(
         states = Path(folder) / "states.safetensors"
         save_file({"qpos": qpos, "qvel": qvel}, states)
         for backend in BACKENDS:
-            failure = _try(backend, [task_name, str(states), f"{frame_rate_hz:g}", str(path.resolve())])
+            failure = draw_apart(
+                backend,
+                "mapt.rendering.film",
+                [task_name, str(states), f"{frame_rate_hz:g}", str(path.resolve())],
+                done=DONE,
+                limit_seconds=_LIMIT_SECONDS,
+                undone="not finished",
+            )
             if failure is None:
                 return
             said.append(f"{backend}: {failure}")
     raise NothingDraws(f"{task_name} was not drawn without a display ({'; '.join(said)}). It may help: {INSTALL}")
-
-
-def _try(backend: Backend, arguments: list[str]) -> str | None:
-    """Film with this backend. None if it did, else what went wrong, in a line."""
-    try:
-        done = subprocess.run(
-            [sys.executable, "-P", "-m", "mapt.rendering.film", *arguments],
-            env=render_environment(backend),
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=_LIMIT_SECONDS,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return f"not finished in {_LIMIT_SECONDS:g} seconds"
-    if DONE in done.stdout:  # OSMesa draws well and then fails at its exit
-        return None
-    lines = done.stderr.strip().splitlines()
-    return lines[-1] if lines else f"exit status {done.returncode}"

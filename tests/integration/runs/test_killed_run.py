@@ -11,14 +11,13 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from mapt.runs.folder import RunFolder
 from mapt.runs.metrics_file import TIMINGS, Metrics, read_metrics
 from mapt.runs.tensorboard import EVENTS
+from support import short_cheetah
 from support.waiting import until
-from unit.runs import short_task
 from unit.runs.conftest import reward_model, write_reward
-from unit.runs.short_task import known_task  # noqa: F401  (every test here takes it)
 
 STEPS_PER_ITERATION = 4 * 24
 ITERATIONS = 40
-ENVIRONMENT = os.environ | {"MAPT_TASKS": short_task.__file__, "OMP_NUM_THREADS": "1"}
+ENVIRONMENT = os.environ | short_cheetah.ENVIRONMENT | {"OMP_NUM_THREADS": "1"}
 #: less than the time between two iterations at times, more at others: lines without a checkpoint do occur
 CHECKPOINT_MINUTES = "0.003"
 
@@ -26,7 +25,7 @@ CHECKPOINT_MINUTES = "0.003"
 def command(output: Path, reward: Path, *more: str) -> list[str]:
     tiny = ("n_envs=4", "rollout_steps=24", "minibatches=2", "epochs=2", "width=8", "hidden=[8]")
     return [
-        *(sys.executable, "-m", "mapt.cli", "train", "--task", short_task.NAME, "--algorithm", "mat"),
+        *(sys.executable, "-m", "mapt.cli", "train", "--task", short_cheetah.SHORTEST_NAME, "--algorithm", "mat"),
         *("--reward", str(reward), "--credit", "individual", "--steps", str(ITERATIONS * STEPS_PER_ITERATION)),
         *("--output", str(output), "--seed", "3", "--evaluate-every", "1500", "--device", "cpu", "--no-video"),
         *("--checkpoint-minutes", CHECKPOINT_MINUTES),

@@ -19,10 +19,10 @@ from mapt.runs.settings import RunSettings
 from mapt.runs.training import Watch
 from mapt.runs.video import record_video
 from mapt.tasks import ParallelEntry, load_model, register_task, task_spec
-from mapt.tasks.plugins import VARIABLE
-from unit.runs import short_task
-from unit.runs.short_task import HORIZON_STEPS, NAME, known_task  # noqa: F401  (every test here takes it)
+from support.short_cheetah import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
 from unit.tasks.test_parallel_task import DrawnLevers, Levers
+
+pytestmark = pytest.mark.usefixtures("short_episodes")
 
 SMALL = {"hidden": [8], "device": "cpu", "n_envs": 2, "rollout_steps": 8, "minibatches": 1, "epochs": 1}
 
@@ -39,9 +39,8 @@ def frames(path) -> tuple[list[np.ndarray], float]:
 
 
 @pytest.fixture
-def egl(monkeypatch) -> str:
-    """A backend that draws; processes that are started know the short task."""
-    monkeypatch.setenv(VARIABLE, short_task.__file__)
+def egl() -> str:
+    """A backend that draws."""
     try:
         return probe_backend()
     except RenderingUnavailable as error:
@@ -49,10 +48,10 @@ def egl(monkeypatch) -> str:
 
 
 def test_a_video_shows_one_episode_in_real_time(egl, tmp_path):
-    record_video(policy_of(NAME), NAME, tmp_path / "final.mp4", agent_obsk=1)
+    record_video(policy_of(SHORTEST_NAME), SHORTEST_NAME, tmp_path / "final.mp4", agent_obsk=1)
     shown, rate = frames(tmp_path / "final.mp4")
-    assert len(shown) == HORIZON_STEPS
-    assert rate == pytest.approx(1 / task_spec(NAME).step_seconds)
+    assert len(shown) == SHORTEST_HORIZON_STEPS
+    assert rate == pytest.approx(1 / task_spec(SHORTEST_NAME).step_seconds)
     assert np.ptp(shown[0]) > 100  # a body before its backdrop
     assert any(not np.array_equal(shown[0], other) for other in shown[1:])
 
@@ -83,7 +82,10 @@ def test_a_machine_without_opengl_trains_and_says_what_to_install(monkeypatch, t
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     said: list[str] = []
-    folder, settings = RunFolder(tmp_path), RunSettings(task=NAME, policy=PolicyConfig.from_dict(SMALL), steps=16)
+    folder, settings = (
+        RunFolder(tmp_path),
+        RunSettings(task=SHORTEST_NAME, policy=PolicyConfig.from_dict(SMALL), steps=16),
+    )
     assert complete_run(settings, folder, 0.0, Watch(note=said.append)) is not None
     assert len(said) == 1
     assert "libegl1" in said[0]
@@ -92,7 +94,10 @@ def test_a_machine_without_opengl_trains_and_says_what_to_install(monkeypatch, t
 
 
 def test_a_video_that_was_missing_is_made_by_the_same_command(egl, tmp_path):
-    folder, settings = RunFolder(tmp_path), RunSettings(task=NAME, policy=PolicyConfig.from_dict(SMALL), steps=16)
+    folder, settings = (
+        RunFolder(tmp_path),
+        RunSettings(task=SHORTEST_NAME, policy=PolicyConfig.from_dict(SMALL), steps=16),
+    )
     complete_run(settings, folder, 0.0, Watch(), video=False)
     evaluated = folder.evaluation.stat().st_mtime_ns
     complete_run(settings, folder, 0.0, Watch())

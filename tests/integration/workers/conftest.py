@@ -4,14 +4,11 @@ from pathlib import Path
 import pytest
 
 from integration.workers.workplace import Workplace, workplace
-from support import short_cheetah
 
 
 @pytest.fixture(autouse=True)
-def short_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lets this process and those it starts know the task with short episodes."""
-    for name, value in short_cheetah.ENVIRONMENT.items():
-        monkeypatch.setenv(name, value)
+def every_test_has_short_episodes(short_episodes: None) -> None:
+    """Each plays whole episodes."""
 
 
 @pytest.fixture

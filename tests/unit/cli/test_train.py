@@ -1,47 +1,25 @@
 """mapt train, evaluate and curves as commands: what they print, and what they refuse in one sentence."""
 
 import json
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
-from mapt.cli.main import main
 from mapt.runs.folder import RunFolder
+from support.short_cheetah import SHORTEST_NAME
 from unit.runs.conftest import STEPS_PER_ITERATION, reward_model, write_reward
-from unit.runs.short_task import NAME, known_task  # noqa: F401  (a fixture that every test here takes)
 
 TINY = ("n_envs=4", "rollout_steps=24", "minibatches=2", "epochs=2", "hidden=[8]")
 
 
-class Ended(NamedTuple):
-    """How a command ended."""
-
-    status: int
-    printed: str
-    errors: str
-
-
-@pytest.fixture
-def mapt(monkeypatch, capsys) -> Callable[..., Ended]:
-    """Runs the command in this process."""
-
-    def run(*arguments: str | Path) -> Ended:
-        monkeypatch.setattr(sys, "argv", ["mapt", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return Ended(int(ended.value.code or 0), *capsys.readouterr())
-
-    return run
+pytestmark = pytest.mark.usefixtures("short_episodes")
 
 
 def training(output: Path, *more: str | Path) -> list[str | Path]:
     settings = [word for setting in TINY for word in ("--set", setting)]
     steps = str(2 * STEPS_PER_ITERATION)
     return [
-        *("train", "--task", NAME, "--steps", steps, "--device", "cpu", "--no-video", "--output", output),
+        *("train", "--task", SHORTEST_NAME, "--steps", steps, "--device", "cpu", "--no-video", "--output", output),
         *settings,
         *more,
     ]
@@ -64,7 +42,7 @@ def test_seeds_are_trained_measured_and_compared(mapt, tmp_path):
     drawn = mapt("curves", tmp_path / "runs", "--output", tmp_path / "a" / "c.png", "--table", tmp_path / "b" / "t.md")
     assert drawn.status == 0, drawn.errors
     assert (tmp_path / "a" / "c.png").exists()
-    assert f"| {NAME} | mappo | true |" in (tmp_path / "b" / "t.md").read_text()
+    assert f"| {SHORTEST_NAME} | mappo | true |" in (tmp_path / "b" / "t.md").read_text()
 
 
 def test_a_finished_run_is_not_trained_again(mapt, tmp_path):
@@ -122,7 +100,7 @@ def test_a_folder_of_another_run_is_refused(mapt, tmp_path):
     for more, message in (
         (("--set", "clip=0.3"), "policy.clip: 0.1, not 0.3"),
         (("--set", "n_envs=8"), "policy.n_envs: 4, not 8"),
-        (("--task", "Ant-4x2"), f"task: {NAME}, not Ant-4x2"),
+        (("--task", "Ant-4x2"), f"task: {SHORTEST_NAME}, not Ant-4x2"),
     ):
         ended = mapt(*training(tmp_path, *more))
         assert ended.status == 2

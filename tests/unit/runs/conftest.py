@@ -12,7 +12,13 @@ from mapt.rewards.config import RewardConfig
 from mapt.rewards.model import RewardModel, build_reward_model
 from mapt.runs.settings import LearnedRewardSettings, RunSettings
 from mapt.tasks import task_spec
-from unit.runs.short_task import NAME, known_task  # noqa: F401  (a fixture that every test here takes)
+from support.short_cheetah import SHORTEST_NAME
+
+
+@pytest.fixture(autouse=True)
+def every_test_has_short_episodes(short_episodes: None) -> None:
+    """Each plays whole episodes."""
+
 
 #: E * L
 STEPS_PER_ITERATION = 4 * 24
@@ -27,14 +33,14 @@ def settings() -> Callable[..., RunSettings]:
         policy = {name.removeprefix("policy_"): changes.pop(name) for name in list(changes) if name[:7] == "policy_"}
         tiny = {"n_envs": 4, "rollout_steps": 24, "minibatches": 2, "epochs": 2, "hidden": [8], "device": "cpu"}
         config = PolicyConfig.named(str(policy.pop("algorithm", "mappo")), **{**tiny, **policy})
-        return RunSettings(task=NAME, policy=config, steps=iterations * STEPS_PER_ITERATION, **changes)  # pyright: ignore[reportArgumentType]
+        return RunSettings(task=SHORTEST_NAME, policy=config, steps=iterations * STEPS_PER_ITERATION, **changes)  # pyright: ignore[reportArgumentType]
 
     return make
 
 
 def reward_model(seed: int = 0, mean: float = 0.0, deviation: float = 1.0) -> RewardModel:
     """An untrained reward of the short task."""
-    spec = task_spec(NAME)
+    spec = task_spec(SHORTEST_NAME)
     config = RewardConfig(
         observation_dim=spec.observation_dim,
         action_dim=spec.action_dim,

@@ -8,13 +8,13 @@ from mapt.runs.checkpoint import PolicyCheckpoint
 from mapt.runs.errors import RunNotFound
 from mapt.runs.saved_policy import load_policy
 from mapt.tasks import make_task
+from support.short_cheetah import SHORTEST_NAME
 from unit.runs.conftest import STEPS_PER_ITERATION
-from unit.runs.short_task import NAME
 
 
 @pytest.fixture
 def learner(settings):
-    task = make_task(NAME, 4)
+    task = make_task(SHORTEST_NAME, 4)
     trained = Learner(task, settings().policy)
     rollout = trained.collect()
     trained.update(rollout, rollout.rewards)
@@ -31,7 +31,7 @@ def test_a_learners_own_file_is_read(learner, tmp_path):
     learner.save(tmp_path / "policy.safetensors")
     saved = load_policy(tmp_path / "policy.safetensors", "cpu")
     assert same(learner, saved)
-    assert (saved.task, saved.algorithm, saved.steps) == (NAME, "mappo", STEPS_PER_ITERATION)
+    assert (saved.task, saved.algorithm, saved.steps) == (SHORTEST_NAME, "mappo", STEPS_PER_ITERATION)
 
 
 def test_a_checkpoint_of_the_service_is_read(learner, tmp_path):

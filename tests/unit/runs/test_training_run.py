@@ -15,8 +15,8 @@ from mapt.runs.metrics_file import TIMINGS, read_metrics
 from mapt.runs.saved_policy import load_policy
 from mapt.runs.settings import LearnedRewardSettings
 from mapt.runs.training import Run, Watch
+from support.short_cheetah import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
 from unit.runs.conftest import STEPS_PER_ITERATION, reward_model, write_reward
-from unit.runs.short_task import HORIZON_STEPS, NAME
 
 
 def lines(folder: RunFolder) -> list[dict[str, float | str]]:
@@ -44,7 +44,7 @@ def test_a_run_leaves_its_curves_and_its_evaluation(settings, tmp_path):
         assert STEPS_PER_ITERATION / sum(map(float, parts)) == pytest.approx(line["steps_per_second"])
     evaluation = json.loads(folder.evaluation.read_text())
     assert evaluation["steps"] == 3 * STEPS_PER_ITERATION
-    assert evaluation["lengths"] == [HORIZON_STEPS] * 32
+    assert evaluation["lengths"] == [SHORTEST_HORIZON_STEPS] * 32
 
 
 def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(settings, tmp_path):
@@ -99,7 +99,7 @@ def test_a_learned_reward_takes_the_place_of_the_true_one(settings, tmp_path):
 
 def value_units(checkpoint: bytes) -> tuple[float, float]:
     """Mean and spread in which the critic predicts, over agents."""
-    tensors, _ = unpack(PolicyCheckpoint.from_bytes(checkpoint).learner, NAME)
+    tensors, _ = unpack(PolicyCheckpoint.from_bytes(checkpoint).learner, SHORTEST_NAME)
     return float(tensors["critic.statistics.mean"].mean()), float(tensors["critic.statistics.std"].mean())
 
 
@@ -155,7 +155,7 @@ def test_a_version_that_came_while_no_process_ran_is_taken_up(settings, tmp_path
 
 def test_a_reward_that_is_missing_or_of_another_task_is_refused(settings, tmp_path):
     run = settings(reward=write_reward(tmp_path / "reward", reward_model()), agent_obsk=0)
-    with pytest.raises(ModelMismatch, match="ShortCheetah"):
+    with pytest.raises(ModelMismatch, match="ShortestHalfCheetah"):
         train(run, tmp_path / "run")
     (tmp_path / "reward" / "reward.json").unlink()
     with pytest.raises(DamagedCheckpoint, match=r"reward\.json is missing"):

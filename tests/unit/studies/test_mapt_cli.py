@@ -1,48 +1,22 @@
 """The mapt command: what it refuses in one sentence, what it leaves behind, and that a killed run goes on."""
 
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
-from mapt.cli.main import main
 from mapt.cli.options import numbers, words
 from mapt.studies.errors import InvalidStudy
+from support.waiting import until
 from unit.studies.tiny_replay import TASK, write_replay
 
-DEADLINE_SECONDS = 120
 MODELS = "MA-MLP:hidden_dim=8:train.markov_epochs=1,MAPT:hidden_dim=8:train.markov_epochs=1:train.max_epochs=1"
-
-
-class Ended(NamedTuple):
-    """How a command ended."""
-
-    status: int
-    errors: str
 
 
 def command(*arguments: str | Path) -> list[str]:
     return [sys.executable, "-m", "mapt.cli", *map(str, arguments)]
-
-
-@pytest.fixture
-def mapt(monkeypatch, capsys) -> Callable[..., Ended]:
-    """Runs the command in this process."""
-
-    def run(*arguments: str | Path) -> Ended:
-        monkeypatch.setattr(sys, "argv", ["mapt", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return Ended(int(ended.value.code or 0), capsys.readouterr().err)
-
-    return run
 
 
 @pytest.fixture(scope="module")
@@ -64,12 +38,10 @@ def arrays(output: Path) -> dict[str, bytes]:
 
 def test_a_killed_table_goes_on_and_is_the_same_as_one_that_was_not(tmp_path, replays, mapt):
     process = subprocess.Popen(command(*table_arguments(replays, tmp_path / "killed")), stdout=subprocess.DEVNULL)
-    cells, deadline = tmp_path / "killed" / "cells", time.monotonic() + DEADLINE_SECONDS
-    while not list(cells.glob("*.json")):
-        assert time.monotonic() < deadline
-        assert process.poll() is None
-        time.sleep(0.01)
-    os.kill(process.pid, signal.SIGKILL)
+    cells = tmp_path / "killed" / "cells"
+    until(lambda: process.poll() is not None or list(cells.glob("*.json")), "a finished cell")
+    assert process.poll() is None
+    process.kill()
     process.wait()
     made = {path: path.stat().st_mtime_ns for path in cells.glob("*.json")}
     resumed = mapt(*table_arguments(replays, tmp_path / "killed"))

@@ -1,0 +1,31 @@
+"""The mapt command in a test's own process."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from mapt.cli.main import main
+
+
+class Ended(NamedTuple):
+    """How a command ended."""
+
+    status: int
+    printed: str
+    errors: str
+
+
+@pytest.fixture
+def mapt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+    """Runs the command in this process."""
+
+    def run(*arguments: str | Path) -> Ended:
+        monkeypatch.setattr(sys, "argv", ["mapt", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return Ended(int(ended.value.code or 0), *capsys.readouterr())
+
+    return run
