@@ -1,6 +1,7 @@
 """Which pairs are asked about: how many are wanted, from what, and their rows."""
 
 from collections.abc import Sequence
+from math import comb
 
 from sqlalchemy.orm import Session
 
@@ -30,6 +31,15 @@ def queries_left(session: Session, row: ExperimentRow) -> int:
     if config.reward_source == "true":
         return 0
     return max(0, config.label_budget - queries.count_standing(session, row.id))
+
+
+def exhausted(session: Session, row: ExperimentRow) -> bool:
+    """Whether no label can come before there are more segments: every pair was asked about, and answered."""
+    if queries.count_unanswered(session, row.id):
+        return False
+    ids = set(askable(session, row.id))
+    asked = sum(1 for pair in paired(session, row.id) if pair <= ids)
+    return asked == comb(len(ids), 2)
 
 
 def candidates(session: Session, experiment_id: str, limit: int = 2000) -> list[tuple[str, int]]:

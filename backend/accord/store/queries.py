@@ -235,11 +235,20 @@ def last_number(session: Session, experiment_id: str) -> int:
 
 def count_standing(session: Session, experiment_id: str) -> int:
     """Queries that have a label or may still get one: neither failed nor skipped by everybody that saw them."""
+    return _count_not_skipped(session, experiment_id, ("rendering", "open", "closed"))
+
+
+def count_unanswered(session: Session, experiment_id: str) -> int:
+    """Queries that may still get their first label, skipped ones not counted."""
+    return _count_not_skipped(session, experiment_id, ("rendering", "open"))
+
+
+def _count_not_skipped(session: Session, experiment_id: str, statuses: Sequence[str]) -> int:
     skipped_away = (QueryRow.status == "open") & exists().where(
         LabelRow.query_id == QueryRow.id, LabelRow.state == "skip"
     )
     statement = select(func.count()).where(
-        QueryRow.experiment_id == experiment_id, QueryRow.status != "failed", ~skipped_away
+        QueryRow.experiment_id == experiment_id, QueryRow.status.in_(statuses), ~skipped_away
     )
     return session.scalar(statement) or 0
 

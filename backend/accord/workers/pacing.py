@@ -49,6 +49,8 @@ class Progress:
     labels: int
     #: labels the newest version was trained on; None before the first
     trained_on: int | None
+    #: whether every pair of its segments was asked about, and answered: more labels need more segments
+    exhausted: bool = False
 
 
 def waits_for(config: ExperimentConfig, progress: Progress) -> str | None:
@@ -56,6 +58,9 @@ def waits_for(config: ExperimentConfig, progress: Progress) -> str | None:
     if config.reward_source == "true":
         return None
     due = config.schedule.due(progress.steps)
+    if progress.exhausted:
+        # It would wait for ever; the next rollout brings segments, and with them the labels that are behind.
+        due = min(due, progress.labels)
     if progress.trained_on is None:
         return _missing(progress.labels, config.initial_labels, "the first reward version")
     if config.pacing == "free":
@@ -65,6 +70,16 @@ def waits_for(config: ExperimentConfig, progress: Progress) -> str | None:
     if threshold(config, progress.trained_on) < threshold(config, due):
         return f"The labels are in; the reward model trains on {progress.labels} of them."
     return None
+
+
+def cannot_begin(config: ExperimentConfig, progress: Progress) -> str | None:
+    """Why the first reward version can never be, once the first rollout was handed in; None where it can."""
+    if progress.trained_on is not None or not progress.exhausted or progress.labels >= config.initial_labels:
+        return None
+    return (
+        f"The first rollout's segments make no more pairs than were asked about, which gave {progress.labels} labels; "
+        f"initial_labels is {config.initial_labels}. Lower it, or raise policy.n_envs or policy.rollout_steps."
+    )
 
 
 def _missing(labels: int, wanted: int, what_for: str) -> str:

@@ -10,7 +10,8 @@ from accord.domain.words import WorkerRole
 from accord.services import claims, experiments, publish
 from accord.workers.loop import Context, run_worker
 from accord.workers.measures import Interrupted
-from accord.workers.pacing import Progress, waits_for
+from accord.workers.pacing import waits_for
+from accord.workers.progress import read_progress
 from accord.workers.pulse import Claim, ClaimLost
 from accord.workers.sentence import sentence
 from accord.workers.training import PolicyRun
@@ -50,7 +51,7 @@ class PolicyWorker:
         with self._context.database.reading() as session:
             for row in experiments.running(session):
                 version = publish.newest(session, row.id)
-                progress = Progress(row.steps, row.label_count, version.label_count if version else None)
+                progress = read_progress(session, row, version, row.steps)
                 config = experiments.config_of(row)
                 # One that was never begun has its first rollout to collect, whatever it waits for after.
                 waits = row.phase != "queued" and waits_for(config, progress) is not None

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from accord.domain.errors import InvalidExperiment
 from accord.domain.experiment import ExperimentConfig
 from accord.domain.words import ExperimentStatus, Phase
 from accord.services import collect, experiments, metrics, publish, select
@@ -21,7 +22,8 @@ from accord.workers.drawing import Redrawing, draws_itself
 from accord.workers.learner import Training
 from accord.workers.loop import Context
 from accord.workers.measures import evaluation
-from accord.workers.pacing import Progress, segments_to_hand_in, waits_for
+from accord.workers.pacing import Progress, cannot_begin, segments_to_hand_in, waits_for
+from accord.workers.progress import read_progress
 from accord.workers.pulse import Claim
 from mapt.policies import Rollout
 from mapt.runs.evaluation import EPISODES
@@ -44,7 +46,7 @@ class _Seen:
     """The rows that decide the next step, read in one transaction."""
 
     status: str
-    labels: int
+    progress: Progress
     version: RewardVersionRow | None
 
 
@@ -74,6 +76,7 @@ class PolicyRun:
         """Whatever comes next. Returns False when there is nothing to do but wait.
 
         Raises:
+            InvalidExperiment: if there are too few segments for the first labels.
             ClaimLost: if another worker took the experiment over.
             Interrupted: if the process was asked to stop in the middle of an evaluation.
         """
@@ -85,9 +88,11 @@ class PolicyRun:
         if training.steps >= self._config.total_steps:
             self._finish()
             return True
-        waiting = self.waiting(seen)
+        waiting = waits_for(self._config, seen.progress)
         untouched = training.iteration == 0 and self._rollout is None
         if waiting and not untouched:
+            if hopeless := cannot_begin(self._config, seen.progress):
+                raise InvalidExperiment(hopeless)
             self._wait(waiting)
             return False
         rollout = self._rollout or self._collect()
@@ -95,11 +100,6 @@ class PolicyRun:
         if not waiting:
             self._update(rollout, seen)
         return True
-
-    def waiting(self, seen: "_Seen") -> str | None:
-        """What the policy waits for, as a sentence; None when it may train."""
-        trained_on = seen.version.label_count if seen.version else None
-        return waits_for(self._config, Progress(self._training.steps, seen.labels, trained_on))
 
     @property
     def over(self) -> bool:
@@ -118,7 +118,8 @@ class PolicyRun:
     def _look(self) -> _Seen:
         with self._context.database.reading() as session:
             row = experiments.get(session, self._id)
-            return _Seen(row.status, row.label_count, publish.newest(session, self._id))
+            version = publish.newest(session, self._id)
+            return _Seen(row.status, read_progress(session, row, version, self._training.steps), version)
 
     def _collect(self) -> Rollout:
         training = self._training
@@ -198,7 +199,7 @@ class PolicyRun:
         values = iteration_metrics(rollout, rewards, losses, training.learner.task.spec.horizon_steps)
         values["steps_per_second"] = training.learner.config.steps_per_rollout / seconds
         if self._config.reward_source == "preferences":
-            values |= {"labels": seen.labels, "reward_version": seen.version.number if seen.version else 0}
+            values |= {"labels": seen.progress.labels, "reward_version": seen.version.number if seen.version else 0}
         self._record(values)
         self._save_now_and_then()
 

@@ -6,9 +6,9 @@ import pytest
 
 from accord.domain.errors import SegmentNotFound
 from accord.domain.words import Role
-from accord.services import clips, experiments, label, select
+from accord.services import clips, collect, experiments, label, select
 from accord.store.tables import ExperimentRow, QueryRow
-from support.scenes import config, make_clips, scene, user
+from support.scenes import config, make_clips, scene, segment, user
 from support.stores import Stores
 
 
@@ -43,6 +43,23 @@ def test_the_budget_allows_as_many_queries_as_are_not_made_yet(both: Stores) -> 
 def test_queries_that_are_there_are_not_wanted_again(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=6, ready=False)
     assert wanted(both, made.experiment.id) == 8
+
+
+def test_a_pool_is_exhausted_once_every_pair_is_answered_and_no_more_by_another_segment(both: Stores) -> None:
+    made = scene(both.database, both.blobs, segments=3, queries=3)
+    another = collect.store_arrays(both.blobs, made.experiment.id, segment())
+    with both.database.transaction() as session:
+        row = experiments.get(session, made.experiment.id)
+        one, _ = user(session, "one", Role.TEACHER)
+        for query_id in made.query_ids[:2]:
+            label.put_label(session, one, query_id, 1.0)
+        assert not select.exhausted(session, row)
+        label.put_label(session, one, made.query_ids[2], None)
+        assert select.exhausted(session, row), "a skip brings no label"
+        label.put_label(session, one, made.query_ids[2], 0.0)
+        assert select.exhausted(session, row)
+        collect.collect(session, made.experiment.id, [another])
+        assert not select.exhausted(session, row)
 
 
 @pytest.mark.parametrize("verb", [experiments.pause, experiments.cancel, experiments.finish])

@@ -167,6 +167,35 @@ def test_a_rollout_too_short_for_a_segment_fails_the_experiment_with_a_sentence(
     assert "policy.rollout_steps to 26" in detail
 
 
+def test_a_pool_without_another_pair_does_not_hold_the_policy_up(place: Workplace):
+    # Four segments make six pairs, and more labels than that are due before there are others.
+    id = place.begin(segment_steps=25, initial_labels=4, label_budget=40)
+    reward = RewardWorker(place.context)
+    for _ in range(20):
+        with place.training(id) as run:
+            drain(run)
+        if status_of(place, id)[0] == "finished":
+            break
+        reward.work()
+        [(open_queries,)] = place.rows("SELECT count(*) FROM queries WHERE status = 'open'")
+        place.label(id, open_queries)
+        reward.work()
+    assert status_of(place, id)[0] == "finished"
+    assert place.rows("SELECT label_count >= 36 FROM experiments") == [(1,)]
+
+
+def test_too_few_segments_for_the_first_labels_fail_the_experiment_with_a_sentence(place: Workplace):
+    id = place.begin(segment_steps=25, initial_labels=7)
+    with place.training(id) as run:
+        drain(run)
+    assert RewardWorker(place.context).work()
+    place.label(id, 6)
+    assert PolicyWorker(place.context).work()
+    status, _, detail, _ = status_of(place, id)
+    assert status == "failed"
+    assert "gave 6 labels; initial_labels is 7" in detail
+
+
 def test_while_one_waits_for_labels_another_is_trained(place: Workplace):
     waiting, ready = place.begin("waiting"), place.begin("ready", reward_source="true", total_steps=100)
     worker = PolicyWorker(place.context)

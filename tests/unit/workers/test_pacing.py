@@ -2,7 +2,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accord.domain.experiment import ExperimentConfig
-from accord.workers.pacing import Progress, segments_to_hand_in, threshold, version_is_due, waits_for
+from accord.workers.pacing import Progress, cannot_begin, segments_to_hand_in, threshold, version_is_due, waits_for
 
 
 def config(**changes) -> ExperimentConfig:
@@ -49,6 +49,21 @@ def test_free_pacing_waits_for_the_first_version_alone():
     assert waits_for(free, Progress(0, 0, None))
     assert waits_for(free, Progress(900, 20, 20)) is None
     assert waits_for(config(), Progress(900, 20, 20))
+
+
+def test_missing_labels_that_cannot_come_are_not_waited_for():
+    assert waits_for(config(), Progress(900, 50, 50))
+    assert waits_for(config(), Progress(900, 50, 50, exhausted=True)) is None
+    assert waits_for(config(), Progress(900, 50, 20, exhausted=True)), (
+        "a version is due that knows those that are there"
+    )
+
+
+def test_an_experiment_whose_first_segments_make_too_few_pairs_cannot_begin():
+    assert "initial_labels is 20" in str(cannot_begin(config(), Progress(0, 6, None, exhausted=True)))
+    assert cannot_begin(config(), Progress(0, 6, None)) is None
+    assert cannot_begin(config(), Progress(0, 20, None, exhausted=True)) is None
+    assert cannot_begin(config(), Progress(0, 6, 6, exhausted=True)) is None
 
 
 def test_true_reward_never_waits():
