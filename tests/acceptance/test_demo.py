@@ -3,11 +3,13 @@
 import csv
 import json
 import os
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
-from acceptance.own_accord import ENVIRONMENT, TINY, Accord, Person
+from acceptance.own_accord import ENVIRONMENT, TINY, TINY_POLICY, Accord, Person
 from support.waiting import PATIENCE_SECONDS, until
 
 
@@ -35,6 +37,44 @@ def test_demo_runs_the_whole_loop_and_leaves_table_curves_and_plot(tmp_path: Pat
     with (output / "curves.csv").open() as file:
         assert {"learned_return"} <= {row["curve"] for row in csv.DictReader(file)}
     assert (output / "returns.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_demo_that_was_killed_goes_on_with_every_label(tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    policy = [word for name, value in TINY_POLICY.items() for word in ("--set", f"{name}={value}")]
+    command = [
+        *(sys.executable, "-m", "accord.cli", "demo", "--task", TINY["task"], "--no-baseline", "--steps", "4000"),
+        *("--labels", "12,24", "--reward-model", "MA-MLP", "--at-once", "2", "--output", str(output), *policy),
+    ]
+    database = output / "home" / "accord.db"
+    process = subprocess.Popen(command, env=os.environ | ENVIRONMENT, stdout=subprocess.DEVNULL)
+    until(lambda: process.poll() is not None or labels_in(database), "the first label")
+    assert process.poll() is None
+    process.kill()
+    process.wait()
+    before = labels_in(database)
+
+    done = subprocess.run(command, env=os.environ | ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    runs = json.loads((output / "results.json").read_text())["runs"]
+    assert [(run["plan"]["label_budget"], run["labels"]) for run in runs] == [(12, 12), (24, 24)]
+    assert before <= labels_in(database)
+    assert len(labels_in(database)) == 36
+
+    more = [*command, "--steps", "5000"]
+    refused = subprocess.run(more, env=os.environ | ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+    assert "total_steps is 4000, not 5000" in refused.stderr
+
+
+def labels_in(database: Path) -> set[str]:
+    """Ids of the labels; none before the table is made."""
+    if not database.exists():
+        return set()
+    with closing(sqlite3.connect(database)) as connection:
+        if not connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'labels'").fetchone():
+            return set()
+        return {id for (id,) in connection.execute("SELECT id FROM labels")}
 
 
 def test_teach_labels_until_the_budget_is_met_through_rest_alone(accord: Accord) -> None:

@@ -1,6 +1,7 @@
 """accord demo: the whole loop without a person. A real service, a scripted teacher over REST, a table and a plot."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated
@@ -11,11 +12,19 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from accord.cli.client import Api
 from accord.cli.options import Parameters, TeacherName
 from accord.cli.output import note, on_terminal, out, say
+from accord.cli.plans import PREFERENCES, Grid, RunPlan, parse_numbers, parse_settings, parse_words
 from accord.cli.results import rows_of, table, write
-from accord.cli.runs import Lesson, RunPlan, RunResult, RunState, run_experiment
+from accord.cli.runs import (
+    Lesson,
+    RunResult,
+    RunState,
+    check_known,
+    experiments_by_name,
+    pause_others,
+    run_experiment,
+)
 from accord.cli.service import OwnService
 from accord.cli.teaching import TeacherChoice, parse_teacher
-from accord.domain.errors import Invalid
 from accord.domain.words import Role
 from accord.workers.stop import Stop
 
@@ -28,9 +37,18 @@ def demo(
     task: Annotated[str, typer.Option(help="Task by name; GET /api/v1/tasks lists them.")] = "HalfCheetah-6x1",
     teacher: TeacherName = "oracle",
     parameter: Parameters = None,
-    labels: Annotated[int, typer.Option(min=2, help="Labels it gives for each seed.")] = 500,
+    labels: Annotated[str, typer.Option(help="Numbers of labels, with commas between; each is a run.")] = "500",
+    reward_model: Annotated[
+        str, typer.Option(help="Models that learn from the labels, with commas between; each is a run.")
+    ] = "MAPT",
     steps: Annotated[int, typer.Option(min=1, help="Environment steps of each policy.")] = 1_000_000,
-    seed: Annotated[str, typer.Option(help="Seeds, with commas between.")] = "0",
+    seed: Annotated[str, typer.Option(help="Seeds, with commas between; each is a run.")] = "0",
+    policy: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="A setting of the policy, such as algorithm=mat; as often as wanted."
+        ),
+    ] = None,
     baseline: Annotated[
         bool, typer.Option(help="Train the same learner on the true reward beside it, for each seed.")
     ] = True,
@@ -41,6 +59,7 @@ def demo(
     labels_per_version: Annotated[
         int | None, typer.Option(min=1, help="New labels for each further version.  [default: a tenth of them]")
     ] = None,
+    at_once: Annotated[int, typer.Option(min=1, help="Runs at once, each with workers of its own.")] = 1,
     home: Annotated[
         Path | None, typer.Option(help="New folder for the service's data.  [default: home, in the output folder]")
     ] = None,
@@ -48,71 +67,99 @@ def demo(
         Path | None, typer.Option(help="Folder of results.json, curves.csv, returns.png.  [default: demo-<time>]")
     ] = None,
 ) -> None:
-    """Run the whole loop with a scripted teacher and compare the result with the true reward's."""
-    seeds, choice = parse_seeds(seed), parse_teacher(teacher, parameter or ())
+    """Run the whole loop with a scripted teacher and compare the result with the true reward's.
+
+    A demo that was ended goes on where it was when the same command is given again.
+    """
+    choice = parse_teacher(teacher, parameter or ())
+    plans = Grid(
+        task=task,
+        total_steps=steps,
+        seeds=parse_numbers("--seed", seed, 0),
+        labels=parse_numbers("--labels", labels, 2),
+        reward_models=parse_words("--reward-model", reward_model),
+        initial_labels=initial_labels,
+        labels_per_version=labels_per_version,
+        render_clips=clips,
+        baseline=baseline,
+        policy=parse_settings("--set", policy or (), "algorithm=mat"),
+    ).plans(choice.title)
     folder = output or Path(datetime.now().astimezone().strftime("demo-%Y%m%d-%H%M%S"))
     stop = Stop()
     stop.install()
-    plans = [
-        RunPlan(
-            name=f"{task} seed {number}" + (", true reward" if source == "true" else f", {labels} labels"),
-            task=task,
-            reward_source=source,
-            seed=number,
-            total_steps=steps,
-            label_budget=labels,
-            initial_labels=initial_labels or max(2, labels // 5),
-            labels_per_version=labels_per_version or max(1, labels // 10),
-            render_clips=clips,
-        )
-        for number in seeds
-        for source in (("true", "preferences") if baseline else ("preferences",))
-    ]
-    environment = {} if clips else {"ACCORD_RENDER_WORKERS": "0"}
-    with OwnService(home or folder / "home", environment, lambda: stop.requested) as service:
-        results = _run_all(service, plans, choice, stop)
-    paths = write(folder, results)
+    with OwnService(home or folder / "home", _environment(clips, at_once), lambda: stop.requested) as service:
+        lesson = _lesson(service, choice, stop)
+        try:
+            results, paths = _run_all(lesson, plans, at_once, stop, folder)
+        finally:
+            lesson.close()
     out.print(table(rows_of(results), f"{task}: true return after {steps:,} steps"))
     say("[dim]" + ", ".join(str(path) for path in paths) + "[/dim]")
 
 
-def parse_seeds(text: str) -> list[int]:
-    """Raises Invalid, with an example."""
-    try:
-        seeds = [int(part) for part in text.split(",")]
-    except ValueError as error:
-        raise Invalid(f"--seed {text!r} is no list of numbers. It looks like 0,1,2.") from error
-    if len(set(seeds)) != len(seeds) or min(seeds) < 0:
-        raise Invalid(f"--seed {text!r}: seeds are 0 or more, each once.")
-    return seeds
+def _environment(clips: bool, at_once: int) -> dict[str, str]:
+    alone = {} if clips else {"ACCORD_RENDER_WORKERS": "0"}
+    if at_once == 1:
+        return alone
+    # More threads than cores would take turns.
+    return (
+        alone
+        | {"ACCORD_POLICY_WORKERS": str(at_once), "ACCORD_REWARD_WORKERS": str(at_once)}
+        | {"ACCORD_TORCH_THREADS": "1"}
+    )
 
 
-def _run_all(service: OwnService, plans: Sequence[RunPlan], teacher: TeacherChoice, stop: Stop) -> list[RunResult]:
+def _lesson(service: OwnService, teacher: TeacherChoice, stop: Stop) -> Lesson:
     def stopped() -> bool:
         return stop.requested
 
     url = service.url()
     note("demo", f"service at {url}, data in {service.home}")
-    apis = [
+    researcher, labeller = (
         Api(url, service.token(name, role), stopped=stopped)
         for name, role in (("demo researcher", Role.RESEARCHER), (f"demo {teacher.name}", Role.TEACHER))
-    ]
-    lesson = Lesson(apis[0], apis[1], teacher, stopped, service.check)
+    )
+    return Lesson(researcher, labeller, teacher, stopped, service.check)
+
+
+def _run_all(
+    lesson: Lesson, plans: Sequence[RunPlan], at_once: int, stop: Stop, folder: Path
+) -> tuple[list[RunResult], list[Path]]:
+    """Results in the plans' order, and the files that hold them: written anew after every run."""
+    known = experiments_by_name(lesson.researcher)
+    check_known(plans, known)
+    pause_others(lesson.researcher, plans, known)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"), TimeElapsedColumn())
-    with Progress(*columns, console=out, disable=not on_terminal()) as progress:
-        results = [run_experiment(lesson, plan, _shower(progress, plan)) for plan in plans]
-    for api in apis:
-        api.close()
-    return results
+    results: dict[str, RunResult] = {}
+    paths: list[Path] = []
+    with (
+        Progress(*columns, console=out, disable=not on_terminal()) as progress,
+        ThreadPoolExecutor(at_once) as pool,
+    ):
+        runs = [pool.submit(run_experiment, lesson, plan, known, _shower(progress, plan)) for plan in plans]
+        try:
+            for run in as_completed(runs):
+                results[run.result().plan.name] = run.result()
+                paths = write(folder, _ordered(results, plans))
+        finally:
+            # Whoever still runs after a failure should not.
+            stop.request()
+            pool.shutdown(cancel_futures=True)
+    return _ordered(results, plans), paths
+
+
+def _ordered(results: dict[str, RunResult], plans: Sequence[RunPlan]) -> list[RunResult]:
+    return [results[plan.name] for plan in plans if plan.name in results]
 
 
 def _shower(progress: Progress, plan: RunPlan) -> Callable[[RunState], None]:
-    bar: TaskID = progress.add_task(plan.name, total=plan.total_steps, state="")
+    bar: TaskID = progress.add_task(plan.name, total=plan.total_steps, state="waiting", start=False)
     noted = -_NOTED_SHARE
 
     def show(state: RunState) -> None:
         nonlocal noted
         words = describe(plan, state)
+        progress.start_task(bar)
         progress.update(bar, completed=min(state.steps, plan.total_steps), state=words)
         share = state.steps / plan.total_steps
         if not on_terminal() and share >= noted + _NOTED_SHARE:
@@ -125,6 +172,6 @@ def _shower(progress: Progress, plan: RunPlan) -> Callable[[RunState], None]:
 def describe(plan: RunPlan, state: RunState) -> str:
     """The words beside the bar."""
     parts = [] if state.true_return is None else [f"return {state.true_return:,.0f}"]
-    if plan.reward_source == "preferences":
+    if plan.reward_source == PREFERENCES:
         parts = [f"labels {state.labels}/{plan.label_budget}", f"version {state.version}", *parts]
     return " · ".join([*parts, state.detail])

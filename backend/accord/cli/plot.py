@@ -1,7 +1,8 @@
-"""True return by steps, from a demo's results: `python -m accord.cli.plot results.json returns.png`."""
+"""True return by steps, and by labels, from a demo's results: `python -m accord.cli.plot results.json returns.png`."""
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,40 +13,81 @@ mpl.use("Agg")
 
 from matplotlib import pyplot as plt
 
-#: as in the clips: told apart with any colour vision
-_COLOURS = {"preferences": "#0072B2", "true": "#D55E00"}
-_LABELS = {"preferences": "labels alone", "true": "true reward"}
+from mapt.studies.palette import QUIET, Style, style
+
+Run = dict[str, Any]
+#: labels that draw a mean over seeds are few and far apart; a seed's own value stands beside it
+_ASIDE = 0.02
 
 
 def draw(results: Path, picture: Path) -> None:
-    """Draw one line per run; reward versions as marks on the line of their run."""
-    runs: list[dict[str, Any]] = json.loads(results.read_text())["runs"]
-    figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
-    named: set[str] = set()
-    for run in runs:
-        source = run["plan"]["reward_source"]
-        points = run["curves"].get("true_return", [])
-        steps, returns = [step for step, _ in points], [value for _, value in points]
-        label = None if source in named else _LABELS[source]
-        named.add(source)
-        axes.plot(steps, returns, color=_COLOURS[source], alpha=0.8, label=label)
-        _mark_versions(axes, run, points)
-        axes.plot([run["steps"]], [run["final"]], marker="*", markersize=11, color=_COLOURS[source], linestyle="none")
-    axes.axhline(runs[0]["untrained"], color="#8D99A6", linestyle=":", label="untrained")
-    axes.set_xlabel("environment steps")
-    axes.set_ylabel("true return of an episode")
-    axes.set_title(f"{runs[0]['plan']['task']}: dots are reward versions, stars the last policy's mean actions")
-    axes.legend()
+    """Draw one line per run, with reward versions as marks on it; beside it returns by labels, if these differ."""
+    runs: list[Run] = json.loads(results.read_text())["runs"]
+    kinds = list(dict.fromkeys(_kind(run) for run in runs))
+    styles = {kind: style(number) for number, kind in enumerate(sorted(kinds, key=_order))}
+    several = len({run["plan"]["label_budget"] for run in runs if _learned(run)}) > 1
+    figure, panels = plt.subplots(1, 1 + several, figsize=(8 + 5 * several, 5), layout="constrained", squeeze=False)
+    _draw_curves(panels[0, 0], runs, styles)
+    if several:
+        _draw_labels(panels[0, 1], runs)
+    figure.suptitle(f"{runs[0]['plan']['task']}: dots are reward versions, stars the last policy's mean actions")
     figure.savefig(picture, dpi=120)
     plt.close(figure)
 
 
-def _mark_versions(axes: Any, run: dict[str, Any], points: list[list[float]]) -> None:
-    for version in run["versions"]:
-        # On the line, between the two episodes' ends about it.
-        steps, returns = np.array(points, dtype=float).reshape(-1, 2).T
-        height = np.interp(version["policy_steps"], steps, returns) if points else run["untrained"]
-        axes.plot([version["policy_steps"]], [height], marker="o", markersize=4, color=_COLOURS["preferences"])
+def _learned(run: Run) -> bool:
+    return run["plan"]["reward_source"] == "preferences"
+
+
+def _kind(run: Run) -> str:
+    return f"{run['plan']['reward_model']}, {run['plan']['label_budget']:,} labels" if _learned(run) else "true reward"
+
+
+def _order(kind: str) -> bool:
+    """The true reward first."""
+    return kind != "true reward"
+
+
+def _draw_curves(axes: Any, runs: Sequence[Run], styles: dict[str, Style]) -> None:
+    named: set[str] = set()
+    for run in runs:
+        kind, points = _kind(run), run["curves"].get("true_return", [])
+        drawn, steps, returns = styles[kind], [step for step, _ in points], [value for _, value in points]
+        label = None if kind in named else kind
+        axes.plot(steps, returns, linestyle=drawn.dashes, color=drawn.colour, alpha=0.8, label=label)
+        named.add(kind)
+        for version in run["versions"]:
+            # On the line, between the two episodes' ends about it.
+            height = np.interp(version["policy_steps"], steps, returns) if points else run["untrained"]
+            axes.plot([version["policy_steps"]], [height], marker="o", markersize=4, color=drawn.colour)
+        axes.plot([run["steps"]], [run["final"]], marker="*", markersize=11, color=drawn.colour, linestyle="none")
+    axes.axhline(runs[0]["untrained"], color=QUIET, linestyle=":", label="untrained")
+    axes.set_xlabel("environment steps")
+    axes.set_ylabel("true return of an episode")
+    axes.legend(fontsize="small")
+
+
+def _draw_labels(axes: Any, runs: Sequence[Run]) -> None:
+    """Means over seeds with their standard deviation, and each seed's value."""
+    models = list(dict.fromkeys(run["plan"]["reward_model"] for run in runs if _learned(run)))
+    for number, model in enumerate(models):
+        drawn, found = style(number + 1), {}
+        for run in runs:
+            if _learned(run) and run["plan"]["reward_model"] == model:
+                found.setdefault(run["plan"]["label_budget"], []).append(run["final"])
+        labels = sorted(found)
+        shifted = np.array(labels) * (1 + _ASIDE * number)
+        means, spreads = ([function(found[count]) for count in labels] for function in (np.mean, np.std))
+        axes.errorbar(shifted, means, spreads, fmt=f"{drawn.mark}-", color=drawn.colour, capsize=3, label=model)
+        for place, count in zip(shifted, labels, strict=True):
+            axes.plot([place] * len(found[count]), found[count], ".", color=drawn.colour, alpha=0.5)
+    true = [run["final"] for run in runs if not _learned(run)]
+    if true:
+        axes.axhline(float(np.mean(true)), color=style(0).colour, label="true reward")
+        axes.axhspan(np.mean(true) - np.std(true), np.mean(true) + np.std(true), color=style(0).colour, alpha=0.1)
+    axes.set_xlabel("labels")
+    axes.set_ylabel("true return of the last policy's mean actions")
+    axes.legend(fontsize="small")
 
 
 if __name__ == "__main__":

@@ -1,13 +1,15 @@
-"""One run of a demo: an experiment from its creation to its end, through the REST API alone."""
+"""Runs of a demo: experiments from their creation to their end, through the REST API alone."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime
 from typing import Any
 
 from accord.cli.client import Api
+from accord.cli.plans import PREFERENCES, RunPlan
 from accord.cli.teaching import TeacherChoice, teach_experiment
-from accord.domain.errors import AccordError, Unavailable
+from accord.domain.errors import AccordError, Invalid, Unavailable
 
 _POLL_SECONDS = 0.5
 _SHOWN_SECONDS = 1.0
@@ -18,22 +20,6 @@ class RunFailed(AccordError):
     """An experiment of the demo did not come to its end."""
 
     code = "run_failed"
-
-
-@dataclass(frozen=True, slots=True)
-class RunPlan:
-    """What to run."""
-
-    name: str
-    task: str
-    #: preferences or true
-    reward_source: str
-    seed: int
-    total_steps: int
-    label_budget: int
-    initial_labels: int
-    labels_per_version: int
-    render_clips: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +39,7 @@ class RunResult:
 
     plan: RunPlan
     experiment_id: str
+    #: from its creation to its end, breaks of the demo included
     seconds: float
     steps: int
     labels: int
@@ -86,17 +73,54 @@ class Lesson:
     #: raises when the service is gone
     check: Callable[[], None]
 
+    def close(self) -> None:
+        self.researcher.close()
+        self.teacher.close()
 
-def run_experiment(lesson: Lesson, plan: RunPlan, show: Callable[[RunState], None]) -> RunResult:
-    """Create the experiment, teach it, wait for its end.
+
+def experiments_by_name(api: Api) -> dict[str, dict[str, Any]]:
+    """Every experiment of the service."""
+    found: dict[str, dict[str, Any]] = {}
+    page: dict[str, Any] = {"next_cursor": ""}
+    while (cursor := page["next_cursor"]) is not None:
+        page = api.get("/experiments", limit=100, **({"cursor": cursor} if cursor else {}))
+        found |= {experiment["name"]: experiment for experiment in page["items"]}
+    return found
+
+
+def check_known(plans: Sequence[RunPlan], known: Mapping[str, dict[str, Any]]) -> None:
+    """Whether the service's experiments of these names are these plans'.
+
+    Raises:
+        Invalid: if one has other settings.
+    """
+    for plan in plans:
+        experiment = known.get(plan.name)
+        if experiment and (differences := plan.differences(experiment["config"])):
+            raise Invalid(
+                f"There is a run {plan.name!r} already, of which {'; '.join(differences)}. "
+                "Choose another folder with --output, or the same settings to go on."
+            )
+
+
+def pause_others(api: Api, plans: Sequence[RunPlan], known: Mapping[str, dict[str, Any]]) -> None:
+    """Pause running experiments that are no plan's: without a teacher, they would keep a worker waiting."""
+    names = {plan.name for plan in plans}
+    for name, experiment in known.items():
+        if experiment["status"] == "running" and name not in names:
+            api.post(f"/experiments/{experiment['id']}/pause")
+
+
+def run_experiment(
+    lesson: Lesson, plan: RunPlan, known: Mapping[str, dict[str, Any]], show: Callable[[RunState], None]
+) -> RunResult:
+    """Create the experiment, or go on with the known one of its name; teach it, and wait for its end.
 
     Raises:
         RunFailed: if it failed, or was stopped.
         Refused, Unavailable: if the service says so, or is gone.
     """
-    started = time.monotonic()
-    body = asdict(plan)
-    experiment_id: str = lesson.researcher.post("/experiments", body)["id"]
+    experiment_id = _begin(lesson.researcher, plan, known.get(plan.name))
     shown_at = 0.0
 
     def refresh(_: int = 0) -> None:
@@ -106,26 +130,35 @@ def run_experiment(lesson: Lesson, plan: RunPlan, show: Callable[[RunState], Non
             shown_at = time.monotonic()
             show(_state(lesson.researcher, experiment_id))
 
-    teacher = lesson.choice.teacher(plan.seed) if plan.reward_source == "preferences" else None
+    teacher = lesson.choice.teacher(plan.seed) if plan.reward_source == PREFERENCES else None
     if teacher is not None:
+        given = lesson.researcher.get(f"/experiments/{experiment_id}")["labels"]["labels"]
         teach_experiment(
             lesson.teacher,
             experiment_id,
             teacher,
-            plan.label_budget,
+            plan.label_budget - given,
             on_progress=refresh,
             stopped=lesson.stopped,
         )
     while (experiment := lesson.researcher.get(f"/experiments/{experiment_id}"))["status"] == "running":
         if lesson.stopped():
-            raise Unavailable("Stopped before the experiment was over.")
+            raise Unavailable("Stopped before the experiment was over. The same command goes on with it.")
         refresh()
         time.sleep(_POLL_SECONDS)
     if experiment["status"] != "finished":
         raise RunFailed(f"{plan.name} is {experiment['status']}: {experiment['phase_detail']}")
     show(_state(lesson.researcher, experiment_id))
-    found = _result(lesson.researcher, plan, experiment, time.monotonic() - started)
+    found = _result(lesson.researcher, plan, experiment)
     return found if teacher is None else replace(found, teacher=teacher.parameters())
+
+
+def _begin(api: Api, plan: RunPlan, known: dict[str, Any] | None) -> str:
+    if known is None:
+        return api.post("/experiments", asdict(plan))["id"]
+    if known["status"] in {"paused", "failed"}:
+        api.post(f"/experiments/{known['id']}/resume")
+    return known["id"]
 
 
 def _state(api: Api, experiment_id: str) -> RunState:
@@ -140,7 +173,7 @@ def _state(api: Api, experiment_id: str) -> RunState:
     )
 
 
-def _result(api: Api, plan: RunPlan, experiment: dict[str, Any], seconds: float) -> RunResult:
+def _result(api: Api, plan: RunPlan, experiment: dict[str, Any]) -> RunResult:
     id = experiment["id"]
     curves = _curves(api, id, _CURVES)
     keys = ("number", "policy_steps", "label_count", "metrics")
@@ -148,7 +181,7 @@ def _result(api: Api, plan: RunPlan, experiment: dict[str, Any], seconds: float)
     return RunResult(
         plan=plan,
         experiment_id=id,
-        seconds=seconds,
+        seconds=(_time(experiment["ended_at"]) - _time(experiment["created_at"])).total_seconds(),
         steps=experiment["steps"],
         labels=experiment["labels"]["labels"],
         untrained=curves["true_return_untrained"][-1][1],
@@ -157,6 +190,10 @@ def _result(api: Api, plan: RunPlan, experiment: dict[str, Any], seconds: float)
         curves={name: points for name, points in curves.items() if len(points) > 1 or name == "true_return"},
         versions=versions,
     )
+
+
+def _time(text: str) -> datetime:
+    return datetime.fromisoformat(text)
 
 
 def _curves(api: Api, experiment_id: str, names: tuple[str, ...]) -> dict[str, list[list[float]]]:

@@ -14,8 +14,11 @@ from accord.cli.options import address_file, load_settings
 from accord.domain.errors import Unavailable
 from accord.domain.words import Role
 from accord.services import accounts
+from accord.store import accounts as users
 from accord.store.database import Database
 
+#: this file in a home says that it serves a demo alone
+_MARK = "own-service"
 #: imports and migrations of a busy machine
 _START_SECONDS = 60.0
 #: longer than the supervisor's own grace
@@ -28,20 +31,24 @@ class OwnService:
     def __init__(self, home: Path, environment: Mapping[str, str], stopped: Callable[[], bool] = bool) -> None:
         """
         Args:
-            home: a folder without a database.
+            home: a folder without a database, or one that another of these made.
             environment: ACCORD_* variables besides.
             stopped: asked while waiting for the start; true gives up.
 
         Raises:
-            Unavailable: if there is a database already.
+            Unavailable: if there is a database of another service.
         """
-        if (home / "accord.db").exists():
-            raise Unavailable(f"{home} holds the database of another run. Choose another folder with --home.")
+        mark = home / _MARK
+        if (home / "accord.db").exists() and not mark.exists():
+            raise Unavailable(f"{home} holds the database of another service. Choose another folder with --home.")
         self.home = home
         self._stopped = stopped
         self._settings = load_settings(home)
         self._log = home / "logs" / "up.log"
         self._log.parent.mkdir(parents=True, exist_ok=True)
+        mark.touch()
+        # Of a service that was killed: nobody listens there.
+        address_file(self._settings).unlink(missing_ok=True)
         command = [sys.executable, "-m", "accord.cli", "up", "--home", str(home), "--port", "0", "--no-example"]
         with self._log.open("ab") as log:
             self._process = subprocess.Popen(
@@ -74,11 +81,14 @@ class OwnService:
             raise Unavailable(f"The service ended: {lines[-1] if lines else 'it said nothing'}")
 
     def token(self, name: str, role: Role) -> str:
-        """Bearer token of a new user."""
+        """Another bearer token of the user with this name, who is made where there is none."""
         database = Database.open(load_settings(self.home).resolved_database_url)
         try:
             with database.transaction() as session:
-                return accounts.create_user(session, name, role)[1]
+                user = users.user_by_name(session, name)
+                if user is None:
+                    return accounts.create_user(session, name, role)[1]
+                return accounts.new_bearer(session, user.id)
         finally:
             database.close()
 

@@ -1,5 +1,6 @@
 """A scripted teacher at work: next queries, judgement, labels, over the REST API."""
 
+import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -12,11 +13,10 @@ from numpy.typing import NDArray
 from safetensors.numpy import load
 
 from accord.cli.client import Api
+from accord.cli.plans import parse_settings
 from accord.domain.errors import Invalid
 from mapt.preferences.errors import PreferenceError
 from mapt.preferences.teachers import Evidence, ScriptedTeacher, make_teacher
-from mapt.studies.errors import InvalidStudy
-from mapt.studies.naming import setting
 
 #: the API gives at most so many queries at once
 _MOST_QUERIES = 16
@@ -43,6 +43,12 @@ class TeacherChoice:
     def __post_init__(self) -> None:
         self.teacher(0)
 
+    @property
+    def title(self) -> str:
+        """Its name and parameters, for people."""
+        told = ", ".join(f"{name}={json.dumps(value)}" for name, value in sorted(self.parameters.items()))
+        return f"{self.name} ({told})" if told else self.name
+
     def teacher(self, seed: int) -> ScriptedTeacher:
         """A new one, whose chance is the seed's."""
         try:
@@ -57,10 +63,7 @@ def parse_teacher(name: str, parameters: Sequence[str]) -> TeacherChoice:
     Raises:
         Invalid: as TeacherChoice, or if a parameter is no KEY=VALUE.
     """
-    try:
-        return TeacherChoice(name, dict(setting(text) for text in parameters))
-    except InvalidStudy as error:
-        raise Invalid(f"--parameter {error}. One looks like mistake=0.1.") from error
+    return TeacherChoice(name, parse_settings("--parameter", parameters, "mistake=0.1"))
 
 
 @dataclass(frozen=True, slots=True)

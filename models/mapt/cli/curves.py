@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
-from mapt.cli.options import numbers
 from mapt.cli.output import say
 from mapt.runs.curves import draw_curves
 from mapt.runs.results import RunResult, find_runs, grouped
 from mapt.runs.table import markdown
+from mapt.studies.naming import numbers
 
 
 def curves(

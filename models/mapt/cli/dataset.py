@@ -7,8 +7,9 @@ from typing import Annotated
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from mapt.cli.options import PolicySteps, Seeds, Segments, SegmentSteps, Task, numbers
+from mapt.cli.options import PolicySteps, Seeds, Segments, SegmentSteps, Task
 from mapt.cli.output import note, on_terminal, out
+from mapt.studies.naming import numbers
 from mapt.studies.plan import replay_folder
 from mapt.studies.recording import Recording, record_replay
 from mapt.studies.replay import Replay

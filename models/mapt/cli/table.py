@@ -9,11 +9,12 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mapt.cli.dataset import record_all
-from mapt.cli.options import PolicySteps, Preset, Seeds, Segments, SegmentSteps, Task, numbers, words
+from mapt.cli.options import PolicySteps, Preset, Seeds, Segments, SegmentSteps, Task
 from mapt.cli.output import complain, note, on_terminal, out, say
 from mapt.rewards.checkpoints import CARD_FILE
 from mapt.rewards.config import MODEL_NAMES
 from mapt.studies.cell_folder import CellFolder, code_fingerprint
+from mapt.studies.naming import numbers, words
 from mapt.studies.plan import TablePlan, replay_folder, table_jobs
 from mapt.studies.pool import Job, run_jobs
 from mapt.studies.recording import Recording

@@ -8,7 +8,7 @@ from typing import Annotated, get_args
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from mapt.cli.options import Device, Task, numbers
+from mapt.cli.options import Device, Task
 from mapt.cli.output import complain, note, on_terminal, out
 from mapt.policies import Algorithm, PolicyConfig
 from mapt.rewards.base import PolicyReward
@@ -23,7 +23,7 @@ from mapt.runs.reward_source import reward_files
 from mapt.runs.settings import TRUE, LearnedRewardSettings, RunSettings
 from mapt.runs.stopping import stop_requests
 from mapt.runs.training import Watch
-from mapt.studies.naming import setting
+from mapt.studies.naming import numbers, setting
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 
 #: without a terminal, a line each time so much more is done

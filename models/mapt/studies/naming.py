@@ -1,4 +1,5 @@
-"""Settings as they are written: KEY=VALUE; models and teachers: NAME, or NAME:setting=value:setting=value."""
+"""What is written on a command line: settings as KEY=VALUE, lists with commas, and models and teachers as NAME, or
+NAME:setting=value:setting=value."""
 
 import json
 from dataclasses import dataclass
@@ -44,3 +45,30 @@ def setting(text: str) -> tuple[str, object]:
         return name, json.loads(value)
     except ValueError:
         return name, value
+
+
+def words(option: str, text: str) -> tuple[str, ...]:
+    """The parts of a list with commas.
+
+    Raises:
+        InvalidStudy: if one is empty or comes twice.
+    """
+    parts = tuple(part.strip() for part in text.split(","))
+    if not all(parts) or len(set(parts)) != len(parts):
+        raise InvalidStudy(f"{option} {text!r} must name at least one, each once, with commas between")
+    return parts
+
+
+def numbers(option: str, text: str, least: int) -> tuple[int, ...]:
+    """The whole numbers of a list with commas.
+
+    Raises:
+        InvalidStudy: if one is no number, too small, or comes twice.
+    """
+    try:
+        parts = tuple(int(part) for part in words(option, text))
+    except ValueError as error:
+        raise InvalidStudy(f"{option} {text!r} is no list of numbers; it looks like 0,1,2") from error
+    if min(parts) < least or len(set(parts)) != len(parts):
+        raise InvalidStudy(f"{option} {text!r}: each must be {least} or more, and come once")
+    return parts

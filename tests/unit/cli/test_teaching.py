@@ -3,8 +3,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accord.cli.client import Api
-from accord.cli.demo import describe, parse_seeds
-from accord.cli.runs import RunPlan, RunState
+from accord.cli.demo import describe
+from accord.cli.plans import RunPlan, parse_numbers
+from accord.cli.runs import RunState
 from accord.cli.teaching import Sight, judge, parse_teacher
 from accord.domain.errors import Invalid
 from mapt.preferences.teachers import make_teacher
@@ -79,10 +80,10 @@ def test_a_teacher_that_cannot_be_is_refused_in_a_sentence(name, parameters, wor
 
 
 def test_seeds_are_numbers_with_commas_each_once():
-    assert parse_seeds("0,1, 2") == [0, 1, 2]
+    assert parse_numbers("--seed", "0,1, 2", 0) == (0, 1, 2)
     for text in ("", "a", "1,1", "-1", "0;1"):
         with pytest.raises(Invalid, match="--seed"):
-            parse_seeds(text)
+            parse_numbers("--seed", text, 0)
 
 
 def test_words_beside_the_bar_say_how_far_it_is():

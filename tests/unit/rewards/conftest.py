@@ -2,14 +2,9 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from hypothesis import settings
 
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.network import MAPT
-
-# A busy machine is no failure: the first torch call of a process alone can take a second.
-settings.register_profile("unhurried", deadline=None, derandomize=True)
-settings.load_profile("unhurried")
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 4, 2
 VARIANTS: dict[str, dict[str, object]] = {

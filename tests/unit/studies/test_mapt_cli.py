@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mapt.cli.options import numbers, words
 from mapt.studies.errors import InvalidStudy
+from mapt.studies.naming import numbers, words
 from support.waiting import until
 from unit.studies.tiny_replay import TASK, write_replay
 
