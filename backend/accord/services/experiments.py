@@ -9,6 +9,7 @@ from accord.domain.errors import ExperimentNotActive, ExperimentNotFound, NameTa
 from accord.domain.experiment import ExperimentConfig
 from accord.domain.ids import new_id
 from accord.domain.words import ExperimentStatus, Phase, QueryStatus
+from accord.services.policy_settings import policy_settings
 from accord.services.texts import check_line, check_lines
 from accord.store import experiments
 from accord.store.tables import ExperimentRow, utc_now
@@ -54,7 +55,8 @@ def create(
 
     Raises:
         UnknownTask: if no task has this name.
-        InvalidExperiment: if a setting has an unknown word, or a segment would not fit into an episode.
+        InvalidExperiment: if a setting has an unknown word, the policy's learner cannot have its settings, or a segment
+            would not fit into an episode or a rollout.
         NameTaken: if another experiment has this name.
         Invalid: if a text is empty, too long, or holds characters that cannot be shown.
     """
@@ -65,6 +67,7 @@ def create(
     except TaskIsUnknown as error:
         raise UnknownTask(config.task, task_names()) from error
     config.check_horizon(spec.horizon_steps)
+    policy_settings(config)
     told = check_lines(instructions or "", "instructions", 4000) or spec.instructions
     if experiments.by_name(session, line) is not None:
         raise NameTaken(f"There is an experiment {line!r} already. Choose another name.")

@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass
 
-from accord.domain.errors import InvalidExperiment
 from accord.domain.experiment import ExperimentConfig
 from accord.services import checkpoints
+from accord.services.policy_settings import policy_settings
 from accord.store.blobs import BlobStore
 from accord.store.database import Database
 from accord.workers.policy_blobs import read_checkpoint, store_checkpoint
 from accord.workers.pulse import Claim
 from accord.workers.reward_source import RewardSource, make_reward_source
-from mapt.policies import Learner, PolicyConfig
+from mapt.policies import Learner
 from mapt.runs.checkpoint import PolicyCheckpoint
 from mapt.tasks import make_task
 
@@ -33,16 +33,11 @@ def start_or_restore(
     """The experiment's training as its newest checkpoint has it; at the beginning where there is none.
 
     Raises:
-        mapt.policies.InvalidConfig: if `config.policy` makes no sense.
-        InvalidExperiment: if a rollout is too short for a segment.
+        InvalidExperiment: if `config.policy` makes no sense; one that was made by another version may.
+        mapt.policies.InvalidConfig: if its device is not here.
         BlobMissing, mapt.policies.InvalidCheckpoint: if the checkpoint is gone, or damaged.
     """
-    settings = learner_config(config, n_threads)
-    if config.reward_source == "preferences" and settings.rollout_steps < config.segment_steps:
-        raise InvalidExperiment(
-            f"segment_steps is {config.segment_steps}, but a rollout has {settings.rollout_steps} steps of each "
-            f"environment, so no segment fits. Set policy.rollout_steps to {config.segment_steps} or more."
-        )
+    settings = policy_settings(config, n_threads)
     task = make_task(config.task, settings.n_envs, n_threads=n_threads)
     with database.reading() as session:
         row = checkpoints.newest(session, experiment_id)
@@ -53,13 +48,6 @@ def start_or_restore(
     learner = Learner.from_bytes(stored.learner, task)
     source = make_reward_source(blobs, config, settings.n_envs, row.reward_version_id, stored.context)
     return Training(learner, source, row.iteration, row.steps)
-
-
-def learner_config(config: ExperimentConfig, n_threads: int) -> PolicyConfig:
-    """Settings of the learner: its defaults, the experiment's seed and device, then what the researcher set."""
-    return PolicyConfig.from_dict(
-        {"seed": config.seed, "device": config.device, "n_threads": n_threads, **config.policy}
-    )
 
 
 def save(database: Database, blobs: BlobStore, experiment_id: str, training: Training, claim: Claim) -> None:

@@ -1,12 +1,20 @@
-"""Multi-agent policies and how they learn from any reward."""
+"""Multi-agent policies and how they learn from any reward.
+
+What needs torch is imported when it is first asked for, so that settings can be read and checked without it.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 from mapt.policies.config import Algorithm, PolicyConfig
 from mapt.policies.errors import InvalidCheckpoint, InvalidConfig, InvalidRewards, PolicyError, TrainingDiverged
-from mapt.policies.evaluation import Episodes, evaluate, play
-from mapt.policies.learner import Learner
-from mapt.policies.policy import Policy
-from mapt.policies.rollout import Rollout
-from mapt.policies.training import train, true_reward
+
+if TYPE_CHECKING:
+    from mapt.policies.evaluation import Episodes, evaluate, play
+    from mapt.policies.learner import Learner
+    from mapt.policies.policy import Policy
+    from mapt.policies.rollout import Rollout
+    from mapt.policies.training import train, true_reward
 
 __all__ = [
     "Algorithm",
@@ -25,3 +33,20 @@ __all__ = [
     "train",
     "true_reward",
 ]
+
+_MODULE_OF = {
+    "Episodes": "evaluation",
+    "Learner": "learner",
+    "Policy": "policy",
+    "Rollout": "rollout",
+    "evaluate": "evaluation",
+    "play": "evaluation",
+    "train": "training",
+    "true_reward": "training",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -78,6 +78,17 @@ def test_a_segment_longer_than_an_episode(api: Served) -> None:
     refusal(response, 422, "invalid_experiment", "1000 steps")
 
 
+def test_settings_that_the_policys_learner_cannot_have(api: Served) -> None:
+    for policy, words in (
+        ({"n_environments": 4}, ("n_environments", "n_envs")),
+        ({"algorithm": "ppo"}, ("algorithm", "mappo, happo, mat, mat_dec")),
+        ({"clip": 0}, ("clip must be more than 0",)),
+        ({"rollout_steps": 25, "minibatches": 1}, ("segment_steps is 50", "policy.rollout_steps to 50")),
+    ):
+        response = api.researcher.post("/api/v1/experiments", json=NEW | {"segment_steps": 50, "policy": policy})
+        refusal(response, 422, "invalid_experiment", *words)
+
+
 def test_a_task_that_does_not_exist(api: Served) -> None:
     response = api.researcher.post("/api/v1/experiments", json=NEW | {"task": "Walker"})
     refusal(response, 422, "unknown_task", "'Walker'", "HalfCheetah-6x1")
