@@ -10,8 +10,8 @@ Algorithm = Literal["mappo", "happo", "mat", "mat_dec"]
 Activation = Literal["tanh", "relu"]
 
 #: What an algorithm starts from where it differs from MAPPO's settings; found on HalfCheetah-6x1, one seed and a
-#: million steps each. A transformer takes a smaller step than a small perceptron does. MAT and HAPPO move further in a pass
-#: than MAPPO does, so they make half as many; mat_dec needs all ten: 5,525 instead of 2,985.
+#: million steps each. A transformer takes a smaller step than a small perceptron does. MAT and HAPPO move further in
+#: a pass than MAPPO does, so they make half as many; mat_dec needs all ten: 5,525 instead of 2,985.
 ALGORITHM_DEFAULTS: Mapping[str, Mapping[str, object]] = {
     "mappo": {},
     "happo": {"learning_rate": 1e-3, "epochs": 5},
