@@ -136,7 +136,9 @@ def _run_all(
         Progress(*columns, console=out, disable=not on_terminal()) as progress,
         ThreadPoolExecutor(at_once) as pool,
     ):
-        runs = [pool.submit(run_experiment, lesson, plan, known, _shower(progress, plan)) for plan in plans]
+        # Finished ones first, so that the files are never without them.
+        order = sorted(plans, key=lambda plan: known.get(plan.name, {}).get("status") != "finished")
+        runs = [pool.submit(run_experiment, lesson, plan, known, _shower(progress, plan)) for plan in order]
         try:
             for run in as_completed(runs):
                 results[run.result().plan.name] = run.result()
