@@ -16,21 +16,28 @@ from matplotlib import pyplot as plt
 from mapt.studies.palette import QUIET, Style, style
 
 Run = dict[str, Any]
-#: labels that draw a mean over seeds are few and far apart; a seed's own value stands beside it
+#: so many kinds of runs leave room for marks on their lines
+_FEW_KINDS = 3
+#: how far the marks of two models stand apart, as a share of the labels
 _ASIDE = 0.02
 
 
 def draw(results: Path, picture: Path) -> None:
-    """Draw one line per run, with reward versions as marks on it; beside it returns by labels, if these differ."""
+    """Draw one line per run, with reward versions as marks on it; beside it returns by labels, if these differ.
+
+    Many kinds of runs are drawn without their versions, which would hide the lines.
+    """
     runs: list[Run] = json.loads(results.read_text())["runs"]
     kinds = list(dict.fromkeys(_kind(run) for run in runs))
     styles = {kind: style(number) for number, kind in enumerate(sorted(kinds, key=_order))}
     several = len({run["plan"]["label_budget"] for run in runs if _learned(run)}) > 1
     figure, panels = plt.subplots(1, 1 + several, figsize=(8 + 5 * several, 5), layout="constrained", squeeze=False)
-    _draw_curves(panels[0, 0], runs, styles)
+    few = len(kinds) <= _FEW_KINDS
+    _draw_curves(panels[0, 0], runs, styles, mark_versions=few)
     if several:
         _draw_labels(panels[0, 1], runs)
-    figure.suptitle(f"{runs[0]['plan']['task']}: dots are reward versions, stars the last policy's mean actions")
+    dots = "dots are reward versions, " if few else ""
+    figure.suptitle(f"{runs[0]['plan']['task']}: {dots}stars the last policy's mean actions")
     figure.savefig(picture, dpi=120)
     plt.close(figure)
 
@@ -48,7 +55,7 @@ def _order(kind: str) -> bool:
     return kind != "true reward"
 
 
-def _draw_curves(axes: Any, runs: Sequence[Run], styles: dict[str, Style]) -> None:
+def _draw_curves(axes: Any, runs: Sequence[Run], styles: dict[str, Style], *, mark_versions: bool) -> None:
     named: set[str] = set()
     for run in runs:
         kind, points = _kind(run), run["curves"].get("true_return", [])
@@ -56,7 +63,7 @@ def _draw_curves(axes: Any, runs: Sequence[Run], styles: dict[str, Style]) -> No
         label = None if kind in named else kind
         axes.plot(steps, returns, linestyle=drawn.dashes, color=drawn.colour, alpha=0.8, label=label)
         named.add(kind)
-        for version in run["versions"]:
+        for version in run["versions"] if mark_versions else ():
             # On the line, between the two episodes' ends about it.
             height = np.interp(version["policy_steps"], steps, returns) if points else run["untrained"]
             axes.plot([version["policy_steps"]], [height], marker="o", markersize=4, color=drawn.colour)
