@@ -54,7 +54,8 @@ def demo(
     ] = True,
     clips: Annotated[bool, typer.Option(help="Make a clip of every segment that is asked about.")] = False,
     initial_labels: Annotated[
-        int | None, typer.Option(min=2, help="Labels before the first reward version.  [default: a fifth of them]")
+        int | None,
+        typer.Option(min=2, help="Labels before the first reward version.  [default: a fifth of them, 100 at most]"),
     ] = None,
     labels_per_version: Annotated[
         int | None, typer.Option(min=1, help="New labels for each further version.  [default: a tenth of them]")

@@ -53,6 +53,11 @@ def test_lists_make_a_run_of_each_combination_and_one_of_the_true_reward_for_eac
     }
 
 
+def test_the_untrained_team_gets_few_of_many_labels():
+    [plan] = Grid("HalfCheetah-6x1", 1000, (0,), (3000,), ("MAPT",), baseline=False).plans("oracle")
+    assert (plan.initial_labels, plan.labels_per_version) == (100, 300)
+
+
 def test_a_plan_tells_in_what_an_experiment_differs():
     [plan] = Grid("HalfCheetah-6x1", 1000, (0,), (50,), ("MAPT",), baseline=False).plans("oracle")
     config = {**asdict(plan), "pacing": "wait"}
