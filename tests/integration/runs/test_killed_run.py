@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from mapt.runs.folder import RunFolder
@@ -14,6 +15,8 @@ from mapt.runs.tensorboard import EVENTS
 from support import short_cheetah
 from support.waiting import until
 from unit.runs.conftest import reward_model, write_reward
+
+pytestmark = pytest.mark.usefixtures("short_episodes")
 
 STEPS_PER_ITERATION = 4 * 24
 ITERATIONS = 40

@@ -181,8 +181,10 @@ def test_two_that_add_at_once_never_take_the_same_number(both: Stores) -> None:
 
 
 def test_settings_survive_the_database(sqlite: Stores) -> None:
-    made = scene(sqlite.database, sqlite.blobs, segments=0, queries=0, policy={"learning_rate": 0.1, "shared": True})
+    made = scene(
+        sqlite.database, sqlite.blobs, segments=0, queries=0, policy={"learning_rate": 0.1, "shared_actor": True}
+    )
     with sqlite.database.reading() as session:
         row = session.get(ExperimentRow, made.experiment.id)
         assert row is not None
-        assert experiments.config_of(row) == config(policy={"learning_rate": 0.1, "shared": True})
+        assert experiments.config_of(row) == config(policy={"learning_rate": 0.1, "shared_actor": True})
