@@ -99,15 +99,12 @@ def demo(
 
 
 def _environment(clips: bool, at_once: int) -> dict[str, str]:
-    alone = {} if clips else {"ACCORD_RENDER_WORKERS": "0"}
-    if at_once == 1:
-        return alone
-    # More threads than cores would take turns.
-    return (
-        alone
-        | {"ACCORD_POLICY_WORKERS": str(at_once), "ACCORD_REWARD_WORKERS": str(at_once)}
-        | {"ACCORD_TORCH_THREADS": "1"}
-    )
+    environment = {} if clips else {"ACCORD_RENDER_WORKERS": "0"}
+    if at_once > 1:
+        environment |= {"ACCORD_POLICY_WORKERS": str(at_once), "ACCORD_REWARD_WORKERS": str(at_once)}
+        # More threads than cores would take turns.
+        environment["ACCORD_TORCH_THREADS"] = "1"
+    return environment
 
 
 def _lesson(service: OwnService, teacher: TeacherChoice, stop: Stop) -> Lesson:

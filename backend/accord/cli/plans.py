@@ -41,11 +41,7 @@ class RunPlan:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Every combination of the lists, on one task.
-
-    Raises:
-        Invalid: if a list is none.
-    """
+    """Every combination of the lists, on one task."""
 
     task: str
     total_steps: int

@@ -13,6 +13,7 @@ mpl.use("Agg")
 
 from matplotlib import pyplot as plt
 
+from accord.cli.plans import PREFERENCES
 from mapt.studies.palette import QUIET, Style, style
 
 Run = dict[str, Any]
@@ -43,7 +44,7 @@ def draw(results: Path, picture: Path) -> None:
 
 
 def _learned(run: Run) -> bool:
-    return run["plan"]["reward_source"] == "preferences"
+    return run["plan"]["reward_source"] == PREFERENCES
 
 
 def _kind(run: Run) -> str:

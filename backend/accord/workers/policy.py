@@ -51,8 +51,8 @@ class PolicyWorker:
         with self._context.database.reading() as session:
             for row in experiments.running(session):
                 version = publish.newest(session, row.id)
-                progress = read_progress(session, row, version, row.steps)
                 config = experiments.config_of(row)
+                progress = read_progress(session, row, config, version, row.steps)
                 # One that was never begun has its first rollout to collect, whatever it waits for after.
                 waits = row.phase != "queued" and waits_for(config, progress) is not None
                 found.append((row.id, config, waits))

@@ -119,7 +119,8 @@ class PolicyRun:
         with self._context.database.reading() as session:
             row = experiments.get(session, self._id)
             version = publish.newest(session, self._id)
-            return _Seen(row.status, read_progress(session, row, version, self._training.steps), version)
+            progress = read_progress(session, row, self._config, version, self._training.steps)
+            return _Seen(row.status, progress, version)
 
     def _collect(self) -> Rollout:
         training = self._training
