@@ -1,5 +1,6 @@
 """What every reward model shares: normalised inputs, a Markov path, and scores made of rewards and weights."""
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from mapt.rewards.attention import Band
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.inputs import InputNormaliser
 from mapt.rewards.markov_path import MarkovPath
-from mapt.rewards.preference_attention import equal_weights, votes
+from mapt.rewards.preference_attention import ReadOut, equal_weights, votes
 
 # A score is a mean over steps and agents, so it starts near 0 and its logit must reach about 5 to be sure
 # of a label. This factor on every reward spares the optimiser the way there.
@@ -68,6 +69,14 @@ class RewardModel(nn.Module, ABC):
     @abstractmethod
     def _readers(self) -> tuple[Readers, Readers]:
         """The layers that read the normalised observations, and those that read the actions."""
+
+    def awake_state(self) -> dict[str, Tensor]:
+        """Its weights as they are, but for a read-out drawn anew: a path that sees the past and is not silent."""
+        awake = copy.deepcopy(self)
+        for part in awake.modules():
+            if isinstance(part, ReadOut):
+                part.reward.reset_parameters()
+        return awake.state_dict()
 
     def _shares(self, h: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor | None:
         """How each step shares its vote among the real steps, (S, step that asks, step asked), or None: equally."""

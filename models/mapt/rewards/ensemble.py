@@ -6,13 +6,14 @@ settle the matter they agree; where they do not, the spread of their predictions
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from mapt.preferences.dataset import PreferenceDataset, SegmentSource
+from mapt.rewards.base import RewardModel
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.device import resolve_device, seeded
 from mapt.rewards.ensemble_fitting import (
@@ -110,7 +111,7 @@ def train_reward_ensemble(
         )
         used = torch.as_tensor(np.unique(dataset.pairs), device=device)
         products = resolve_precision(train_config.precision, config.hidden_dim, device)
-        _run_stages(fitting, stack, segments, stages, used=used, products=products)
+        _run_stages(fitting, stack, models, segments, stages, used=used, products=products)
     judged = segments if reference is None else segment_reader(reference, device)
     measure_reward_scales(stack, judged, spread_sample(judged))
     metrics = {
@@ -130,6 +131,7 @@ def train_reward_ensemble(
 def _run_stages(
     fitting: EnsembleFitting,
     stack: StackedModels,
+    untrained: Sequence[RewardModel],
     segments: SegmentReader,
     stages: Stages,
     *,
@@ -141,7 +143,13 @@ def _run_stages(
         fitting.run(EnsembleStage(stages.markov, markov, markov_stack_scorer(stack, segments, used)))
     if stages.whole is not None and not fitting.stopped:
         scorer = whole_stack_scorer(stack, segments, products)
-        fitting.run(EnsembleStage(stages.whole, list(stack.parameters), scorer, start=fitting.early))
+        start = _awake_parameters(untrained, stack.parameters) if stages.whole.anew else fitting.early
+        fitting.run(EnsembleStage(stages.whole, list(stack.parameters), scorer, start=start))
+
+
+def _awake_parameters(models: Sequence[RewardModel], names: Iterable[str]) -> dict[str, Tensor]:
+    states = [model.awake_state() for model in models]
+    return {name: torch.stack([state[name] for state in states]) for name in names}
 
 
 def _judged(

@@ -13,7 +13,14 @@ from mapt.rewards.attention import zeroed
 from mapt.rewards.scalar import ScalarLinear, in_float32
 
 
-class CooperationAwareAttention(nn.Module):
+class ReadOut(nn.Module):
+    """Individual rewards (S, T, N) from h (S, T, N, 2d), by a path that may see the past."""
+
+    #: its last layer
+    reward: ScalarLinear
+
+
+class CooperationAwareAttention(ReadOut):
     """Individual rewards from h by one head of attention among agents (CPA; paper, eq. 4).
 
     An attended value goes through one Linear to a scalar. A softmax sums to 1, so that attending scalars gives the
@@ -43,7 +50,7 @@ class CooperationAwareAttention(nn.Module):
             return (query.float() * self.scale @ key.float().transpose(2, 3)).softmax(dim=-1)
 
 
-class LinearReadOut(nn.Module):
+class LinearReadOut(ReadOut):
     """Individual rewards from h, each agent by itself (MAPT-CPA)."""
 
     def __init__(self, dim: int) -> None:

@@ -4,10 +4,13 @@ The Markov path takes a tenth of the time of the whole network and, where the tr
 to learn. Trained to its end it also explains, by heart, what a Markov reward cannot: so the whole network goes on
 from an early state of it, which has left something to explain. It is kept only where the hold-out gains by it
 against the Markov path at its best; a hold-out too small to tell lets nothing be added.
+
+An LSTM finds nothing even beside an early Markov path: its gradient comes through layers that are still zero, and the
+Markov path takes up what there is to gain meanwhile. A network with one begins the second stage untrained.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.train_config import TrainConfig
@@ -30,6 +33,8 @@ class StageSettings:
     label_noise: float
     #: keep what was learned only if it beats the weights that the model had by more than chance would
     must_convince: bool = False
+    #: begin with the weights that the model had before any training, and with a read-out that is not zero
+    anew: bool = False
     #: epoch whose weights are remembered for the next stage; 0 for none
     remember_epoch: int = 0
 
@@ -60,7 +65,8 @@ def plan_stages(config: TrainConfig, network: RewardConfig, n_pairs: int, *, war
         return Stages(markov, None)
     # Without a Markov path there is nothing good to fall back to.
     must_convince = network.markov_path and reliable
-    return Stages(markov, _whole_stage(config, n_pairs, warm=warm, must_convince=must_convince))
+    whole = _whole_stage(config, n_pairs, warm=warm, must_convince=must_convince)
+    return Stages(markov, replace(whole, anew=markov is not None and network.temporal == "lstm" and not warm))
 
 
 def _markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSettings | None:

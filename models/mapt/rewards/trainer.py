@@ -135,13 +135,15 @@ def _run_stages(
     products: torch.dtype,
 ) -> None:
     model.eval()
+    anew = model.awake_state() if stages.whole is not None and stages.whole.anew else None
     if stages.markov is not None and model.markov is not None:
         fitting.run(Stage(stages.markov, list(model.markov.parameters()), markov_scorer(model, segments, used)))
     if stages.whole is not None and not fitting.stopped:
         scorer = whole_scorer(model, segments, products)
         parameters = list(model.parameters())
         passes = _pairs_per_pass(model, segments)
-        fitting.run(Stage(stages.whole, parameters, scorer, start=fitting.early, pairs_per_pass=passes))
+        start = fitting.early if anew is None else anew
+        fitting.run(Stage(stages.whole, parameters, scorer, start=start, pairs_per_pass=passes))
 
 
 def _pairs_per_pass(model: RewardModel, segments: SegmentReader) -> int | None:

@@ -246,6 +246,14 @@ def test_only_a_markov_path_has_markov_rewards(name):
         torch.testing.assert_close(markov, model.agent_rewards(observations, actions))
 
 
+@names
+def test_awake_a_model_is_itself_but_for_its_read_out(name):
+    model = build_reward_model(config(name))
+    weights, awake = model.state_dict(), model.awake_state()
+    changed = {key for key, tensor in awake.items() if not torch.equal(tensor, weights[key])}
+    assert changed == ({"read_out.reward.weight", "read_out.reward.bias"} if name in SEES_THE_PAST else set())
+
+
 @pytest.mark.parametrize("name", ["MA-LSTM", "MA-Transformer"])
 def test_a_baseline_can_be_given_a_markov_path_too(name):
     model = build_reward_model(config(name, markov_path=True))
