@@ -1,6 +1,9 @@
 import { type Clip, type ClipSource, ClipUnplayable } from "./clip";
 import { type Mp4Track, readMp4 } from "./mp4";
 
+/** How long a frame may take from "seeked" to the screen; it takes a repaint or two. */
+const LONGEST_PRESENTATION_MS = 500;
+
 /**
  * All frames of an mp4.
  *
@@ -91,9 +94,7 @@ async function decodeBySeeking(blob: Blob, source: ClipSource): Promise<Clip> {
     const frameSeconds = source.seconds / source.frames;
     const frames: ImageBitmap[] = [];
     for (let index = 0; index < source.frames; index++) {
-      const sought = once(video, "seeked");
-      video.currentTime = (index + 0.5) * frameSeconds;
-      await sought;
+      await seekFrame(video, index, frameSeconds);
       frames.push(await createImageBitmap(video));
     }
     return { frames, frameSeconds, width: video.videoWidth, height: video.videoHeight };
@@ -102,6 +103,35 @@ async function decodeBySeeking(blob: Blob, source: ClipSource): Promise<Clip> {
     video.load();
     URL.revokeObjectURL(address);
   }
+}
+
+/** Resolves when the video shows this frame: "seeked" alone may come while it still shows the one before. */
+async function seekFrame(video: HTMLVideoElement, index: number, frameSeconds: number): Promise<void> {
+  const shown = presented(video, (mediaSeconds) => Math.round(mediaSeconds / frameSeconds) === index);
+  const sought = once(video, "seeked");
+  video.currentTime = (index + 0.5) * frameSeconds;
+  await sought;
+  await shown;
+}
+
+/** Resolves when the video presents a frame whose time is `right`, or after so long that it must have. */
+function presented(video: HTMLVideoElement, right: (mediaSeconds: number) => boolean): Promise<void> {
+  // Firefox has it since 132.
+  if (!("requestVideoFrameCallback" in video)) return Promise.resolve();
+  return new Promise((resolve) => {
+    let asked = 0;
+    const finish = (): void => {
+      clearTimeout(patience);
+      video.cancelVideoFrameCallback(asked);
+      resolve();
+    };
+    const ask = (): void => {
+      asked = video.requestVideoFrameCallback((_now, { mediaTime }) => (right(mediaTime) ? finish() : ask()));
+    };
+    // A page in the background presents nothing, and a frame that is shown already is not always presented again.
+    const patience = setTimeout(finish, LONGEST_PRESENTATION_MS);
+    ask();
+  });
 }
 
 function once(video: HTMLVideoElement, event: "loadeddata" | "seeked"): Promise<void> {
