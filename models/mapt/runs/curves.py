@@ -85,7 +85,7 @@ def _draw_group(axes: Axes, group: Group, index: int) -> None:
         curves = seed_curves(group.runs)
         whole = curves.whole()
         steps, returns = curves.steps[whole], curves.returns[:, whole]
-        mean, spread = returns.mean(axis=0), returns.std(axis=0)
+        mean, spread = returns.mean(axis=0), returns.std(axis=0, ddof=min(1, len(returns) - 1))
         axes.plot(steps, mean, color=drawn.colour, linestyle=drawn.dashes, linewidth=1.8)
         axes.fill_between(steps, mean - spread, mean + spread, color=drawn.colour, alpha=0.15, linewidth=0)
         axes.plot(curves.steps, curves.returns.T, color=drawn.colour, linewidth=0.5, alpha=0.4)
