@@ -1,42 +1,66 @@
 """Which parts of a rollout become segments."""
 
+import math
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+# The share of a segment's steps that an episode must have had to be shown at all: less is nothing to judge by.
+SHORTEST_SHARE = 0.2
 
-def episode_spans(episode_start: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
-    """The stretches of a rollout that are of one episode each.
+
+class Stretch(NamedTuple):
+    """Consecutive steps of one environment within one episode."""
+
+    env: int
+    first: int
+    #: the step after the last
+    end: int
+
+    @property
+    def n_steps(self) -> int:
+        return self.end - self.first
+
+
+def episode_stretches(episode_start: NDArray[np.bool_]) -> list[Stretch]:
+    """The stretches of a rollout that are of one episode each, in the order of environments.
 
     Args:
         episode_start: (L, E), true where the step is an episode's first.
-
-    Returns:
-        (environment, first step, step after the last), in the order of environments.
     """
     length, n_envs = episode_start.shape
-    spans: list[tuple[int, int, int]] = []
+    stretches: list[Stretch] = []
     for env in range(n_envs):
         inner = np.flatnonzero(episode_start[1:, env]) + 1
-        bounds = [0, *inner.tolist(), length]
-        spans.extend((env, first, last) for first, last in pairwise(bounds))
-    return spans
+        stretches.extend(Stretch(env, first, end) for first, end in pairwise([0, *inner.tolist(), length]))
+    return stretches
 
 
-def cut(episode_start: NDArray[np.bool_], segment_steps: int, rng: np.random.Generator) -> list[tuple[int, int]]:
+def cut(
+    episode_start: NDArray[np.bool_],
+    terminated: NDArray[np.bool_],
+    segment_steps: int,
+    rng: np.random.Generator,
+) -> list[Stretch]:
     """Segments that do not overlap and do not cross an episode's end, in random order.
 
-    Each stretch is laid out with as many segments as fit, the first at a random place, so that over a run every
-    phase of an episode is as likely to begin one.
+    Each stretch of an episode is laid out with as many segments as fit, the first at a random place, so that over a
+    run every phase of an episode is as likely to begin one. An episode that terminates before a whole segment fits (a
+    walker that falls) is a shorter one, from a fifth of the steps on: else nobody could be asked about it.
 
-    Returns:
-        (first step, environment) of each.
+    Args:
+        episode_start, terminated: (L, E), whether the step is an episode's first, and whether it ended there by itself.
     """
-    places: list[tuple[int, int]] = []
-    for env, first, last in episode_spans(episode_start):
-        count = (last - first) // segment_steps
-        slack = last - first - count * segment_steps
+    places: list[Stretch] = []
+    for stretch in episode_stretches(episode_start):
+        env, first, end = stretch
+        count, slack = divmod(stretch.n_steps, segment_steps)
         offset = first + int(rng.integers(slack + 1))
-        places.extend((offset + segment_steps * index, env) for index in range(count))
+        begins = (offset + segment_steps * index for index in range(count))
+        places.extend(Stretch(env, begin, begin + segment_steps) for begin in begins)
+        fell = bool(terminated[end - 1, env])
+        if not count and fell and stretch.n_steps >= math.ceil(SHORTEST_SHARE * segment_steps):
+            places.append(stretch)
     return [places[index] for index in rng.permutation(len(places))]

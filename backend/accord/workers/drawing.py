@@ -14,13 +14,11 @@ from numpy.typing import NDArray
 
 from accord.services.collect import drawn_blob_key
 from accord.store.blobs import BlobStore
+from accord.workers.cutting import Stretch
 from mapt.policies import Rollout
 from mapt.rendering.encode import open_clip
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import DrawnTask, NoSimulator, Task, UnusableEnvironment, make_task
-
-#: (first step, environment) of a segment within its rollout
-Place = tuple[int, int]
 
 
 def draws_itself(task: Task) -> bool:
@@ -47,12 +45,11 @@ class Redrawing:
         self._spec, self._n_envs = task.spec, task.n_envs
         self._before, self._rollout = dict(before), rollout
 
-    def store(self, blobs: BlobStore, places: Sequence[Place], length: int, segment_blob_keys: Sequence[str]) -> None:
+    def store(self, blobs: BlobStore, places: Sequence[Stretch], segment_blob_keys: Sequence[str]) -> None:
         """Put a clip beside each segment's blob.
 
         Args:
             places: of the segments, in the order of their keys.
-            length: steps of a segment, T.
 
         Raises:
             NoPicture: if the task draws nothing.
@@ -66,22 +63,22 @@ class Redrawing:
             try:
                 task.restore(self._before)
                 assert isinstance(task, DrawnTask)
-                self._draw(task, paths, length)
+                self._draw(task, paths)
             finally:
                 task.close()
             for place, key in zip(places, segment_blob_keys, strict=True):
                 blobs.put(drawn_blob_key(key), paths[place].read_bytes())
 
-    def _draw(self, task: DrawnTask, paths: Mapping[Place, Path], length: int) -> None:
+    def _draw(self, task: DrawnTask, paths: Mapping[Stretch, Path]) -> None:
         settings = self._settings(even(task.render(0)))
         with ExitStack() as unfinished:
             writing: dict[int, tuple[Callable[[NDArray[np.uint8]], None], ExitStack, int]] = {}
-            for step in range(max((first for first, _ in paths), default=-1) + length):
-                for first, env in paths:
-                    if first == step:
+            for step in range(max((place.end for place in paths), default=0)):
+                for place, path in paths.items():
+                    if place.first == step:
                         clip = unfinished.enter_context(ExitStack())
-                        add = clip.enter_context(open_clip(paths[first, env], settings))
-                        writing[env] = add, clip, step + length
+                        add = clip.enter_context(open_clip(path, settings))
+                        writing[place.env] = add, clip, place.end
                 for env, (add, clip, end) in list(writing.items()):
                     add(even(task.render(env)))
                     if step + 1 == end:

@@ -78,7 +78,8 @@ def cannot_begin(config: ExperimentConfig, progress: Progress) -> str | None:
         return None
     return (
         f"The first rollout's segments make no more pairs than were asked about, which gave {progress.labels} labels; "
-        f"initial_labels is {config.initial_labels}. Lower it, or raise policy.n_envs or policy.rollout_steps."
+        f"initial_labels is {config.initial_labels}. Lower it, or raise policy.n_envs or policy.rollout_steps; where "
+        f"episodes end within fewer than segment_steps ({config.segment_steps}), that can be lowered."
     )
 
 

@@ -17,7 +17,7 @@ from accord.services import collect, experiments, metrics, publish, select
 from accord.services.collect import NewSegment
 from accord.store.tables import RewardVersionRow
 from accord.workers import learner
-from accord.workers.cutting import cut
+from accord.workers.cutting import Stretch, cut
 from accord.workers.drawing import Redrawing, draws_itself
 from accord.workers.learner import Training
 from accord.workers.loop import Context
@@ -144,7 +144,7 @@ class PolicyRun:
         if newest and newest[0][1] >= training.steps:
             return  # handed in by a process that was killed after, before a checkpoint
         rng = np.random.default_rng([config.seed, _SEGMENT_STREAM, training.iteration])
-        places = cut(rollout.episode_start, config.segment_steps, rng)
+        places = cut(rollout.episode_start, rollout.terminated, config.segment_steps, rng)
         wanted = segments_to_hand_in(
             config,
             iteration=training.iteration,
@@ -154,25 +154,25 @@ class PolicyRun:
         if wanted == 0:
             return
         stored = [
-            collect.store_arrays(self._context.blobs, self._id, self._segment(rollout, first, env))
-            for first, env in places[:wanted]
+            collect.store_arrays(self._context.blobs, self._id, self._segment(rollout, place))
+            for place in places[:wanted]
         ]
         if before is not None:
             redrawing = Redrawing(training.learner.task, before, rollout)
             keys = [segment.blob_key for segment in stored]
-            redrawing.store(self._context.blobs, places[:wanted], config.segment_steps, keys)
+            redrawing.store(self._context.blobs, places[:wanted], keys)
         with self._context.database.transaction() as session:
             self._claim.check_within(session)
             collect.collect(session, self._id, stored)
 
-    def _segment(self, rollout: Rollout, first: int, env: int) -> NewSegment:
-        steps = slice(first, first + self._config.segment_steps)
+    def _segment(self, rollout: Rollout, place: Stretch) -> NewSegment:
+        at = slice(place.first, place.end), place.env
         return NewSegment(
-            observations=rollout.observations[steps, env],
-            actions=rollout.actions[steps, env],
-            rewards=rollout.rewards[steps, env],
-            qpos=rollout.qpos[steps, env],
-            qvel=rollout.qvel[steps, env],
+            observations=rollout.observations[at],
+            actions=rollout.actions[at],
+            rewards=rollout.rewards[at],
+            qpos=rollout.qpos[at],
+            qvel=rollout.qvel[at],
             policy_iteration=self._training.iteration,
             policy_steps=self._training.steps,
         )

@@ -11,6 +11,7 @@ from safetensors.numpy import load
 
 from accord.services import experiments
 from accord.services.collect import drawn_blob_key
+from accord.workers.cutting import Stretch
 from accord.workers.drawing import Redrawing, even
 from accord.workers.policy import PolicyWorker
 from accord.workers.render import RenderWorker
@@ -83,10 +84,10 @@ def test_a_later_rollout_is_drawn_from_the_middle_of_its_episodes(place: Workpla
     before = task.snapshot()
     rollout = learner.collect()
     assert not rollout.episode_start[0].any()
-    places, keys = [(0, 0), (12, 1), (40, 2)], [f"segments/{name}.safetensors" for name in "abc"]
-    Redrawing(task, before, rollout).store(place.context.blobs, places, 10, keys)
-    for (first, env), key in zip(places, keys, strict=True):
-        levels = np.round(rollout.observations[first : first + 10, env, 0, 0] * buttons.LEVELS).astype(int)
+    places, keys = [(0, 0, 10), (1, 12, 22), (2, 43, 50)], [f"segments/{name}.safetensors" for name in "abc"]
+    Redrawing(task, before, rollout).store(place.context.blobs, [Stretch(*each) for each in places], keys)
+    for (env, first, end), key in zip(places, keys, strict=True):
+        levels = np.round(rollout.observations[first:end, env, 0, 0] * buttons.LEVELS).astype(int)
         assert_shows(place.context.blobs.read(drawn_blob_key(key)), levels)
 
 
