@@ -2,6 +2,7 @@
 
 import re
 from base64 import b64decode
+from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
@@ -92,6 +93,28 @@ def test_without_webcodecs_the_same_frames_are_shown(
         _assert_shows(_picture(page, "left"), frames, index)
 
 
+def test_a_clip_that_ends_before_the_other_says_so(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    """A walker that falls makes a shorter segment: it waits on its last frame, marked, while the other goes on."""
+    walker = {"task": "Walker2d-2x3", "segment_steps": 30, "policy": {"n_envs": 8, "rollout_steps": 60}}
+    page = sign_in("Vera")
+    labeller = Labeller(page)
+    labeller.open(service.url, new_experiment("Falls", **walker))
+    for _ in range(10):
+        seen = _stepped_through(page, 30)
+        counts = {side: 1 + max(shown[side]["frame"] for shown in seen) for side in ("left", "right")}
+        if counts["left"] != counts["right"]:
+            break
+        page.keyboard.press(" ")
+        labeller.press("ArrowLeft")
+    shorter, longer = sorted(counts, key=lambda side: counts[side])
+    assert counts[shorter] < counts[longer]
+    for shown in seen:
+        assert shown[shorter]["ended"] == (shown[longer]["frame"] >= counts[shorter])
+        assert not shown[longer]["ended"]
+
+
 def test_a_clip_that_does_not_come_is_said_and_can_be_tried_again(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
@@ -103,6 +126,19 @@ def test_a_clip_that_does_not_come_is_said_and_can_be_tried_again(
     page.unroute("**/api/v1/clips/*.mp4")
     page.get_by_role("button", name="Try again").click()
     Labeller(page).pair()
+
+
+def _stepped_through(page: Page, count: int) -> list[dict[str, Any]]:
+    """What each side shows, frame after frame."""
+    look = """() => Object.fromEntries(["left", "right"].map((side) => {
+      const canvas = document.querySelector(`[data-testid=clip-${side}]`);
+      return [side, { frame: Number(canvas.dataset.frame), ended: canvas.hasAttribute("data-ended") }];
+    }))"""
+    shown = []
+    for _ in range(count):
+        page.keyboard.press(".")
+        shown.append(page.evaluate(look))
+    return shown
 
 
 def _decoded(page: Page, side: str) -> list[npt.NDArray[np.uint8]]:

@@ -10,7 +10,8 @@ export interface Side {
  * Plays two clips on one clock: in every animation frame both are drawn from the same reading of it.
  *
  * What was drawn is written to the canvases as `data-frame`, and the largest distance that the two ever had, in
- * frames, to `data-max-drift` of the left one's nearest `[data-stage]`: anyone can check that they stay in step.
+ * frames, to `data-max-drift` of the left one's nearest `[data-stage]`: anyone can check that they stay in step. A
+ * canvas has `data-ended` while its clip, the shorter one, waits on its last frame for the other.
  */
 export class PairPlayer {
   readonly clock: PairClock;
@@ -57,6 +58,10 @@ export class PairPlayer {
   #draw(): void {
     this.#drawn.left = paint(this.#left, this.clock.at, this.#drawn.left);
     this.#drawn.right = paint(this.#right, this.clock.at, this.#drawn.right);
+    for (const { canvas, clip } of [this.#left, this.#right]) {
+      const seconds = secondsOf(clip);
+      canvas.toggleAttribute("data-ended", seconds < this.clock.seconds && this.clock.at >= seconds);
+    }
     this.#maxDrift = Math.max(this.#maxDrift, this.#drift());
     if (this.#stage) {
       this.#stage.dataset.maxDrift = String(this.#maxDrift);
