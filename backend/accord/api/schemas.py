@@ -77,7 +77,11 @@ class NewExperiment(Schema):
     task: str = Field(description="Name of a task, from GET /tasks.")
     instructions: str | None = Field(default=None, description="What labellers are told; the task's own if left out.")
     total_steps: int = Field(default=1_000_000, description="Environment steps the policy trains for, in all.")
-    segment_steps: int = Field(default=50, description="Steps of a segment, T; at most the task's horizon_steps.")
+    segment_steps: int = Field(
+        default=50,
+        description="Steps of a segment, T; at most the task's horizon_steps. An episode that terminates earlier is a "
+        "shorter segment, from a fifth of T on.",
+    )
     label_budget: int = Field(default=500, description="Labels asked for in all.")
     initial_labels: int = Field(default=100, description="Labels before the first reward version.")
     labels_per_version: int = Field(default=50, description="New labels after which the next version is trained.")

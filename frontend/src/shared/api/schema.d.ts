@@ -963,7 +963,7 @@ export interface components {
             seed: number;
             /**
              * Segment Steps
-             * @description Steps of a segment, T; at most the task's horizon_steps.
+             * @description Steps of a segment, T; at most the task's horizon_steps. An episode that terminates earlier is a shorter segment, from a fifth of T on.
              * @default 50
              */
             segment_steps: number;
