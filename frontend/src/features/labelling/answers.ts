@@ -24,6 +24,7 @@ export type Command =
   | { do: "speed"; speed: number };
 
 export const SPEEDS = [
+  { key: "0", speed: 0.25, words: "¼×" },
   { key: "1", speed: 0.5, words: "½×" },
   { key: "2", speed: 1, words: "1×" },
   { key: "3", speed: 2, words: "2×" },

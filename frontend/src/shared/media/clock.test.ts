@@ -1,9 +1,19 @@
 import { describe, expect, test } from "vitest";
-import { frameAt, HOLD_SECONDS, PairClock } from "./clock";
+import { frameAt, HOLD_SECONDS, PairClock, usualSpeed } from "./clock";
 
 const play = (clock: PairClock, seconds: number, hz = 60) => {
   for (let tick = 0; tick < Math.round(seconds * hz); tick++) clock.tick(1 / hz);
 };
+
+test.each([
+  [2.5, 1],
+  [1, 1],
+  [0.75, 0.5],
+  [0.4, 0.25],
+  [0.1, 0.25],
+])("a pair of %d s is shown at %d times its speed at first", (seconds, speed) => {
+  expect(usualSpeed(seconds)).toBe(speed);
+});
 
 describe("PairClock", () => {
   test("one loop lasts the clip and the hold, then begins again", () => {

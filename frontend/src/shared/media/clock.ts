@@ -1,6 +1,9 @@
 /** Both clips stand still this long on their last frame before they begin again. */
 export const HOLD_SECONDS = 0.5;
 
+/** A pair that is over in less is shown slower at first: fifty steps of a walker are 0.4 s. */
+const SHORTEST_SHOWN_SECONDS = 0.9;
+
 /** A frame that came late (a busy machine, a hidden tab) moves the clips by no more than this. */
 const LONGEST_TICK_SECONDS = 0.25;
 
@@ -49,6 +52,11 @@ export class PairClock {
     // The middle of a frame: rounding cannot fall to a neighbour.
     this.#at = (next + 0.5) * this.frameSeconds;
   }
+}
+
+/** How fast a pair of this length is shown to somebody who has not chosen: as it was, or slower if it were a blink. */
+export function usualSpeed(seconds: number): number {
+  return [1, 0.5].find((speed) => seconds / speed >= SHORTEST_SHOWN_SECONDS) ?? 0.25;
 }
 
 /** The frame of a clip at a time; its last one when it is shorter than the other clip. */

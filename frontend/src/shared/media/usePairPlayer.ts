@@ -1,6 +1,7 @@
 import { type RefObject, useCallback, useEffect, useRef, useState } from "react";
 import type { ClipSource } from "./clip";
 import type { Clips } from "./clips";
+import { usualSpeed } from "./clock";
 import { PairPlayer } from "./player";
 
 type Canvas = RefObject<HTMLCanvasElement | null>;
@@ -39,10 +40,10 @@ export function usePairPlayer(
   const [state, setState] = useState<PairPlayback["state"]>("loading");
   const [trouble, setTrouble] = useState<string | null>(null);
   const [paused, setPaused] = useState(false);
-  const [speed, setSpeedState] = useState(() => Number(localStorage.getItem(SPEED_KEY)) || 1);
+  const chosenSpeed = useRef(Number(localStorage.getItem(SPEED_KEY)) || null);
+  const [speed, setSpeedState] = useState(chosenSpeed.current ?? 1);
   const [ratio, setRatio] = useState(USUAL_RATIO);
   const [attempt, setAttempt] = useState(0);
-  const speedNow = useRef(speed);
   const { left: leftCanvas, right: rightCanvas, position } = canvases;
 
   // biome-ignore lint/correctness/useExhaustiveDependencies: `shown` and `attempt` start the pair anew on purpose
@@ -60,7 +61,9 @@ export function usePairPlayer(
           { canvas: rightCanvas.current, clip: rightClip },
           (share) => position.current?.style.setProperty("--position", String(share)),
         );
-        player.current.clock.speed = speedNow.current;
+        const { clock } = player.current;
+        clock.speed = chosenSpeed.current ?? usualSpeed(clock.seconds);
+        setSpeedState(clock.speed);
         startedAt.current = performance.now();
         setRatio(leftClip.width / leftClip.height);
         setState("playing");
@@ -90,7 +93,7 @@ export function usePairPlayer(
     setPaused(player.current?.clock.paused ?? false);
   }, []);
   const setSpeed = useCallback((wanted: number) => {
-    speedNow.current = wanted;
+    chosenSpeed.current = wanted;
     if (player.current) player.current.clock.speed = wanted;
     localStorage.setItem(SPEED_KEY, String(wanted));
     setSpeedState(wanted);
