@@ -78,6 +78,14 @@ class RewardModel(nn.Module, ABC):
                 part.reward.reset_parameters()
         return awake.state_dict()
 
+    def softened_state(self, share: float) -> dict[str, Tensor]:
+        """Its weights, but of those of the Markov path only `share` beside newly drawn ones."""
+        softened = copy.deepcopy(self)
+        if (drawn := MarkovPath.of(self.config)) is not None and softened.markov is not None:
+            for parameter, new in zip(softened.markov.parameters(), drawn.parameters(), strict=True):
+                parameter.data.lerp_(new.data.to(parameter.device), 1 - share)
+        return softened.state_dict()
+
     def _shares(self, h: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor | None:
         """How each step shares its vote among the real steps, (S, step that asks, step asked), or None: equally."""
         return None

@@ -6,7 +6,7 @@ settle the matter they agree; where they do not, the spread of their predictions
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -131,7 +131,7 @@ def train_reward_ensemble(
 def _run_stages(
     fitting: EnsembleFitting,
     stack: StackedModels,
-    untrained: Sequence[RewardModel],
+    before: Sequence[RewardModel],
     segments: SegmentReader,
     stages: Stages,
     *,
@@ -140,15 +140,17 @@ def _run_stages(
 ) -> None:
     if stages.markov is not None:
         markov = [name for name in stack.parameters if name.startswith("markov.")]
-        fitting.run(EnsembleStage(stages.markov, markov, markov_stack_scorer(stack, segments, used)))
+        share = stages.markov.kept_share
+        start = None if share == 1.0 else _stacked([model.softened_state(share) for model in before], markov)
+        fitting.run(EnsembleStage(stages.markov, markov, markov_stack_scorer(stack, segments, used), start=start))
     if stages.whole is not None and not fitting.stopped:
         scorer = whole_stack_scorer(stack, segments, products)
-        start = _awake_parameters(untrained, stack.parameters) if stages.whole.anew else fitting.early
-        fitting.run(EnsembleStage(stages.whole, list(stack.parameters), scorer, start=start))
+        names = list(stack.parameters)
+        start = _stacked([model.awake_state() for model in before], names) if stages.whole.anew else fitting.early
+        fitting.run(EnsembleStage(stages.whole, names, scorer, start=start))
 
 
-def _awake_parameters(models: Sequence[RewardModel], names: Iterable[str]) -> dict[str, Tensor]:
-    states = [model.awake_state() for model in models]
+def _stacked(states: Sequence[Mapping[str, Tensor]], names: Iterable[str]) -> dict[str, Tensor]:
     return {name: torch.stack([state[name] for state in states]) for name in names}
 
 

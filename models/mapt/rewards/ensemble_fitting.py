@@ -20,7 +20,7 @@ from mapt.rewards.fitting import (
     WeightAverage,
     adamw,
     epoch_batches,
-    exceeds_chance,
+    is_kept,
     is_reliable,
 )
 from mapt.rewards.pair_tensors import PairTensors
@@ -117,9 +117,7 @@ class EnsembleFitting:
                     self.early = kept
             if (epoch - kept_at >= stage.settings.patience).all():
                 break
-        gained = (
-            exceeds_chance(before - after) if stage.settings.must_convince else torch.ones_like(best, dtype=torch.bool)
-        )
+        gained = is_kept(stage.settings, before, after)
         _write(trained, {name: where_member(gained, kept[name], initial[name]) for name in trained})
 
     def _epoch(self, stage: EnsembleStage, optimiser: torch.optim.Optimizer) -> float:

@@ -124,7 +124,7 @@ class Fitting:
                     self.early = kept
             if epoch - kept_at >= stage.settings.patience:
                 break
-        gained = not stage.settings.must_convince or bool(exceeds_chance(before - after))
+        gained = bool(is_kept(stage.settings, before, after))
         self._model.load_state_dict(kept if gained else initial)
         self._model.eval()
 
@@ -213,6 +213,14 @@ class Judgement:
     #: over decided pairs
     accuracy: float
     calibration_error: float
+
+
+def is_kept(settings: StageSettings, before: Tensor, after: Tensor) -> Tensor:
+    """Whether what a stage learned takes the place of what it found, by the losses (..., P) of both; bool (...)."""
+    if settings.must_convince:
+        return exceeds_chance(before - after)
+    # What began elsewhere may be a little worse on pairs that the earlier weights were trained on; not worthless.
+    return after.mean(dim=-1) <= before.mean(dim=-1).clamp(min=math.log(2))
 
 
 def exceeds_chance(gains: Tensor) -> Tensor:

@@ -5,6 +5,9 @@ to learn. Trained to its end it also explains, by heart, what a Markov reward ca
 from an early state of it, which has left something to explain. It is kept only where the hold-out gains by it
 against the Markov path at its best; a hold-out too small to tell lets nothing be added.
 
+A version that goes on from another keeps half of the Markov path's weights: what explained the first labels holds it
+back otherwise, in the rewards of single steps more than in what pairs can show.
+
 An LSTM finds nothing even beside an early Markov path: its gradient comes through layers that are still zero, and the
 Markov path takes up what there is to gain meanwhile. A network with one begins the second stage untrained.
 """
@@ -33,6 +36,8 @@ class StageSettings:
     label_noise: float
     #: keep what was learned only if it beats the weights that the model had by more than chance would
     must_convince: bool = False
+    #: how much of the trained weights to begin with, beside newly drawn ones
+    kept_share: float = 1.0
     #: begin with the weights that the model had before any training, and with a read-out that is not zero
     anew: bool = False
     #: epoch whose weights are remembered for the next stage; 0 for none
@@ -81,6 +86,7 @@ def _markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSett
         patience=config.markov_patience,
         label_noise=config.label_noise,
         remember_epoch=0 if warm else math.ceil(EARLY_SHARE * epochs),
+        kept_share=config.warm_share if warm else 1.0,
     )
 
 

@@ -137,7 +137,10 @@ def _run_stages(
     model.eval()
     anew = model.awake_state() if stages.whole is not None and stages.whole.anew else None
     if stages.markov is not None and model.markov is not None:
-        fitting.run(Stage(stages.markov, list(model.markov.parameters()), markov_scorer(model, segments, used)))
+        share = stages.markov.kept_share
+        start = None if share == 1.0 else model.softened_state(share)
+        parameters = list(model.markov.parameters())
+        fitting.run(Stage(stages.markov, parameters, markov_scorer(model, segments, used), start=start))
     if stages.whole is not None and not fitting.stopped:
         scorer = whole_scorer(model, segments, products)
         parameters = list(model.parameters())

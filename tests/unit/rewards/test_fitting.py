@@ -3,8 +3,9 @@ import math
 import torch
 
 from mapt.preferences.loss import preference_losses
-from mapt.rewards.fitting import WeightAverage, exceeds_chance, judge_pairs
+from mapt.rewards.fitting import WeightAverage, exceeds_chance, is_kept, judge_pairs
 from mapt.rewards.pair_tensors import PairTensors
+from mapt.rewards.stages import StageSettings
 
 
 def test_a_steady_gain_convinces_and_a_lucky_one_does_not():
@@ -15,6 +16,14 @@ def test_a_steady_gain_convinces_and_a_lucky_one_does_not():
 
 def test_nothing_gained_does_not_convince():
     assert not exceeds_chance(torch.zeros(20))
+
+
+def test_a_stage_that_need_not_convince_is_kept_unless_it_is_worthless():
+    settings = StageSettings(1e-3, 0.0, 32, 1, 1, 0.0)
+    before = torch.full((4, 20), 0.1)
+    after = torch.tensor([0.05, 0.2, 0.69, 0.8])[:, None].expand(4, 20)
+    assert is_kept(settings, before, after).tolist() == [True, True, True, False]
+    assert is_kept(settings, torch.full((20,), 0.9), torch.full((20,), 0.85))
 
 
 def test_losses_of_pairs_average_to_their_judgement():

@@ -149,11 +149,28 @@ def test_padding_does_not_enter_the_training():
 def test_a_warm_start_goes_on_from_the_model_and_leaves_it_alone():
     first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2)).model
     before = {name: tensor.clone() for name, tensor in first.state_dict().items()}
-    barely = TrainConfig(markov_epochs=1, max_epochs=1, lr=1e-8, markov_lr=1e-8)
+    barely = TrainConfig(markov_epochs=1, max_epochs=1, lr=1e-8, markov_lr=1e-8, warm_share=1.0)
     dataset = preferences(80)
     warm, cold = (train_reward_model(dataset, CONFIG, barely, initial=model) for model in (first, None))
     assert warm.metrics["loss"] < 0.7 * cold.metrics["loss"]
     assert all(torch.equal(tensor, before[name]) for name, tensor in first.state_dict().items())
+
+
+def test_a_warm_start_lets_go_of_a_share_of_the_markov_path():
+    first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2)).model
+    barely = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1e-8, warm_share=0.25)
+    warm = train_reward_model(preferences(80), CONFIG, barely, initial=first).model
+    before, after = (model.markov.second.weight.detach().flatten() for model in (first, warm))
+    # New weights are drawn from within 1 / sqrt(d): what is left of the old ones is the rest.
+    share = (before @ after) / (before @ before)
+    assert 0.15 < share < 0.35
+
+
+def test_what_is_worse_than_a_coin_does_not_replace_an_earlier_version():
+    first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2))
+    wild = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1.0, warm_share=0.0)
+    second = train_reward_model(preferences(80), CONFIG, wild, initial=first.model)
+    assert second.metrics["holdout_loss"] == pytest.approx(first.metrics["holdout_loss"], rel=1e-3)
 
 
 def test_a_warm_start_takes_fewer_epochs():

@@ -247,6 +247,16 @@ def test_only_a_markov_path_has_markov_rewards(name):
 
 
 @names
+def test_softened_a_model_is_itself_but_for_its_markov_path(name):
+    model = build_reward_model(config(name))
+    weights = model.state_dict()
+    whole, gone = model.softened_state(1.0), model.softened_state(0.0)
+    assert all(torch.equal(whole[key], weights[key]) for key in weights)
+    changed = {key for key in weights if not torch.equal(gone[key], weights[key])}
+    assert changed == {key for key in weights if key.startswith("markov.")}
+
+
+@names
 def test_awake_a_model_is_itself_but_for_its_read_out(name):
     model = build_reward_model(config(name))
     weights, awake = model.state_dict(), model.awake_state()
