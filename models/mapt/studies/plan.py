@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mapt.rewards.config import PresetName
+from mapt.rewards.train_config import TrainConfig
 from mapt.studies.cell import CellSettings
 from mapt.studies.errors import InvalidStudy
 from mapt.studies.judging import Judge
@@ -79,7 +80,7 @@ def table_jobs(plan: TablePlan, replays: Mapping[int, Replay], models: Path | No
             replay=fingerprints[seed],
             model=model,
             network=network_of(model, plan.preset, replays[seed].source.layout).to_dict(),
-            training=training_of(model, plan.preset, seed, plan.device).to_dict(),
+            training=_from_scratch(training_of(model, plan.preset, seed, plan.device)),
             teacher=teacher,
             teacher_parameters=Judge(teacher, replays[seed], seed).parameters(),
             labels=labels,
@@ -94,3 +95,8 @@ def table_jobs(plan: TablePlan, replays: Mapping[int, Replay], models: Path | No
     return [
         Job(cell, replays[cell.seed].path, None if models is None else model_folder(models, cell)) for cell in cells
     ]
+
+
+def _from_scratch(training: TrainConfig) -> dict[str, object]:
+    # No cell goes on from another: what a warm start does decides nothing of it.
+    return {name: value for name, value in training.to_dict().items() if not name.startswith("warm_")}
