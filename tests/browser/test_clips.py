@@ -102,7 +102,7 @@ def test_a_clip_that_ends_before_the_other_says_so(
     labeller = Labeller(page)
     labeller.open(service.url, new_experiment("Falls", **walker))
     # Thirty of its steps are a quarter of a second: they are shown slowly until somebody chooses.
-    expect(page.get_by_role("button", name=re.compile("^0"))).to_have_attribute("aria-pressed", "true")
+    expect(page.get_by_role("button", name=re.compile("^¼"))).to_have_attribute("aria-pressed", "true")
     for _ in range(10):
         seen = _stepped_through(page, 30)
         counts = {side: 1 + max(shown[side]["frame"] for shown in seen) for side in ("left", "right")}
