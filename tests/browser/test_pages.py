@@ -44,6 +44,8 @@ def test_everything_can_be_done_with_the_keyboard_alone(
     page.keyboard.press("Enter")
     labeller = Labeller(page)
     labeller.press("ArrowLeft")
+    # Until the next pair plays, its answers cannot be given, and their buttons not be reached.
+    labeller.pair()
     # A button with the focus is pressed by Space, as everywhere, and the arrows go on working.
     _tab_to(page, "Equally good")
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") != "none", "the focus is seen"
