@@ -1,6 +1,5 @@
 """Which parts of a rollout become segments."""
 
-import math
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -60,7 +59,6 @@ def cut(
         offset = first + int(rng.integers(slack + 1))
         begins = (offset + segment_steps * index for index in range(count))
         places.extend(Stretch(env, begin, begin + segment_steps) for begin in begins)
-        fell = bool(terminated[end - 1, env])
-        if not count and fell and stretch.n_steps >= math.ceil(SHORTEST_SHARE * segment_steps):
+        if not count and terminated[end - 1, env] and stretch.n_steps >= SHORTEST_SHARE * segment_steps:
             places.append(stretch)
     return [places[index] for index in rng.permutation(len(places))]

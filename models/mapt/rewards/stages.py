@@ -13,7 +13,7 @@ Markov path takes up what there is to gain meanwhile. A network with one begins 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.train_config import TrainConfig
@@ -70,8 +70,8 @@ def plan_stages(config: TrainConfig, network: RewardConfig, n_pairs: int, *, war
         return Stages(markov, None)
     # Without a Markov path there is nothing good to fall back to.
     must_convince = network.markov_path and reliable
-    whole = _whole_stage(config, n_pairs, warm=warm, must_convince=must_convince)
-    return Stages(markov, replace(whole, anew=markov is not None and network.temporal == "lstm" and not warm))
+    anew = markov is not None and network.temporal == "lstm" and not warm
+    return Stages(markov, _whole_stage(config, n_pairs, warm=warm, must_convince=must_convince, anew=anew))
 
 
 def _markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSettings | None:
@@ -90,7 +90,7 @@ def _markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSett
     )
 
 
-def _whole_stage(config: TrainConfig, n_pairs: int, *, warm: bool, must_convince: bool) -> StageSettings:
+def _whole_stage(config: TrainConfig, n_pairs: int, *, warm: bool, must_convince: bool, anew: bool) -> StageSettings:
     return StageSettings(
         lr=config.lr,
         weight_decay=config.weight_decay,
@@ -99,6 +99,7 @@ def _whole_stage(config: TrainConfig, n_pairs: int, *, warm: bool, must_convince
         patience=config.patience,
         label_noise=config.label_noise,
         must_convince=must_convince,
+        anew=anew,
     )
 
 

@@ -14,7 +14,6 @@ from accord.services.collect import drawn_blob_key
 from accord.workers.cutting import Stretch
 from accord.workers.drawing import Redrawing, even
 from accord.workers.policy import PolicyWorker
-from accord.workers.render import RenderWorker
 from accord.workers.reward import RewardWorker
 from integration.workers.workplace import Workplace
 from mapt.policies import Learner, PolicyConfig
@@ -63,12 +62,7 @@ def test_a_clip_shows_each_state_in_which_an_action_was_taken(place: Workplace) 
 def test_queries_of_a_task_that_draws_itself_open_with_its_clips(place: Workplace) -> None:
     collect(place, "Buttons-2")
     assert RewardWorker(place.context).work()
-    worker = RenderWorker(place.context)
-    try:
-        while worker.work():
-            pass
-    finally:
-        worker.close()
+    place.make_clips()
     assert place.rows("SELECT DISTINCT status FROM queries") == [("open",)]
     clips = place.rows("SELECT frames, seconds, width, height, size_bytes, blob_key FROM clips")
     for frames, seconds, width, height, size_bytes, key in clips:
@@ -121,12 +115,7 @@ def test_a_clip_that_was_lost_fails_its_query_and_no_other(place: Workplace) -> 
         "SELECT s.id, s.blob_key FROM segments s JOIN clips c ON c.segment_id = s.id ORDER BY s.id"
     )
     Path(place.home / "blobs" / drawn_blob_key(key)).unlink()
-    worker = RenderWorker(place.context)
-    try:
-        while worker.work():
-            pass
-    finally:
-        worker.close()
+    place.make_clips()
     assert place.rows("SELECT status FROM clips WHERE segment_id = ?", lost) == [("failed",)]
     [(detail,)] = place.rows("SELECT detail FROM clips WHERE segment_id = ?", lost)
     assert "drew no clip" in detail

@@ -7,7 +7,6 @@ import av
 import pytest
 from safetensors.numpy import load
 
-from accord.workers.render import RenderWorker
 from accord.workers.reward import RewardWorker
 from integration.workers.workplace import Workplace
 
@@ -24,17 +23,10 @@ def lengths(place: Workplace) -> dict[str, int]:
     return dict(place.rows("SELECT id, length_steps FROM segments"))
 
 
-def train(place: Workplace, id: str) -> None:
-    """Go on as far as labels allow."""
-    with place.training(id) as run:
-        while run.step():
-            pass
-
-
 @pytest.mark.parametrize("selection", ["uniform", "disagreement_k_center"])
 def test_a_policy_learns_from_labels_on_segments_of_unequal_length(place: Workplace, selection: str) -> None:
     id = place.begin(**WALKER, query_selection=selection)
-    train(place, id)
+    place.train(id)
     found = set(lengths(place).values())
     assert min(found) < 15 < max(found) <= 30
     reward = RewardWorker(place.context)
@@ -42,7 +34,7 @@ def test_a_policy_learns_from_labels_on_segments_of_unequal_length(place: Workpl
         reward.work()
         [(n_open,)] = place.rows("SELECT count(*) FROM queries WHERE status = 'open'")
         place.label(id, n_open)
-        train(place, id)
+        place.train(id)
     assert place.rows("SELECT status FROM experiments") == [("finished",)]
     assert place.rows("SELECT count(*) FROM labels WHERE value IS NOT NULL") == [(16,)]
     assert len(place.curve(id, "learned_return")) == 3
@@ -50,16 +42,12 @@ def test_a_policy_learns_from_labels_on_segments_of_unequal_length(place: Workpl
 
 def test_a_clip_ends_where_its_segment_does(place: Workplace) -> None:
     id = place.begin(**WALKER, render_clips=True)
-    train(place, id)
+    place.train(id)
     assert RewardWorker(place.context).work()
-    worker = RenderWorker(place.context)
-    try:
-        while worker.work():
-            pass
-    finally:
-        worker.close()
+    place.make_clips()
     clips = place.rows("SELECT segment_id, blob_key, frames FROM clips WHERE status = 'ready'")
     steps = lengths(place)
+    assert clips
     assert {frames for _, _, frames in clips} == {steps[segment] for segment, _, _ in clips}
     for segment, key, _ in clips:
         with av.open(io.BytesIO(place.context.blobs.read(key))) as container:
@@ -67,10 +55,11 @@ def test_a_clip_ends_where_its_segment_does(place: Workplace) -> None:
 
 
 def test_a_segment_that_ends_early_ends_in_a_fall(place: Workplace) -> None:
-    train(place, place.begin(**WALKER))
+    place.train(place.begin(**WALKER))
     ends = [
         load(place.context.blobs.read(key))["qpos"][-1, 1:3]
         for (key,) in place.rows("SELECT blob_key FROM segments WHERE length_steps < 30")
     ]
+    assert ends
     # The walker's own bounds: a height of 0.8 to 2.0, and a radian of leaning. A step before, it is nearly there.
     assert all(height < 0.9 or height > 1.9 or abs(leaning) > 0.8 for height, leaning in ends)

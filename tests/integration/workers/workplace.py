@@ -16,6 +16,7 @@ from accord.store.database import Database
 from accord.store.tables import UserRow
 from accord.workers.loop import Context
 from accord.workers.pulse import Claim, Pulse
+from accord.workers.render import RenderWorker
 from accord.workers.stop import Stop
 from accord.workers.training import PolicyRun
 from support import short_cheetah
@@ -63,6 +64,21 @@ class Workplace:
                 yield run
             finally:
                 run.close()
+
+    def train(self, id: str) -> None:
+        """Let the policy go on as far as labels allow."""
+        with self.training(id) as run:
+            while run.step():
+                pass
+
+    def make_clips(self) -> None:
+        """Make every clip that is asked for."""
+        worker = RenderWorker(self.context)
+        try:
+            while worker.work():
+                pass
+        finally:
+            worker.close()
 
     def label(self, id: str, count: int, value: float | None = None) -> list[str]:
         """Label the first `count` open queries, by true return or all alike; returns their ids."""

@@ -1,7 +1,7 @@
 import { type Clip, type ClipSource, ClipUnplayable } from "./clip";
 import { type Mp4Track, readMp4 } from "./mp4";
 
-/** How long a frame may take from "seeked" to the screen; it takes a repaint or two. */
+/** How long a frame may take from the seek to the screen; it takes a repaint or two. */
 const LONGEST_PRESENTATION_MS = 500;
 
 /**

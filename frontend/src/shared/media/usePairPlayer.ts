@@ -23,6 +23,11 @@ export interface PairPlayback {
 const SPEED_KEY = "accord.speed";
 const USUAL_RATIO = 4 / 3;
 
+/** What this browser's labeller chose, now or earlier; null for nothing yet. */
+function chosenSpeed(): number | null {
+  return Number(localStorage.getItem(SPEED_KEY)) || null;
+}
+
 /**
  * Plays a pair on two canvases.
  *
@@ -40,8 +45,7 @@ export function usePairPlayer(
   const [state, setState] = useState<PairPlayback["state"]>("loading");
   const [trouble, setTrouble] = useState<string | null>(null);
   const [paused, setPaused] = useState(false);
-  const chosenSpeed = useRef(Number(localStorage.getItem(SPEED_KEY)) || null);
-  const [speed, setSpeedState] = useState(chosenSpeed.current ?? 1);
+  const [speed, setSpeedState] = useState(() => chosenSpeed() ?? 1);
   const [ratio, setRatio] = useState(USUAL_RATIO);
   const [attempt, setAttempt] = useState(0);
   const { left: leftCanvas, right: rightCanvas, position } = canvases;
@@ -62,7 +66,7 @@ export function usePairPlayer(
           (share) => position.current?.style.setProperty("--position", String(share)),
         );
         const { clock } = player.current;
-        clock.speed = chosenSpeed.current ?? usualSpeed(clock.seconds);
+        clock.speed = chosenSpeed() ?? usualSpeed(clock.seconds);
         setSpeedState(clock.speed);
         startedAt.current = performance.now();
         setRatio(leftClip.width / leftClip.height);
@@ -93,7 +97,6 @@ export function usePairPlayer(
     setPaused(player.current?.clock.paused ?? false);
   }, []);
   const setSpeed = useCallback((wanted: number) => {
-    chosenSpeed.current = wanted;
     if (player.current) player.current.clock.speed = wanted;
     localStorage.setItem(SPEED_KEY, String(wanted));
     setSpeedState(wanted);
