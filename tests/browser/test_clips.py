@@ -130,6 +130,18 @@ def test_a_clip_that_does_not_come_is_said_and_can_be_tried_again(
     Labeller(page).pair()
 
 
+def test_a_clip_that_the_server_did_not_give_plays_by_itself_once_it_does(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    page = sign_in("Vera")
+    page.route("**/api/v1/clips/*.mp4", lambda route: route.abort())
+    page.goto(f"{service.url}/experiments/{new_experiment('A server away')}/label")
+    expect(page.get_by_role("alert")).to_contain_text("goes on being asked", timeout=PATIENCE_MS)
+    page.unroute("**/api/v1/clips/*.mp4")
+    Labeller(page).pair()
+    expect(page.get_by_role("alert")).to_have_count(0)
+
+
 def _stepped_through(page: Page, count: int) -> list[dict[str, Any]]:
     """What each side shows, frame after frame."""
     look = """() => Object.fromEntries(["left", "right"].map((side) => {

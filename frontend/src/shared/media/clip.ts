@@ -23,3 +23,6 @@ export function close(clip: Clip): void {
 
 /** The clip could not be loaded or decoded. */
 export class ClipUnplayable extends Error {}
+
+/** The clip could not be loaded because the server does not answer, which passes. */
+export class ClipUnreached extends ClipUnplayable {}

@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
-import type { Clip, ClipSource } from "./clip";
+import { type Clip, type ClipSource, ClipUnreached } from "./clip";
 import { Clips } from "./clips";
 
 const source = (url: string): ClipSource => ({ url, frames: 2, seconds: 0.1 });
@@ -59,6 +59,16 @@ describe("Clips", () => {
     await vi.advanceTimersByTimeAsync(5_000);
     expect((await loading).width).toBe(10);
     expect(fetched).toHaveLength(3);
+  });
+
+  test("a server that stays away is told apart from a clip that is not there, and asked again", async () => {
+    failures = 4;
+    const clips = new Clips(decode);
+    const loading = expect(clips.load(source("/a"))).rejects.toBeInstanceOf(ClipUnreached);
+    await vi.advanceTimersByTimeAsync(5_000);
+    await loading;
+    await expect(clips.load(source("/missing"))).rejects.not.toBeInstanceOf(ClipUnreached);
+    expect((await clips.load(source("/a"))).width).toBe(10);
   });
 
   test("a clip that is not there fails at once, and is asked for again by the next call", async () => {

@@ -1,5 +1,5 @@
 import { type RefObject, useCallback, useEffect, useRef, useState } from "react";
-import type { ClipSource } from "./clip";
+import { type Clip, type ClipSource, ClipUnreached } from "./clip";
 import type { Clips } from "./clips";
 import { usualSpeed } from "./clock";
 import { PairPlayer } from "./player";
@@ -22,6 +22,8 @@ export interface PairPlayback {
 
 const SPEED_KEY = "accord.speed";
 const USUAL_RATIO = 4 / 3;
+/** How long a pair that the server did not give waits before it asks again by itself. */
+const RETRY_SECONDS = 2;
 
 /** What this browser's labeller chose, now or earlier; null for nothing yet. */
 function chosenSpeed(): number | null {
@@ -57,29 +59,33 @@ export function usePairPlayer(
     setTrouble(null);
     setPaused(false);
     if (!left || !right) return;
-    Promise.all([clips.load(left), clips.load(right)]).then(
-      ([leftClip, rightClip]) => {
-        if (gone || !leftCanvas.current || !rightCanvas.current) return;
-        player.current = new PairPlayer(
-          { canvas: leftCanvas.current, clip: leftClip },
-          { canvas: rightCanvas.current, clip: rightClip },
-          (share) => position.current?.style.setProperty("--position", String(share)),
-        );
-        const { clock } = player.current;
-        clock.speed = chosenSpeed() ?? usualSpeed(clock.seconds);
-        setSpeedState(clock.speed);
-        startedAt.current = performance.now();
-        setRatio(leftClip.width / leftClip.height);
-        setState("playing");
-      },
-      (error: Error) => {
-        if (gone) return;
-        setTrouble(error.message);
-        setState("failed");
-      },
-    );
+    let waiting: ReturnType<typeof setTimeout> | undefined;
+    const play = ([leftClip, rightClip]: [Clip, Clip]) => {
+      if (gone || !leftCanvas.current || !rightCanvas.current) return;
+      player.current = new PairPlayer(
+        { canvas: leftCanvas.current, clip: leftClip },
+        { canvas: rightCanvas.current, clip: rightClip },
+        (share) => position.current?.style.setProperty("--position", String(share)),
+      );
+      const { clock } = player.current;
+      clock.speed = chosenSpeed() ?? usualSpeed(clock.seconds);
+      setSpeedState(clock.speed);
+      startedAt.current = performance.now();
+      setRatio(leftClip.width / leftClip.height);
+      setTrouble(null);
+      setState("playing");
+    };
+    const fail = (error: Error) => {
+      if (gone) return;
+      setTrouble(error.message);
+      setState("failed");
+      if (error instanceof ClipUnreached) waiting = setTimeout(begin, RETRY_SECONDS * 1000);
+    };
+    const begin = () => void Promise.all([clips.load(left), clips.load(right)]).then(play, fail);
+    begin();
     return () => {
       gone = true;
+      clearTimeout(waiting);
       player.current?.stop();
       player.current = null;
       startedAt.current = null;
