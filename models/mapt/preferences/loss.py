@@ -8,6 +8,11 @@ from torch import Tensor
 
 from mapt.preferences.errors import ShapeError
 
+# A model this sure of a pair, and right, has nothing more to learn from it. Gradients of e^-90 and less would become
+# denormal numbers on their way through the network, and a CPU takes ten times as long over those: on 1,050 labels of an
+# oracle, with differences of scores up to 200, they were half of the time of a training.
+SURE_LOGIT = 30.0
+
 
 def preference_loss(score_0: Tensor, score_1: Tensor, label: Tensor, label_noise: float = 0.0) -> Tensor:
     """Mean cross-entropy, in nats, between labels and the Bradley-Terry probabilities (paper, eq. 2 and 3).
@@ -39,11 +44,12 @@ def preference_losses(logits: Tensor, label: Tensor, label_noise: float = 0.0) -
             (1 - e) P + e (1 - P), so that a pair on which the model is sure, and the label wrong, costs at most
             log(1 / e) and pulls no more (Christiano et al. 2017 take e = 0.1 of every human label).
     """
-    if label_noise == 0.0:
-        return F.binary_cross_entropy_with_logits(logits, label, reduction="none")
-    return -(label * _log_noisy(logits, label_noise) + (1 - label) * _log_noisy(-logits, label_noise))
+    return -(label * _log_likelihood(logits, label_noise) + (1 - label) * _log_likelihood(-logits, label_noise))
 
 
-def _log_noisy(logits: Tensor, noise: float) -> Tensor:
-    """log((1 - e) sigmoid(x) + e sigmoid(-x)), without the sigmoids."""
+def _log_likelihood(logits: Tensor, noise: float) -> Tensor:
+    """log((1 - e) sigmoid(x) + e sigmoid(-x)), without the sigmoids; flat where the model is sure."""
+    if noise == 0.0:
+        return F.logsigmoid(logits.clamp(max=SURE_LOGIT))
+    logits = logits.clamp(-SURE_LOGIT, SURE_LOGIT)
     return torch.logaddexp(F.logsigmoid(logits) + math.log1p(-noise), F.logsigmoid(-logits) + math.log(noise))

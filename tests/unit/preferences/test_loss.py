@@ -58,3 +58,19 @@ def test_a_sure_mistake_costs_no_more_than_its_noise_allows_and_stops_pulling():
     loss.backward()
     assert loss.item() == pytest.approx(math.log(10), rel=1e-4)
     assert logit.grad.abs().item() < 1e-6
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+@pytest.mark.parametrize(("sign", "label"), [(1, 1.0), (-1, 0.0)])
+def test_a_pair_told_rightly_and_surely_has_no_gradient_that_a_cpu_would_be_slow_with(sign, label, noise):
+    logit = (sign * torch.tensor([5.0, 29.0, 31.0, 90.0, 100.0])).requires_grad_()
+    preference_losses(logit, torch.full((5,), label), noise).sum().backward()
+    assert (logit.grad[:2] * sign < 0).all(), "not sure enough to leave it"
+    assert (logit.grad[2:] == 0).all(), "tiny ones would become denormal further down"
+
+
+@pytest.mark.parametrize(("sign", "label"), [(1, 0.0), (-1, 1.0)])
+def test_a_sure_mistake_pulls_with_all_its_weight(sign, label):
+    logit = (sign * torch.tensor([40.0, 200.0])).requires_grad_()
+    preference_losses(logit, torch.full((2,), label)).sum().backward()
+    assert logit.grad.tolist() == [sign, sign]
