@@ -19,8 +19,10 @@ from mapt.rewards.fitting import (
     TrainProgress,
     WeightAverage,
     adamw,
+    beats_guessing,
     epoch_batches,
     is_kept,
+    is_out_of_patience,
     is_reliable,
 )
 from mapt.rewards.pair_tensors import PairTensors
@@ -97,6 +99,7 @@ class EnsembleFitting:
         before = after = logit_losses(self._logits(judge, stage), judge.labels, stage.settings.label_noise)
         initial, kept = _copies(trained), _copies(trained)
         best, kept_at = before.mean(dim=1), torch.zeros(len(before), dtype=torch.int64, device=before.device)
+        begun = torch.zeros_like(kept_at, dtype=torch.bool)
         if stage.start is not None:
             best = torch.full_like(best, math.inf)
             _write(trained, stage.start)
@@ -115,7 +118,8 @@ class EnsembleFitting:
                 kept = {name: where_member(better, trained[name].detach(), kept[name]) for name in trained}
                 if epoch == stage.settings.remember_epoch:
                     self.early = kept
-            if (epoch - kept_at >= stage.settings.patience).all():
+            begun |= beats_guessing(judged)
+            if is_out_of_patience(stage.settings, epoch - kept_at, begun).all():
                 break
         gained = is_kept(stage.settings, before, after)
         _write(trained, {name: where_member(gained, kept[name], initial[name]) for name in trained})

@@ -105,7 +105,7 @@ class Fitting:
         initial = kept = self._weights()
         # A stage that begins elsewhere is measured by its own progress; at its end it must beat where it did not begin.
         best = before.mean().item() if stage.start is None else math.inf
-        kept_at, after = 0, before
+        kept_at, after, begun = 0, before, torch.tensor(False)
         if stage.start is not None:
             self._model.load_state_dict(stage.start)
         optimiser, self._average = adamw(stage.parameters, stage.settings), WeightAverage(stage.parameters)
@@ -122,7 +122,8 @@ class Fitting:
                     best, kept, kept_at, after = judged.mean().item(), self._weights(), epoch, judged
                 if epoch == stage.settings.remember_epoch:
                     self.early = kept
-            if epoch - kept_at >= stage.settings.patience:
+            begun = begun | beats_guessing(judged)
+            if is_out_of_patience(stage.settings, torch.tensor(epoch - kept_at), begun):
                 break
         gained = bool(is_kept(stage.settings, before, after))
         self._model.load_state_dict(kept if gained else initial)
@@ -221,6 +222,21 @@ def is_kept(settings: StageSettings, before: Tensor, after: Tensor) -> Tensor:
         return exceeds_chance(before - after)
     # What began elsewhere may be a little worse on pairs that the earlier weights were trained on; not worthless.
     return after.mean(dim=-1) <= before.mean(dim=-1).clamp(min=math.log(2))
+
+
+def beats_guessing(losses: Tensor) -> Tensor:
+    """Whether pairs with these losses (..., P) are told better than by a coin, beyond chance; bool (...)."""
+    return exceeds_chance(math.log(2) - losses)
+
+
+def is_out_of_patience(settings: StageSettings, waited: Tensor, begun: Tensor) -> Tensor:
+    """Whether a stage ends; bool (...).
+
+    Args:
+        waited: epochs since the best judgement, (...).
+        begun: whether it has ever told pairs better than guessing does, bool (...).
+    """
+    return waited >= torch.where(begun, settings.patience, max(settings.patience, settings.first_patience))
 
 
 def exceeds_chance(gains: Tensor) -> Tensor:

@@ -20,6 +20,9 @@ from mapt.rewards.train_config import TrainConfig
 
 # How far the Markov path's own training has come where the whole network goes on from it.
 EARLY_SHARE = 0.3
+# Memories and attention may tell pairs no better than guessing for ten epochs and more, and then find what there is: an
+# LSTM on teachers of history and co-operation. Five epochs of patience would end that before it has begun.
+FIRST_PATIENCE = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +33,12 @@ class StageSettings:
     weight_decay: float
     batch_pairs: int
     max_epochs: int
-    #: epochs without a better judgement before the stage ends
+    #: epochs without a better judgement before the stage ends, once it tells pairs better than guessing does
     patience: int
     #: share of the labels that the loss takes to be mistakes
     label_noise: float
+    #: and until then; `patience` where that is more
+    first_patience: int = 0
     #: keep what was learned only if it beats the weights that the model had by more than chance would
     must_convince: bool = False
     #: how much of the trained weights to begin with, beside newly drawn ones
@@ -97,6 +102,7 @@ def _whole_stage(config: TrainConfig, n_pairs: int, *, warm: bool, must_convince
         batch_pairs=config.batch_pairs,
         max_epochs=_epochs(config.warm_epochs if warm else config.max_epochs, config.visits, n_pairs),
         patience=config.patience,
+        first_patience=FIRST_PATIENCE,
         label_noise=config.label_noise,
         must_convince=must_convince,
         anew=anew,

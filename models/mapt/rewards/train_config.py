@@ -31,7 +31,7 @@ class TrainConfig:
     max_epochs: int = 60
     #: epochs without a better hold-out loss before the Markov path's own training stops
     markov_patience: int = 10
-    #: and before that of the whole network stops
+    #: and before that of the whole network stops, once it tells pairs better than guessing does (at least 20 before)
     patience: int = 5
     #: most times that a pair is shown to the Markov path, and to the whole network: pairs times epochs
     markov_visits: int = 160_000

@@ -1,9 +1,18 @@
 import math
 
+import pytest
 import torch
 
 from mapt.preferences.loss import preference_losses
-from mapt.rewards.fitting import WeightAverage, exceeds_chance, is_kept, judge_pairs
+from mapt.rewards.fitting import (
+    Fitting,
+    Stage,
+    WeightAverage,
+    exceeds_chance,
+    is_kept,
+    is_out_of_patience,
+    judge_pairs,
+)
 from mapt.rewards.pair_tensors import PairTensors
 from mapt.rewards.stages import StageSettings
 
@@ -24,6 +33,30 @@ def test_a_stage_that_need_not_convince_is_kept_unless_it_is_worthless():
     after = torch.tensor([0.05, 0.2, 0.69, 0.8])[:, None].expand(4, 20)
     assert is_kept(settings, before, after).tolist() == [True, True, True, False]
     assert is_kept(settings, torch.full((20,), 0.9), torch.full((20,), 0.85))
+
+
+def test_patience_is_longer_until_pairs_are_told_better_than_by_a_coin():
+    settings = StageSettings(1e-3, 0.0, 32, 60, patience=5, label_noise=0.0, first_patience=20)
+    waited, begun = torch.tensor([4, 5, 5, 19, 20]), torch.tensor([True, True, False, False, False])
+    assert is_out_of_patience(settings, waited, begun).tolist() == [False, True, False, False, True]
+
+
+@pytest.mark.parametrize(("awake_from", "learns"), [(3, True), (8, True), (40, False)])
+def test_a_stage_that_stays_level_at_first_is_waited_for(awake_from, learns):
+    """A network whose gradient comes only after some epochs, and then tells everything."""
+    quality = torch.linspace(-1, 1, 60)
+    pairs = PairTensors(torch.stack([torch.arange(60), torch.arange(60).flip(0)], dim=1), (quality > 0).float())
+    model = torch.nn.Linear(1, 1, bias=False)
+    torch.nn.init.zeros_(model.weight)
+    fitting = Fitting(model, pairs, pairs, seed=0, max_epochs=60)
+
+    def score(index):
+        return model.weight.sum() * quality[index] * (len(fitting.history) >= awake_from)
+
+    settings = StageSettings(0.1, 0.0, 32, max_epochs=60, patience=3, label_noise=0.0, first_patience=12)
+    fitting.run(Stage(settings, list(model.parameters()), score))
+    assert (model.weight.item() > 0) == learns
+    assert learns or len(fitting.history) == 12
 
 
 def test_losses_of_pairs_average_to_their_judgement():
