@@ -6,7 +6,7 @@ settle the matter they agree; where they do not, the spread of their predictions
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -37,7 +37,7 @@ from mapt.rewards.precision import resolve_precision
 from mapt.rewards.segment_reader import SegmentReader, check_fit, segment_reader, spread_sample
 from mapt.rewards.settings import check_positive_int
 from mapt.rewards.stacked import StackedModels
-from mapt.rewards.stages import Stages, plan_stages
+from mapt.rewards.stages import Stages, StageSettings, plan_stages, state_to_begin_with
 from mapt.rewards.train_config import TrainConfig
 from mapt.rewards.trainer import MOST_PAIRS_JUDGED
 
@@ -138,20 +138,23 @@ def _run_stages(
     used: Tensor,
     products: torch.dtype,
 ) -> None:
+    names = list(stack.parameters)
+    markov = [name for name in names if name.startswith("markov.")]
+    first, second = _start(stages.markov, before, markov), _start(stages.whole, before, names)
     if stages.markov is not None:
-        markov = [name for name in stack.parameters if name.startswith("markov.")]
-        share = stages.markov.kept_share
-        start = None if share == 1.0 else _stacked([model.softened_state(share) for model in before], markov)
-        fitting.run(EnsembleStage(stages.markov, markov, markov_stack_scorer(stack, segments, used), start=start))
+        fitting.run(EnsembleStage(stages.markov, markov, markov_stack_scorer(stack, segments, used), start=first))
     if stages.whole is not None and not fitting.stopped:
         scorer = whole_stack_scorer(stack, segments, products)
-        names = list(stack.parameters)
-        start = _stacked([model.awake_state() for model in before], names) if stages.whole.anew else fitting.early
+        start = fitting.early if second is None else second
         fitting.run(EnsembleStage(stages.whole, names, scorer, start=start))
 
 
-def _stacked(states: Sequence[Mapping[str, Tensor]], names: Iterable[str]) -> dict[str, Tensor]:
-    return {name: torch.stack([state[name] for state in states]) for name in names}
+def _start(
+    stage: StageSettings | None, models: Sequence[RewardModel], names: Sequence[str]
+) -> dict[str, Tensor] | None:
+    """What `state_to_begin_with` says of these parameters of each member, stacked."""
+    states = [state for model in models if (state := state_to_begin_with(stage, model)) is not None]
+    return {name: torch.stack([state[name] for state in states]) for name in names} if states else None
 
 
 def _judged(

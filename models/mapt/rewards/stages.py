@@ -15,6 +15,9 @@ Markov path takes up what there is to gain meanwhile. A network with one begins 
 import math
 from dataclasses import dataclass
 
+from torch import Tensor
+
+from mapt.rewards.base import RewardModel
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.train_config import TrainConfig
 
@@ -75,8 +78,17 @@ def plan_stages(config: TrainConfig, network: RewardConfig, n_pairs: int, *, war
         return Stages(markov, None)
     # Without a Markov path there is nothing good to fall back to.
     must_convince = network.markov_path and reliable
-    anew = markov is not None and network.temporal == "lstm" and not warm
+    anew = network.markov_path and network.temporal == "lstm" and not warm
     return Stages(markov, _whole_stage(config, n_pairs, warm=warm, must_convince=must_convince, anew=anew))
+
+
+def state_to_begin_with(stage: StageSettings | None, model: RewardModel) -> dict[str, Tensor] | None:
+    """Weights with which a stage begins in place of those that `model`, not trained on yet, has; None for these."""
+    if stage is None:
+        return None
+    if stage.anew:
+        return model.awake_state()
+    return model.softened_state(stage.kept_share) if stage.kept_share < 1.0 else None
 
 
 def _markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSettings | None:

@@ -20,7 +20,7 @@ from mapt.rewards.model import build_reward_model
 from mapt.rewards.pair_tensors import PairTensors, markov_scorer, step_rewards, whole_scorer
 from mapt.rewards.precision import resolve_precision
 from mapt.rewards.segment_reader import SegmentReader, check_fit, segment_reader, spread_sample
-from mapt.rewards.stages import Stages, plan_stages
+from mapt.rewards.stages import Stages, plan_stages, state_to_begin_with
 from mapt.rewards.train_config import TrainConfig
 
 __all__ = ["TrainProgress", "TrainedReward", "train_reward_model"]
@@ -135,17 +135,15 @@ def _run_stages(
     products: torch.dtype,
 ) -> None:
     model.eval()
-    anew = model.awake_state() if stages.whole is not None and stages.whole.anew else None
+    first, second = (state_to_begin_with(stage, model) for stage in (stages.markov, stages.whole))
     if stages.markov is not None and model.markov is not None:
-        share = stages.markov.kept_share
-        start = None if share == 1.0 else model.softened_state(share)
         parameters = list(model.markov.parameters())
-        fitting.run(Stage(stages.markov, parameters, markov_scorer(model, segments, used), start=start))
+        fitting.run(Stage(stages.markov, parameters, markov_scorer(model, segments, used), start=first))
     if stages.whole is not None and not fitting.stopped:
         scorer = whole_scorer(model, segments, products)
         parameters = list(model.parameters())
         passes = _pairs_per_pass(model, segments)
-        start = fitting.early if anew is None else anew
+        start = fitting.early if second is None else second
         fitting.run(Stage(stages.whole, parameters, scorer, start=start, pairs_per_pass=passes))
 
 

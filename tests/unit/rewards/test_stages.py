@@ -7,15 +7,16 @@ from mapt.rewards.train_config import TrainConfig
 DIMENSIONS = {"observation_dim": 4, "action_dim": 2, "n_agents": 3}
 
 
-def stages(name: str, *, warm: bool = False, reliable: bool = True) -> Stages:
+def stages(name: str, *, warm: bool = False, reliable: bool = True, **training: int) -> Stages:
     network = RewardConfig.named(name, **DIMENSIONS)
-    return plan_stages(TrainConfig(), network, 100, warm=warm, reliable=reliable)
+    return plan_stages(TrainConfig(**training), network, 100, warm=warm, reliable=reliable)
 
 
 @pytest.mark.parametrize("name", ["MAPT*", "MAPT*-CPA"])
 def test_an_lstm_beside_a_markov_path_begins_anew_once(name):
     assert stages(name).whole.anew
     assert not stages(name, warm=True).whole.anew
+    assert stages(name, markov_epochs=0).whole.anew, "the path it stands beside is there anyhow"
 
 
 @pytest.mark.parametrize("name", ["MAPT", "MAPT-TPA", "MA-LSTM"])
