@@ -98,6 +98,8 @@ class Run:
         sizes = {"observation_dim": spec.observation_dim, "action_dim": spec.action_dim, "n_agents": spec.n_agents}
         torch.manual_seed(0)
         model = build_reward_model(RewardConfig.preset("small", **sizes))
+        # Of a silent attention path, as every one begins, nothing would be run.
+        model.load_state_dict(model.awake_state())
         relabeller = RolloutRelabeller(model, SEGMENT_STEPS, config.n_envs)
         return lambda rollout: relabeller.relabel(rollout.observations, rollout.actions, rollout.episode_start)
 

@@ -16,13 +16,28 @@ ROTARY_BASE = 200.0
 class Band(ABC):
     """Which past a step may look at, where that is not all of its segment's."""
 
+    @property
+    def context_steps(self) -> int:
+        """K, leading steps that are looked at alone: what comes out begins behind them."""
+        return 0
+
     @abstractmethod
     def positions(self, n_steps: int) -> Tensor:
         """When each of T steps is, float64 (T,); only differences matter."""
 
     @abstractmethod
     def attend(self, query: Tensor, key: Tensor, value: Tensor) -> Tensor:
-        """Mix values over the past of each step; all (S, T, G, X), G the groups that do not see each other."""
+        """Mix values over the past of each step, (S, T - K, G, X), G the groups that do not see each other.
+
+        Args:
+            query: (S, T - K, G, X).
+            key, value: (S, T, G, X).
+        """
+
+
+def behind_context(steps: Tensor, band: Band | None) -> Tensor:
+    """The steps of (S, T, ...) that something is wanted for: (S, T - K, ...)."""
+    return steps if band is None else steps[:, band.context_steps :]
 
 
 class AgentAttention(nn.Module):
@@ -61,19 +76,27 @@ class CausalAttention(nn.Module):
         self.out = zeroed(nn.Linear(inner_dim, dim))
 
     def forward(self, x: Tensor, band: Band | None = None) -> Tensor:
-        """Mix `x` (S, T, N, D) over T: each step sees itself and its past, or what `band` leaves of it."""
+        """Mix `x` (S, T, N, D) over T: each step sees itself and its past, or what `band` leaves of it.
+
+        Returns:
+            (S, T, N, D), or (S, T - K, N, D) behind the K steps of context of a band.
+        """
         s, t, n, _ = x.shape
+        context = 0 if band is None else band.context_steps
+        if context:
+            # A product over steps that lie apart in memory would be taken segment by segment.
+            asking = x[:, context:].contiguous()
+            parts = (*side_by_side(asking, self.query), *side_by_side(x, self.key, self.value))
+        else:
+            parts = side_by_side(x, self.query, self.key, self.value)
         # Agents and heads share one axis, so that no tensor is copied into another order.
-        query, key, value = (
-            part.reshape(s, t, n * self.heads, self.head_dim)
-            for part in side_by_side(x, self.query, self.key, self.value)
-        )
+        query, key, value = (part.reshape(s, -1, n * self.heads, self.head_dim) for part in parts)
         positions = torch.arange(t, dtype=torch.float64) if band is None else band.positions(t)
-        rotation = rotary_angles(positions, self.head_dim, x.device)
+        cosine, sine = rotary_angles(positions, self.head_dim, x.device)
         with small_products(x.device):
-            query, key = rotate(query, rotation), rotate(key, rotation)
+            query, key = rotate(query, (cosine[context:], sine[context:])), rotate(key, (cosine, sine))
             mixed = _causal(query, key, value) if band is None else band.attend(query, key, value)
-        return self.out(mixed.reshape(s, t, n, self.heads * self.head_dim))
+        return self.out(mixed.reshape(s, t - context, n, self.heads * self.head_dim))
 
 
 def side_by_side(x: Tensor, *layers: nn.Linear) -> tuple[Tensor, ...]:

@@ -22,6 +22,13 @@ class EpisodeBand(Band):
     window: int
     #: int64 (S, T), equal for steps of one episode; never below -1
     episode: Tensor
+    #: see `Band.context_steps`
+    context: int = 0
+
+    @property
+    def context_steps(self) -> int:
+        """See `Band`."""
+        return self.context
 
     def positions(self, n_steps: int) -> Tensor:
         """See `Band`."""
@@ -36,24 +43,27 @@ class EpisodeBand(Band):
         block = max(self.window, _SMALLEST_BLOCK)
         before, after = self.window - 1, -t % block
         n_blocks, span = (t + after) // block, block + before
+        # Context beyond the window is cut off, what a window lacks of it filled.
+        filler = before - self.context, after
 
         def blocks_of_keys(steps: Tensor) -> Tensor:
-            padded = F.pad(steps, (0, 0, 0, 0, before, after))
+            padded = F.pad(steps, (0, 0, 0, 0, *filler))
             unfolded = padded.unfold(1, span, block)  # (S, blocks, G, X, span)
             return unfolded.permute(0, 1, 2, 4, 3).reshape(s * n_blocks, g, span, x)
 
         queries = F.pad(query, (0, 0, 0, 0, 0, after)).view(s * n_blocks, block, g, x).transpose(1, 2)
-        visible = self._visible(before, after, block, span).view(s * n_blocks, 1, block, span)
+        visible = self._visible(filler, block, span).flatten(0, 1)[:, None]
         mixed = F.scaled_dot_product_attention(queries, blocks_of_keys(key), blocks_of_keys(value), attn_mask=visible)
         return mixed.transpose(1, 2).reshape(s, n_blocks * block, g, x)[:, :t]
 
-    def _visible(self, before: int, after: int, block: int, span: int) -> Tensor:
+    def _visible(self, filler: tuple[int, int], block: int, span: int) -> Tensor:
         """Bool (S, blocks, block, span): may this query see this key?"""
-        asking = F.pad(self.episode, (0, after), value=_FILLER_AFTER)
-        asked = F.pad(asking, (before, 0), value=_FILLER_BEFORE).unfold(1, span, block)
-        asking = asking.view(len(asking), -1, block)
+        before, after = filler
+        known = F.pad(self.episode, (0, after), value=_FILLER_AFTER)
+        asked = F.pad(known, (before, 0), value=_FILLER_BEFORE).unfold(1, span, block)
+        asking = known[:, self.context :].unflatten(1, (-1, block))
         steps = torch.arange(span, device=asking.device)
-        age = steps[:block, None] + before - steps
+        age = steps[:block, None] + (self.window - 1) - steps
         return (asking[..., None] == asked[:, :, None]) & (age >= 0) & (age < self.window)
 
 

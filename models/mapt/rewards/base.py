@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from mapt.preferences.errors import ShapeError
-from mapt.rewards.attention import Band
+from mapt.rewards.attention import Band, behind_context
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.inputs import InputNormaliser
 from mapt.rewards.markov_path import MarkovPath
@@ -64,7 +64,8 @@ class RewardModel(nn.Module, ABC):
 
     @abstractmethod
     def _encode(self, inputs: tuple[Tensor, Tensor], band: Band | None) -> tuple[Tensor, Tensor]:
-        """Normalised observations (S, T, N, C) and actions (S, T, N, A) -> features h, and r-hat (S, T, N)."""
+        """Normalised observations (S, T, N, C) and actions (S, T, N, A) -> features h, and r-hat (S, T, N); both
+        behind the context of a band."""
 
     @abstractmethod
     def _readers(self) -> tuple[Readers, Readers]:
@@ -108,7 +109,7 @@ class RewardModel(nn.Module, ABC):
         return RewardOutput(agent_rewards, rewards, weights, (weights * rewards).sum(dim=1))
 
     def agent_rewards(self, observations: Tensor, actions: Tensor, band: Band | None = None) -> Tensor:
-        """r-hat (S, T, N) of every step from its past, as far back as `band` lets it see.
+        """r-hat of every step from its past, as far back as `band` lets it see; (S, T, N), behind its context.
 
         Raises:
             ShapeError: if a shape does not fit the configuration.
@@ -118,7 +119,7 @@ class RewardModel(nn.Module, ABC):
 
     def markov_rewards(self, observations: Tensor, actions: Tensor) -> Tensor:
         """The Markov path's part of r-hat, (S, T, N); zero where there is no such path."""
-        return REWARD_GAIN * self._markov(self._normalised_inputs(observations, actions))
+        return REWARD_GAIN * self._markov(self._normalised_inputs(observations, actions), None)
 
     def policy_rewards(
         self, observations: Tensor, actions: Tensor, mask: Tensor, kind: PolicyReward = "value"
@@ -175,6 +176,14 @@ class RewardModel(nn.Module, ABC):
         return (rewards - self.reward_mean) / self.reward_deviation
 
     @property
+    def is_markov(self) -> bool:
+        """Whether r-hat is the Markov path's alone: there is no other, or it is as silent as it began."""
+        read_outs = [part.reward for part in self.modules() if isinstance(part, ReadOut)]
+        return self.markov is not None and not any(
+            parameter.any() for layer in read_outs for parameter in layer.parameters()
+        )
+
+    @property
     def sees_one_window(self) -> bool:
         """Whether a `Band` bounds what r-hat depends on: with a second layer, or an LSTM, it does not."""
         config = self.config
@@ -183,10 +192,11 @@ class RewardModel(nn.Module, ABC):
     def _normalised_inputs(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         return self.observation_normaliser(observations), self.action_normaliser(actions)
 
-    def _markov(self, inputs: tuple[Tensor, Tensor]) -> Tensor:
+    def _markov(self, inputs: tuple[Tensor, Tensor], band: Band | None) -> Tensor:
+        observed, acted = (behind_context(part, band) for part in inputs)
         if self.markov is None:
-            return inputs[0].new_zeros(inputs[0].shape[:3])
-        return self.markov(torch.cat(inputs, dim=-1))
+            return observed.new_zeros(observed.shape[:3])
+        return self.markov(torch.cat((observed, acted), dim=-1))
 
     def _markov_readers(self) -> tuple[Readers, Readers]:
         if self.markov is None:

@@ -4,7 +4,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mapt.rewards.attention import Band, zeroed
+from mapt.rewards.attention import Band, behind_context, zeroed
 from mapt.rewards.base import REWARD_GAIN, Readers, RewardModel
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.encoders import TemporalEncoder
@@ -20,8 +20,8 @@ class MarkovRewards(RewardModel):
         self.markov = MarkovPath.of(config)
 
     def _encode(self, inputs: tuple[Tensor, Tensor], band: Band | None) -> tuple[Tensor, Tensor]:
-        """The inputs themselves, and r-hat (S, T, N)."""
-        return inputs[0], REWARD_GAIN * self._markov(inputs)
+        """The observations themselves, and r-hat (S, T, N)."""
+        return behind_context(inputs[0], band), REWARD_GAIN * self._markov(inputs, band)
 
     def _readers(self) -> tuple[Readers, Readers]:
         return self._markov_readers()
@@ -43,7 +43,7 @@ class RecurrentRewards(RewardModel):
     def _encode(self, inputs: tuple[Tensor, Tensor], band: Band | None) -> tuple[Tensor, Tensor]:
         """h (S, T, N, 2d) and r-hat (S, T, N)."""
         h = self.temporal(F.gelu(self.embedding(torch.cat(inputs, dim=-1))), band)
-        return h, REWARD_GAIN * (self.read_out(h) + self._markov(inputs))
+        return h, REWARD_GAIN * (self.read_out(h) + self._markov(inputs, band))
 
     def _readers(self) -> tuple[Readers, Readers]:
         observation, action = self._markov_readers()
@@ -73,7 +73,7 @@ class JointTransformer(RewardModel):
         """h (S, T, 1, 2d) and r-hat (S, T, N)."""
         joint = torch.cat([part.flatten(2) for part in inputs], dim=-1)
         h = self.temporal(F.gelu(self.embedding(joint))[:, :, None], band)
-        return h, REWARD_GAIN * (self.read_out(h) + self._markov(inputs))
+        return h, REWARD_GAIN * (self.read_out(h) + self._markov(inputs, band))
 
     def _shares(self, h: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor:
         team = h.squeeze(2)

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mapt.rewards.attention import AgentAttention, Band, CausalAttention, zeroed
+from mapt.rewards.attention import AgentAttention, Band, CausalAttention, behind_context, zeroed
 from mapt.rewards.config import RewardConfig
 
 
@@ -80,7 +80,8 @@ class TemporalBlock(nn.Module):
         self.dropout = SegmentDropout(config.dropout)
 
     def forward(self, h: Tensor, band: Band | None = None) -> Tensor:
-        h = h + self.dropout(self.attention(self.attention_norm(h), band))
+        mixed = self.attention(self.attention_norm(h), band)
+        h = behind_context(h, band) + self.dropout(mixed)
         return h + self.dropout(self.feed_forward(self.feed_forward_norm(h)))
 
 
@@ -104,7 +105,10 @@ class TemporalLSTM(nn.Module):
 
 
 class TemporalEncoder(nn.Module):
-    """Carries the past of each agent to every step of h (S, T, N, 2d), as `config.temporal` says."""
+    """Carries the past of each agent to every step of h (S, T, N, 2d), as `config.temporal` says.
+
+    A band's context is left out of what it gives; it is for one layer of attention at most.
+    """
 
     def __init__(self, config: RewardConfig) -> None:
         super().__init__()
@@ -115,7 +119,7 @@ class TemporalEncoder(nn.Module):
 
     def forward(self, h: Tensor, band: Band | None = None) -> Tensor:
         if self.lstm is not None:
-            return self.lstm(h)
+            return behind_context(self.lstm(h), band)
         for block in self.blocks:
             h = block(h, band)
-        return h
+        return h if self.blocks else behind_context(h, band)

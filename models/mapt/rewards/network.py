@@ -37,7 +37,7 @@ class MAPT(RewardModel):
     def _encode(self, inputs: tuple[Tensor, Tensor], band: Band | None) -> tuple[Tensor, Tensor]:
         """h (S, T, N, 2d) and r-hat (S, T, N)."""
         h = self.temporal(self.embedding(*inputs), band)
-        return h, REWARD_GAIN * (self.read_out(h) + self._markov(inputs))
+        return h, REWARD_GAIN * (self.read_out(h) + self._markov(inputs, band))
 
     def _shares(self, h: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor | None:
         if self.step_weights is None:

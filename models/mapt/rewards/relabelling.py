@@ -27,7 +27,8 @@ class RolloutRelabeller:
 
     It remembers the last T - 1 steps of each environment, so that a rollout's first steps see the end of the
     rollout before; no step sees across its episode's start. The rewards are those of the network run on each
-    step's window by itself. With one temporal attention layer, or none, that is one banded pass over the
+    step's window by itself. Where an attention path was left out for want of a gain, that is the Markov path on
+    each step. With one temporal attention layer, or none, that is one banded pass over the
     rollout; a second layer or an LSTM would carry older steps into the window, so there every window is
     encoded by itself, which costs T times as much. So it does for the kinds of reward other than r-hat itself: they
     read what the window's earlier steps are within that window.
@@ -120,9 +121,11 @@ class RolloutRelabeller:
 
     def _rewards(self, observations: Tensor, actions: Tensor, episode: Tensor, *, length: int) -> Tensor:
         """(E, T - 1 + L, N, C) and so on -> r-hat (E, L, N) of the last L steps."""
+        if is_markov(self._model, self._kind):
+            return self._model.markov_rewards(observations[:, -length:], actions[:, -length:])
         if one_pass(self._model, self._kind):
-            band = EpisodeBand(self._window, episode)
-            return self._model.agent_rewards(observations, actions, band)[:, -length:]
+            band = EpisodeBand(self._window, episode, context=self._window - 1)
+            return self._model.agent_rewards(observations, actions, band)
         return self._window_by_window(observations, actions, episode, length)
 
     def _window_by_window(self, observations: Tensor, actions: Tensor, episode: Tensor, length: int) -> Tensor:
@@ -155,6 +158,11 @@ class RolloutRelabeller:
             InvalidRollout: if it had another window, number of environments or task.
         """
         self._context.load_state_dict(state)
+
+
+def is_markov(model: RewardModel, kind: PolicyReward) -> bool:
+    """Whether a step's reward needs nothing of its past."""
+    return kind == "value" and model.is_markov
 
 
 def one_pass(model: RewardModel, kind: PolicyReward) -> bool:

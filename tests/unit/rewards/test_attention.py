@@ -13,23 +13,25 @@ def draw(*shape, seed=0):
 def slow_attention(query, key, value, band):
     """Step by step, group by group, over the steps that the band names."""
     result = torch.zeros_like(query)
-    n_segments, n_steps, n_groups, dim = query.shape
+    n_segments, n_asking, n_groups, dim = query.shape
     for s in range(n_segments):
-        for t in range(n_steps):
+        for asking in range(n_asking):
+            t = asking + band.context_steps
             seen = [k for k in range(max(0, t - band.window + 1), t + 1) if band.episode[s, k] == band.episode[s, t]]
             for g in range(n_groups):
-                logits = key[s, seen, g] @ query[s, t, g] / dim**0.5
-                result[s, t, g] = logits.softmax(0) @ value[s, seen, g]
+                logits = key[s, seen, g] @ query[s, asking, g] / dim**0.5
+                result[s, asking, g] = logits.softmax(0) @ value[s, seen, g]
     return result
 
 
 @settings(max_examples=25)
-@given(st.integers(1, 45), st.integers(1, 20), st.floats(0, 0.4), st.integers(0, 99))
-def test_banded_attention_equals_the_slow_loop(n_steps, window, restarts, seed):
-    generator = torch.Generator().manual_seed(seed)
+@given(st.integers(1, 45), st.integers(0, 30), st.integers(1, 20), st.floats(0, 0.4), st.integers(0, 99))
+def test_banded_attention_equals_the_slow_loop(n_asking, context, window, restarts, seed):
+    generator, n_steps = torch.Generator().manual_seed(seed), context + n_asking
     starts = torch.rand(2, n_steps, generator=generator) < restarts
-    band = EpisodeBand(window, starts.cumsum(dim=1))
-    query, key, value = (draw(2, n_steps, 2, 4, seed=seed + i) for i in range(3))
+    band = EpisodeBand(window, starts.cumsum(dim=1), context)
+    query = draw(2, n_asking, 2, 4, seed=seed)
+    key, value = (draw(2, n_steps, 2, 4, seed=seed + i) for i in (1, 2))
     fast = band.attend(query, key, value)
     torch.testing.assert_close(fast, slow_attention(query, key, value, band), rtol=1e-4, atol=1e-5)
 
@@ -57,3 +59,11 @@ def test_attention_moved_in_time_gives_the_same_numbers():
     for last in (9, 10, 23, 39):
         window = attention(x[:, last - 9 : last + 1])
         torch.testing.assert_close(whole[:, last], window[:, -1], rtol=1e-4, atol=1e-5)
+
+
+def test_context_is_looked_at_and_left_out():
+    attention = CausalAttention(8, 8, heads=2)
+    torch.nn.init.normal_(attention.out.weight, generator=torch.Generator().manual_seed(0))
+    x, episode = draw(2, 30, 3, 8), torch.zeros(2, 30, dtype=torch.int64)
+    whole, behind = (attention(x, EpisodeBand(10, episode, context)) for context in (0, 9))
+    torch.testing.assert_close(behind, whole[:, 9:], rtol=1e-5, atol=1e-6)

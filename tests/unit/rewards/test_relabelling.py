@@ -56,6 +56,13 @@ def test_rewards_of_rollouts_equal_each_step_in_its_own_window(build, variant, l
     np.testing.assert_allclose(relabelled, window_by_window(model, window, *rollouts), **TOLERANCE)
 
 
+@pytest.mark.parametrize("length", [16, 32])
+def test_a_rollout_of_whole_blocks_is_relabelled_too(build, length):
+    model, rollout = build(), draw(length)
+    relabelled = RolloutRelabeller(model, 6, N_ENVS, "individual").relabel(*rollout)
+    np.testing.assert_allclose(relabelled, window_by_window(model, 6, *rollout), **TOLERANCE)
+
+
 @pytest.mark.parametrize("window", [1, 6])
 def test_rewards_of_bfloat16_products_are_near_the_exact_ones(build, window):
     model, rollout = build(), draw(30)

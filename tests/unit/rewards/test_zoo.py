@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import get_args
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -13,6 +14,7 @@ from mapt.rewards.config import MODEL_NAMES, RewardConfig
 from mapt.rewards.errors import InvalidConfig
 from mapt.rewards.model import PolicyReward, RewardModel, build_reward_model
 from mapt.rewards.relabelling import RolloutRelabeller
+from mapt.rewards.streaming import RewardStream
 
 N, C, A = 3, 4, 2
 DIMENSIONS = {"observation_dim": C, "action_dim": A, "n_agents": N}
@@ -182,6 +184,24 @@ def test_a_relabelled_rollout_has_the_reward_of_every_steps_own_window(name, kin
         window = (tensor[env : env + 1, first : step + 1] for tensor in (observations, actions))
         own = model.policy_rewards(*window, torch.ones(1, step + 1 - first, dtype=torch.bool), kind)[0].detach()
         torch.testing.assert_close(torch.as_tensor(found[step, env]), own, **CLOSE)
+
+
+@names
+def test_a_path_that_was_left_out_is_not_run(name, monkeypatch):
+    """A model whose attention path gained nothing is its Markov path: the same rewards, without a look at the past."""
+    torch.manual_seed(0)
+    model = build_reward_model(config(name)).eval()
+    assert model.is_markov == config(name).markov_path
+    assert drawn(name).is_markov == (name == "MA-MLP")
+    (observations, actions, _), start = inputs(2, 9), torch.zeros(2, 9, dtype=torch.bool)
+    rollout = [tensor.transpose(0, 1).numpy() for tensor in (observations, actions, start)]
+    own = model.agent_rewards(observations, actions).detach()
+    if model.is_markov:
+        monkeypatch.setattr(type(model), "agent_rewards", None)
+    relabelled = RolloutRelabeller(model, 9, 2, "individual").relabel(*rollout)
+    stream = RewardStream(model, 9, 2, "individual")
+    for found in (relabelled, np.stack([stream.step(*step) for step in zip(*rollout, strict=True)])):
+        torch.testing.assert_close(torch.as_tensor(found).transpose(0, 1), own, **CLOSE)
 
 
 @names
