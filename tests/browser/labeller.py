@@ -1,8 +1,9 @@
 """A person at the labelling view: waits for pairs as a person does, and presses keys."""
 
+import time
 from dataclasses import dataclass
 
-from playwright.sync_api import Page, TimeoutError, expect
+from playwright.sync_api import Page, Request, TimeoutError, expect
 
 from support.waiting import PATIENCE_SECONDS
 
@@ -29,6 +30,10 @@ class Labeller:
     def __init__(self, page: Page) -> None:
         self.page = page
         self.stage = page.get_by_test_id("stage")
+        self._on_their_way: set[Request] = set()
+        page.on("request", self._sent)
+        page.on("requestfinished", self._done)
+        page.on("requestfailed", self._done)
 
     def open(self, url: str, experiment_id: str) -> Pair:
         self.page.goto(f"{url}/experiments/{experiment_id}/label")
@@ -39,6 +44,14 @@ class Labeller:
         expect(self.stage).to_have_attribute("data-state", "playing", timeout=PATIENCE_MS)
         names = ("data-query", "data-left", "data-right")
         return Pair(*(self.stage.get_attribute(name) or "" for name in names))
+
+    def wait_for_clips(self, pairs_ahead: int) -> None:
+        """Until so many pairs follow the one on screen, and no clip of any is on its way."""
+        expect(self.stage).to_have_attribute("data-ahead", str(pairs_ahead), timeout=PATIENCE_MS)
+        deadline = time.monotonic() + PATIENCE_SECONDS
+        while self._on_their_way and time.monotonic() < deadline:
+            self.page.wait_for_timeout(50)
+        assert not self._on_their_way
 
     def press(self, key: str) -> Pair:
         """Answers the pair on screen; returns the pair that was answered, when it has left the screen."""
@@ -55,6 +68,13 @@ class Labeller:
         self.page.keyboard.press("z")
         expect(self.stage).to_have_attribute("data-query", pair.query)
         assert self.pair() == pair, "a pair comes back with the sides it had"
+
+    def _sent(self, request: Request) -> None:
+        if request.url.endswith(".mp4"):
+            self._on_their_way.add(request)
+
+    def _done(self, request: Request) -> None:
+        self._on_their_way.discard(request)
 
     def _look(self) -> None:
         """Nobody answers within a third of a second, and the page does not believe it: eight frames are 0.4 s."""

@@ -117,7 +117,7 @@ def test_no_label_is_lost_when_every_process_is_killed_while_someone_labels(
     labeller.open(mortal.url, experiment)
     acknowledged = {labeller.press("ArrowLeft").query for _ in range(4)}
     expect(page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "4")
-    expect(labeller.stage).to_have_attribute("data-ahead", "2")
+    labeller.wait_for_clips(pairs_ahead=2)
 
     mortal.kill()
     unsent = {labeller.press("ArrowRight").query for _ in range(2)}

@@ -5,7 +5,7 @@ import type { Answer } from "./answers";
 
 interface PairStageProps {
   query: Query;
-  /** pairs that are loaded already and follow this one */
+  /** pairs that follow this one, whose clips are loaded meanwhile */
   ahead: number;
   flash: Answer | null;
   player: PairPlayback;
