@@ -17,6 +17,8 @@ from accord.cli.plans import PREFERENCES
 from mapt.studies.palette import QUIET, Style, style
 
 Run = dict[str, Any]
+#: steps, in order, and returns
+Curve = tuple[list[int], list[float]]
 #: so many kinds of runs leave room for marks on their lines
 _FEW_KINDS = 3
 #: how far the marks of two models stand apart, as a share of the labels
@@ -26,19 +28,22 @@ _ASIDE = 0.02
 def draw(results: Path, picture: Path) -> None:
     """Draw one line per run, with reward versions as marks on it; beside it returns by labels, if these differ.
 
-    Many kinds of runs are drawn without their versions, which would hide the lines.
+    Of many kinds of runs the means are drawn, one line for each kind: single runs would hide each other.
     """
     runs: list[Run] = json.loads(results.read_text())["runs"]
-    kinds = list(dict.fromkeys(_kind(run) for run in runs))
-    styles = {kind: style(number) for number, kind in enumerate(sorted(kinds, key=_order))}
+    kinds = list(dict.fromkeys(_kind(run) for run in sorted(runs, key=_order)))
+    styles = {kind: style(number) for number, kind in enumerate(kinds)}
     several = len({run["plan"]["label_budget"] for run in runs if _learned(run)}) > 1
     figure, panels = plt.subplots(1, 1 + several, figsize=(8 + 5 * several, 5), layout="constrained", squeeze=False)
-    few = len(kinds) <= _FEW_KINDS
-    _draw_curves(panels[0, 0], runs, styles, mark_versions=few)
+    if len(kinds) <= _FEW_KINDS:
+        _draw_runs(panels[0, 0], runs, styles)
+        lines = "dots are reward versions"
+    else:
+        _draw_means(panels[0, 0], runs, styles)
+        lines = "lines are means over seeds"
     if several:
         _draw_labels(panels[0, 1], runs)
-    dots = "dots are reward versions, " if few else ""
-    figure.suptitle(f"{runs[0]['plan']['task']}: {dots}stars the last policy's mean actions")
+    figure.suptitle(f"{runs[0]['plan']['task']}: {lines}, stars the last policy's mean actions")
     figure.savefig(picture, dpi=120)
     plt.close(figure)
 
@@ -51,24 +56,56 @@ def _kind(run: Run) -> str:
     return f"{run['plan']['reward_model']}, {run['plan']['label_budget']:,} labels" if _learned(run) else "true reward"
 
 
-def _order(kind: str) -> bool:
-    """The true reward first."""
-    return kind != "true reward"
+def _order(run: Run) -> tuple[bool, int, str]:
+    """The true reward first, then by labels."""
+    return _learned(run), run["plan"]["label_budget"], run["plan"]["reward_model"]
 
 
-def _draw_curves(axes: Any, runs: Sequence[Run], styles: dict[str, Style], *, mark_versions: bool) -> None:
+def _draw_runs(axes: Any, runs: Sequence[Run], styles: dict[str, Style]) -> None:
     named: set[str] = set()
     for run in runs:
-        kind, points = _kind(run), run["curves"].get("true_return", [])
-        drawn, steps, returns = styles[kind], [step for step, _ in points], [value for _, value in points]
+        kind, drawn, (steps, returns) = _kind(run), styles[_kind(run)], _curve(run)
         label = None if kind in named else kind
         axes.plot(steps, returns, linestyle=drawn.dashes, color=drawn.colour, alpha=0.8, label=label)
         named.add(kind)
-        for version in run["versions"] if mark_versions else ():
+        for version in run["versions"]:
             # On the line, between the two episodes' ends about it.
-            height = np.interp(version["policy_steps"], steps, returns) if points else run["untrained"]
+            height = np.interp(version["policy_steps"], steps, returns) if steps else run["untrained"]
             axes.plot([version["policy_steps"]], [height], marker="o", markersize=4, color=drawn.colour)
-        axes.plot([run["steps"]], [run["final"]], marker="*", markersize=11, color=drawn.colour, linestyle="none")
+        _draw_star(axes, run["steps"], run["final"], drawn)
+    _finish(axes, runs)
+
+
+def _draw_means(axes: Any, runs: Sequence[Run], styles: dict[str, Style]) -> None:
+    for kind, drawn in styles.items():
+        alike = [run for run in runs if _kind(run) == kind]
+        steps, means = mean_curve([_curve(run) for run in alike])
+        axes.plot(steps, means, linestyle=drawn.dashes, color=drawn.colour, label=kind)
+        _draw_star(axes, max(run["steps"] for run in alike), float(np.mean([run["final"] for run in alike])), drawn)
+    _finish(axes, runs)
+
+
+def mean_curve(curves: Sequence[Curve]) -> Curve:
+    """Steps and mean returns of curves whose episodes end at steps of their own, between which each is read.
+
+    It goes from where all have begun to where the first ends; curves without a point are left out.
+    """
+    curves = [curve for curve in curves if curve[0]]
+    known = sorted({step for steps, _ in curves for step in steps})
+    shared = [step for step in known if all(steps[0] <= step <= steps[-1] for steps, _ in curves)]
+    return shared, [float(np.mean([np.interp(step, *curve) for curve in curves])) for step in shared]
+
+
+def _curve(run: Run) -> Curve:
+    points = run["curves"].get("true_return", [])
+    return [step for step, _ in points], [value for _, value in points]
+
+
+def _draw_star(axes: Any, steps: int, final: float, drawn: Style) -> None:
+    axes.plot([steps], [final], marker="*", markersize=11, color=drawn.colour, linestyle="none")
+
+
+def _finish(axes: Any, runs: Sequence[Run]) -> None:
     axes.axhline(runs[0]["untrained"], color=QUIET, linestyle=":", label="untrained")
     axes.set_xlabel("environment steps")
     axes.set_ylabel("true return of an episode")

@@ -6,6 +6,7 @@ from pathlib import Path
 from matplotlib.image import imread
 
 from accord.cli.plans import Grid, RunPlan
+from accord.cli.plot import mean_curve
 from accord.cli.results import rows_of, write
 from accord.cli.runs import RunResult
 
@@ -85,6 +86,18 @@ def test_returns_by_labels_are_drawn_beside_the_curves(tmp_path: Path):
     ]
     one, two = write(tmp_path / "one", runs[:2])[2], write(tmp_path / "two", runs)[2]
     assert imread(two).shape[1] > imread(one).shape[1]
+
+
+def test_a_mean_curve_reads_each_between_its_own_points_as_far_as_all_go():
+    assert mean_curve([([0, 100], [0.0, 100.0]), ([50, 150], [10.0, 30.0]), ([], [])]) == ([50, 100], [30.0, 60.0])
+    assert mean_curve([([], [])]) == ([], [])
+
+
+def test_many_kinds_of_runs_are_drawn_as_means(tmp_path: Path):
+    kinds = [("true", 50), *(("preferences", labels) for labels in (20, 50, 99))]
+    runs = [result(seed, source, 80.0 + seed, labels=labels) for source, labels in kinds for seed in (0, 1)]
+    runs[-1] = replace(runs[-1], curves={})
+    assert write(tmp_path, runs)[2].stat().st_size > 10_000
 
 
 def test_a_run_without_an_ended_episode_can_be_drawn(tmp_path: Path):
