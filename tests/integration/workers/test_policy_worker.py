@@ -22,8 +22,7 @@ def drain(run) -> None:
 def first_version(place: Workplace, id: str) -> None:
     """Collect, ask, label, train: up to the first reward version."""
     reward = RewardWorker(place.context)
-    with place.training(id) as run:
-        drain(run)
+    place.train(id)
     assert reward.work()
     place.label(id, 8)
     assert reward.work()
@@ -49,16 +48,14 @@ def test_first_rollout_gives_segments_and_then_waits_for_labels(place: Workplace
 def test_segments_are_handed_in_once_however_often_the_process_is_killed(place: Workplace):
     id = place.begin()
     for _ in range(2):
-        with place.training(id) as run:
-            drain(run)
+        place.train(id)
     assert place.rows("SELECT count(*) FROM segments") == [(8,)]
 
 
 def test_each_iteration_names_the_reward_version_it_learned_from(place: Workplace):
     id = place.begin(label_budget=8)
     first_version(place, id)
-    with place.training(id) as run:
-        drain(run)
+    place.train(id)
     assert status_of(place, id)[0] == "finished"
     named = place.rows("SELECT DISTINCT reward_version_id FROM metrics WHERE name = 'learned_return'")
     assert named == place.rows("SELECT id FROM reward_versions")
@@ -94,8 +91,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(place: Workplace):
     # the same segments, queries and labels make the same first version
     for id in (whole, broken):
         first_version(place, id)
-    with place.training(whole) as run:
-        drain(run)
+    place.train(whole)
     with place.training(broken) as run:
         for _ in range(2):
             run.step()
@@ -103,8 +99,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(place: Workplace):
         run.step()  # and no checkpoint of this one
     with place.training(broken) as run:
         assert run.step()
-    with place.training(broken) as run:
-        drain(run)
+    place.train(broken)
     for name in ("learned_return", "policy_loss", "value_loss", "true_reward_correlation"):
         assert place.curve(whole, name) == place.curve(broken, name)
     assert place.curve(whole, "true_return_final") == place.curve(broken, "true_return_final")
@@ -112,8 +107,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(place: Workplace):
 
 def test_true_reward_asks_for_no_labels(place: Workplace):
     id = place.begin(reward_source="true")
-    with place.training(id) as run:
-        drain(run)
+    place.train(id)
     assert status_of(place, id)[0] == "finished"
     assert place.rows("SELECT count(*) FROM segments") == [(0,)]
     assert place.curve(id, "true_reward_correlation")[STEPS_PER_ITERATION] == pytest.approx(1.0)
@@ -131,8 +125,7 @@ def test_a_pause_is_obeyed_between_iterations_and_kept_in_a_checkpoint(place: Wo
     assert place.rows("SELECT steps FROM policy_checkpoints") == [(STEPS_PER_ITERATION,)]
     with place.database.transaction() as session:
         experiments.resume(session, id)
-    with place.training(id) as run:
-        drain(run)
+    place.train(id)
     assert status_of(place, id)[0] == ExperimentStatus.FINISHED
 
 
@@ -167,8 +160,7 @@ def test_a_pool_without_another_pair_does_not_hold_the_policy_up(place: Workplac
     id = place.begin(segment_steps=25, initial_labels=4, label_budget=40)
     reward = RewardWorker(place.context)
     for _ in range(20):
-        with place.training(id) as run:
-            drain(run)
+        place.train(id)
         if status_of(place, id)[0] == "finished":
             break
         reward.work()
@@ -181,8 +173,7 @@ def test_a_pool_without_another_pair_does_not_hold_the_policy_up(place: Workplac
 
 def test_too_few_segments_for_the_first_labels_fail_the_experiment_with_a_sentence(place: Workplace):
     id = place.begin(segment_steps=25, initial_labels=7)
-    with place.training(id) as run:
-        drain(run)
+    place.train(id)
     assert RewardWorker(place.context).work()
     place.label(id, 6)
     assert PolicyWorker(place.context).work()
@@ -220,8 +211,7 @@ def test_old_checkpoints_are_forgotten_with_their_blobs(place: Workplace):
 def test_the_chosen_model_teaches_the_policy_by_the_chosen_reward(place: Workplace, model: str, reward: str):
     id = place.begin(label_budget=8, reward_model=model, policy_reward=reward, label_noise=0.1)
     first_version(place, id)
-    with place.training(id) as run:
-        drain(run)
+    place.train(id)
     assert status_of(place, id)[0] == "finished"
     [(blob_key,)] = place.rows("SELECT blob_key FROM reward_versions")
     trained = read_reward_model(place.context.blobs, blob_key)
