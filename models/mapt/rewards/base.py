@@ -115,6 +115,9 @@ class RewardModel(nn.Module, ABC):
             ShapeError: if a shape does not fit the configuration.
         """
         self._check(observations, actions)
+        # A silent path is spared, but where gradients are wanted: by them it wakes.
+        if self.is_markov and not torch.is_grad_enabled():
+            return self.markov_rewards(behind_context(observations, band), behind_context(actions, band))
         return self._encode(self._normalised_inputs(observations, actions), band)[1]
 
     def markov_rewards(self, observations: Tensor, actions: Tensor) -> Tensor:
@@ -185,9 +188,9 @@ class RewardModel(nn.Module, ABC):
 
     @property
     def sees_one_window(self) -> bool:
-        """Whether a `Band` bounds what r-hat depends on: with a second layer, or an LSTM, it does not."""
+        """Whether a `Band` bounds what r-hat depends on: with a second layer or an LSTM it does not, unless silent."""
         config = self.config
-        return config.temporal == "none" or (config.temporal == "attention" and config.layers == 1)
+        return self.is_markov or config.temporal == "none" or (config.temporal == "attention" and config.layers == 1)
 
     def _normalised_inputs(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         return self.observation_normaliser(observations), self.action_normaliser(actions)

@@ -121,8 +121,6 @@ class RolloutRelabeller:
 
     def _rewards(self, observations: Tensor, actions: Tensor, episode: Tensor, *, length: int) -> Tensor:
         """(E, T - 1 + L, N, C) and so on -> r-hat (E, L, N) of the last L steps."""
-        if is_markov(self._model, self._kind):
-            return self._model.markov_rewards(observations[:, -length:], actions[:, -length:])
         if one_pass(self._model, self._kind):
             band = EpisodeBand(self._window, episode, context=self._window - 1)
             return self._model.agent_rewards(observations, actions, band)
@@ -158,11 +156,6 @@ class RolloutRelabeller:
             InvalidRollout: if it had another window, number of environments or task.
         """
         self._context.load_state_dict(state)
-
-
-def is_markov(model: RewardModel, kind: PolicyReward) -> bool:
-    """Whether a step's reward needs nothing of its past."""
-    return kind == "value" and model.is_markov
 
 
 def one_pass(model: RewardModel, kind: PolicyReward) -> bool:

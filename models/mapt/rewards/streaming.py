@@ -8,7 +8,7 @@ from torch import Tensor
 from mapt.rewards.bands import KeyValueRing
 from mapt.rewards.base import PolicyReward, RewardModel
 from mapt.rewards.errors import InvalidRollout
-from mapt.rewards.relabelling import Credit, RolloutRelabeller, is_markov, one_pass
+from mapt.rewards.relabelling import Credit, RolloutRelabeller, one_pass
 
 
 class RewardStream:
@@ -42,7 +42,6 @@ class RewardStream:
         self._device = self._model.reward_mean.device
         self._credit = credit
         self._shape = (n_envs, model.config.n_agents)
-        self._is_markov = is_markov(model, kind)
         self._ring: KeyValueRing | None = None
         if one_pass(model, kind):
             self._ring = KeyValueRing(window, n_envs, self._device)
@@ -72,16 +71,10 @@ class RewardStream:
             return self._relabeller.relabel(observed[None], acted[None], start[None])[0]
         if start.any():
             self._ring.forget(torch.as_tensor(start, device=self._device))
-        rewards = self._rewards(self._one_step(observed), self._one_step(acted), self._ring)[:, 0]
+        rewards = self._model.agent_rewards(self._one_step(observed), self._one_step(acted), self._ring)[:, 0]
         if self._credit == "shared":
             rewards = rewards.mean(dim=1)
         return self._model.normalised(rewards).cpu().numpy()
-
-    def _rewards(self, observations: Tensor, actions: Tensor, ring: KeyValueRing) -> Tensor:
-        """(E, 1, N, C) and (E, 1, N, A) -> (E, 1, N)."""
-        if self._is_markov:
-            return self._model.markov_rewards(observations, actions)
-        return self._model.agent_rewards(observations, actions, ring)
 
     def _checked(self, name: str, values: ArrayLike, width: int) -> NDArray[np.float32]:
         array = np.asarray(values, dtype=np.float32)
