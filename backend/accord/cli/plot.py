@@ -4,25 +4,32 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from numpy.typing import NDArray
 
 mpl.use("Agg")
 
 from matplotlib import pyplot as plt
 
 from accord.cli.plans import PREFERENCES
+from mapt.runs.seed_curves import seed_curves
 from mapt.studies.palette import QUIET, Style, style
 
 Run = dict[str, Any]
-#: steps, in order, and returns
-Curve = tuple[list[int], list[float]]
 #: so many kinds of runs leave room for marks on their lines
 _FEW_KINDS = 3
 #: how far the marks of two models stand apart, as a share of the labels
 _ASIDE = 0.02
+
+
+class Curve(NamedTuple):
+    """See `mapt.runs.seed_curves.Curve`."""
+
+    curve_steps: NDArray[np.int64]
+    curve_returns: NDArray[np.float64]
 
 
 def draw(results: Path, picture: Path) -> None:
@@ -70,7 +77,7 @@ def _draw_runs(axes: Any, runs: Sequence[Run], styles: dict[str, Style]) -> None
         named.add(kind)
         for version in run["versions"]:
             # On the line, between the two episodes' ends about it.
-            height = np.interp(version["policy_steps"], steps, returns) if steps else run["untrained"]
+            height = np.interp(version["policy_steps"], steps, returns) if len(steps) else run["untrained"]
             axes.plot([version["policy_steps"]], [height], marker="o", markersize=4, color=drawn.colour)
         _draw_star(axes, run["steps"], run["final"], drawn)
     _finish(axes, runs)
@@ -79,26 +86,20 @@ def _draw_runs(axes: Any, runs: Sequence[Run], styles: dict[str, Style]) -> None
 def _draw_means(axes: Any, runs: Sequence[Run], styles: dict[str, Style]) -> None:
     for kind, drawn in styles.items():
         alike = [run for run in runs if _kind(run) == kind]
-        steps, means = mean_curve([_curve(run) for run in alike])
-        axes.plot(steps, means, linestyle=drawn.dashes, color=drawn.colour, label=kind)
+        if begun := [curve for run in alike if len((curve := _curve(run)).curve_steps)]:
+            curves = seed_curves(begun)
+            whole = curves.whole()
+            means = curves.returns[:, whole].mean(axis=0)
+            axes.plot(curves.steps[whole], means, linestyle=drawn.dashes, color=drawn.colour)
+        # For the legend alone: a kind whose runs have no episode yet is named too.
+        axes.plot([], [], linestyle=drawn.dashes, color=drawn.colour, label=kind)
         _draw_star(axes, max(run["steps"] for run in alike), float(np.mean([run["final"] for run in alike])), drawn)
     _finish(axes, runs)
 
 
-def mean_curve(curves: Sequence[Curve]) -> Curve:
-    """Steps and mean returns of curves whose episodes end at steps of their own, between which each is read.
-
-    It goes from where all have begun to where the first ends; curves without a point are left out.
-    """
-    curves = [curve for curve in curves if curve[0]]
-    known = sorted({step for steps, _ in curves for step in steps})
-    shared = [step for step in known if all(steps[0] <= step <= steps[-1] for steps, _ in curves)]
-    return shared, [float(np.mean([np.interp(step, *curve) for curve in curves])) for step in shared]
-
-
 def _curve(run: Run) -> Curve:
-    points = run["curves"].get("true_return", [])
-    return [step for step, _ in points], [value for _, value in points]
+    points = np.array(run["curves"].get("true_return", [])).reshape(-1, 2)
+    return Curve(points[:, 0].astype(np.int64), points[:, 1])
 
 
 def _draw_star(axes: Any, steps: int, final: float, drawn: Style) -> None:

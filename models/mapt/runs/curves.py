@@ -1,56 +1,16 @@
 """Curves of true return over steps: mean and spread over seeds, one panel for each task."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
-from numpy.typing import NDArray
 
-from mapt.runs.results import Group, RunResult
+from mapt.runs.results import Group
+from mapt.runs.seed_curves import seed_curves
 from mapt.studies.palette import style
-
-#: parts of a curve, in each of which a seed's points are averaged: more cannot be told apart
-MOST_BINS = 150
-
-
-@dataclass(frozen=True, slots=True)
-class SeedCurves:
-    """Curves of several seeds at the same steps."""
-
-    #: (B,)
-    steps: NDArray[np.float64]
-    #: (seeds, B); NaN outside of what a seed has seen
-    returns: NDArray[np.float64]
-
-    def whole(self) -> NDArray[np.bool_]:
-        """(B,): where every seed has a value; elsewhere a mean would jump where a seed ends."""
-        return np.all(np.isfinite(self.returns), axis=0, keepdims=True)[0]
-
-
-def seed_curves(runs: Sequence[RunResult], most_bins: int = MOST_BINS) -> SeedCurves:
-    """Means of each run's points by bins of steps; a bin without points lies on the line between its neighbours."""
-    points = max(len(run.curve_steps) for run in runs)
-    last = max(int(run.curve_steps[-1]) for run in runs if len(run.curve_steps))
-    edges = np.linspace(0, last, min(points, most_bins) + 1)
-    # Binned alike, steps at the bins' ends and returns belong together for all seeds.
-    return SeedCurves(edges[1:], np.stack([_binned(run, edges) for run in runs]))
-
-
-def _binned(run: RunResult, edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    values = np.full(len(edges) - 1, np.nan)
-    if not len(run.curve_steps):
-        return values
-    place = np.clip(np.searchsorted(edges, run.curve_steps, side="left") - 1, 0, len(values) - 1)
-    counts = np.bincount(place, minlength=len(values))
-    sums = np.bincount(place, run.curve_returns, minlength=len(values))
-    filled = np.flatnonzero(counts)
-    between = np.arange(filled[0], filled[-1] + 1)
-    values[between] = np.interp(between, filled, sums[filled] / counts[filled])
-    return values
 
 
 def draw_curves(groups: Sequence[Group], path: Path) -> None:

@@ -6,7 +6,6 @@ from pathlib import Path
 from matplotlib.image import imread
 
 from accord.cli.plans import Grid, RunPlan
-from accord.cli.plot import mean_curve
 from accord.cli.results import rows_of, write
 from accord.cli.runs import RunResult
 
@@ -86,11 +85,6 @@ def test_returns_by_labels_are_drawn_beside_the_curves(tmp_path: Path):
     ]
     one, two = write(tmp_path / "one", runs[:2])[2], write(tmp_path / "two", runs)[2]
     assert imread(two).shape[1] > imread(one).shape[1]
-
-
-def test_a_mean_curve_reads_each_between_its_own_points_as_far_as_all_go():
-    assert mean_curve([([0, 100], [0.0, 100.0]), ([50, 150], [10.0, 30.0]), ([], [])]) == ([50, 100], [30.0, 60.0])
-    assert mean_curve([([], [])]) == ([], [])
 
 
 def test_many_kinds_of_runs_are_drawn_as_means(tmp_path: Path):

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapt.runs.curves import draw_curves, seed_curves
+from mapt.runs.curves import draw_curves
 from mapt.runs.errors import DamagedRun, RunNotFound
 from mapt.runs.evaluation import Evaluation, interquartile_mean
 from mapt.runs.folder import RunFolder
 from mapt.runs.metrics_file import MetricsFile
 from mapt.runs.results import RunResult, find_runs, grouped
+from mapt.runs.seed_curves import seed_curves
 from mapt.runs.settings import LearnedRewardSettings, RunSettings
 from mapt.runs.table import markdown
 from unit.runs.conftest import STEPS_PER_ITERATION
