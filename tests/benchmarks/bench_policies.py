@@ -27,15 +27,16 @@ from typing import Any, get_args
 
 import numpy as np
 import torch
+from awake import awake_model
 from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils.flop_counter import FlopCounterMode
+from turns import median_seconds
 
 from mapt.policies import Algorithm, Learner, PolicyConfig, Rollout, true_reward
 from mapt.policies.experience import checked_rewards, prepare
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.model import build_reward_model
 from mapt.rewards.relabelling import RolloutRelabeller
 from mapt.tasks import Task, TaskStep, WrappedTask, make_task
 
@@ -97,9 +98,7 @@ class Run:
         spec, config = self._task.spec, self.learner.config
         sizes = {"observation_dim": spec.observation_dim, "action_dim": spec.action_dim, "n_agents": spec.n_agents}
         torch.manual_seed(0)
-        model = build_reward_model(RewardConfig.preset("small", **sizes))
-        # Of a silent attention path, as every one begins, nothing would be run.
-        model.load_state_dict(model.awake_state())
+        model = awake_model(RewardConfig.preset("small", **sizes))
         relabeller = RolloutRelabeller(model, SEGMENT_STEPS, config.n_envs)
         return lambda rollout: relabeller.relabel(rollout.observations, rollout.actions, rollout.episode_start)
 
@@ -209,23 +208,12 @@ def _one_pass(task_name: str, config: PolicyConfig) -> str:
     with sdpa_kernel(SDPBackend.MATH), Products() as products:
         one_pass()
     square = torch.randn(1024, 1024)
-    whole, alone, peak = _in_turn(one_pass, products.run, lambda: square @ square)
+    whole, alone, peak = median_seconds(time.process_time, 5, one_pass, products.run, lambda: square @ square)
     flops = counter.get_total_flops()
     return (
         f"products {alone / whole:.0%} of the update's CPU time; {flops / whole / 1e9:.0f} GFLOP/s, the products alone"
         f" {flops / alone / 1e9:.0f}, a large one {2 * 1024**3 / peak / 1e9:.0f}"
     )
-
-
-def _in_turn(*calls: Callable[[], object], rounds: int = 5) -> list[float]:
-    """Median CPU seconds of each."""
-    seen: list[list[float]] = [[] for _ in calls]
-    for _ in range(rounds):
-        for call, times in zip(calls, seen, strict=True):
-            started = time.process_time()
-            call()
-            times.append(time.process_time() - started)
-    return [statistics.median(times) for times in seen]
 
 
 if __name__ == "__main__":

@@ -16,12 +16,12 @@ from functools import partial
 
 import numpy as np
 import torch
+from awake import awake_model
 from torch import Tensor, nn
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
 from mapt.preferences.loss import preference_loss
-from mapt.rewards.base import RewardModel
 from mapt.rewards.config import PresetName, RewardConfig
 from mapt.rewards.model import build_reward_model
 from mapt.rewards.precision import products_in
@@ -169,7 +169,7 @@ def gemm_flops(bench: Bench, size: Size, dtype: torch.dtype) -> float:
 
 def relabelling(bench: Bench, size: Size) -> Iterator[str]:
     """Transitions a second (steps of environments, each with all its agents) of rollouts of 40 x 100."""
-    model, rollout = awake_model(size), random_rollout()
+    model, rollout = awake_model(size.config), random_rollout()
     for name in PRECISIONS:
         relabeller = RolloutRelabeller(model, size.n_steps, N_ENVS, device=bench.device.type, precision=name)
         transitions = bench.calls_per_second(partial(relabeller.relabel, *rollout)) * ROLLOUT_STEPS * N_ENVS
@@ -178,19 +178,12 @@ def relabelling(bench: Bench, size: Size) -> Iterator[str]:
 
 def streaming(bench: Bench, size: Size) -> Iterator[str]:
     """Microseconds of one step of 40 environments, their windows full."""
-    stream = RewardStream(awake_model(size), size.n_steps, N_ENVS, device=bench.device.type)
+    stream = RewardStream(awake_model(size.config), size.n_steps, N_ENVS, device=bench.device.type)
     observations, actions, start = random_rollout()
     for step in range(ROLLOUT_STEPS):
         stream.step(observations[step], actions[step], start[step])
     seconds = 1 / bench.calls_per_second(lambda: stream.step(observations[0], actions[0], start[0]))
     yield f"streaming   {size} float32  {seconds * 1e6:9,.0f} microseconds a step of {N_ENVS} environments"
-
-
-def awake_model(size: Size) -> RewardModel:
-    """One whose attention path is not silent, as before training: that of a silent one is not run at all."""
-    model = build_reward_model(size.config)
-    model.load_state_dict(model.awake_state())
-    return model
 
 
 def random_rollout() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ import typer
 
 from mapt.cli.options import Device
 from mapt.cli.output import out, say
-from mapt.cli.train import sentence
+from mapt.cli.run_bars import sentence
 from mapt.runs.evaluation import EPISODES, evaluate_policy
 from mapt.runs.saved_policy import load_policy
 from mapt.runs.video import record_video

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -13,10 +14,11 @@ from mapt.cli.options import PolicySteps, Preset, Seeds, Segments, SegmentSteps,
 from mapt.cli.output import complain, note, on_terminal, out, say
 from mapt.rewards.checkpoints import CARD_FILE
 from mapt.rewards.config import MODEL_NAMES
+from mapt.runs.pool import run_jobs
 from mapt.studies.cell_folder import CellFolder, code_fingerprint
+from mapt.studies.cell_job import CellJob, make_cell
 from mapt.studies.naming import numbers, words
 from mapt.studies.plan import TablePlan, replay_folder, table_jobs
-from mapt.studies.pool import Job, run_jobs
 from mapt.studies.recording import Recording
 from mapt.studies.replay import Replay
 from mapt.studies.summary import Summary, summarise
@@ -110,7 +112,7 @@ def _replays(recordings: Sequence[Recording], root: Path) -> dict[int, Replay]:
     return {recording.seed: Replay.open(replay_folder(root, recording.seed)) for recording in recordings}
 
 
-def _make(jobs: Sequence[Job], folder: CellFolder, workers: int, same_code: bool) -> None:
+def _make(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: bool) -> None:
     wanted = [job for job in jobs if not _finished(job, folder, same_code)]
     note(f"{len(jobs)} cells, {len(jobs) - len(wanted)} of them finished; {workers} at once")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
@@ -119,7 +121,10 @@ def _make(jobs: Sequence[Job], folder: CellFolder, workers: int, same_code: bool
     ) as progress:
         bar = progress.add_task("cells", total=len(jobs), completed=len(jobs) - len(wanted))
         started: dict[str, float] = {}
-        for done in run_jobs(wanted, folder.path, workers, lambda job: started.update({job.settings.key: time.time()})):
+        make = partial(make_cell, folder.path)
+        for done in run_jobs(
+            make, wanted, workers, started=lambda job: started.update({job.settings.key: time.time()})
+        ):
             settings = done.job.settings
             name = f"{settings.model}, {settings.teacher}, {settings.labels:,} labels, seed {settings.seed}"
             if done.failure:
@@ -132,7 +137,7 @@ def _make(jobs: Sequence[Job], folder: CellFolder, workers: int, same_code: bool
                 note(f"{name}: accuracy {cell.result.metrics.get('accuracy', float('nan')):.4f}, {seconds:.0f} s")
 
 
-def _finished(job: Job, folder: CellFolder, same_code: bool) -> bool:
+def _finished(job: CellJob, folder: CellFolder, same_code: bool) -> bool:
     cell = folder.read(job.settings)
     if cell is None or (same_code and cell.code != code_fingerprint()):
         return False

@@ -1,35 +1,34 @@
 """mapt train: a policy from its first step to its video, without the service."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import os
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, get_args
 
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mapt.cli.options import Device, Task
-from mapt.cli.output import complain, note, on_terminal, out
+from mapt.cli.output import complain
+from mapt.cli.run_bars import RunBars
 from mapt.policies import Algorithm, PolicyConfig
 from mapt.rewards.base import PolicyReward
 from mapt.rewards.checkpoints import load_reward_model
 from mapt.rewards.relabelling import Credit
-from mapt.runs.complete import complete_run
 from mapt.runs.errors import InvalidRun
 from mapt.runs.evaluation import Evaluation
-from mapt.runs.folder import RunFolder
-from mapt.runs.metrics_file import Metrics
+from mapt.runs.pool import Done, run_jobs
 from mapt.runs.reward_source import reward_files
+from mapt.runs.run_job import RunJob, make_run, make_run_apart
 from mapt.runs.settings import TRUE, LearnedRewardSettings, RunSettings
 from mapt.runs.stopping import stop_requests
-from mapt.runs.training import Watch
 from mapt.studies.naming import numbers, setting
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 
-#: without a terminal, a line each time so much more is done
-_NOTED_SHARE = 0.1
 #: status of a command that was asked to stop
 _STOPPED = 130
+#: status of a command of which a run failed
+_FAILED = 2
 #: settings of a policy that are options of their own
 _OPTIONS = {"algorithm", "seed", "device"}
 
@@ -72,8 +71,11 @@ def train(
         float, typer.Option(min=0, help="Minutes between checkpoints; 0 for one after every iteration.")
     ] = 5.0,
     device: Device = "auto",
+    workers: Annotated[
+        int, typer.Option(min=0, help="Seeds trained at once, each in a process of its own; 0 for one per core.")
+    ] = 0,
     physics_threads: Annotated[
-        int, typer.Option(min=0, help="Threads that step the task; 0 for one per core, 1 beside other runs.")
+        int, typer.Option(min=0, help="Threads that step the task of a seed; 0 shares the cores out.")
     ] = 0,
     video: Annotated[bool, typer.Option(help="Make a video of the final policy.")] = True,
 ) -> None:
@@ -94,10 +96,11 @@ def train(
         )
         for number in numbers("--seed", seed, 0)
     ]
-    folders = [RunFolder(output / f"seed-{run.policy.seed}") for run in runs]
-    if not _train_all(runs, folders, checkpoint_minutes * 60, video=video, physics_threads=physics_threads):
-        complain("Stopped; the same command goes on.")
-        raise typer.Exit(_STOPPED)
+    n_cores = os.cpu_count() or 1
+    at_once = min(workers or n_cores, len(runs))
+    threads = physics_threads or max(1, n_cores // at_once)
+    jobs = [RunJob(run, output / f"seed-{run.policy.seed}", checkpoint_minutes * 60, video, threads) for run in runs]
+    _train_all(jobs, at_once)
 
 
 def _own(settings: Sequence[str]) -> dict[str, object]:
@@ -116,71 +119,41 @@ def _learned(path: Path, segment_steps: int | None, kind: str, credit: str) -> L
     return LearnedRewardSettings(str(path.resolve()), steps, kind, credit)  # pyright: ignore[reportArgumentType]  (checked on creation)
 
 
-def _train_all(
-    runs: Sequence[RunSettings],
-    folders: Sequence[RunFolder],
-    checkpoint_seconds: float,
-    *,
-    video: bool,
-    physics_threads: int,
-) -> bool:
-    """One run after the other. Returns whether all were finished."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"))
-    with (
-        Progress(
-            *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=out, disable=not on_terminal()
-        ) as progress,
-        stop_requests() as stopped,
-    ):
-        for run, folder in zip(runs, folders, strict=True):
-            with _shown(run, progress) as show:
-                watch = Watch(on_iteration=show, note=note, stopped=stopped)
-                evaluation = complete_run(
-                    run, folder, checkpoint_seconds, watch, video=video, physics_threads=physics_threads
-                )
-            if evaluation is None:
-                return False
-            note(f"seed {run.policy.seed}: {sentence(evaluation)}; {folder.path}")
-    return True
+def _train_all(jobs: Sequence[RunJob], at_once: int) -> None:
+    """Make every run that can be made; a failure of one of several at once leaves the others be.
+
+    Raises:
+        typer.Exit: if not all were finished.
+        See `make_run` for what else, of runs in turn.
+    """
+    n_finished = n_failed = 0
+    with RunBars() as bars, stop_requests() as stopped:
+        make = _make_in_turn if at_once == 1 else partial(_make_at_once, at_once)
+        for done in make(jobs, bars, stopped):
+            bars.end(done.job, done.result)
+            n_finished += done.result is not None
+            if done.failure is not None:
+                n_failed += 1
+                complain(f"seed {done.job.settings.policy.seed}: {done.failure}")
+    if n_failed:
+        raise typer.Exit(_FAILED)
+    if n_finished < len(jobs):
+        complain("Stopped; the same command goes on.")
+        raise typer.Exit(_STOPPED)
 
 
-@contextmanager
-def _shown(run: RunSettings, progress: Progress) -> Iterator["_Bar"]:
-    bar = _Bar(run, progress)
-    try:
-        yield bar
-    finally:
-        bar.stop()
+def _make_in_turn(
+    jobs: Sequence[RunJob], bars: RunBars, stopped: Callable[[], bool]
+) -> Iterator[Done[RunJob, Evaluation | None]]:
+    """In this process."""
+    for job in jobs:
+        if stopped():
+            return
+        bars.begin(job)
+        yield Done(job, make_run(job, partial(bars.tell, job), stopped))
 
 
-class _Bar:
-    """How far a run is, on the terminal; where there is none, a line now and then."""
-
-    def __init__(self, run: RunSettings, progress: Progress) -> None:
-        self._run, self._progress = run, progress
-        self._name = f"{run.task}, {run.policy.algorithm}, seed {run.policy.seed}"
-        self._bar = progress.add_task(self._name, total=run.steps, state="")
-        self._noted, self._return = 0.0, ""
-
-    def __call__(self, metrics: Metrics) -> None:
-        steps = float(metrics["steps"])
-        if "true_return" in metrics:
-            self._return = f"true return {float(metrics['true_return']):,.0f}, "
-        state = f"{self._return}{float(metrics['steps_per_second']):,.0f} steps/s"
-        self._progress.update(self._bar, completed=min(steps, self._run.steps), state=state)
-        share = min(1.0, steps / self._run.steps)
-        if not on_terminal() and share >= self._noted + _NOTED_SHARE:
-            self._noted = share
-            note(f"{self._name}: {share:.0%}, {state}")
-
-    def stop(self) -> None:
-        self._progress.stop_task(self._bar)
-
-
-def sentence(evaluation: Evaluation) -> str:
-    """What the episodes of an evaluation were like."""
-    found = evaluation.summary()
-    return (
-        f"true return {found['mean']:,.1f} ± {found['std']:,.1f} (interquartile mean {found['iqm']:,.1f}) "
-        f"over {len(evaluation.returns)} episodes of {found['length']:,.0f} steps"
-    )
+def _make_at_once(
+    at_once: int, jobs: Sequence[RunJob], bars: RunBars, stopped: Callable[[], bool]
+) -> Iterator[Done[RunJob, Evaluation | None]]:
+    return run_jobs(make_run_apart, jobs, at_once, started=bars.begin, told=bars.tell, stopped=stopped)

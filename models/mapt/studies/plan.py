@@ -8,10 +8,10 @@ from pathlib import Path
 from mapt.rewards.config import PresetName
 from mapt.rewards.train_config import TrainConfig
 from mapt.studies.cell import CellSettings
+from mapt.studies.cell_job import CellJob
 from mapt.studies.errors import InvalidStudy
 from mapt.studies.judging import Judge
 from mapt.studies.pairs import split_replay
-from mapt.studies.pool import Job
 from mapt.studies.replay import Replay
 from mapt.studies.variants import network_of, training_of
 
@@ -58,7 +58,7 @@ def model_folder(root: Path, settings: CellSettings) -> Path:
     return root / f"{_NO_PATH.sub('_', words)}-{settings.key[:8]}"
 
 
-def table_jobs(plan: TablePlan, replays: Mapping[int, Replay], models: Path | None = None) -> list[Job]:
+def table_jobs(plan: TablePlan, replays: Mapping[int, Replay], models: Path | None = None) -> list[CellJob]:
     """Every cell of `plan`: few labels first, so that a table that is not finished can be read.
 
     Args:
@@ -93,7 +93,7 @@ def table_jobs(plan: TablePlan, replays: Mapping[int, Replay], models: Path | No
         for model in plan.models
     ]
     return [
-        Job(cell, replays[cell.seed].path, None if models is None else model_folder(models, cell)) for cell in cells
+        CellJob(cell, replays[cell.seed].path, None if models is None else model_folder(models, cell)) for cell in cells
     ]
 
 

@@ -1,0 +1,197 @@
+"""Jobs in worker processes of one thread each: a death costs one job, and no worker outlives its parent for long."""
+
+import multiprocessing
+import os
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import torch
+
+# Threads of OpenMP spin while they wait; with several workers on few cores that costs most of the time.
+_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OMP_WAIT_POLICY": "PASSIVE"}
+# Forked processes cannot use CUDA, nor the threads of torch that their parent had.
+_SPAWN = multiprocessing.get_context("spawn")
+_END_SECONDS = 10.0
+#: how soon workers hear of a wish to stop
+_POLL_SECONDS = 0.2
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+
+class Desk:
+    """Where a worker does a job: its line to the parent."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def tell(self, news: object) -> None:
+        """Give the parent something that can be pickled."""
+        # A parent that is gone needs no news; `unwanted` says so.
+        with suppress(BrokenPipeError, ConnectionResetError):
+            self._connection.send(_News(news))
+
+    def unwanted(self) -> bool:
+        """Whether the job should end: the parent asks for it, or is gone."""
+        # Nothing but that comes while a job is in hand, and the end of the line counts as something.
+        return self._connection.poll()
+
+
+@dataclass(frozen=True, slots=True)
+class Done(Generic[J, R]):
+    """What became of a job."""
+
+    job: J
+    #: what the work gave; None if it failed
+    result: R | None
+    #: why it failed; None where it did not
+    failure: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _News:
+    news: object
+
+
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    result: Any = None
+    failure: str | None = None
+
+
+@dataclass(slots=True)
+class _Worker(Generic[J]):
+    process: SpawnProcess
+    connection: Connection
+    job: J | None = None
+
+
+def run_jobs(
+    work: Callable[[J, Desk], R],
+    jobs: Sequence[J],
+    n_workers: int,
+    *,
+    started: Callable[[J], None] = lambda job: None,
+    told: Callable[[J, Any], None] = lambda job, news: None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Iterator[Done[J, R]]:
+    """Do `jobs`, in that order, `n_workers` at once; yields each as it is done.
+
+    A worker that dies fails its own job alone; another takes its place.
+
+    Args:
+        work: a function of a module, or a partial of one; it, the jobs and the results can be pickled.
+        started: called when a worker takes a job.
+        told: called with what `Desk.tell` was given.
+        stopped: when it comes true, no further job begins and those in hand are asked to end; they are yielded too.
+    """
+    waiting = list(reversed(jobs))
+    workers: list[_Worker[J]] = [_start(work) for _ in range(min(n_workers, len(jobs)))]
+    try:
+        asked = False
+        while True:
+            if not asked and stopped():
+                asked = True
+                for worker in workers:
+                    _send(worker, None)
+            for worker in workers:
+                if worker.job is None and waiting and not asked:
+                    worker.job = waiting.pop()
+                    started(worker.job)
+                    _send(worker, worker.job)
+            busy = [worker for worker in workers if worker.job is not None]
+            if not busy:
+                return
+            ready = wait([worker.connection for worker in busy], _POLL_SECONDS)
+            for worker in busy:
+                if worker.connection not in ready or worker.job is None:
+                    continue
+                job, message = worker.job, _receive(worker)
+                if isinstance(message, _News):
+                    told(job, message.news)
+                    continue
+                worker.job = None
+                if not worker.process.is_alive() and waiting and not asked:
+                    workers[workers.index(worker)] = _start(work)
+                yield Done(job, message.result, message.failure)
+    finally:
+        _end(workers)
+
+
+def _start(work: Callable[[J, Desk], Any]) -> _Worker[J]:
+    ours, theirs = _SPAWN.Pipe()
+    process = _SPAWN.Process(target=_work, args=(theirs, work), daemon=True)
+    with _environment():
+        process.start()
+    theirs.close()
+    return _Worker(process, ours)
+
+
+def _end(workers: Sequence[_Worker[Any]]) -> None:
+    """Who is still busy is killed if it does not end its job in time."""
+    for worker in workers:
+        worker.connection.close()
+    for worker in workers:
+        worker.process.join(_END_SECONDS)
+        if worker.process.is_alive():
+            worker.process.kill()
+            worker.process.join()
+
+
+def _send(worker: _Worker[J], job: J | None) -> None:
+    # If it died while idle, what `wait` finds at its end of the pipe says so.
+    with suppress(BrokenPipeError, ConnectionResetError):
+        worker.connection.send(job)
+
+
+def _receive(worker: _Worker[Any]) -> _News | _Outcome:
+    try:
+        return worker.connection.recv()
+    except (EOFError, ConnectionResetError):
+        worker.process.join(_END_SECONDS)
+        return _Outcome(failure=f"its worker process died (exit status {worker.process.exitcode})")
+
+
+@contextmanager
+def _environment() -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in _ENVIRONMENT}
+    os.environ.update(_ENVIRONMENT)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _work(connection: Connection, work: Callable[[Any, Desk], object]) -> None:
+    """The life of a worker: jobs in, news and outcomes out; None, or the end of the line, ends it."""
+    torch.set_num_threads(1)
+    desk = Desk(connection)
+    # The parent may be gone before it hears of a job's end, and Ctrl-C is for all processes of a terminal.
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
+        while (job := connection.recv()) is not None:
+            connection.send(_outcome(work, job, desk))
+
+
+def _outcome(work: Callable[[Any, Desk], object], job: object, desk: Desk) -> _Outcome:
+    try:
+        return _Outcome(work(job, desk))
+    except Exception as error:  # noqa: BLE001  (one job's failure must not take the others with it)
+        return _Outcome(failure=_sentence(error))
+
+
+def _sentence(error: Exception) -> str:
+    """What went wrong; where, too, unless it is an error of this library, which says all that helps."""
+    if type(error).__module__.startswith("mapt."):
+        return str(error)
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
