@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from accord.services.collect import drawn_blob_key
 from accord.store.blobs import BlobStore
-from accord.workers.cutting import Stretch
 from mapt.policies import Rollout
+from mapt.preferences.cutting import Stretch
 from mapt.rendering.encode import open_clip
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import DrawnTask, NoSimulator, Task, UnusableEnvironment, make_task

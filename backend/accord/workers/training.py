@@ -17,7 +17,6 @@ from accord.services import collect, experiments, metrics, publish, select
 from accord.services.collect import NewSegment
 from accord.store.tables import RewardVersionRow
 from accord.workers import learner
-from accord.workers.cutting import Stretch, cut
 from accord.workers.drawing import Redrawing, draws_itself
 from accord.workers.learner import Training
 from accord.workers.loop import Context
@@ -26,6 +25,7 @@ from accord.workers.pacing import Progress, cannot_begin, segments_to_hand_in, w
 from accord.workers.progress import read_progress
 from accord.workers.pulse import Claim
 from mapt.policies import Rollout
+from mapt.preferences.cutting import Stretch, cut
 from mapt.runs.evaluation import EPISODES
 from mapt.runs.measures import iteration_metrics
 

@@ -1,6 +1,6 @@
 """Record the replay of a team that learns a task with its true reward."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mapt.policies import Learner, Policy, PolicyConfig, Rollout, train, true_reward
 from mapt.policies.rollout import Collector
+from mapt.preferences.cutting import Stretch, cut
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.storage import SegmentLayout, SegmentWriter
 from mapt.studies.errors import InvalidStudy
@@ -38,7 +39,7 @@ class Recording:
 
 
 def record_replay(recording: Recording, path: Path, progress: Callable[[int, float], None] | None = None) -> Replay:
-    """Train a team on the true reward and keep segments of every rollout, none across an episode's start.
+    """Train a team on the true reward and keep segments of every rollout, cut as the service cuts them.
 
     They go to disk as they come: memory does not grow with their number. At the end the trained team plays some
     episodes, which are kept whole in `episodes_path`.
@@ -66,7 +67,7 @@ def record_replay(recording: Recording, path: Path, progress: Callable[[int, flo
             def keep(learner: Learner, rollout: Rollout, _metrics: dict[str, float]) -> None:
                 done = min(1.0, learner.steps / recording.policy_steps)
                 wanted = round(recording.segments * done) - len(writer)
-                append(writer, rollout, places(rollout, recording.segment_steps, wanted, rng))
+                append(writer, rollout, draw_places(rollout, recording.segment_steps, wanted, rng))
                 if progress is not None:
                     progress(learner.steps, float(rollout.rewards.mean()))
 
@@ -121,32 +122,26 @@ def layout_of(spec: TaskSpec, n_steps: int) -> SegmentLayout:
     )
 
 
-def places(rollout: Rollout, n_steps: int, count: int, rng: np.random.Generator) -> list[tuple[slice, int]]:
-    """(steps, environment) of at most `count` segments that do not overlap, drawn at random.
-
-    No segment holds the start of an episode after its first step.
-    """
-    length, n_envs = rollout.rewards.shape
-    free = [
-        (slice(first, first + n_steps), env)
-        for first in range(0, length - n_steps + 1, n_steps)
-        for env in range(n_envs)
-        if not rollout.episode_start[first + 1 : first + n_steps, env].any()
-    ]
-    chosen = rng.choice(len(free), min(max(0, count), len(free)), replace=False)
-    return [free[i] for i in np.sort(chosen)]
+def draw_places(rollout: Rollout, n_steps: int, count: int, rng: np.random.Generator) -> list[Stretch]:
+    """At most `count` segments drawn at random, in the order they were made; see `cut`."""
+    chosen = cut(rollout.episode_start, rollout.terminated, n_steps, rng)[: max(0, count)]
+    return sorted(chosen, key=lambda place: (place.first, place.env))
 
 
-def append(writer: SegmentWriter, rollout: Rollout, cuts: list[tuple[slice, int]]) -> None:
-    """Write these parts of a rollout."""
-    if not cuts:
+def append(writer: SegmentWriter, rollout: Rollout, chosen: Sequence[Stretch]) -> None:
+    """Write these parts of a rollout, short ones padded with zeros."""
+    if not chosen:
         return
+    lead = len(chosen), writer.layout.n_steps
+    mask = np.arange(lead[1]) < np.array([place.n_steps for place in chosen])[:, None]
 
-    def cut(values: NDArray[Number]) -> NDArray[Number]:
-        return np.stack([values[place] for place in cuts])
+    def padded(values: NDArray[Number]) -> NDArray[Number]:
+        parts = np.zeros((*lead, *values.shape[2:]), values.dtype)
+        for part, place in zip(parts, chosen, strict=True):
+            part[: place.n_steps] = values[place.first : place.end, place.env]
+        return parts
 
     states = {
-        name: cut(getattr(rollout, name)) for name in ("rewards", "qpos", "qvel") if name in writer.layout.columns
+        name: padded(getattr(rollout, name)) for name in ("rewards", "qpos", "qvel") if name in writer.layout.columns
     }
-    whole = np.ones((len(cuts), writer.layout.n_steps), np.bool_)
-    writer.append(SegmentArrays(cut(rollout.observations), cut(rollout.actions), whole), **states)
+    writer.append(SegmentArrays(padded(rollout.observations), padded(rollout.actions), mask), **states)

@@ -11,12 +11,12 @@ from safetensors.numpy import load
 
 from accord.services import experiments
 from accord.services.collect import drawn_blob_key
-from accord.workers.cutting import Stretch
 from accord.workers.drawing import Redrawing, even
 from accord.workers.policy import PolicyWorker
 from accord.workers.reward import RewardWorker
 from integration.workers.workplace import Workplace
 from mapt.policies import Learner, PolicyConfig
+from mapt.preferences.cutting import Stretch
 from mapt.tasks import make_task
 from support import buttons
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from mapt.policies import Rollout
+from mapt.preferences.cutting import SHORTEST_SHARE
 from mapt.preferences.errors import AlreadyThere
 from mapt.studies.errors import InvalidStudy
-from mapt.studies.recording import EPISODES, Recording, episodes_path, places, record_replay
+from mapt.studies.recording import EPISODES, Recording, draw_places, episodes_path, record_replay
 from mapt.studies.replay import Replay
 from mapt.tasks import UnknownTask, make_task
 
@@ -23,19 +24,31 @@ def rollout_with_starts(*starts: tuple[int, int]) -> Rollout:
     return Rollout(**{**fields, "episode_start": episode_start})
 
 
-def test_no_segment_crosses_into_an_episode():
+def test_as_many_places_are_drawn_as_are_wanted_in_the_order_they_were_made():
     rollout = rollout_with_starts((3, 0), (10, 1), (0, 1))
-    found = places(rollout, 5, 100, np.random.default_rng(0))
-    firsts = {(steps.start, env) for steps, env in found}
-    assert firsts == {(first, env) for env in (0, 1) for first in (0, 5, 10, 15)} - {(0, 0)}
+    drawn = draw_places(rollout, 5, 3, np.random.default_rng(0))
+    assert len(drawn) == 3
+    assert [place.first for place in drawn] == sorted(place.first for place in drawn)
+    for count, n_steps in ((0, 5), (-2, 5), (4, 21)):
+        assert draw_places(rollout, n_steps, count, np.random.default_rng(0)) == []
 
 
-def test_as_many_places_are_drawn_as_are_wanted():
-    rollout = rollout_with_starts()
-    assert len(places(rollout, 5, 3, np.random.default_rng(0))) == 3
-    assert places(rollout, 5, 0, np.random.default_rng(0)) == []
-    assert places(rollout, 5, -2, np.random.default_rng(0)) == []
-    assert places(rollout, 21, 4, np.random.default_rng(0)) == []
+def test_falls_are_kept_as_shorter_segments(tmp_path):
+    recording = Recording("Hopper-3x1", policy_steps=4096, segment_steps=20, segments=100, seed=0)
+    replay = record_replay(recording, tmp_path)
+    n_steps = replay.mask.sum(axis=1)
+    assert n_steps.max() == 20
+    short = np.flatnonzero(n_steps < 20)
+    assert len(short)
+    assert n_steps.min() >= SHORTEST_SHARE * 20
+    arrays = replay.segments(short)
+    for values in (replay.rewards[short], replay.source.qpos(short), arrays.observations, arrays.actions):
+        assert not values[~replay.mask[short]].any()
+        assert values[replay.mask[short]].any()
+    # It stood, and leans to the 0.2 radians at which a hopper is done.
+    leaning = np.abs(replay.source.qpos(short)[..., 2])
+    assert leaning[:, 0].max() < 0.01
+    assert leaning[np.arange(len(short)), n_steps[short] - 1].min() > 0.15
 
 
 def test_a_replay_is_spread_over_the_training_and_its_states_are_the_simulators(tmp_path):

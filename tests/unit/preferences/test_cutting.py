@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from accord.workers.cutting import Stretch, cut, episode_stretches
+from mapt.preferences.cutting import Stretch, cut, episode_stretches
 
 
 @given(
