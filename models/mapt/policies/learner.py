@@ -55,7 +55,9 @@ class Learner:
         #: Environment steps collected so far.
         self.steps = 0
         self._generator = torch.Generator().manual_seed(config.seed)
-        with torch.random.fork_rng(devices=[]):
+        # Orthogonal weights depend in their last bits on how many threads make them, and no run should on the machine's
+        # number of cores.
+        with torch.random.fork_rng(devices=[]), torch_threads(1):
             torch.manual_seed(config.seed)
             self.policy = make_policy(task.spec, config).to(self.device)
         self._update = make_update(self.policy, config)

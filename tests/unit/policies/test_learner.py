@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from learning.identity_task import IdentityTask
 from mapt.policies import InvalidConfig, InvalidRewards, Learner, PolicyConfig, true_reward
+from mapt.policies.device import torch_threads
 from mapt.tasks import TaskStep
 
 CONFIG = PolicyConfig(n_envs=16, rollout_steps=16, minibatches=2, epochs=4, hidden=(16,), device="cpu")
@@ -27,6 +28,19 @@ def test_steps_count_environment_steps() -> None:
     trained.collect()
     trained.collect()
     assert trained.steps == 2 * 16 * 16
+
+
+def test_what_is_learned_does_not_depend_on_the_cores_of_the_machine() -> None:
+    """Torch begins with a thread for each; orthogonal weights of 64 x 64 differ with their number."""
+
+    def learned(n_cores: int) -> torch.Tensor:
+        with torch_threads(n_cores):
+            trained = learner(dataclasses.replace(CONFIG, hidden=(64, 64)))
+            rollout = trained.collect()
+            trained.update(rollout, rollout.rewards)
+        return weights(trained)
+
+    torch.testing.assert_close(learned(1), learned(2), rtol=0, atol=0)
 
 
 def test_the_true_reward_is_never_read() -> None:
