@@ -32,7 +32,9 @@ class Settings(BaseSettings):
     policy_workers: int = Field(default=1, ge=0, description="Policy processes that `accord up` keeps running.")
     render_timeout_seconds: float = Field(default=60.0, gt=0, description="A clip that takes longer is given up.")
     torch_threads: int = Field(
-        default=2, ge=1, description="Threads of torch in each of the reward and policy workers."
+        default=1,
+        ge=1,
+        description="Threads of torch in each of the reward and policy workers; more pay where cores stand idle.",
     )
     session_days: float = Field(default=30.0, gt=0, description="How long a browser stays signed in.")
     link_minutes: float = Field(default=60.0, gt=0, description="How long a one-time sign-in link works.")

@@ -1,5 +1,6 @@
 """accord demo: the whole loop without a person. A real service, a scripted teacher over REST, a table and a plot."""
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from datetime import datetime
@@ -60,7 +61,9 @@ def demo(
     labels_per_version: Annotated[
         int | None, typer.Option(min=1, help="New labels for each further version.  [default: a tenth of them]")
     ] = None,
-    at_once: Annotated[int, typer.Option(min=1, help="Runs at once, each with workers of its own.")] = 1,
+    at_once: Annotated[
+        int, typer.Option(min=0, help="Runs at once, each with workers of its own; 0 for one per core.")
+    ] = 0,
     home: Annotated[
         Path | None, typer.Option(help="New folder for the service's data.  [default: home, in the output folder]")
     ] = None,
@@ -88,10 +91,11 @@ def demo(
     folder = output or Path(datetime.now().astimezone().strftime("demo-%Y%m%d-%H%M%S"))
     stop = Stop()
     stop.install()
-    with OwnService(home or folder / "home", _environment(clips, at_once), lambda: stop.requested) as service:
+    n_runs = min(at_once or os.cpu_count() or 1, len(plans))
+    with OwnService(home or folder / "home", _environment(clips, n_runs), lambda: stop.requested) as service:
         lesson = _lesson(service, choice, stop)
         try:
-            results, paths = _run_all(lesson, plans, at_once, stop, folder)
+            results, paths = _run_all(lesson, plans, n_runs, stop, folder)
         finally:
             lesson.close()
     out.print(table(rows_of(results), f"{task}: true return after {steps:,} steps"))
@@ -99,12 +103,8 @@ def demo(
 
 
 def _environment(clips: bool, at_once: int) -> dict[str, str]:
-    environment = {} if clips else {"ACCORD_RENDER_WORKERS": "0"}
-    if at_once > 1:
-        environment |= {"ACCORD_POLICY_WORKERS": str(at_once), "ACCORD_REWARD_WORKERS": str(at_once)}
-        # More threads than cores would take turns.
-        environment["ACCORD_TORCH_THREADS"] = "1"
-    return environment
+    workers = {"ACCORD_POLICY_WORKERS": str(at_once), "ACCORD_REWARD_WORKERS": str(at_once)}
+    return workers if clips else workers | {"ACCORD_RENDER_WORKERS": "0"}
 
 
 def _lesson(service: OwnService, teacher: TeacherChoice, stop: Stop) -> Lesson:

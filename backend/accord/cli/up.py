@@ -18,9 +18,12 @@ from accord.workers.supervisor import Supervisor
 
 #: how often the supervisor looks after its children
 _TICK_SECONDS = 0.2
-#: OpenMP's threads spin while they wait for each other. Where other programs use the same cores, that made a training
-#: of two threads ten times slower (127 s beside 12 s with sleeping threads, 8 processes on 2 cores)
-_PATIENT_THREADS = {"OMP_WAIT_POLICY": "PASSIVE"}
+#: OpenMP's threads spin for milliseconds while they wait for each other. Where other programs use the same cores, that
+#: made a training of two threads ten times slower (127 s beside 12 s with sleeping threads, 8 processes on 2 cores).
+#: Threads that sleep at once are slow where cores are idle: two train on 98 pairs a second, one on 104, two that spin
+#: on 167. These spin for tenths of a millisecond (148), and lose nothing beside other programs (37 to 41; asleep 34
+#: to 37).
+_PATIENT_THREADS = {"GOMP_SPINCOUNT": "10000"}
 #: frames may come late, labels and updates should not
 _RENDER_NICE = 5
 
