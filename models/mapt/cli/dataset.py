@@ -5,16 +5,17 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from mapt.cli.options import PolicySteps, Seeds, Segments, SegmentSteps, Task
-from mapt.cli.output import note, on_terminal, out
+from mapt.cli.bars import Bar, Bars
+from mapt.cli.options import PolicySteps, Seeds, Segments, SegmentSteps, Task, Workers, at_once, cores_of_each
+from mapt.cli.output import complain, note
+from mapt.runs.pool import run_jobs
 from mapt.studies.naming import numbers
 from mapt.studies.plan import replay_folder
-from mapt.studies.recording import Recording, record_replay
+from mapt.studies.recording import Recording
 from mapt.studies.replay import Replay
+from mapt.studies.replay_job import Progress, ReplayJob, make_replay
 
-#: without a terminal, a line each time so much more is done
 _NOTED_SHARE = 0.25
 
 
@@ -26,33 +27,43 @@ def dataset(
     policy_steps: PolicySteps = 800_000,
     segment_steps: SegmentSteps = 50,
     segments: Segments = 6000,
+    workers: Workers = 0,
 ) -> None:
     """Train a team on the true reward and keep segments of its whole training."""
     recordings = [Recording(task, policy_steps, segment_steps, segments, seed) for seed in numbers("--seeds", seeds, 0)]
-    record_all(recordings, output)
+    record_all(recordings, output, workers)
 
 
-def record_all(recordings: Sequence[Recording], root: Path) -> list[Replay]:
-    """Record one replay after the other, with a bar for each."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"))
-    with Progress(
-        *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=out, disable=not on_terminal()
-    ) as progress:
-        return [_record(recording, replay_folder(root, recording.seed), progress) for recording in recordings]
+def record_all(recordings: Sequence[Recording], root: Path, workers: int) -> None:
+    """Record replays, `workers` of them at once, with a bar for each.
+
+    Raises:
+        typer.Exit: if one could not be recorded; the others are.
+    """
+    n_workers = at_once(workers, len(recordings))
+    threads = cores_of_each(n_workers)
+    jobs = [ReplayJob(recording, replay_folder(root, recording.seed), threads) for recording in recordings]
+    bars: dict[ReplayJob, Bar] = {}
+    failed = False
+    with Bars(_NOTED_SHARE) as all_bars:
+
+        def begin(job: ReplayJob) -> None:
+            bars[job] = all_bars.begin(_name(job), job.recording.policy_steps)
+
+        def tell(job: ReplayJob, news: Progress) -> None:
+            bars[job].show(news.steps, f"true reward of a step {news.reward:.2f}")
+
+        for done in run_jobs(make_replay, jobs, n_workers, started=begin, told=tell):
+            bars[done.job].end()
+            if done.failure is not None:
+                failed = True
+                complain(f"{_name(done.job)}: {done.failure}")
+                continue
+            replay = Replay.open(done.job.folder)
+            note(f"{_name(done.job)}: {len(replay):,} segments of {replay.source.n_steps} steps in {replay.path}")
+    if failed:
+        raise typer.Exit(2)
 
 
-def _record(recording: Recording, folder: Path, progress: Progress) -> Replay:
-    bar = progress.add_task(f"replay, seed {recording.seed}", total=recording.policy_steps, state="")
-    noted = 0.0
-
-    def show(steps: int, reward: float) -> None:
-        nonlocal noted
-        words, share = f"true reward of a step {reward:.2f}", min(1.0, steps / recording.policy_steps)
-        progress.update(bar, completed=steps, state=words)
-        if not on_terminal() and share >= noted + _NOTED_SHARE:
-            noted = share
-            note(f"replay, seed {recording.seed}: {share:.0%}, {words}")
-
-    replay = record_replay(recording, folder, show)
-    note(f"{len(replay):,} segments of {replay.source.n_steps} steps in {folder}")
-    return replay
+def _name(job: ReplayJob) -> str:
+    return f"replay, seed {job.recording.seed}"

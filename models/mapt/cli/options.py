@@ -1,5 +1,6 @@
 """Options that several commands share."""
 
+import os
 from enum import StrEnum
 from typing import Annotated
 
@@ -12,6 +13,9 @@ PolicySteps = Annotated[
     int, typer.Option(min=1, help="Environment steps of the policy's training from which segments are kept.")
 ]
 Device = Annotated[str, typer.Option(help="Where the networks are: cpu, cuda or auto.")]
+Workers = Annotated[
+    int, typer.Option(min=0, help="How many at once, each in a process of its own; 0 for one per core.")
+]
 Segments = Annotated[int, typer.Option(min=10, help="Segments to keep of each replay, spread over the training.")]
 
 
@@ -20,3 +24,13 @@ class Preset(StrEnum):
 
     SMALL = "small"
     PAPER = "paper"
+
+
+def at_once(workers: int, n_jobs: int) -> int:
+    """How many of some jobs are done at once, for what the option `Workers` was given."""
+    return max(1, min(workers or os.cpu_count() or 1, n_jobs))
+
+
+def cores_of_each(n_at_once: int) -> int:
+    """Threads that step the task of each of so many jobs."""
+    return max(1, (os.cpu_count() or 1) // n_at_once)

@@ -1,16 +1,14 @@
-"""How far runs are: bars on a terminal; where there is none, a line now and then."""
+"""How far runs are, and what became of them."""
 
 from types import TracebackType
 from typing import Self
 
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-from mapt.cli.output import note, on_terminal, out
+from mapt.cli.bars import Bar, Bars
+from mapt.cli.output import note
 from mapt.runs.evaluation import Evaluation
 from mapt.runs.metrics_file import Metrics
 from mapt.runs.run_job import News, RunJob
 
-#: without a terminal, a line each time so much more of a run is done
 _NOTED_SHARE = 0.1
 
 
@@ -18,56 +16,40 @@ class RunBars:
     """One bar for each run that was begun."""
 
     def __init__(self) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"))
-        self._progress = Progress(
-            *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=out, disable=not on_terminal()
-        )
-        self._bars: dict[RunJob, _Bar] = {}
+        self._all = Bars(_NOTED_SHARE)
+        self._bars: dict[RunJob, Bar] = {}
+        #: how a run's newest episodes ended, in words
+        self._returns: dict[RunJob, str] = {}
 
     def __enter__(self) -> Self:
-        self._progress.start()
+        self._all.__enter__()
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._progress.stop()
+        self._all.__exit__(kind, error, trace)
 
     def begin(self, job: RunJob) -> None:
-        self._bars[job] = _Bar(job, self._progress)
+        self._bars[job] = self._all.begin(_name(job), job.settings.steps)
 
     def tell(self, job: RunJob, news: News) -> None:
         if isinstance(news, str):
             note(f"{_name(job)}: {news}")
         else:
-            self._bars[job].show(news)
+            self._bars[job].show(float(news["steps"]), self._state(job, news))
 
     def end(self, job: RunJob, evaluation: Evaluation | None) -> None:
         """Say what the run's final policy did, if it came to that."""
-        self._bars[job].stop()
+        self._bars[job].end()
         if evaluation is not None:
             note(f"seed {job.settings.policy.seed}: {sentence(evaluation)}; {job.folder}")
 
-
-class _Bar:
-    def __init__(self, job: RunJob, progress: Progress) -> None:
-        self._name, self._steps, self._progress = _name(job), job.settings.steps, progress
-        self._bar: TaskID = progress.add_task(self._name, total=self._steps, state="")
-        self._noted, self._return = 0.0, ""
-
-    def show(self, metrics: Metrics) -> None:
-        steps = float(metrics["steps"])
+    def _state(self, job: RunJob, metrics: Metrics) -> str:
+        # In most iterations no episode ends.
         if "true_return" in metrics:
-            self._return = f"true return {float(metrics['true_return']):,.0f}, "
-        state = f"{self._return}{float(metrics['steps_per_second']):,.0f} steps/s"
-        self._progress.update(self._bar, completed=min(steps, self._steps), state=state)
-        share = min(1.0, steps / self._steps)
-        if not on_terminal() and share >= self._noted + _NOTED_SHARE:
-            self._noted = share
-            note(f"{self._name}: {share:.0%}, {state}")
-
-    def stop(self) -> None:
-        self._progress.stop_task(self._bar)
+            self._returns[job] = f"true return {float(metrics['true_return']):,.0f}, "
+        return f"{self._returns.get(job, '')}{float(metrics['steps_per_second']):,.0f} steps/s"
 
 
 def sentence(evaluation: Evaluation) -> str:

@@ -10,7 +10,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mapt.cli.dataset import record_all
-from mapt.cli.options import PolicySteps, Preset, Seeds, Segments, SegmentSteps, Task
+from mapt.cli.options import PolicySteps, Preset, Seeds, Segments, SegmentSteps, Task, Workers, at_once
 from mapt.cli.output import complain, note, on_terminal, out, say
 from mapt.rewards.checkpoints import CARD_FILE
 from mapt.rewards.config import MODEL_NAMES
@@ -53,7 +53,7 @@ def table(
     segments: Segments = 6000,
     test_pairs: Annotated[int, typer.Option(min=1, help="Fresh pairs that each cell is tested on.")] = 4000,
     device: Annotated[str, typer.Option(help="Where models are trained: cpu, cuda or auto.")] = "cpu",
-    workers: Annotated[int, typer.Option(min=1, help="Cells made at once, each in a process of one thread.")] = 1,
+    workers: Workers = 0,
     keep_models: Annotated[
         bool, typer.Option("--keep-models", help="Keep every trained model in models, in the output folder.")
     ] = False,
@@ -82,7 +82,7 @@ def table(
     )
     root = replay or output / "replays"
     recordings = [Recording(task, policy_steps, segment_steps, segments, seed) for seed in plan.seeds]
-    jobs = table_jobs(plan, _replays(recordings, root), output / "models" if keep_models else None)
+    jobs = table_jobs(plan, _replays(recordings, root, workers), output / "models" if keep_models else None)
     folder = CellFolder(output / "cells")
     if not dry_run:
         _make(jobs, folder, workers, same_code)
@@ -105,16 +105,17 @@ def write(summary: Summary, output: Path) -> list[Path]:
     return paths
 
 
-def _replays(recordings: Sequence[Recording], root: Path) -> dict[int, Replay]:
+def _replays(recordings: Sequence[Recording], root: Path, workers: int) -> dict[int, Replay]:
     """The replays that are there, and the others recorded now."""
     absent = [recording for recording in recordings if not replay_folder(root, recording.seed).exists()]
-    record_all(absent, root)
+    record_all(absent, root, workers)
     return {recording.seed: Replay.open(replay_folder(root, recording.seed)) for recording in recordings}
 
 
 def _make(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: bool) -> None:
     wanted = [job for job in jobs if not _finished(job, folder, same_code)]
-    note(f"{len(jobs)} cells, {len(jobs) - len(wanted)} of them finished; {workers} at once")
+    n_workers = at_once(workers, len(wanted))
+    note(f"{len(jobs)} cells, {len(jobs) - len(wanted)} of them finished; {n_workers} at once")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(
         *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=out, disable=not on_terminal()
@@ -123,7 +124,7 @@ def _make(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: 
         started: dict[str, float] = {}
         make = partial(make_cell, folder.path)
         for done in run_jobs(
-            make, wanted, workers, started=lambda job: started.update({job.settings.key: time.time()})
+            make, wanted, n_workers, started=lambda job: started.update({job.settings.key: time.time()})
         ):
             settings = done.job.settings
             name = f"{settings.model}, {settings.teacher}, {settings.labels:,} labels, seed {settings.seed}"

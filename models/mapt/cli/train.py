@@ -1,6 +1,5 @@
 """mapt train: a policy from its first step to its video, without the service."""
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Annotated, get_args
 
 import typer
 
-from mapt.cli.options import Device, Task
+from mapt.cli.options import Device, Task, Workers, at_once, cores_of_each
 from mapt.cli.output import complain
 from mapt.cli.run_bars import RunBars
 from mapt.policies import Algorithm, PolicyConfig
@@ -71,9 +70,7 @@ def train(
         float, typer.Option(min=0, help="Minutes between checkpoints; 0 for one after every iteration.")
     ] = 5.0,
     device: Device = "auto",
-    workers: Annotated[
-        int, typer.Option(min=0, help="Seeds trained at once, each in a process of its own; 0 for one per core.")
-    ] = 0,
+    workers: Workers = 0,
     physics_threads: Annotated[
         int, typer.Option(min=0, help="Threads that step the task of a seed; 0 shares the cores out.")
     ] = 0,
@@ -96,11 +93,10 @@ def train(
         )
         for number in numbers("--seed", seed, 0)
     ]
-    n_cores = os.cpu_count() or 1
-    at_once = min(workers or n_cores, len(runs))
-    threads = physics_threads or max(1, n_cores // at_once)
+    n_workers = at_once(workers, len(runs))
+    threads = physics_threads or cores_of_each(n_workers)
     jobs = [RunJob(run, output / f"seed-{run.policy.seed}", checkpoint_minutes * 60, video, threads) for run in runs]
-    _train_all(jobs, at_once)
+    _train_all(jobs, n_workers)
 
 
 def _own(settings: Sequence[str]) -> dict[str, object]:
@@ -119,7 +115,7 @@ def _learned(path: Path, segment_steps: int | None, kind: str, credit: str) -> L
     return LearnedRewardSettings(str(path.resolve()), steps, kind, credit)  # pyright: ignore[reportArgumentType]  (checked on creation)
 
 
-def _train_all(jobs: Sequence[RunJob], at_once: int) -> None:
+def _train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
     """Make every run that can be made; a failure of one of several at once leaves the others be.
 
     Raises:
@@ -128,7 +124,7 @@ def _train_all(jobs: Sequence[RunJob], at_once: int) -> None:
     """
     n_finished = n_failed = 0
     with RunBars() as bars, stop_requests() as stopped:
-        make = _make_in_turn if at_once == 1 else partial(_make_at_once, at_once)
+        make = _make_in_turn if n_workers == 1 else partial(_make_at_once, n_workers)
         for done in make(jobs, bars, stopped):
             bars.end(done.job, done.result)
             n_finished += done.result is not None
@@ -154,6 +150,6 @@ def _make_in_turn(
 
 
 def _make_at_once(
-    at_once: int, jobs: Sequence[RunJob], bars: RunBars, stopped: Callable[[], bool]
+    n_workers: int, jobs: Sequence[RunJob], bars: RunBars, stopped: Callable[[], bool]
 ) -> Iterator[Done[RunJob, Evaluation | None]]:
-    return run_jobs(make_run_apart, jobs, at_once, started=bars.begin, told=bars.tell, stopped=stopped)
+    return run_jobs(make_run_apart, jobs, n_workers, started=bars.begin, told=bars.tell, stopped=stopped)

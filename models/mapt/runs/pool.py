@@ -90,7 +90,12 @@ def run_jobs(
         started: called when a worker takes a job.
         told: called with what `Desk.tell` was given.
         stopped: when it comes true, no further job begins and those in hand are asked to end; they are yielded too.
+
+    Raises:
+        ValueError: if nobody would do them.
     """
+    if n_workers < 1:
+        raise ValueError(f"n_workers must be 1 or more, got {n_workers}.")
     waiting = list(reversed(jobs))
     workers: list[_Worker[J]] = [_start(work) for _ in range(min(n_workers, len(jobs)))]
     try:

@@ -6,6 +6,7 @@ StudyError
 │   ├── ReplayNotFound
 │   └── NoTrueRewards
 ├── DamagedCell
+├── RecordingStopped
 └── TooFewLabels
 """
 
@@ -43,6 +44,13 @@ class DamagedCell(StudyError):
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(f"The cell {path} cannot be read ({reason}); delete it to have it made again")
+
+
+class RecordingStopped(StudyError):
+    """A replay was not recorded whole; its folder is as if it had not been begun."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(f"The recording in {folder} was stopped, and nothing of it kept")
 
 
 class TooFewLabels(StudyError):

@@ -38,7 +38,13 @@ class Recording:
     seed: int
 
 
-def record_replay(recording: Recording, path: Path, progress: Callable[[int, float], None] | None = None) -> Replay:
+def record_replay(
+    recording: Recording,
+    path: Path,
+    progress: Callable[[int, float], None] | None = None,
+    *,
+    physics_threads: int = 0,
+) -> Replay:
     """Train a team on the true reward and keep segments of every rollout, cut as the service cuts them.
 
     They go to disk as they come: memory does not grow with their number. At the end the trained team plays some
@@ -47,6 +53,7 @@ def record_replay(recording: Recording, path: Path, progress: Callable[[int, flo
     Args:
         path: of the new folder.
         progress: called after each rollout with the steps so far and the mean true reward of a step.
+        physics_threads: as `n_threads` of `make_task`; nothing that is recorded depends on it.
 
     Raises:
         InvalidStudy: if a number is out of its range.
@@ -60,7 +67,7 @@ def record_replay(recording: Recording, path: Path, progress: Callable[[int, flo
         raise InvalidStudy("segments and policy steps must be 1 or more")
     rng = np.random.default_rng([recording.seed, 3])
     about = asdict(recording) | {"policy": config.to_dict()}
-    task = make_task(recording.task, config.n_envs)
+    task = make_task(recording.task, config.n_envs, n_threads=physics_threads)
     try:
         with SegmentWriter.create(path, layout_of(task.spec, recording.segment_steps), about=about) as writer:
 

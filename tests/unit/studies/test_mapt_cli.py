@@ -37,7 +37,9 @@ def arrays(output: Path) -> dict[str, bytes]:
 
 
 def test_a_killed_table_goes_on_and_is_the_same_as_one_that_was_not(tmp_path, replays, mapt):
-    process = subprocess.Popen(command(*table_arguments(replays, tmp_path / "killed")), stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        command(*table_arguments(replays, tmp_path / "killed"), "--workers", "1"), stdout=subprocess.DEVNULL
+    )
     cells = tmp_path / "killed" / "cells"
     until(lambda: process.poll() is not None or list(cells.glob("*.json")), "a finished cell")
     assert process.poll() is None
