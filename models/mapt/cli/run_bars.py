@@ -1,34 +1,20 @@
 """How far runs are, and what became of them."""
 
-from types import TracebackType
-from typing import Self
-
 from mapt.cli.bars import Bar, Bars
 from mapt.cli.output import note
 from mapt.runs.evaluation import Evaluation
 from mapt.runs.metrics_file import Metrics
 from mapt.runs.run_job import News, RunJob
 
-_NOTED_SHARE = 0.1
-
 
 class RunBars:
     """One bar for each run that was begun."""
 
-    def __init__(self) -> None:
-        self._all = Bars(_NOTED_SHARE)
+    def __init__(self, bars: Bars) -> None:
+        self._all = bars
         self._bars: dict[RunJob, Bar] = {}
         #: how a run's newest episodes ended, in words
         self._returns: dict[RunJob, str] = {}
-
-    def __enter__(self) -> Self:
-        self._all.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._all.__exit__(kind, error, trace)
 
     def begin(self, job: RunJob) -> None:
         self._bars[job] = self._all.begin(_name(job), job.settings.steps)

@@ -7,6 +7,7 @@ from typing import Annotated, get_args
 
 import typer
 
+from mapt.cli.bars import Bars
 from mapt.cli.options import Device, Task, Workers, at_once, cores_of_each
 from mapt.cli.output import complain
 from mapt.cli.run_bars import RunBars
@@ -24,6 +25,7 @@ from mapt.runs.stopping import stop_requests
 from mapt.studies.naming import numbers, setting
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 
+_NOTED_SHARE = 0.1
 #: status of a command that was asked to stop
 _STOPPED = 130
 #: status of a command of which a run failed
@@ -123,7 +125,8 @@ def _train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
         See `make_run` for what else, of runs in turn.
     """
     n_finished = n_failed = 0
-    with RunBars() as bars, stop_requests() as stopped:
+    with Bars(_NOTED_SHARE) as all_bars, stop_requests() as stopped:
+        bars = RunBars(all_bars)
         make = _make_in_turn if n_workers == 1 else partial(_make_at_once, n_workers)
         for done in make(jobs, bars, stopped):
             bars.end(done.job, done.result)
