@@ -15,7 +15,7 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 from accord.cli.plans import PREFERENCES
-from mapt.runs.seed_curves import seed_curves
+from mapt.runs.seed_curves import deviation, seed_curves
 from mapt.studies.palette import QUIET, Style, style
 
 Run = dict[str, Any]
@@ -123,23 +123,18 @@ def _draw_labels(axes: Any, runs: Sequence[Run]) -> None:
                 found.setdefault(run["plan"]["label_budget"], []).append(run["final"])
         labels = sorted(found)
         shifted = np.array(labels) * (1 + _ASIDE * number)
-        means, spreads = ([function(found[count]) for count in labels] for function in (np.mean, _deviation))
+        means, spreads = ([function(found[count]) for count in labels] for function in (np.mean, deviation))
         axes.errorbar(shifted, means, spreads, fmt=f"{drawn.mark}-", color=drawn.colour, capsize=3, label=model)
         for place, count in zip(shifted, labels, strict=True):
             axes.plot([place] * len(found[count]), found[count], ".", color=drawn.colour, alpha=0.5)
     true = [run["final"] for run in runs if not _learned(run)]
     if true:
-        middle, spread = float(np.mean(true)), _deviation(true)
+        middle, spread = float(np.mean(true)), deviation(true)
         axes.axhline(middle, color=style(0).colour, label="true reward")
         axes.axhspan(middle - spread, middle + spread, color=style(0).colour, alpha=0.1)
     axes.set_xlabel("labels")
     axes.set_ylabel("true return of the last policy's mean actions")
     axes.legend(fontsize="small")
-
-
-def _deviation(returns: Sequence[float]) -> float:
-    """Sample standard deviation, as the table has it; 0 of a single one."""
-    return float(np.std(returns, ddof=min(1, len(returns) - 1)))
 
 
 if __name__ == "__main__":

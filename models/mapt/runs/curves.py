@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from mapt.runs.results import Group
-from mapt.runs.seed_curves import seed_curves
+from mapt.runs.seed_curves import deviation, seed_curves
 from mapt.studies.palette import style
 
 
@@ -45,7 +45,7 @@ def _draw_group(axes: Axes, group: Group, index: int) -> None:
         curves = seed_curves(group.runs)
         whole = curves.whole()
         steps, returns = curves.steps[whole], curves.returns[:, whole]
-        mean, spread = returns.mean(axis=0), returns.std(axis=0, ddof=min(1, len(returns) - 1))
+        mean, spread = returns.mean(axis=0), deviation(returns)
         axes.plot(steps, mean, color=drawn.colour, linestyle=drawn.dashes, linewidth=1.8)
         axes.fill_between(steps, mean - spread, mean + spread, color=drawn.colour, alpha=0.15, linewidth=0)
         axes.plot(curves.steps, curves.returns.T, color=drawn.colour, linewidth=0.5, alpha=0.4)

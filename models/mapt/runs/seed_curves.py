@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 #: parts of a curve, in each of which a seed's points are averaged: more cannot be told apart
 MOST_BINS = 150
@@ -46,6 +46,12 @@ def seed_curves(runs: Sequence[Curve], most_bins: int = MOST_BINS) -> SeedCurves
     edges = np.linspace(0, last, min(points, most_bins) + 1)
     # Binned alike, steps at the bins' ends and returns belong together for all seeds.
     return SeedCurves(edges[1:], np.stack([_binned(run, edges) for run in runs]))
+
+
+def deviation(returns: ArrayLike) -> NDArray[np.float64]:
+    """Sample standard deviation over the first axis, the seeds; 0 of a single one."""
+    values = np.asarray(returns, dtype=np.float64)
+    return np.asarray(values.std(axis=0, ddof=min(1, len(values) - 1)))
 
 
 def _binned(run: Curve, edges: NDArray[np.float64]) -> NDArray[np.float64]:
