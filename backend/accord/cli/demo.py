@@ -1,6 +1,5 @@
 """accord demo: the whole loop without a person. A real service, a scripted teacher over REST, a table and a plot."""
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from datetime import datetime
@@ -28,6 +27,7 @@ from accord.cli.service import OwnService
 from accord.cli.teaching import TeacherChoice, parse_teacher
 from accord.domain.words import Role
 from accord.workers.stop import Stop
+from mapt.runs import cores
 
 #: without a terminal, a line each time so much more of a run is done
 _NOTED_SHARE = 0.1
@@ -91,7 +91,7 @@ def demo(
     folder = output or Path(datetime.now().astimezone().strftime("demo-%Y%m%d-%H%M%S"))
     stop = Stop()
     stop.install()
-    n_runs = min(at_once or os.cpu_count() or 1, len(plans))
+    n_runs = cores.at_once(at_once, len(plans))
     with OwnService(home or folder / "home", _environment(clips, n_runs), lambda: stop.requested) as service:
         lesson = _lesson(service, choice, stop)
         try:

@@ -15,15 +15,10 @@ from accord.workers.children import ChildSpec
 from accord.workers.lifeline import follow_parent
 from accord.workers.stop import Stop
 from accord.workers.supervisor import Supervisor
+from mapt.runs.cores import PATIENT_THREADS
 
 #: how often the supervisor looks after its children
 _TICK_SECONDS = 0.2
-#: OpenMP's threads spin for milliseconds while they wait for each other. Where other programs use the same cores, that
-#: made a training of two threads ten times slower (127 s beside 12 s with sleeping threads, 8 processes on 2 cores).
-#: Threads that sleep at once are slow where cores are idle: two train on 98 pairs a second, one on 104, two that spin
-#: on 167. These spin for tenths of a millisecond (148), and lose nothing beside other programs (37 to 41; asleep 34
-#: to 37).
-_PATIENT_THREADS = {"GOMP_SPINCOUNT": "10000"}
 #: frames may come late, labels and updates should not
 _RENDER_NICE = 5
 
@@ -102,7 +97,7 @@ def child_specs(ready: Ready) -> list[ChildSpec]:
             f"{role}-{slot}",
             (f"accord.workers.{role}", "--slot", str(slot)),
             role=role,
-            environment=environment | _PATIENT_THREADS | {"OMP_NUM_THREADS": str(threads[role])},
+            environment=environment | PATIENT_THREADS | {"OMP_NUM_THREADS": str(threads[role])},
             nice=_RENDER_NICE if role == "render" else 0,
         )
         for role, count in counts.items()

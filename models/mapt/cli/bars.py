@@ -1,9 +1,11 @@
 """How far long work is: bars on a terminal; where there is none, a line now and then."""
 
+from collections.abc import Hashable
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mapt.cli.output import note, on_terminal, out
 
@@ -21,6 +23,7 @@ class Bars:
             *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=out, disable=not on_terminal()
         )
         self._noted_share = noted_share
+        self._bars: dict[Hashable, _Bar] = {}
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -31,25 +34,26 @@ class Bars:
     ) -> None:
         self._progress.stop()
 
-    def begin(self, name: str, total: float) -> "Bar":
-        return Bar(name, total, self._progress, self._noted_share)
+    def begin(self, work: Hashable, name: str, total: float) -> None:
+        self._bars[work] = _Bar(name, total, self._progress.add_task(name, total=total, state=""))
+
+    def show(self, work: Hashable, done: float, state: str) -> None:
+        """Say how much of a work is done, and in a few words what that is like."""
+        bar = self._bars[work]
+        share = min(1.0, done / bar.total)
+        self._progress.update(bar.drawn, completed=share * bar.total, state=state)
+        if not on_terminal() and share >= bar.noted + self._noted_share:
+            bar.noted = share
+            note(f"{bar.name}: {share:.0%}, {state}")
+
+    def end(self, work: Hashable) -> None:
+        self._progress.stop_task(self._bars[work].drawn)
 
 
-class Bar:
-    """How far one work is; made by `Bars.begin`."""
-
-    def __init__(self, name: str, total: float, progress: Progress, noted_share: float) -> None:
-        self._name, self._total, self._progress, self._noted_share = name, total, progress, noted_share
-        self._bar = progress.add_task(name, total=total, state="")
-        self._noted = 0.0
-
-    def show(self, done: float, state: str) -> None:
-        """Say how much is done, and in a few words what that is like."""
-        share = min(1.0, done / self._total)
-        self._progress.update(self._bar, completed=share * self._total, state=state)
-        if not on_terminal() and share >= self._noted + self._noted_share:
-            self._noted = share
-            note(f"{self._name}: {share:.0%}, {state}")
-
-    def end(self) -> None:
-        self._progress.stop_task(self._bar)
+@dataclass(slots=True)
+class _Bar:
+    name: str
+    total: float
+    drawn: TaskID
+    #: share of the work that was last told of in a line
+    noted: float = 0.0

@@ -6,9 +6,10 @@ from typing import Annotated
 
 import typer
 
-from mapt.cli.bars import Bar, Bars
-from mapt.cli.options import PolicySteps, Seeds, Segments, SegmentSteps, Task, Workers, at_once, cores_of_each
+from mapt.cli.bars import Bars
+from mapt.cli.options import PolicySteps, Seeds, Segments, SegmentSteps, Task, Workers
 from mapt.cli.output import complain, note
+from mapt.runs.cores import at_once, cores_of_each
 from mapt.runs.pool import run_jobs
 from mapt.studies.naming import numbers
 from mapt.studies.plan import replay_folder
@@ -43,18 +44,17 @@ def record_all(recordings: Sequence[Recording], root: Path, workers: int) -> Non
     n_workers = at_once(workers, len(recordings))
     threads = cores_of_each(n_workers)
     jobs = [ReplayJob(recording, replay_folder(root, recording.seed), threads) for recording in recordings]
-    bars: dict[ReplayJob, Bar] = {}
     failed = False
-    with Bars(_NOTED_SHARE) as all_bars:
+    with Bars(_NOTED_SHARE) as bars:
 
         def begin(job: ReplayJob) -> None:
-            bars[job] = all_bars.begin(_name(job), job.recording.policy_steps)
+            bars.begin(job, _name(job), job.recording.policy_steps)
 
         def tell(job: ReplayJob, news: Progress) -> None:
-            bars[job].show(news.steps, f"true reward of a step {news.reward:.2f}")
+            bars.show(job, news.steps, f"true reward of a step {news.reward:.2f}")
 
         for done in run_jobs(make_replay, jobs, n_workers, started=begin, told=tell):
-            bars[done.job].end()
+            bars.end(done.job)
             if done.failure is not None:
                 failed = True
                 complain(f"{_name(done.job)}: {done.failure}")

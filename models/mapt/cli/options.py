@@ -1,6 +1,5 @@
 """Options that several commands share."""
 
-import os
 from enum import StrEnum
 from typing import Annotated
 
@@ -24,13 +23,3 @@ class Preset(StrEnum):
 
     SMALL = "small"
     PAPER = "paper"
-
-
-def at_once(workers: int, n_jobs: int) -> int:
-    """How many of some jobs are done at once, for what the option `Workers` was given."""
-    return max(1, min(workers or os.cpu_count() or 1, n_jobs))
-
-
-def cores_of_each(n_at_once: int) -> int:
-    """Threads that step the task of each of so many jobs."""
-    return max(1, (os.cpu_count() or 1) // n_at_once)

@@ -1,6 +1,6 @@
 """How far runs are, and what became of them."""
 
-from mapt.cli.bars import Bar, Bars
+from mapt.cli.bars import Bars
 from mapt.cli.output import note
 from mapt.runs.evaluation import Evaluation
 from mapt.runs.metrics_file import Metrics
@@ -11,23 +11,22 @@ class RunBars:
     """One bar for each run that was begun."""
 
     def __init__(self, bars: Bars) -> None:
-        self._all = bars
-        self._bars: dict[RunJob, Bar] = {}
+        self._bars = bars
         #: how a run's newest episodes ended, in words
         self._returns: dict[RunJob, str] = {}
 
     def begin(self, job: RunJob) -> None:
-        self._bars[job] = self._all.begin(_name(job), job.settings.steps)
+        self._bars.begin(job, _name(job), job.settings.steps)
 
     def tell(self, job: RunJob, news: News) -> None:
         if isinstance(news, str):
             note(f"{_name(job)}: {news}")
         else:
-            self._bars[job].show(float(news["steps"]), self._state(job, news))
+            self._bars.show(job, float(news["steps"]), self._state(job, news))
 
     def end(self, job: RunJob, evaluation: Evaluation | None) -> None:
         """Say what the run's final policy did, if it came to that."""
-        self._bars[job].end()
+        self._bars.end(job)
         if evaluation is not None:
             note(f"seed {job.settings.policy.seed}: {sentence(evaluation)}; {job.folder}")
 

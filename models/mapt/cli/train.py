@@ -8,13 +8,14 @@ from typing import Annotated, get_args
 import typer
 
 from mapt.cli.bars import Bars
-from mapt.cli.options import Device, Task, Workers, at_once, cores_of_each
+from mapt.cli.options import Device, Task, Workers
 from mapt.cli.output import complain
 from mapt.cli.run_bars import RunBars
 from mapt.policies import Algorithm, PolicyConfig
 from mapt.rewards.base import PolicyReward
 from mapt.rewards.checkpoints import load_reward_model
 from mapt.rewards.relabelling import Credit
+from mapt.runs.cores import at_once, cores_of_each
 from mapt.runs.errors import InvalidRun
 from mapt.runs.evaluation import Evaluation
 from mapt.runs.pool import Done, run_jobs
@@ -125,8 +126,8 @@ def _train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
         See `make_run` for what else, of runs in turn.
     """
     n_finished = n_failed = 0
-    with Bars(_NOTED_SHARE) as all_bars, stop_requests() as stopped:
-        bars = RunBars(all_bars)
+    with Bars(_NOTED_SHARE) as drawn, stop_requests() as stopped:
+        bars = RunBars(drawn)
         make = _make_in_turn if n_workers == 1 else partial(_make_at_once, n_workers)
         for done in make(jobs, bars, stopped):
             bars.end(done.job, done.result)

@@ -13,8 +13,9 @@ from typing import Any, Generic, TypeVar
 
 import torch
 
-# Threads of OpenMP spin while they wait; with several workers on few cores that costs most of the time.
-_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OMP_WAIT_POLICY": "PASSIVE"}
+from mapt.runs.cores import PATIENT_THREADS
+
+_ENVIRONMENT = PATIENT_THREADS | {"OMP_NUM_THREADS": "1"}
 # Forked processes cannot use CUDA, nor the threads of torch that their parent had.
 _SPAWN = multiprocessing.get_context("spawn")
 _END_SECONDS = 10.0

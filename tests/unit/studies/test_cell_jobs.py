@@ -40,7 +40,7 @@ def test_a_failure_is_told_and_the_other_cells_are_made(tmp_path, replay):
         each.job.settings.key: each.failure
         for each in run_jobs(partial(make_cell, tmp_path / "cells"), [bad, good, other], 1)
     }
-    assert "nobody" in done[bad.settings.key]
+    assert "no teacher is called 'nobody'" in done[bad.settings.key]
     assert done[good.settings.key] is None
     assert done[other.settings.key] is None
 
