@@ -13,7 +13,7 @@ from typing import Any
 import httpx
 import psutil
 
-from accord.domain.words import Role
+from accord.domain.enums import Role
 from accord.services import accounts
 from accord.store.database import Database
 from support.ports import free_port

@@ -6,8 +6,8 @@ from itertools import combinations
 import numpy as np
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import Role
 from accord.domain.experiment import ExperimentConfig
-from accord.domain.words import Role
 from accord.services import accounts, clips, collect, experiments, select
 from accord.store.blobs import BlobStore
 from accord.store.database import Database

@@ -11,7 +11,7 @@ import uvicorn
 
 from accord.api.app import create_app
 from accord.api.server import address_of, listen
-from accord.domain.words import Role
+from accord.domain.enums import Role
 from accord.settings import Settings
 from support.scenes import user
 from support.stores import Stores

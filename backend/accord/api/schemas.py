@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from accord.domain.enums import ExperimentStatus, Phase, Role
 from accord.domain.experiment import (
     Credit,
     Pacing,
@@ -15,7 +16,6 @@ from accord.domain.experiment import (
     RewardSource,
 )
 from accord.domain.schedule import LabelScheduleName
-from accord.domain.words import ExperimentStatus, Phase, Role
 
 
 class Schema(BaseModel):

@@ -6,8 +6,8 @@ from functools import cache
 from sqlalchemy.orm import Session
 
 from accord.api import schemas
-from accord.domain.policy import may_see_returns
-from accord.domain.words import ExperimentStatus, Phase, Role
+from accord.domain.enums import ExperimentStatus, Phase, Role
+from accord.domain.permissions import may_see_returns
 from accord.services import experiments, metrics
 from accord.services.collect import load_arrays
 from accord.services.label import LabelOutcome

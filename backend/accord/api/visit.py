@@ -15,8 +15,8 @@ from urllib.parse import urlsplit
 from fastapi import Depends, Request
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import Role
 from accord.domain.errors import Forbidden, Unauthenticated
-from accord.domain.words import Role
 from accord.services import accounts
 from accord.settings import Settings
 from accord.store.accounts import User

@@ -6,7 +6,7 @@ import typer
 
 from accord.cli.options import Home, load_settings, service_url
 from accord.cli.output import out, say
-from accord.domain.words import Role
+from accord.domain.enums import Role
 from accord.services import accounts
 from accord.settings import Settings
 from accord.store.database import Database

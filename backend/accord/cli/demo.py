@@ -25,7 +25,7 @@ from accord.cli.runs import (
 )
 from accord.cli.service import OwnService
 from accord.cli.teaching import TeacherChoice, parse_teacher
-from accord.domain.words import Role
+from accord.domain.enums import Role
 from accord.workers.stop import Stop
 from mapt.runs import cores
 

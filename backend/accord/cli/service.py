@@ -11,8 +11,8 @@ from types import TracebackType
 from typing import Self
 
 from accord.cli.options import address_file, load_settings
+from accord.domain.enums import Role
 from accord.domain.errors import Unavailable
-from accord.domain.words import Role
 from accord.services import accounts
 from accord.store import accounts as users
 from accord.store.database import Database

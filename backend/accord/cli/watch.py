@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from sqlalchemy.exc import SQLAlchemyError
 
 from accord.cli.output import note
+from accord.domain.enums import WorkerRole
 from accord.domain.errors import AccordError
-from accord.domain.words import WorkerRole
 from accord.services import workers
 from accord.store.database import Database
 from accord.workers.children import ChildSpec

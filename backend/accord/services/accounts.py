@@ -11,9 +11,9 @@ from typing import Protocol
 
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import Role
 from accord.domain.errors import NameTaken, Unauthenticated, UserNotFound
 from accord.domain.ids import new_id
-from accord.domain.words import Role
 from accord.services.texts import check_line
 from accord.store import accounts
 from accord.store.accounts import User

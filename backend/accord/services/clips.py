@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import ClipStatus, QueryStatus
 from accord.domain.errors import ClipNotFound
-from accord.domain.words import ClipStatus, QueryStatus
 from accord.services.clock import now_and_end
 from accord.store import clips, queries
 from accord.store.tables import ClipRow

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import ExperimentStatus, Phase, QueryStatus
 from accord.domain.errors import ExperimentNotActive, ExperimentNotFound, NameTaken, UnknownTask
 from accord.domain.experiment import ExperimentConfig
 from accord.domain.ids import new_id
-from accord.domain.words import ExperimentStatus, Phase, QueryStatus
 from accord.services.policy_settings import policy_settings
 from accord.services.texts import check_line, check_lines
 from accord.store import experiments

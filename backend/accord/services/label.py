@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import LABEL_VALUES, QueryStatus, Role
 from accord.domain.errors import (
     InvalidLabel,
     LabelConflict,
@@ -18,8 +19,7 @@ from accord.domain.errors import (
     QueryNotFound,
 )
 from accord.domain.ids import new_id
-from accord.domain.policy import may_label_in_batches
-from accord.domain.words import LABEL_VALUES, QueryStatus, Role
+from accord.domain.permissions import may_label_in_batches
 from accord.services.accounts import Caller
 from accord.services.clock import now_and_end
 from accord.services.experiments import require_not_over

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from sqlalchemy.orm import Session
 
-from accord.domain.policy import may_see_returns
-from accord.domain.words import Role
+from accord.domain.enums import Role
+from accord.domain.permissions import may_see_returns
 from accord.services.experiments import config_of
 from accord.store import experiments, metrics
 from accord.store.tables import ExperimentRow, MetricRow

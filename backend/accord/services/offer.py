@@ -7,8 +7,8 @@ from typing import Literal
 
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import ExperimentStatus, QueryStatus
 from accord.domain.errors import ExperimentNotFound, LeaseLost, QueryClosed, QueryNotFound
-from accord.domain.words import ExperimentStatus, QueryStatus
 from accord.services.accounts import Caller
 from accord.services.clock import now_and_end
 from accord.store import experiments, queries

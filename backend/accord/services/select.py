@@ -5,9 +5,9 @@ from math import comb
 
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import ClipStatus, ExperimentStatus, QueryStatus
 from accord.domain.errors import SegmentNotFound
 from accord.domain.ids import new_id
-from accord.domain.words import ClipStatus, ExperimentStatus, QueryStatus
 from accord.services.experiments import config_of, labels_due
 from accord.store import clips, experiments, queries, segments
 from accord.store.tables import ClipRow, ExperimentRow, QueryRow

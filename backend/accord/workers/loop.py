@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from accord.domain.words import WorkerRole
+from accord.domain.enums import WorkerRole
 from accord.settings import Settings
 from accord.store.blobs import BlobStore, open_blobs
 from accord.store.database import Database

@@ -4,9 +4,9 @@ import logging
 import sys
 import time
 
+from accord.domain.enums import WorkerRole
 from accord.domain.errors import Invalid
 from accord.domain.experiment import ExperimentConfig
-from accord.domain.words import WorkerRole
 from accord.services import claims, experiments, publish
 from accord.workers.loop import Context, run_worker
 from accord.workers.measures import Interrupted

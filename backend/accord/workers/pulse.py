@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import WorkerRole
 from accord.domain.errors import AccordError
-from accord.domain.words import WorkerRole
 from accord.services import claims, workers
 from accord.store.database import Database
 

@@ -12,8 +12,8 @@ import numpy as np
 from av.error import FFmpegError
 from mujoco import MjModel  # pyright: ignore[reportAttributeAccessIssue]  (compiled, without stubs)
 
+from accord.domain.enums import WorkerRole
 from accord.domain.errors import BlobMissing
-from accord.domain.words import WorkerRole
 from accord.rendering.clip import clip_key
 from accord.rendering.errors import RenderFailed
 from accord.rendering.probe import probe_backend

@@ -5,8 +5,8 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 
+from accord.domain.enums import WorkerRole
 from accord.domain.experiment import ExperimentConfig
-from accord.domain.words import WorkerRole
 from accord.services import experiments, metrics, publish, select
 from accord.store.tables import ExperimentRow, RewardVersionRow
 from accord.workers.asking import Asker, wants_ensemble

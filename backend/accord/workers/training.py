@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from accord.domain.enums import ExperimentStatus, Phase
 from accord.domain.errors import InvalidExperiment
 from accord.domain.experiment import ExperimentConfig
-from accord.domain.words import ExperimentStatus, Phase
 from accord.services import collect, experiments, metrics, publish, select
 from accord.services.collect import NewSegment
 from accord.store.tables import RewardVersionRow

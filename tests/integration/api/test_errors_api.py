@@ -10,9 +10,9 @@ import pytest
 from sqlalchemy import event
 
 from accord.domain import errors as domain_errors
+from accord.domain.enums import Role
 from accord.domain.errors import AccordError
 from accord.domain.ids import new_id
-from accord.domain.words import Role
 from support.scenes import scene
 from support.served import Served, served
 from support.stores import Stores

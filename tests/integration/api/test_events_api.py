@@ -8,7 +8,7 @@ from typing import Any
 
 import httpx
 
-from accord.domain.words import Phase, Role
+from accord.domain.enums import Phase, Role
 from accord.services import experiments, label, metrics, workers
 from accord.settings import Settings
 from support.scenes import scene, user

@@ -5,7 +5,7 @@ import threading
 import httpx
 from sqlalchemy import event
 
-from accord.domain.words import Role
+from accord.domain.enums import Role
 from accord.services import experiments
 from support.scenes import Scene, scene
 from support.served import Served

@@ -7,7 +7,7 @@ import re
 import httpx
 import pytest
 
-from accord.domain.words import Phase
+from accord.domain.enums import Phase
 from accord.services import experiments, metrics, publish, workers
 from support.scenes import Scene, scene
 from support.served import Served

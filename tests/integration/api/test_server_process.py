@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import select, text
 
 from accord.api.server import address_of, listen
-from accord.domain.words import Role
+from accord.domain.enums import Role
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database

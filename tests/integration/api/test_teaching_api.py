@@ -9,8 +9,8 @@ from sqlalchemy import select as sql_select
 
 from accord.cli.client import Api, Refused
 from accord.cli.teaching import parse_teacher, teach_experiment
+from accord.domain.enums import Role
 from accord.domain.errors import Invalid
-from accord.domain.words import Role
 from accord.services import collect, metrics, select
 from accord.services.collect import NewSegment, load_arrays
 from accord.store.tables import LabelRow, QueryRow, SegmentRow

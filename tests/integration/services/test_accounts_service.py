@@ -6,9 +6,9 @@ import threading
 import pytest
 from sqlalchemy import select as sql_select
 
+from accord.domain.enums import Role
 from accord.domain.errors import Invalid, NameTaken, Unauthenticated, UserNotFound
 from accord.domain.ids import new_id
-from accord.domain.words import Role
 from accord.services import accounts
 from accord.store.tables import TokenRow
 from support.stores import Stores

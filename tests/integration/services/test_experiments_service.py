@@ -6,6 +6,7 @@ import pytest
 from sqlalchemy import event
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import Phase, Role
 from accord.domain.errors import (
     ExperimentNotActive,
     ExperimentNotFound,
@@ -15,7 +16,6 @@ from accord.domain.errors import (
     UnknownTask,
 )
 from accord.domain.ids import new_id
-from accord.domain.words import Phase, Role
 from accord.services import experiments
 from accord.services.experiments import LabelCounts
 from accord.store.tables import ExperimentRow

@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from accord.domain.enums import Role
 from accord.domain.errors import BlobMissing, ExperimentNotFound, Invalid, Unavailable
-from accord.domain.words import Role
 from accord.services import collect, export, label, offer, publish
 from accord.store.tables import UserRow
 from mapt.preferences.formats.tables import PreferenceTables

@@ -11,8 +11,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from sqlalchemy import func
 from sqlalchemy import select as sql_select
 
+from accord.domain.enums import Role
 from accord.domain.errors import LabelNotFound, LeaseLost, QueryClosed
-from accord.domain.words import Role
 from accord.services import experiments, label, offer, publish
 from accord.store.tables import LabelRevisionRow, LabelRow, QueryRow
 from support.scenes import scene, user

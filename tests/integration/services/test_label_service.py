@@ -5,6 +5,7 @@ import math
 import pytest
 from sqlalchemy import select as sql_select
 
+from accord.domain.enums import Role
 from accord.domain.errors import (
     ExperimentNotActive,
     Invalid,
@@ -16,7 +17,6 @@ from accord.domain.errors import (
     QueryNotFound,
 )
 from accord.domain.ids import new_id
-from accord.domain.words import Role
 from accord.services import experiments, label, offer, publish
 from accord.services.label import LabelOutcome
 from accord.store.tables import LabelRevisionRow, LabelRow, QueryRow, UserRow

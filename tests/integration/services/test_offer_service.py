@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from accord.domain.enums import Role
 from accord.domain.errors import ExperimentNotFound, LeaseLost, QueryClosed, QueryNotFound
 from accord.domain.ids import new_id
-from accord.domain.words import Role
 from accord.services import experiments, label, offer
 from accord.services.offer import Offer
 from accord.store.tables import QueryRow, UserRow

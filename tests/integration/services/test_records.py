@@ -5,9 +5,9 @@ import threading
 
 import pytest
 
+from accord.domain.enums import Role
 from accord.domain.errors import ExperimentNotFound
 from accord.domain.ids import new_id
-from accord.domain.words import Role
 from accord.services import checkpoints, claims, experiments, metrics, publish, workers
 from support.scenes import scene
 from support.stores import Stores

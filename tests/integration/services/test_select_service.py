@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
+from accord.domain.enums import Role
 from accord.domain.errors import SegmentNotFound
-from accord.domain.words import Role
 from accord.services import clips, collect, experiments, label, select
 from accord.store.tables import ExperimentRow, QueryRow
 from support.scenes import config, make_clips, scene, segment, user

@@ -4,7 +4,7 @@ from typing import Any
 
 from sqlalchemy import event
 
-from accord.domain.words import Role
+from accord.domain.enums import Role
 from accord.services import accounts, label, offer
 from support.scenes import scene, user
 from support.stores import Stores

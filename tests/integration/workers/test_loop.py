@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from accord.domain.words import WorkerRole
+from accord.domain.enums import WorkerRole
 from accord.workers.backoff import Backoff
 from accord.workers.loop import Context, run_loop
 from accord.workers.pulse import Pulse

@@ -1,6 +1,6 @@
 import pytest
 
-from accord.domain.words import ExperimentStatus
+from accord.domain.enums import ExperimentStatus
 from accord.services import experiments
 from accord.workers.policy import PolicyWorker
 from accord.workers.pulse import ClaimLost

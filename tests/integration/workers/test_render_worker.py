@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load, save
 
-from accord.domain.words import WorkerRole
+from accord.domain.enums import WorkerRole
 from accord.workers.render import RenderWorker
 from accord.workers.reward import RewardWorker
 from integration.workers.workplace import Workplace, workplace

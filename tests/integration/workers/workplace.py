@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from accord.domain.enums import Role, WorkerRole
 from accord.domain.experiment import ExperimentConfig
-from accord.domain.words import Role, WorkerRole
 from accord.services import accounts, experiments, label
 from accord.settings import Settings
 from accord.store.blobs import open_blobs

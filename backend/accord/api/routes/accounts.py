@@ -7,9 +7,9 @@ from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
 from accord.api import schemas
 from accord.api.visit import COOKIE, VisitDep, house_of
+from accord.domain.enums import Role
 from accord.domain.errors import Unauthenticated
-from accord.domain.policy import may_manage_users, require
-from accord.domain.words import Role
+from accord.domain.permissions import may_manage_users, require
 from accord.services import accounts
 
 router = APIRouter(tags=["accounts"])

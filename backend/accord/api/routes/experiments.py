@@ -12,7 +12,7 @@ from accord.api.parameters import ExperimentId
 from accord.api.visit import Visit, VisitDep
 from accord.domain.experiment import ExperimentConfig
 from accord.domain.ids import check_id
-from accord.domain.policy import may_run_experiments, require
+from accord.domain.permissions import may_run_experiments, require
 from accord.services import experiments, metrics, publish, workers
 from accord.store.tables import ExperimentRow
 

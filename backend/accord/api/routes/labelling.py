@@ -10,7 +10,7 @@ from accord.api.parameters import ExperimentId, QueryId, answer
 from accord.api.visit import Signed, VisitDep
 from accord.domain.errors import AccordError
 from accord.domain.ids import check_id
-from accord.domain.policy import may_label_in_batches, require, require_returns
+from accord.domain.permissions import may_label_in_batches, require, require_returns
 from accord.services import experiments, label, offer
 
 router = APIRouter(tags=["labelling"])

@@ -5,7 +5,7 @@ from fastapi.responses import Response
 
 from accord.api.parameters import SegmentId
 from accord.api.visit import VisitDep
-from accord.domain.policy import require_returns
+from accord.domain.permissions import require_returns
 from accord.services import collect
 
 router = APIRouter(tags=["segments"])

@@ -1138,7 +1138,7 @@ export interface components {
         };
         /**
          * Role
-         * @description What a user may do; see `accord.domain.policy`.
+         * @description What a user may do; see `accord.domain.permissions`.
          * @enum {string}
          */
         Role: "labeller" | "researcher" | "admin" | "teacher";

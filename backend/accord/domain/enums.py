@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class Role(StrEnum):
-    """What a user may do; see `accord.domain.policy`."""
+    """What a user may do; see `accord.domain.permissions`."""
 
     LABELLER = "labeller"
     RESEARCHER = "researcher"

@@ -1,7 +1,7 @@
 """Who may do what: pure predicates over roles."""
 
+from accord.domain.enums import Role
 from accord.domain.errors import Forbidden, ReturnsHidden
-from accord.domain.words import Role
 
 _SEES_RETURNS = frozenset({Role.TEACHER, Role.RESEARCHER, Role.ADMIN})
 _RUNS_EXPERIMENTS = frozenset({Role.RESEARCHER, Role.ADMIN})
