@@ -35,7 +35,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from turns import median_seconds
 
 from mapt.policies import Algorithm, Learner, PolicyConfig, Rollout, true_reward
-from mapt.policies.experience import checked_rewards, prepare
+from mapt.policies.ppo import checked_rewards, prepare
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.relabelling import RolloutRelabeller
 from mapt.tasks import Task, TaskStep, WrappedTask, make_task

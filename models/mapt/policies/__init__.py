@@ -12,7 +12,7 @@ from mapt.policies.errors import InvalidCheckpoint, InvalidConfig, InvalidReward
 if TYPE_CHECKING:
     from mapt.policies.evaluation import Episodes, evaluate, play
     from mapt.policies.learner import Learner
-    from mapt.policies.policy import Policy
+    from mapt.policies.networks import Policy
     from mapt.policies.rollout import Rollout
     from mapt.policies.training import train, true_reward
 
@@ -37,7 +37,7 @@ __all__ = [
 _MODULE_OF = {
     "Episodes": "evaluation",
     "Learner": "learner",
-    "Policy": "policy",
+    "Policy": "networks",
     "Rollout": "rollout",
     "evaluate": "evaluation",
     "play": "evaluation",

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from mapt.policies.learner import Learner
-from mapt.policies.policy import Policy
+from mapt.policies.networks import Policy
 from mapt.policies.rollout import available_actions
 from mapt.tasks import Task
 

@@ -14,17 +14,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mapt.policies import checkpoint
-from mapt.policies.actor_critic import ActorCritic
 from mapt.policies.config import PolicyConfig
 from mapt.policies.device import resolve_device, torch_threads
 from mapt.policies.errors import InvalidConfig, TrainingDiverged
-from mapt.policies.experience import checked_rewards, inputs, prepare
-from mapt.policies.mat import MultiAgentTransformer
-from mapt.policies.optimiser import Adam
-from mapt.policies.policy import Policy
-from mapt.policies.reward_units import RewardUnits
+from mapt.policies.kernels import Adam
+from mapt.policies.mat import EncoderCritic, MultiAgentTransformer
+from mapt.policies.networks import ActorCritic, Actors, Policy, StateCritic
+from mapt.policies.normalisation import RewardUnits
+from mapt.policies.ppo import checked_rewards, inputs, make_update, prepare
 from mapt.policies.rollout import Collector, Rollout
-from mapt.policies.updates import make_update
 from mapt.tasks import Task, TaskSpec
 
 #: Fraction of the learning rate that is left when annealing ends.
@@ -33,7 +31,10 @@ FINAL_LEARNING_RATE = 0.1
 
 def make_policy(spec: TaskSpec, config: PolicyConfig) -> Policy:
     """The networks of the configured algorithm, drawn by torch's global generator."""
-    return (MultiAgentTransformer if config.algorithm == "mat" else ActorCritic)(spec, config)
+    if config.algorithm == "mat":
+        return MultiAgentTransformer(spec, config)
+    actor = Actors(spec, config)
+    return ActorCritic(spec, actor, (EncoderCritic if config.algorithm == "mat_dec" else StateCritic)(spec, config))
 
 
 class Learner:

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mapt.policies.policy import Policy
+from mapt.policies.networks import Policy
 from mapt.tasks import MaskingTask, Task
 
 Float32s = NDArray[np.float32]

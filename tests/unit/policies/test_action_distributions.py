@@ -8,7 +8,7 @@ from torch.distributions import Categorical as TorchCategorical
 from torch.distributions import Normal
 
 from mapt.policies import PolicyConfig
-from mapt.policies.actions import Categorical, Gaussian, action_noise
+from mapt.policies.distributions import Categorical, Gaussian, action_noise
 from mapt.policies.learner import make_policy
 from mapt.tasks import task_spec
 

@@ -6,8 +6,8 @@ import torch
 from torch.distributions import Normal
 
 from mapt.policies import PolicyConfig
-from mapt.policies.actor_critic import ActorCritic
-from mapt.policies.layers import AgentLinear
+from mapt.policies.learner import make_policy
+from mapt.policies.networks import ActorCritic, AgentLinear
 from mapt.tasks import task_spec
 
 SPEC = task_spec("HalfCheetah-2x3")
@@ -15,7 +15,8 @@ SPEC = task_spec("HalfCheetah-2x3")
 
 def policy(shared: bool) -> ActorCritic:
     torch.manual_seed(0)
-    net = ActorCritic(SPEC, PolicyConfig(shared_actor=shared, hidden=(16,)))
+    net = make_policy(SPEC, PolicyConfig(shared_actor=shared, hidden=(16,)))
+    assert isinstance(net, ActorCritic)
     # The last layer starts near zero, which would hide who sees what.
     with torch.no_grad():
         for parameter in net.actor.network.parameters():

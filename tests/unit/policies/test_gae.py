@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapt.policies.gae import advantages
+from mapt.policies.ppo import advantages
 
 
 def slow_advantages(rewards, values, next_values, terminated, truncated, gamma, gae_lambda) -> np.ndarray:

@@ -7,8 +7,8 @@ from torch import nn
 
 from learning.identity_task import IdentityTask
 from mapt.policies import Learner, PolicyConfig
-from mapt.policies.experience import checked_rewards, prepare
-from mapt.policies.optimiser import EPSILON
+from mapt.policies.kernels import EPSILON
+from mapt.policies.ppo import checked_rewards, prepare
 
 CONFIG = PolicyConfig.named(
     "happo", n_envs=4, rollout_steps=6, epochs=3, minibatches=1, hidden=[5], learning_rate=0.02, clip=0.05, device="cpu"

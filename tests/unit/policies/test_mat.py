@@ -6,9 +6,8 @@ import pytest
 import torch
 
 from mapt.policies import PolicyConfig
-from mapt.policies.mat import MultiAgentTransformer
-from mapt.policies.policy import Batch
-from mapt.policies.transformer import TeamEncoder
+from mapt.policies.mat import MultiAgentTransformer, TeamEncoder
+from mapt.policies.networks import Batch
 from mapt.tasks import TaskSpec, task_spec
 
 CHEETAH = task_spec("HalfCheetah-6x1")

@@ -5,7 +5,8 @@ import torch
 
 from learning.identity_task import IdentityTask
 from mapt.policies import PolicyConfig
-from mapt.policies.critics import Critic, EncoderCritic, StateCritic
+from mapt.policies.mat import EncoderCritic
+from mapt.policies.networks import Critic, StateCritic
 from mapt.policies.normalisation import INPUT_LIMIT, InputNormaliser, ReturnStatistics
 
 SPEC = IdentityTask(1).spec

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from mapt.policies.optimiser import EPSILON, Adam
+from mapt.policies.kernels import EPSILON, Adam
 
 RATE = 0.01
 

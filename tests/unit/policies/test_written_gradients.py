@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from mapt.policies import PolicyConfig
-from mapt.policies.actions import Gaussian
-from mapt.policies.actors import Actors
-from mapt.policies.updates import clipped_loss
+from mapt.policies.distributions import Gaussian
+from mapt.policies.networks import Actors
+from mapt.policies.ppo import clipped_loss
 from mapt.tasks import task_spec
 
 SPEC = task_spec("HalfCheetah-2x3")
