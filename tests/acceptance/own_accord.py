@@ -130,9 +130,9 @@ class Accord:
 
 _ROLES = {
     "accord.cli.serve": "api",
-    "accord.workers.policy": "policy",
-    "accord.workers.reward": "reward",
-    "accord.workers.render": "render",
+    "accord.workers.policy_worker": "policy",
+    "accord.workers.reward_worker": "reward",
+    "accord.workers.render_worker": "render",
     "accord.rendering.child": "child",
 }
 

@@ -5,7 +5,7 @@ import io
 import av
 
 from acceptance.own_accord import STEPS_PER_ITERATION, TINY, Accord, Person, alive
-from accord.workers.training import CHECKPOINT_ITERATIONS
+from accord.workers.policy_run import CHECKPOINT_ITERATIONS
 from support.waiting import PATIENCE_SECONDS, until
 
 #: who is killed once so many labels are acknowledged

@@ -25,7 +25,7 @@ import torch
 from turns import median_seconds
 
 from mapt.policies import Algorithm, Learner, PolicyConfig
-from mapt.runs.pool import Desk, run_jobs
+from mapt.processes import Desk, run_jobs
 from mapt.tasks import make_task
 
 N_CORES = 2

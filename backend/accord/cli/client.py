@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 
 from accord.domain.errors import AccordError, Unavailable
-from accord.workers.backoff import Backoff
+from accord.workers.runner import Backoff
 
 _OWN_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
 _BUSY = frozenset({429, 502, 503, 504})

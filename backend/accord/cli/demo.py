@@ -26,8 +26,8 @@ from accord.cli.runs import (
 from accord.cli.service import OwnService
 from accord.cli.teaching import TeacherChoice, parse_teacher
 from accord.domain.enums import Role
-from accord.workers.stop import Stop
-from mapt.runs import cores
+from accord.workers.runner import Stop
+from mapt.processes import at_once as n_at_once
 
 #: without a terminal, a line each time so much more of a run is done
 _NOTED_SHARE = 0.1
@@ -91,7 +91,7 @@ def demo(
     folder = output or Path(datetime.now().astimezone().strftime("demo-%Y%m%d-%H%M%S"))
     stop = Stop()
     stop.install()
-    n_runs = cores.at_once(at_once, len(plans))
+    n_runs = n_at_once(at_once, len(plans))
     with OwnService(home or folder / "home", _environment(clips, n_runs), lambda: stop.requested) as service:
         lesson = _lesson(service, choice, stop)
         try:

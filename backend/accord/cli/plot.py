@@ -15,8 +15,8 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 from accord.cli.plans import PREFERENCES
-from mapt.runs.seed_curves import deviation, seed_curves
 from mapt.studies.palette import QUIET, Style, style
+from mapt.training.results import deviation, seed_curves
 
 Run = dict[str, Any]
 #: so many kinds of runs leave room for marks on their lines
@@ -26,7 +26,7 @@ _ASIDE = 0.02
 
 
 class Curve(NamedTuple):
-    """See `mapt.runs.seed_curves.Curve`."""
+    """See `mapt.training.results.Curve`."""
 
     curve_steps: NDArray[np.int64]
     curve_returns: NDArray[np.float64]

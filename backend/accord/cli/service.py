@@ -98,7 +98,7 @@ class OwnService:
             self._process.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(_END_SECONDS)
-        # Its children follow it: see accord.workers.lifeline.
+        # Its children follow it: see accord.workers.runner.
         self._process.kill()
         self._process.wait()
 

@@ -9,7 +9,7 @@ from accord.cli.client import Api
 from accord.cli.options import Home, Parameters, TeacherName, Token, Url, load_settings, service_url
 from accord.cli.output import out, say
 from accord.cli.teaching import parse_teacher, teach_experiment
-from accord.workers.stop import Stop
+from accord.workers.runner import Stop
 
 
 def teach(

@@ -11,11 +11,9 @@ from accord.cli.output import note, on_terminal, out, say
 from accord.cli.start import Ready, create_example, prepare, sign_in_link
 from accord.cli.watch import Watch
 from accord.settings import Settings
-from accord.workers.children import ChildSpec
-from accord.workers.lifeline import follow_parent
-from accord.workers.stop import Stop
-from accord.workers.supervisor import Supervisor
-from mapt.runs.cores import PATIENT_THREADS
+from accord.workers.runner import Stop, follow_parent
+from accord.workers.supervisor import ChildSpec, Supervisor
+from mapt.processes import PATIENT_THREADS
 
 #: how often the supervisor looks after its children
 _TICK_SECONDS = 0.2
@@ -95,7 +93,7 @@ def child_specs(ready: Ready) -> list[ChildSpec]:
     workers = [
         ChildSpec(
             f"{role}-{slot}",
-            (f"accord.workers.{role}", "--slot", str(slot)),
+            (f"accord.workers.{role}_worker", "--slot", str(slot)),
             role=role,
             environment=environment | PATIENT_THREADS | {"OMP_NUM_THREADS": str(threads[role])},
             nice=_RENDER_NICE if role == "render" else 0,

@@ -10,9 +10,8 @@ from accord.domain.enums import WorkerRole
 from accord.domain.errors import AccordError
 from accord.services import workers
 from accord.store.database import Database
-from accord.workers.children import ChildSpec
-from accord.workers.loop import RETRY_WORDS
-from accord.workers.supervisor import Death
+from accord.workers.runner import RETRY_WORDS
+from accord.workers.supervisor import ChildSpec, Death
 
 _LOOK_SECONDS = 1.0
 

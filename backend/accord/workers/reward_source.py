@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from accord.domain.experiment import ExperimentConfig
 from accord.store.blobs import BlobStore
 from accord.store.tables import RewardVersionRow
-from accord.workers.reward_blobs import read_reward_model
+from accord.workers.model_store import read_reward_model
 from mapt.policies import Rollout
-from mapt.runs.learned_reward import Context, VersionedReward
+from mapt.training.reward_source import Context, VersionedReward
 
 
 class RewardSource(Protocol):

@@ -6,10 +6,9 @@ from typing import Annotated
 import typer
 
 from mapt.cli.output import say
-from mapt.runs.curves import draw_curves
-from mapt.runs.results import RunResult, find_runs, grouped
-from mapt.runs.table import markdown
 from mapt.studies.naming import numbers
+from mapt.training.curves import draw_curves
+from mapt.training.results import RunResult, find_runs, grouped, markdown
 
 
 def curves(

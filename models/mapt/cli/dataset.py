@@ -9,8 +9,7 @@ import typer
 from mapt.cli.bars import Bars
 from mapt.cli.options import PolicySteps, Seeds, Segments, SegmentSteps, Task, Workers
 from mapt.cli.output import complain, note
-from mapt.runs.cores import at_once, cores_of_each
-from mapt.runs.pool import run_jobs
+from mapt.processes import at_once, cores_of_each, run_jobs
 from mapt.studies.naming import numbers
 from mapt.studies.plan import replay_folder
 from mapt.studies.recording import Recording

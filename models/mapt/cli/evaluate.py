@@ -9,9 +9,9 @@ import typer
 from mapt.cli.options import Device
 from mapt.cli.output import out, say
 from mapt.cli.run_bars import sentence
-from mapt.runs.evaluation import EPISODES, evaluate_policy
-from mapt.runs.saved_policy import load_policy
-from mapt.runs.video import record_video
+from mapt.training.evaluation import EPISODES, evaluate_policy
+from mapt.training.run_folder import load_policy
+from mapt.training.video import record_video
 
 
 def evaluate(

@@ -10,9 +10,9 @@ from mapt.policies import PolicyError
 from mapt.preferences.errors import PreferenceError
 from mapt.rendering.errors import RenderingError
 from mapt.rewards.errors import RewardModelError
-from mapt.runs.errors import RunError
 from mapt.studies.errors import StudyError
 from mapt.tasks import TaskError
+from mapt.training.errors import RunError
 
 app = typer.Typer(
     name="mapt",

@@ -2,9 +2,9 @@
 
 from mapt.cli.bars import Bars
 from mapt.cli.output import note
-from mapt.runs.evaluation import Evaluation
-from mapt.runs.metrics_file import Metrics
-from mapt.runs.run_job import News, RunJob
+from mapt.training.evaluation import Evaluation
+from mapt.training.metrics import Metrics
+from mapt.training.run import News, RunJob
 
 
 class RunBars:

@@ -12,10 +12,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from mapt.cli.dataset import record_all
 from mapt.cli.options import PolicySteps, Preset, Seeds, Segments, SegmentSteps, Task, Workers
 from mapt.cli.output import complain, note, on_terminal, out, say
+from mapt.processes import at_once, run_jobs
 from mapt.rewards.checkpoints import CARD_FILE
 from mapt.rewards.config import MODEL_NAMES
-from mapt.runs.cores import at_once
-from mapt.runs.pool import run_jobs
 from mapt.studies.cell_folder import CellFolder, code_fingerprint
 from mapt.studies.cell_job import CellJob, make_cell
 from mapt.studies.naming import numbers, words

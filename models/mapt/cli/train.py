@@ -12,19 +12,17 @@ from mapt.cli.options import Device, Task, Workers
 from mapt.cli.output import complain
 from mapt.cli.run_bars import RunBars
 from mapt.policies import Algorithm, PolicyConfig
+from mapt.processes import Done, at_once, cores_of_each, run_jobs, stop_requests
 from mapt.rewards.base import PolicyReward
 from mapt.rewards.checkpoints import load_reward_model
 from mapt.rewards.relabelling import Credit
-from mapt.runs.cores import at_once, cores_of_each
-from mapt.runs.errors import InvalidRun
-from mapt.runs.evaluation import Evaluation
-from mapt.runs.pool import Done, run_jobs
-from mapt.runs.reward_source import reward_files
-from mapt.runs.run_job import RunJob, make_run, make_run_apart
-from mapt.runs.settings import TRUE, LearnedRewardSettings, RunSettings
-from mapt.runs.stopping import stop_requests
 from mapt.studies.naming import numbers, setting
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
+from mapt.training.errors import InvalidRun
+from mapt.training.evaluation import Evaluation
+from mapt.training.reward_source import reward_files
+from mapt.training.run import RunJob, make_run, make_run_apart
+from mapt.training.settings import TRUE, LearnedRewardSettings, RunSettings
 
 _NOTED_SHARE = 0.1
 #: status of a command that was asked to stop

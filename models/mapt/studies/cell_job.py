@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 
+from mapt.processes import Desk
 from mapt.rewards.checkpoints import save_reward_model
 from mapt.rewards.trainer import TrainedReward
-from mapt.runs.pool import Desk
 from mapt.studies.cell import CellSettings, run_cell
 from mapt.studies.cell_folder import CellFolder, code_fingerprint
 from mapt.studies.replay import Replay

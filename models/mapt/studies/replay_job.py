@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from mapt.runs.pool import Desk
+from mapt.processes import Desk
 from mapt.studies.errors import RecordingStopped
 from mapt.studies.recording import Recording, record_replay
 

@@ -3,9 +3,8 @@
 import sys
 from pathlib import Path
 
-from accord.workers.children import ChildSpec
-from accord.workers.stop import Stop
-from accord.workers.supervisor import Supervisor
+from accord.workers.runner import Stop
+from accord.workers.supervisor import ChildSpec, Supervisor
 
 folder = Path(sys.argv[1])
 stop = Stop()

@@ -11,9 +11,9 @@ from safetensors.numpy import load
 
 from accord.services import experiments
 from accord.services.collect import drawn_blob_key
-from accord.workers.drawing import Redrawing, even
-from accord.workers.policy import PolicyWorker
-from accord.workers.reward import RewardWorker
+from accord.workers.policy_worker import PolicyWorker
+from accord.workers.replayed_clips import Redrawing, even
+from accord.workers.reward_worker import RewardWorker
 from integration.workers.workplace import Workplace
 from mapt.policies import Learner, PolicyConfig
 from mapt.preferences.cutting import Stretch

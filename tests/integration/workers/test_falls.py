@@ -7,7 +7,7 @@ import av
 import pytest
 from safetensors.numpy import load
 
-from accord.workers.reward import RewardWorker
+from accord.workers.reward_worker import RewardWorker
 from integration.workers.workplace import Workplace
 
 # An untrained walker falls after some fifteen steps.

@@ -16,9 +16,9 @@ import pytest
 from safetensors.numpy import load
 
 from accord.services import label
-from accord.workers.reward import RewardWorker
-from accord.workers.stop import Stop
-from accord.workers.training import PolicyRun
+from accord.workers.policy_run import PolicyRun
+from accord.workers.reward_worker import RewardWorker
+from accord.workers.runner import Stop
 from integration.workers.workplace import STEPS_PER_ITERATION, Workplace
 from support.waiting import until
 
@@ -257,7 +257,7 @@ def start(bench: Bench) -> Iterator[Any]:
     }
 
     def begin() -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "accord.workers.reward", "--parent", str(os.getpid())]
+        command = [sys.executable, "-m", "accord.workers.reward_worker", "--parent", str(os.getpid())]
         processes.append(subprocess.Popen(command, env=os.environ | environment))
         return processes[-1]
 

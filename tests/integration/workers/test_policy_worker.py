@@ -2,10 +2,10 @@ import pytest
 
 from accord.domain.enums import ExperimentStatus
 from accord.services import experiments
-from accord.workers.policy import PolicyWorker
-from accord.workers.pulse import ClaimLost
-from accord.workers.reward import RewardWorker
-from accord.workers.reward_blobs import read_reward_model
+from accord.workers.heartbeat import ClaimLost
+from accord.workers.model_store import read_reward_model
+from accord.workers.policy_worker import PolicyWorker
+from accord.workers.reward_worker import RewardWorker
 from integration.workers.workplace import STEPS_PER_ITERATION, Workplace
 
 

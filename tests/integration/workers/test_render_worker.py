@@ -8,8 +8,8 @@ import pytest
 from safetensors.numpy import load, save
 
 from accord.domain.enums import WorkerRole
-from accord.workers.render import RenderWorker
-from accord.workers.reward import RewardWorker
+from accord.workers.render_worker import RenderWorker
+from accord.workers.reward_worker import RewardWorker
 from integration.workers.workplace import Workplace, workplace
 
 

@@ -1,6 +1,6 @@
 import pytest
 
-from accord.workers.reward import RewardWorker
+from accord.workers.reward_worker import RewardWorker
 from integration.workers.workplace import Workplace
 
 

@@ -9,8 +9,8 @@ import torch
 from accord.services import collect
 from accord.store.blobs import FolderBlobs
 from accord.store.tables import RewardVersionRow
-from accord.workers.ensembles import Ensembles
-from accord.workers.scouting import Scout
+from accord.workers.model_store import Ensembles
+from accord.workers.query_planner import Scout
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.selection import segment_features
 from mapt.rewards.config import RewardConfig

@@ -8,10 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from accord.workers.backoff import Backoff
-from accord.workers.children import ChildSpec
-from accord.workers.stop import Stop
-from accord.workers.supervisor import Death, Supervisor
+from accord.workers.runner import Backoff, Stop
+from accord.workers.supervisor import ChildSpec, Death, Supervisor
 from integration.workers.supervising import alive
 from support.waiting import PATIENCE_SECONDS, until
 

@@ -14,11 +14,10 @@ from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
 from accord.store.tables import UserRow
-from accord.workers.loop import Context
-from accord.workers.pulse import Claim, Pulse
-from accord.workers.render import RenderWorker
-from accord.workers.stop import Stop
-from accord.workers.training import PolicyRun
+from accord.workers.heartbeat import Claim, Pulse
+from accord.workers.policy_run import PolicyRun
+from accord.workers.render_worker import RenderWorker
+from accord.workers.runner import Context, Stop
 from support import short_cheetah
 
 STEPS_PER_ITERATION = 100

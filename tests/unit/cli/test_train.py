@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from mapt.runs.folder import RunFolder
+from mapt.training.run_folder import RunFolder
 from support.short_cheetah import SHORTEST_NAME
-from unit.runs.conftest import STEPS_PER_ITERATION, reward_model, write_reward
+from unit.training.conftest import STEPS_PER_ITERATION, reward_model, write_reward
 
 TINY = ("n_envs=4", "rollout_steps=24", "minibatches=2", "epochs=2", "hidden=[8]")
 

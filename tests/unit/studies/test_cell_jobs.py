@@ -8,7 +8,7 @@ from multiprocessing import active_children
 
 import numpy as np
 
-from mapt.runs.pool import run_jobs
+from mapt.processes import run_jobs
 from mapt.studies.cell import run_cell
 from mapt.studies.cell_folder import CellFolder
 from mapt.studies.cell_job import CellJob, make_cell

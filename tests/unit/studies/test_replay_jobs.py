@@ -1,6 +1,6 @@
 """Worker processes record the replays that are recorded here, whole or not at all."""
 
-from mapt.runs.pool import run_jobs
+from mapt.processes import run_jobs
 from mapt.studies.recording import Recording, record_replay
 from mapt.studies.replay import Replay
 from mapt.studies.replay_job import Progress, ReplayJob, make_replay

@@ -1,0 +1,218 @@
+"""The files of a run: settings, checkpoint, evaluation, video."""
+
+import fcntl
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from mapt.policies import InvalidCheckpoint, Policy, PolicyConfig
+from mapt.policies.checkpoint import describe, refusing_mismatch, unflatten, unpack, write_whole
+from mapt.policies.device import resolve_device
+from mapt.policies.learner import make_policy
+from mapt.tasks import task_spec
+from mapt.tasks.registry import DEFAULT_AGENT_OBSK
+from mapt.training.errors import DamagedRun, OtherRun, RunBusy, RunNotFound
+from mapt.training.evaluation import Evaluation
+from mapt.training.settings import RunSettings
+
+_LEARNER = "learner"
+_PROGRESS = "progress"
+_CONTEXT = "context."
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyCheckpoint:
+    """Everything that decides how training goes on."""
+
+    #: `Learner.to_bytes`
+    learner: bytes
+    #: `RolloutRelabeller.state_dict`; empty before the first reward version
+    context: dict[str, NDArray[np.generic]]
+    #: whatever the run notes of itself, for JSON
+    progress: dict[str, object] = field(default_factory=dict[str, object])
+
+    def to_bytes(self) -> bytes:
+        """One safetensors file; equal checkpoints give equal bytes."""
+        arrays = {_LEARNER: np.frombuffer(self.learner, dtype=np.uint8)}
+        arrays |= {_CONTEXT + name: np.ascontiguousarray(array) for name, array in self.context.items()}
+        if self.progress:
+            arrays[_PROGRESS] = np.frombuffer(json.dumps(self.progress, sort_keys=True).encode(), dtype=np.uint8)
+        return save(arrays)
+
+    @classmethod
+    def from_bytes(cls, content: bytes) -> "PolicyCheckpoint":
+        """What `to_bytes` wrote.
+
+        Raises:
+            mapt.policies.InvalidCheckpoint: if it is damaged, or another file.
+        """
+        try:
+            arrays = load(content)
+            learner, progress = arrays[_LEARNER].tobytes(), arrays.get(_PROGRESS)
+            noted = {} if progress is None else json.loads(progress.tobytes())
+        except (SafetensorError, KeyError, ValueError) as error:
+            raise InvalidCheckpoint("This is no checkpoint of a run, or it is damaged.") from error
+        context = {name.removeprefix(_CONTEXT): array for name, array in arrays.items() if name.startswith(_CONTEXT)}
+        return cls(learner, context, noted)
+
+
+FORMAT_VERSION = 1
+RUN_FILE = "run.json"
+CHECKPOINT_FILE = "checkpoint.safetensors"
+METRICS_FILE = "metrics.jsonl"
+EVALUATION_FILE = "evaluation.json"
+VIDEO_FILE = "final.mp4"
+REWARDS_FOLDER = "rewards"
+
+
+class RunFolder:
+    """One run's files."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.checkpoint = path / CHECKPOINT_FILE
+        self.metrics = path / METRICS_FILE
+        self.evaluation = path / EVALUATION_FILE
+        self.video = path / VIDEO_FILE
+        self.rewards = path / REWARDS_FOLDER
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Be the only process that trains here; the lock goes with the process, however that ends.
+
+        Raises:
+            RunBusy: if another one does.
+        """
+        self.path.mkdir(parents=True, exist_ok=True)
+        with (self.path / "lock").open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise RunBusy(self.path) from error
+            yield
+
+    def check(self, settings: RunSettings) -> None:
+        """Make sure that a run that is here has these settings.
+
+        Raises:
+            OtherRun: if it has others.
+            DamagedRun: if its settings cannot be read.
+        """
+        if (self.path / RUN_FILE).exists() and (differences := self.settings().differences(settings)):
+            raise OtherRun(self.path, differences)
+
+    def claim(self, settings: RunSettings) -> None:
+        """Write the settings of a new run, or of one that is made longer; raises as `check` does."""
+        self.check(settings)
+        if (self.path / RUN_FILE).exists():
+            settings = replace(settings, steps=max(settings.steps, self.settings().steps))
+        card = {"format_version": FORMAT_VERSION, **settings.to_dict()}
+        write_whole(self.path / RUN_FILE, json.dumps(card, indent=2).encode() + b"\n")
+
+    def settings(self) -> RunSettings:
+        """What the run was started with.
+
+        Raises:
+            DamagedRun: if that cannot be read.
+        """
+        path = self.path / RUN_FILE
+        try:
+            card = json.loads(path.read_bytes())
+            version = card.pop("format_version")
+            if version != FORMAT_VERSION:
+                raise DamagedRun(path, f"its format is {version}, known is {FORMAT_VERSION}")
+            return RunSettings.from_dict(card)
+        except DamagedRun:
+            raise
+        except (OSError, ValueError, AttributeError, KeyError) as error:
+            raise DamagedRun(path, str(error)) from error
+
+    def last_checkpoint(self) -> PolicyCheckpoint | None:
+        """Where the run stands; None if it was killed before its first checkpoint.
+
+        Raises:
+            mapt.policies.InvalidCheckpoint: if it is damaged.
+        """
+        return PolicyCheckpoint.from_bytes(self.checkpoint.read_bytes()) if self.checkpoint.exists() else None
+
+    def read_evaluation(self, steps: int) -> Evaluation | None:
+        """What the policy after so many steps did; None if it was not evaluated.
+
+        Raises:
+            DamagedRun: if the file is not as it was written.
+        """
+        if not self.evaluation.exists():
+            return None
+        try:
+            stored = json.loads(self.evaluation.read_bytes())
+            return Evaluation.from_dict(stored) if stored["steps"] == steps else None
+        except (ValueError, KeyError, TypeError) as error:
+            raise DamagedRun(self.evaluation, str(error)) from error
+
+    def write_evaluation(self, steps: int, evaluation: Evaluation) -> None:
+        """Keep what the policy after so many steps did."""
+        content = json.dumps({"steps": steps, **evaluation.to_dict()}, indent=2)
+        write_whole(self.evaluation, content.encode() + b"\n")
+
+
+@dataclass(frozen=True, slots=True)
+class SavedPolicy:
+    """A policy that only acts."""
+
+    policy: Policy
+    task: str
+    agent_obsk: int
+    algorithm: str
+    #: environment steps that it was trained for
+    steps: int
+
+
+def load_policy(path: Path, device: str = "auto", agent_obsk: int | None = None) -> SavedPolicy:
+    """The policy of a run's folder or of a checkpoint.
+
+    Args:
+        device: where it acts, whatever it was trained on.
+        agent_obsk: how many joints away its agents see; None for the run's own, or the usual where there is no run.
+
+    Raises:
+        RunNotFound: if there is none.
+        mapt.policies.InvalidCheckpoint: if the file is damaged, no checkpoint, or of other observations.
+    """
+    file = path / CHECKPOINT_FILE if path.is_dir() else path
+    if not file.is_file():
+        raise RunNotFound(path)
+    if agent_obsk is None:
+        in_run = (file.parent / RUN_FILE).exists()
+        agent_obsk = RunFolder(file.parent).settings().agent_obsk if in_run else DEFAULT_AGENT_OBSK
+    return policy_of(learner_bytes(file), device, agent_obsk)
+
+
+def learner_bytes(file: Path) -> bytes:
+    """What `Learner.to_bytes` gave, which a run's checkpoint holds inside."""
+    content = file.read_bytes()
+    try:
+        describe(content)
+    except InvalidCheckpoint:
+        return PolicyCheckpoint.from_bytes(content).learner
+    return content
+
+
+def policy_of(content: bytes, device: str, agent_obsk: int) -> SavedPolicy:
+    """The policy of `Learner.to_bytes`, without its learner."""
+    description = describe(content)
+    config = replace(PolicyConfig.from_dict(description.config), device=device)
+    tensors, _ = unpack(content, description.task)
+    policy = make_policy(task_spec(description.task, agent_obsk=agent_obsk), config).to(resolve_device(device))
+    with refusing_mismatch():
+        parts = unflatten(tensors)
+        for name, network in policy.named_children():
+            network.load_state_dict(parts[name])
+        steps = int(parts["learner"]["steps"])
+    return SavedPolicy(policy, description.task, agent_obsk, config.algorithm, steps)

@@ -1,0 +1,101 @@
+"""mapt train, killed on purpose: real processes, SIGKILL, and bytes to compare."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from mapt.training.metrics import EVENTS, TIMINGS, Metrics, read_metrics
+from mapt.training.run_folder import RunFolder
+from support import short_cheetah
+from support.waiting import until
+from unit.training.conftest import reward_model, write_reward
+
+pytestmark = pytest.mark.usefixtures("short_episodes")
+
+STEPS_PER_ITERATION = 4 * 24
+ITERATIONS = 40
+ENVIRONMENT = os.environ | short_cheetah.ENVIRONMENT | {"OMP_NUM_THREADS": "1"}
+#: less than the time between two iterations at times, more at others: lines without a checkpoint do occur
+CHECKPOINT_MINUTES = "0.003"
+
+
+def command(output: Path, reward: Path, *more: str) -> list[str]:
+    tiny = ("n_envs=4", "rollout_steps=24", "minibatches=2", "epochs=2", "width=8", "hidden=[8]")
+    return [
+        *(sys.executable, "-m", "mapt.cli", "train", "--task", short_cheetah.SHORTEST_NAME, "--algorithm", "mat"),
+        *("--reward", str(reward), "--credit", "individual", "--steps", str(ITERATIONS * STEPS_PER_ITERATION)),
+        *("--output", str(output), "--seed", "3", "--evaluate-every", "1500", "--device", "cpu", "--no-video"),
+        *("--checkpoint-minutes", CHECKPOINT_MINUTES),
+        *(word for setting in tiny for word in ("--set", setting)),
+        *more,
+    ]
+
+
+def kill_after(lines: int, output: Path, reward: Path, number: int = signal.SIGKILL) -> int:
+    """Start the run, send the signal once it has so many lines, and give its status."""
+    folder = RunFolder(output / "seed-3")
+    process = subprocess.Popen(
+        command(output, reward), env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        until(
+            lambda: (
+                process.poll() is not None or (folder.metrics.exists() and len(read_metrics(folder.metrics)) >= lines)
+            ),
+            f"{lines} lines",
+        )
+        assert process.poll() is None
+        process.send_signal(number)
+        return process.wait()
+    finally:
+        process.kill()
+        process.wait()
+
+
+def finish(output: Path, reward: Path) -> RunFolder:
+    done = subprocess.run(command(output, reward), env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return RunFolder(output / "seed-3")
+
+
+def decided(folder: RunFolder) -> list[Metrics]:
+    """The lines without what differs from run to run."""
+    return [
+        {name: value for name, value in line.items() if name not in TIMINGS} for line in read_metrics(folder.metrics)
+    ]
+
+
+def test_a_run_that_was_killed_ends_with_the_bytes_of_one_that_was_not(tmp_path):
+    reward = tmp_path / "reward"
+    write_reward(reward, reward_model())
+    for lines in (4, 15):
+        assert kill_after(lines, tmp_path / "killed", reward) == -signal.SIGKILL
+    killed = finish(tmp_path / "killed", reward)
+    whole = finish(tmp_path / "whole", reward)
+
+    assert killed.checkpoint.read_bytes() == whole.checkpoint.read_bytes()
+    assert killed.evaluation.read_bytes() == whole.evaluation.read_bytes()
+    lines = decided(killed)
+    assert [line["iteration"] for line in lines] == list(range(1, ITERATIONS + 1))
+    assert lines == decided(whole)
+    assert any("evaluation_mean" in line for line in lines)
+
+    events = EventAccumulator(str(killed.path), size_guidance={"scalars": 0}).Reload()
+    assert len(list(killed.path.glob(EVENTS))) == 1
+    assert [event.step for event in events.Scalars("learner/kl")] == [line["steps"] for line in lines]
+
+
+def test_a_run_that_is_asked_to_stop_saves_its_last_iteration_and_says_that_it_can_go_on(tmp_path):
+    reward = tmp_path / "reward"
+    write_reward(reward, reward_model())
+    assert kill_after(4, tmp_path / "stopped", reward, signal.SIGTERM) == 130
+    stopped = RunFolder(tmp_path / "stopped" / "seed-3")
+    stored = stopped.last_checkpoint()
+    assert stored is not None
+    assert stored.progress["iteration"] == len(read_metrics(stopped.metrics)) < ITERATIONS
+    assert not stopped.evaluation.exists()

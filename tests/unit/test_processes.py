@@ -1,0 +1,69 @@
+"""Worker processes: what they tell, and how they are ended."""
+
+import os
+import time
+from multiprocessing import active_children
+
+import pytest
+
+from mapt.processes import Desk, run_jobs
+from mapt.training.errors import InvalidRun
+
+
+def count(job: int, desk: Desk) -> int:
+    for number in range(job):
+        desk.tell(number)
+    return 10 * job
+
+
+def wait_until_unwanted(job: str, desk: Desk) -> str:
+    desk.tell(os.getpid())
+    while not desk.unwanted():
+        time.sleep(0.01)
+    return f"{job} ended"
+
+
+def fail(job: str, desk: Desk) -> None:
+    raise InvalidRun("a sentence") if job == "ours" else LookupError("nothing there")
+
+
+def test_what_is_told_comes_in_order_and_before_the_result():
+    heard: list[tuple[int, int]] = []
+    done = list(run_jobs(count, [3, 0, 2], 1, told=lambda job, news: heard.append((job, news))))
+    assert heard == [(3, 0), (3, 1), (3, 2), (2, 0), (2, 1)]
+    assert [(each.job, each.result, each.failure) for each in done] == [(3, 30, None), (0, 0, None), (2, 20, None)]
+
+
+def test_a_wish_to_stop_ends_what_is_in_hand_and_begins_nothing():
+    begun: list[str] = []
+    heard: list[int] = []
+    running = run_jobs(
+        wait_until_unwanted,
+        ["a", "b", "c"],
+        2,
+        started=begun.append,
+        told=lambda job, news: heard.append(news),
+        stopped=lambda: len(heard) == 2,
+    )
+    assert sorted(done.result or "" for done in running) == ["a ended", "b ended"]
+    assert begun == ["a", "b"]
+    assert len(set(heard)) == 2
+    assert not active_children()
+
+
+@pytest.mark.parametrize(
+    ("job", "failure"), [("ours", "a sentence"), ("another", "LookupError: nothing there (test_processes.py, line ")]
+)
+def test_an_error_of_this_library_is_its_sentence_another_says_where(job, failure):
+    (done,) = run_jobs(fail, [job], 1)
+    assert (done.failure or "").startswith(failure)
+    assert done.result is None
+
+
+def test_leaving_early_ends_the_workers():
+    def leave(job: str, news: int) -> None:
+        raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        list(run_jobs(wait_until_unwanted, ["a"], 1, told=leave))
+    assert not active_children()

@@ -1,0 +1,154 @@
+"""Runs beside each other: what the table and the picture are made of."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mapt.training.curves import draw_curves
+from mapt.training.errors import DamagedRun, RunNotFound
+from mapt.training.evaluation import Evaluation, interquartile_mean
+from mapt.training.metrics import MetricsFile
+from mapt.training.results import RunResult, find_runs, grouped, markdown, seed_curves
+from mapt.training.run_folder import RunFolder
+from mapt.training.settings import LearnedRewardSettings, RunSettings
+from unit.training.conftest import STEPS_PER_ITERATION
+
+
+def write_run(
+    path: Path, settings: RunSettings, returns: list[float | None], final: list[float] | None = None, **extra: float
+) -> RunFolder:
+    """A run whose iterations had these true returns; the last line gets `extra`."""
+    folder = RunFolder(path)
+    path.mkdir(parents=True)
+    folder.claim(settings)
+    file = MetricsFile(folder.metrics, 0)
+    seconds = {"seconds_physics": 1.0, "seconds_inference": 2.0, "seconds_reward": 3.0, "seconds_update": 4.0}
+    for number, value in enumerate(returns, 1):
+        line = {"iteration": number, "steps": number * STEPS_PER_ITERATION, **seconds}
+        line |= {} if value is None else {"true_return": value}
+        file.append(line | (extra if number == len(returns) else {}))
+    file.close()
+    if final is not None:
+        steps = len(returns) * STEPS_PER_ITERATION
+        folder.write_evaluation(steps, Evaluation(tuple(final), (20,) * len(final)))
+    return folder
+
+
+def read(*folders: RunFolder) -> list[RunResult]:
+    return [RunResult.read(folder) for folder in folders]
+
+
+def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end():
+    assert interquartile_mean([100.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, -100.0]) == pytest.approx(3.5)
+    assert interquartile_mean([7.0]) == 7.0
+    assert interquartile_mean([1.0, 2.0, 9.0]) == 4.0  # a quarter of three is none
+
+
+def test_a_run_is_read_as_it_was_written(settings, tmp_path):
+    folder = write_run(tmp_path / "run", settings(3), [None, 5.0, 6.0], final=[1.0, 3.0])
+    run = RunResult.read(folder)
+    assert run.curve_steps.tolist() == [2 * STEPS_PER_ITERATION, 3 * STEPS_PER_ITERATION]
+    assert run.curve_returns.tolist() == [5.0, 6.0]
+    assert [(one.steps, one.mean) for one in run.evaluations] == [(3 * STEPS_PER_ITERATION, 2.0)]
+    assert run.seconds == {"physics": 3.0, "inference": 6.0, "reward": 9.0, "update": 12.0}
+
+
+def test_an_evaluation_of_fewer_steps_is_not_the_final_one(settings, tmp_path):
+    folder = write_run(tmp_path / "run", settings(3), [1.0, 2.0], final=[1.0])
+    with folder.metrics.open("a") as file:
+        line = json.loads(folder.metrics.read_text().splitlines()[-1]) | {"steps": 3 * STEPS_PER_ITERATION}
+        file.write(json.dumps(line) + "\n")
+    assert RunResult.read(folder).evaluations == ()
+
+
+def test_runs_are_found_below_a_folder_each_once(settings, tmp_path):
+    write_run(tmp_path / "mat" / "seed-0", settings(1), [1.0])
+    write_run(tmp_path / "mat" / "seed-1", settings(1, policy_seed=1), [1.0])
+    found = find_runs([tmp_path, tmp_path / "mat" / "seed-0"])
+    assert [folder.path.name for folder in found] == ["seed-0", "seed-1"]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RunNotFound, match="empty"):
+        find_runs([tmp_path / "empty"])
+
+
+def test_runs_go_together_that_differ_in_their_seeds_alone(settings, tmp_path):
+    several = [
+        settings(1, policy_seed=0),
+        settings(2, policy_seed=1),
+        settings(1, policy_algorithm="happo"),
+        settings(1, policy_seed=0, policy_clip=0.3),
+        settings(1, reward=LearnedRewardSettings("/rewards/version-3", 5)),
+    ]
+    runs = read(*(write_run(tmp_path / str(n), run, [1.0]) for n, run in enumerate(several)))
+    groups = grouped(runs)
+    assert [(group.label, len(group.runs)) for group in groups] == [
+        ("mappo, true reward, clip=0.1", 2),
+        ("happo, true reward", 1),
+        ("mappo, true reward, clip=0.3", 1),
+        ("mappo, version-3", 1),
+    ]
+
+
+def test_the_table_tells_mean_spread_and_each_seed(settings, tmp_path):
+    folders = [
+        write_run(
+            tmp_path / str(seed), settings(2, policy_seed=seed), [1.0, 2.0], final=[value - 1, value, value, value + 41]
+        )
+        for seed, value in ((0, 100.0), (1, 300.0))
+    ]
+    text = markdown(grouped(read(*folders)))
+    assert f"| mappo | true | {2 * STEPS_PER_ITERATION:,} | 2 | 210 | 141 | 200 | 0: 110, 1: 310 |" in text
+    # Ten seconds an iteration.
+    assert f"| mappo | true | {STEPS_PER_ITERATION / 10:,.0f} | 10% | 20% | 30% | 40% |" in text
+    assert "Not finished" not in text
+
+
+def test_the_table_tells_of_steps_on_the_way_and_of_what_is_missing(settings, tmp_path):
+    done = write_run(tmp_path / "0", settings(2), [1.0, 2.0], final=[8.0], evaluation_mean=7.0, evaluation_iqm=7.0)
+    short = write_run(tmp_path / "1", settings(2, policy_seed=1), [1.0], evaluation_mean=5.0, evaluation_iqm=5.0)
+    first, second = STEPS_PER_ITERATION, 2 * STEPS_PER_ITERATION
+    text = markdown(grouped(read(done, short)), [first, second, 1000 * second])
+    assert f"| {first:,} | 1 | 5 | - | 5 | 1: 5 |" in text
+    assert f"| {second:,} | 1 | 8 | - | 8 | 0: 8 |" in text
+    assert f"| {1000 * second:,} | 0 | - | - | - | - |" in text
+    assert f"seed 1: {first} of {second} steps" in text
+
+
+def test_a_mean_is_drawn_where_every_seed_has_been(settings, tmp_path):
+    long = write_run(tmp_path / "0", settings(4), [1.0, 2.0, None, 4.0, 5.0])
+    short = write_run(tmp_path / "1", settings(4, policy_seed=1), [None, 7.0, 9.0])
+    curves = seed_curves(read(long, short))
+    # Five iterations in four bins, as many as the longest run has points: ends at 1.25, 2.5, 3.75 and 5 iterations.
+    np.testing.assert_array_equal(curves.returns, [[1.0, 2.0, 3.25, 4.5], [np.nan, 7.0, 9.0, np.nan]])
+    assert curves.whole().tolist() == [False, True, True, False]
+
+
+def test_many_points_are_averaged_by_bins(settings, tmp_path):
+    run = RunResult.read(write_run(tmp_path / "0", settings(100), [float(n) for n in range(100)]))
+    curves = seed_curves([run], most_bins=10)
+    np.testing.assert_allclose(curves.returns[0], 4.5 + 10 * np.arange(10))
+    assert curves.steps[-1] == 100 * STEPS_PER_ITERATION
+
+
+def test_the_picture_has_a_panel_for_each_task_and_does_with_little(settings, tmp_path):
+    other = dataclasses.replace(settings(1, policy_seed=3), task="HalfCheetah-6x1")
+    folders = [
+        write_run(tmp_path / "0", settings(3), [1.0, 2.0, 3.0], final=[4.0]),
+        write_run(tmp_path / "1", settings(3, policy_seed=1), [None]),
+        write_run(tmp_path / "2", other, []),
+    ]
+    draw_curves(grouped(read(*folders)), tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_a_file_that_is_no_run_is_told_by_its_name(settings, tmp_path):
+    folder = write_run(tmp_path / "0", settings(1), [1.0], final=[1.0])
+    folder.evaluation.write_text('{"steps": 96}')
+    with pytest.raises(DamagedRun, match=r"evaluation\.json"):
+        RunResult.read(folder)
+    (folder.path / "run.json").write_text("{}")
+    with pytest.raises(DamagedRun, match=r"run\.json"):
+        RunResult.read(folder)

@@ -1,0 +1,182 @@
+"""A run in this process: what it leaves behind, how it goes on, and what a new reward version does to it."""
+
+import json
+
+import pytest
+
+from mapt.policies import Learner
+from mapt.policies.checkpoint import unpack
+from mapt.rewards.errors import DamagedCheckpoint, ModelMismatch
+from mapt.training.evaluation import evaluate_policy
+from mapt.training.metrics import TIMINGS, read_metrics
+from mapt.training.run import Run, Watch, complete_run
+from mapt.training.run_folder import PolicyCheckpoint, RunFolder, load_policy
+from mapt.training.settings import LearnedRewardSettings
+from support.short_cheetah import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
+from unit.training.conftest import STEPS_PER_ITERATION, reward_model, write_reward
+
+
+def lines(folder: RunFolder) -> list[dict[str, float | str]]:
+    """What is decided by the settings of each line."""
+    return [
+        {name: value for name, value in line.items() if name not in TIMINGS} for line in read_metrics(folder.metrics)
+    ]
+
+
+def train(settings, path, checkpoint_seconds=0.0, watch=None) -> RunFolder:
+    folder = RunFolder(path)
+    complete_run(settings, folder, checkpoint_seconds, watch or Watch(), video=False)
+    return folder
+
+
+def test_a_run_leaves_its_curves_and_its_evaluation(settings, tmp_path):
+    folder = train(settings(iterations=3), tmp_path / "run")
+    found = read_metrics(folder.metrics)
+    assert [line["iteration"] for line in found] == [1, 2, 3]
+    assert [line["steps"] for line in found] == [STEPS_PER_ITERATION * n for n in (1, 2, 3)]
+    for line in found:
+        assert line["true_reward_correlation"] == pytest.approx(1.0)
+        parts = [line[f"seconds_{part}"] for part in ("physics", "inference", "reward", "update")]
+        assert all(float(part) >= 0 for part in parts)
+        assert STEPS_PER_ITERATION / sum(map(float, parts)) == pytest.approx(line["steps_per_second"])
+    evaluation = json.loads(folder.evaluation.read_text())
+    assert evaluation["steps"] == 3 * STEPS_PER_ITERATION
+    assert evaluation["lengths"] == [SHORTEST_HORIZON_STEPS] * 32
+
+
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(settings, tmp_path):
+    run = settings(iterations=5, reward=write_reward(tmp_path / "reward", reward_model()), evaluate_every_steps=200)
+    whole = train(run, tmp_path / "whole", checkpoint_seconds=1e9)
+    seen: list[float] = []
+    stopping = Watch(on_iteration=lambda metrics: seen.append(float(metrics["steps"])), stopped=lambda: len(seen) == 2)
+    stopped = train(run, tmp_path / "stopped", checkpoint_seconds=1e9, watch=stopping)
+    assert len(seen) == 2
+    assert not stopped.evaluation.exists()
+    train(run, tmp_path / "stopped", checkpoint_seconds=1e9)
+    assert lines(stopped) == lines(whole)
+    assert stopped.checkpoint.read_bytes() == whole.checkpoint.read_bytes()
+    assert stopped.evaluation.read_bytes() == whole.evaluation.read_bytes()
+
+
+def test_a_finished_run_is_made_longer_and_is_then_the_long_run(settings, tmp_path):
+    grown = train(settings(iterations=2), tmp_path / "grown")
+    short = grown.evaluation.read_bytes()
+    train(settings(iterations=4), tmp_path / "grown")
+    whole = train(settings(iterations=4), tmp_path / "whole")
+    assert grown.checkpoint.read_bytes() == whole.checkpoint.read_bytes()
+    assert grown.evaluation.read_bytes() == whole.evaluation.read_bytes() != short
+
+
+def test_threads_of_the_physics_change_nothing_that_is_learned(settings, tmp_path):
+    folders = [RunFolder(tmp_path / str(threads)) for threads in (1, 3)]
+    for folder, threads in zip(folders, (1, 3), strict=True):
+        complete_run(settings(iterations=2), folder, 0.0, Watch(), video=False, physics_threads=threads)
+    assert folders[0].checkpoint.read_bytes() == folders[1].checkpoint.read_bytes()
+    assert folders[0].evaluation.read_bytes() == folders[1].evaluation.read_bytes()
+
+
+def test_evaluations_on_the_way_change_nothing_that_is_learned(settings, tmp_path):
+    often = train(settings(iterations=4, evaluate_every_steps=2 * STEPS_PER_ITERATION), tmp_path / "often")
+    never = train(settings(iterations=4), tmp_path / "never")
+    assert ["evaluation_mean" in line for line in lines(often)] == [False, True, False, True]
+    assert often.checkpoint.read_bytes() == never.checkpoint.read_bytes()
+    assert lines(often)[-1]["evaluation_mean"] == json.loads(often.evaluation.read_text())["mean"]
+
+
+def test_a_learned_reward_takes_the_place_of_the_true_one(settings, tmp_path):
+    reward = write_reward(tmp_path / "reward", reward_model())
+    folder = train(settings(reward=reward), tmp_path / "run")
+    for line in lines(folder):
+        assert line["reward_version"] == 1
+        assert abs(float(line["true_reward_correlation"])) < 0.99
+    assert (folder.rewards / "version-1" / "reward.safetensors").read_bytes() == (
+        tmp_path / "reward" / "reward.safetensors"
+    ).read_bytes()
+
+
+def value_units(checkpoint: bytes) -> tuple[float, float]:
+    """Mean and spread in which the critic predicts, over agents."""
+    tensors, _ = unpack(PolicyCheckpoint.from_bytes(checkpoint).learner, SHORTEST_NAME)
+    return float(tensors["critic.statistics.mean"].mean()), float(tensors["critic.statistics.std"].mean())
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_version_of_another_scale_does_not_corrupt_the_values(settings, tmp_path, told, monkeypatch):
+    """The new version is 50 r - 8, so values v are to become 50 v - 8 / (1 - gamma); untold, they lag behind."""
+    if not told:
+        monkeypatch.setattr(Learner, "reward_changed", lambda self: None)
+    run = settings(iterations=21, policy_gamma=0.9, reward=write_reward(tmp_path / "reward", reward_model()))
+    folder, before = RunFolder(tmp_path / "run"), b""
+
+    def replace(metrics) -> None:
+        nonlocal before
+        if metrics["iteration"] == 20:
+            write_reward(tmp_path / "reward", reward_model(mean=8 / 50, deviation=1 / 50))
+        if metrics["iteration"] == 21:
+            before = folder.checkpoint.read_bytes()  # of the iteration before
+
+    train(run, folder.path, watch=Watch(on_iteration=replace))
+    found = lines(folder)
+    assert [line["reward_version"] for line in found] == [1] * 20 + [2]
+    assert len({line["reward_sha"] for line in found}) == 2
+    (mean, std), (new_mean, new_std) = value_units(before), value_units(folder.checkpoint.read_bytes())
+    moved = new_std == pytest.approx(50 * std, rel=0.25), new_mean == pytest.approx(50 * mean - 80, abs=50 * std)
+    assert moved == ((True, True) if told else (False, False))
+
+
+def test_a_version_that_cannot_be_used_is_told_once_and_the_old_one_stays(settings, tmp_path):
+    reward = tmp_path / "reward"
+    run = settings(iterations=6, reward=write_reward(reward, reward_model()))
+    whole = (reward / "reward.safetensors").read_bytes()
+    said: list[str] = []
+
+    def spoil(metrics) -> None:
+        if metrics["iteration"] == 2:
+            (reward / "reward.safetensors").write_bytes(whole[:-4])
+        if metrics["iteration"] == 4:
+            write_reward(reward, reward_model(seed=1))
+
+    folder = train(run, tmp_path / "run", watch=Watch(on_iteration=spoil, note=said.append))
+    assert [line["reward_version"] for line in lines(folder)] == [1, 1, 1, 1, 2, 2]
+    assert len(said) == 1
+    assert "cannot be used" in said[0]
+
+
+def test_a_version_that_came_while_no_process_ran_is_taken_up(settings, tmp_path):
+    reward = write_reward(tmp_path / "reward", reward_model())
+    train(settings(iterations=2, reward=reward), tmp_path / "run")
+    write_reward(tmp_path / "reward", reward_model(seed=1))
+    folder = train(settings(iterations=4, reward=reward), tmp_path / "run")
+    assert [line["reward_version"] for line in lines(folder)] == [1, 1, 2, 2]
+
+
+def test_a_reward_that_is_missing_or_of_another_task_is_refused(settings, tmp_path):
+    run = settings(reward=write_reward(tmp_path / "reward", reward_model()), agent_obsk=0)
+    with pytest.raises(ModelMismatch, match="ShortestHalfCheetah"):
+        train(run, tmp_path / "run")
+    (tmp_path / "reward" / "reward.json").unlink()
+    with pytest.raises(DamagedCheckpoint, match=r"reward\.json is missing"):
+        train(run, tmp_path / "run")
+
+
+@pytest.mark.parametrize("algorithm", ["happo", "mat", "mat_dec"])
+def test_the_policy_that_is_loaded_is_the_one_that_was_evaluated(settings, tmp_path, algorithm):
+    run = settings(iterations=1, policy_algorithm=algorithm, policy_width=8, agent_obsk=0)
+    folder = train(run, tmp_path / "run")
+    saved = load_policy(folder.path, "cpu")
+    assert (saved.algorithm, saved.steps, saved.agent_obsk) == (algorithm, STEPS_PER_ITERATION, 0)
+    again = evaluate_policy(saved.policy, saved.task, agent_obsk=0)
+    assert again == folder.read_evaluation(STEPS_PER_ITERATION)
+
+
+def test_a_run_that_fails_at_its_start_leaves_no_settings_behind(settings, tmp_path):
+    with pytest.raises(DamagedCheckpoint):
+        train(settings(reward=LearnedRewardSettings(str(tmp_path / "nowhere"), 5)), tmp_path / "run")
+    train(settings(iterations=1), tmp_path / "run")
+
+
+def test_a_run_can_be_closed_in_the_middle(settings, tmp_path):
+    folder = RunFolder(tmp_path)
+    with folder.locked(), Run(settings(), folder, 0.0, Watch()) as run:
+        assert run.iteration == 0
+    assert read_metrics(folder.metrics) == []

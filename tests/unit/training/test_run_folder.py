@@ -1,0 +1,65 @@
+"""Policies from files, whoever wrote them."""
+
+import pytest
+import torch
+
+from mapt.policies import InvalidCheckpoint, Learner
+from mapt.tasks import make_task
+from mapt.training.errors import RunNotFound
+from mapt.training.run_folder import PolicyCheckpoint, load_policy
+from support.short_cheetah import SHORTEST_NAME
+from unit.training.conftest import STEPS_PER_ITERATION
+
+
+@pytest.fixture
+def learner(settings):
+    task = make_task(SHORTEST_NAME, 4)
+    trained = Learner(task, settings().policy)
+    rollout = trained.collect()
+    trained.update(rollout, rollout.rewards)
+    yield trained
+    task.close()
+
+
+def same(learner: Learner, other) -> bool:
+    own, its = learner.policy.state_dict(), other.policy.state_dict()
+    return own.keys() == its.keys() and all(torch.equal(own[name], its[name]) for name in own)
+
+
+def test_a_learners_own_file_is_read(learner, tmp_path):
+    learner.save(tmp_path / "policy.safetensors")
+    saved = load_policy(tmp_path / "policy.safetensors", "cpu")
+    assert same(learner, saved)
+    assert (saved.task, saved.algorithm, saved.steps) == (SHORTEST_NAME, "mappo", STEPS_PER_ITERATION)
+
+
+def test_a_checkpoint_of_the_service_is_read(learner, tmp_path):
+    context = {"episode": torch.zeros(3).numpy()}
+    (tmp_path / "000-ab.safetensors").write_bytes(PolicyCheckpoint(learner.to_bytes(), context).to_bytes())
+    assert same(learner, load_policy(tmp_path / "000-ab.safetensors", "cpu"))
+
+
+def test_a_checkpoint_is_read_as_it_was_written(learner):
+    context = {"episode": torch.arange(3).numpy()}
+    stored = PolicyCheckpoint.from_bytes(PolicyCheckpoint(learner.to_bytes(), context, {"iteration": 7}).to_bytes())
+    assert stored.learner == learner.to_bytes()
+    assert stored.context["episode"].tolist() == [0, 1, 2]
+    assert stored.progress == {"iteration": 7}
+
+
+def test_other_observations_than_the_policys_are_refused(learner, tmp_path):
+    learner.save(tmp_path / "policy.safetensors")
+    with pytest.raises(InvalidCheckpoint, match="does not fit"):
+        load_policy(tmp_path / "policy.safetensors", "cpu", agent_obsk=0)
+
+
+def test_what_is_no_policy_is_refused(learner, tmp_path):
+    learner.save(tmp_path / "policy.safetensors")
+    whole = (tmp_path / "policy.safetensors").read_bytes()
+    for content in (b"", b"nothing", whole[:-8], whole[:100]):
+        (tmp_path / "broken").write_bytes(content)
+        with pytest.raises(InvalidCheckpoint):
+            load_policy(tmp_path / "broken", "cpu")
+    for path in (tmp_path, tmp_path / "missing"):
+        with pytest.raises(RunNotFound):
+            load_policy(path)

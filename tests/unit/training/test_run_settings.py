@@ -1,0 +1,71 @@
+"""Which settings make a run, and when two are the same."""
+
+import dataclasses
+
+import pytest
+
+from mapt.policies import InvalidConfig
+from mapt.training.errors import InvalidRun, OtherRun, RunBusy
+from mapt.training.run_folder import RunFolder
+from mapt.training.settings import LearnedRewardSettings, RunSettings
+
+
+def test_settings_survive_storage(settings, tmp_path):
+    for reward in (None, LearnedRewardSettings("/somewhere", 5, "weighted", "individual")):
+        run = settings(reward=reward, policy_learning_rate=1e-3)
+        folder = RunFolder(tmp_path / str(reward is None))
+        folder.path.mkdir()
+        folder.claim(run)
+        assert folder.settings() == run
+
+
+def test_a_folder_with_another_run_is_left_alone(settings, tmp_path):
+    folder = RunFolder(tmp_path)
+    folder.claim(settings())
+    with pytest.raises(OtherRun, match=r"policy\.learning_rate: 0\.002, not 0\.001"):
+        folder.claim(settings(policy_learning_rate=1e-3))
+    assert folder.settings() == settings()
+
+
+def test_a_run_can_be_made_longer_and_never_shorter(settings, tmp_path):
+    folder = RunFolder(tmp_path)
+    for iterations, expected in ((3, 3), (5, 5), (4, 5)):
+        folder.claim(settings(iterations))
+        assert folder.settings() == settings(expected)
+
+
+def test_two_processes_cannot_train_in_one_folder(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    with folder.locked(), pytest.raises(RunBusy), RunFolder(folder.path).locked():
+        pass
+    with folder.locked():
+        pass
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"steps": 0}, "steps"),
+        ({"evaluate_every_steps": -1}, "evaluate_every_steps"),
+        ({"reward": {"path": "x", "segment_steps": 0}}, "segment_steps"),
+        ({"reward": {"path": "x", "segment_steps": 5, "credit": "mine"}}, "known: shared, individual"),
+        ({"reward": {"path": "x", "segment_steps": 5, "kind": "all"}}, "known: value, attended, weighted"),
+        ({"surprise": 1}, "surprise"),
+        ({"policy": 3}, "settings by name"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings, changes, message):
+    with pytest.raises(InvalidRun, match=message):
+        RunSettings.from_dict({**settings().to_dict(), **changes})
+
+
+def test_the_policys_settings_are_checked_as_its_own(settings):
+    values = settings().to_dict()
+    with pytest.raises(InvalidConfig, match="learning_rte"):
+        RunSettings.from_dict({**values, "policy": {"learning_rte": 1.0}})
+
+
+def test_only_the_steps_may_differ(settings):
+    run = settings()
+    assert run.differences(dataclasses.replace(run, steps=10**9)) == []
+    assert run.differences(dataclasses.replace(run, agent_obsk=0)) == ["agent_obsk: 1, not 0"]
