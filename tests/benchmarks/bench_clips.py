@@ -20,11 +20,10 @@ import av
 import mujoco
 import numpy as np
 
-from accord.rendering.probe import probe_backend
-from accord.rendering.process import RenderProcess
-from accord.rendering.protocol import ClipJob
+from accord.rendering.checks import probe_backend
+from accord.rendering.process import ClipJob, RenderProcess
 from mapt.rendering.encode import write_clip
-from mapt.rendering.environment import Backend, render_environment
+from mapt.rendering.offscreen import Backend, render_environment
 from mapt.rendering.renderer import ClipRenderer
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model

@@ -26,9 +26,8 @@ from gymnasium_robotics import mamujoco_v1
 from mujoco.batch import Batch
 
 from mapt.tasks import load_model, make_task
-from mapt.tasks.entry import MujocoEntry
+from mapt.tasks.mujoco_task import MujocoEntry, Team
 from mapt.tasks.registry import find_entry
-from mapt.tasks.team import Team
 
 TASKS = ("HalfCheetah-6x1", "Ant-4x2", "Humanoid-9|8")
 N_ENVS = (16, 64)

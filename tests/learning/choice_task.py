@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.tasks import InvalidAction, InvalidSnapshot, TaskSpec, TaskStep
-from mapt.tasks.random_state import generator_from_array, generator_to_array
+from mapt.tasks.snapshot import generator_from_array, generator_to_array
 
 N_AGENTS = 2
 N_CHOICES = 4

@@ -9,8 +9,7 @@ from dataclasses import replace
 import pytest
 
 from mapt.tasks import MujocoEntry, register_task
-from mapt.tasks.plugins import VARIABLE
-from mapt.tasks.registry import find_entry
+from mapt.tasks.registry import VARIABLE, find_entry
 
 #: HalfCheetah-6x1 with episodes a twentieth as long
 NAME = "ShortHalfCheetah-6x1"

@@ -16,7 +16,7 @@ from accord.services.offer import OfferedQuery
 from accord.store.blobs import BlobStore
 from accord.store.queries import SideRow
 from accord.store.tables import ExperimentRow, RewardVersionRow, WorkerRow, utc_now
-from mapt.rendering.colours import agent_colour
+from mapt.rendering.appearance import agent_colour
 from mapt.tasks import task_names, task_spec
 
 

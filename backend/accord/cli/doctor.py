@@ -18,7 +18,7 @@ from accord.cli.options import Home, load_settings
 from accord.cli.output import say
 from accord.domain.checks import Check
 from accord.domain.errors import AccordError
-from accord.rendering.doctor import check_encoder, check_rendering
+from accord.rendering.checks import check_encoder, check_rendering
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database

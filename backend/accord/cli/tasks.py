@@ -3,8 +3,7 @@
 from accord.cli.output import out
 from accord.domain.errors import Unavailable
 from mapt.tasks import TaskError
-from mapt.tasks.listing import task_listing
-from mapt.tasks.registry import DEFAULT_AGENT_OBSK
+from mapt.tasks.registry import DEFAULT_AGENT_OBSK, task_listing
 
 
 def tasks() -> None:

@@ -4,6 +4,9 @@ Started by `accord.rendering.process`, with the environment that `probe.render_e
 never imported here: EGL and CUDA in one process deadlock on some drivers.
 """
 
+# mujoco is compiled and ships no stubs.
+# pyright: reportAttributeAccessIssue=false
+
 import ctypes
 import os
 import signal
@@ -11,7 +14,10 @@ import sys
 from collections import OrderedDict
 from multiprocessing.connection import Connection
 
-from accord.rendering.protocol import ClipJob, Reply, receive_job, send_reply
+import mujoco
+
+from accord.rendering.checks import DREW
+from accord.rendering.process import ClipJob, Reply, receive_job, send_reply
 from mapt.rendering.encode import write_clip
 from mapt.rendering.renderer import ClipRenderer
 from mapt.rendering.settings import RenderSettings
@@ -24,6 +30,9 @@ _PR_SET_PDEATHSIG = 1
 
 def main() -> None:
     """Serve jobs until the parent closes the connection or dies."""
+    if sys.argv[1:] == ["probe"]:
+        probe()
+        return
     descriptor, parent = int(sys.argv[1]), int(sys.argv[2])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer: it ends this process itself
     die_with(parent)
@@ -78,6 +87,28 @@ class Renderers:
             _, oldest = self._kept.popitem(last=False)
             oldest.close()
         return self._kept[key]
+
+
+BALL = """
+<mujoco>
+  <visual><headlight ambient="1 1 1" diffuse="0 0 0" specular="0 0 0"/></visual>
+  <worldbody><geom type="sphere" size="1" rgba="1 0 0 1"/></worldbody>
+</mujoco>
+"""
+
+
+def probe() -> None:
+    """Print that a frame was drawn, or what came instead of red."""
+    model = mujoco.MjModel.from_xml_string(BALL)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    with mujoco.Renderer(model, 32, 32) as renderer:
+        renderer.update_scene(data)
+        red, green, blue = (int(channel) for channel in renderer.render()[16, 16])
+    if red > 200 and green < 50 and blue < 50:
+        print(DREW, flush=True)
+    else:
+        raise SystemExit(f"a red ball came out as ({red}, {green}, {blue})")
 
 
 if __name__ == "__main__":

@@ -1,22 +1,125 @@
-"""Clips made in a process of their own, which may hang or die without harm to its parent.
+"""What can go wrong between simulator states and a clip.
 
-It is started by `subprocess` with its own environment, not by `multiprocessing`: that would import the parent's main
-module again, and with it torch.
+AccordError
+├── Unavailable
+│   └── RenderingUnavailable     no OpenGL without a display on this machine
+└── RenderFailed                 this clip was not made; another may be
+    └── RenderTimedOut
 """
 
+import json
 import os
 import socket
 import struct
 import subprocess
 import sys
+from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
-from accord.rendering.errors import RenderFailed, RenderTimedOut
-from accord.rendering.protocol import ClipJob, Reply, receive_reply, send_job
+import numpy as np
+from numpy.typing import NDArray
+
+from accord.domain.errors import AccordError, Unavailable
 from mapt.rendering.encode import ClipFile, partial_path
-from mapt.rendering.environment import Backend, render_environment
+from mapt.rendering.offscreen import Backend, render_environment
+from mapt.rendering.settings import CodecSettings, RenderSettings
+
+
+class RenderingUnavailable(Unavailable):
+    """No clip can be drawn on this machine. The message says what to install."""
+
+    code = "rendering_unavailable"
+
+
+class RenderFailed(AccordError):
+    """A clip could not be drawn or encoded, or its process died. Nothing is left at the clip's path."""
+
+    code = "render_failed"
+
+
+class RenderTimedOut(RenderFailed):
+    """A clip took longer than its limit: its process was killed and replaced."""
+
+    code = "render_timed_out"
+
+    def __init__(self, limit_seconds: float) -> None:
+        super().__init__(f"The clip was not finished in {limit_seconds:g} seconds. Its process was replaced.")
+        self.limit_seconds = limit_seconds
+
+
+@dataclass(frozen=True, slots=True)
+class ClipJob:
+    """One clip to make."""
+
+    #: a name that `mapt.tasks` knows
+    task: str
+    #: simulator states, float64 (T,nq) and (T,nv)
+    qpos: NDArray[np.float64]
+    qvel: NDArray[np.float64]
+    settings: RenderSettings
+    #: where the clip goes; its folder exists
+    path: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What a child answers: exactly one of the two, or neither when it is ready."""
+
+    clip: ClipFile | None = None
+    failure: str | None = None
+
+
+def send_job(connection: Connection, job: ClipJob) -> None:
+    """Hand a job over.
+
+    Raises:
+        OSError: if the child is gone.
+    """
+    header = {
+        "task": job.task,
+        "settings": asdict(job.settings),
+        "path": str(job.path.resolve()),
+        "shapes": [job.qpos.shape, job.qvel.shape],
+    }
+    connection.send_bytes(json.dumps(header).encode())
+    for states in (job.qpos, job.qvel):
+        connection.send_bytes(np.ascontiguousarray(states, dtype="<f8").tobytes())
+
+
+def receive_job(connection: Connection) -> ClipJob:
+    """Wait for the next job.
+
+    Raises:
+        EOFError: if the parent has closed the connection or is gone.
+    """
+    header = json.loads(connection.recv_bytes())
+    qpos, qvel = (np.frombuffer(connection.recv_bytes(), "<f8").reshape(shape) for shape in header["shapes"])
+    return ClipJob(header["task"], qpos, qvel, _settings(header["settings"]), Path(header["path"]))
+
+
+def send_reply(connection: Connection, reply: Reply) -> None:
+    clip = reply.clip and asdict(reply.clip) | {"path": str(reply.clip.path)}
+    connection.send_bytes(json.dumps({"clip": clip, "failure": reply.failure}).encode())
+
+
+def receive_reply(connection: Connection) -> Reply:
+    """Wait for the child's answer.
+
+    Raises:
+        EOFError: if the child is gone.
+    """
+    fields = json.loads(connection.recv_bytes())
+    clip = fields["clip"] and ClipFile(**fields["clip"] | {"path": Path(fields["clip"]["path"])})
+    return Reply(clip, fields["failure"])
+
+
+def _settings(fields: dict[str, Any]) -> RenderSettings:
+    codec = CodecSettings(**fields.pop("codec"))
+    return RenderSettings(**fields, codec=codec)
+
 
 #: starting takes 1 to 2 s; a busy machine may need ten times that
 START_LIMIT_SECONDS = 60.0

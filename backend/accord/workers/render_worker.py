@@ -14,11 +14,10 @@ from mujoco import MjModel  # pyright: ignore[reportAttributeAccessIssue]  (comp
 
 from accord.domain.enums import WorkerRole
 from accord.domain.errors import BlobMissing
-from accord.rendering.clip import clip_key
-from accord.rendering.errors import RenderFailed
-from accord.rendering.probe import probe_backend
-from accord.rendering.process import RenderProcess
-from accord.rendering.protocol import ClipJob as DrawJob
+from accord.rendering.checks import probe_backend
+from accord.rendering.clip_key import clip_key
+from accord.rendering.process import ClipJob as DrawJob
+from accord.rendering.process import RenderFailed, RenderProcess
 from accord.services import clips
 from accord.services.clips import ClipJob, MadeClip
 from accord.services.collect import drawn_blob_key, load_arrays

@@ -5,8 +5,7 @@ from typing import Annotated
 import typer
 
 from mapt.cli.output import out
-from mapt.tasks.listing import task_listing
-from mapt.tasks.registry import DEFAULT_AGENT_OBSK
+from mapt.tasks.registry import DEFAULT_AGENT_OBSK, task_listing
 
 
 def tasks(

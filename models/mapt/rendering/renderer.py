@@ -1,6 +1,6 @@
 """Simulator states to frames, with one OpenGL context for all clips of a task.
 
-`MUJOCO_GL` is read when mujoco is first imported: see `mapt.rendering.environment`.
+`MUJOCO_GL` is read when mujoco is first imported: see `mapt.rendering.offscreen`.
 """
 
 # mujoco is compiled and ships no stubs.
@@ -14,11 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.rendering import decor
-from mapt.rendering.body import Body
-from mapt.rendering.camera import SMOOTHING_SECONDS, camera_path
-from mapt.rendering.framing import LOOK_DOWN_DEGREES, Framing, frame
-from mapt.rendering.scene import has_squares, painted
+from mapt.rendering import appearance as decor
+from mapt.rendering.appearance import has_squares, painted
+from mapt.rendering.camera import LOOK_DOWN_DEGREES, SMOOTHING_SECONDS, Body, Framing, camera_path, frame
 from mapt.rendering.settings import RenderSettings
 
 Float64s = NDArray[np.float64]

@@ -1,6 +1,5 @@
 """Batched multi-agent tasks behind one protocol; numpy and MuJoCo alone."""
 
-from mapt.tasks.entry import MujocoEntry, TaskEntry
 from mapt.tasks.errors import (
     InvalidAction,
     InvalidSnapshot,
@@ -13,10 +12,10 @@ from mapt.tasks.errors import (
     UnknownTask,
     UnusableEnvironment,
 )
-from mapt.tasks.parallel_entry import ParallelEntry
-from mapt.tasks.protocol import DrawnTask, MaskingTask, Task, TaskSpec, TaskStep
+from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.pettingzoo_task import ParallelEntry
+from mapt.tasks.protocol import DrawnTask, MaskingTask, Task, TaskEntry, TaskSpec, TaskStep, WrappedTask
 from mapt.tasks.registry import agent_geoms, load_model, make_task, register_task, task_names, task_spec
-from mapt.tasks.wrapped import WrappedTask
 
 __all__ = [
     "DrawnTask",

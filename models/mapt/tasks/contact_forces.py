@@ -16,7 +16,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from mapt.tasks.errors import TaskError
-from mapt.tasks.scene import MujocoScene
+from mapt.tasks.mujoco_definition import MujocoScene
 
 _READ = ("actuator_length", "actuator_velocity", "xpos", "xquat", "xmat", "cvel", "subtree_com")
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]

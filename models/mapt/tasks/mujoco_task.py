@@ -1,20 +1,61 @@
-"""E copies of one MuJoCo body, stepped on threads, seen and driven by N agents."""
+"""A partition as indices: which numbers each agent sees, and which actuators it drives."""
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
+from dataclasses import dataclass
+
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from mapt.tasks.contact_forces import ContactForces
 from mapt.tasks.errors import InvalidAction, InvalidSnapshot, InvalidTaskOption
-from mapt.tasks.layout import as_slice
-from mapt.tasks.protocol import TaskSpec, TaskStep
-from mapt.tasks.random_state import generator_from_array, generator_to_array
-from mapt.tasks.rules import Float64s, MujocoRules
-from mapt.tasks.scene import MujocoScene
-from mapt.tasks.team import Team
+from mapt.tasks.mujoco_definition import Float64s, MujocoRules, MujocoScene
+from mapt.tasks.partition import actuator_index, as_slice, observation_index
+from mapt.tasks.protocol import Task, TaskSpec, TaskStep
+from mapt.tasks.snapshot import generator_from_array, generator_to_array
+
+#: Name of the one agent that sees the whole state and drives every joint.
+WHOLE_TEAM = "whole team"
+
+
+@dataclass(frozen=True, slots=True)
+class Team:
+    """N agents on one body."""
+
+    #: (N, C): columns of the row, see `Layout`.
+    observed: NDArray[np.intp]
+    #: (N, A): actuators, -1 where an agent drives fewer than others.
+    actuators: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, scene: MujocoScene, rules: MujocoRules, agent_obsk: int | None) -> "Team":
+        """The team that the scene's partition makes.
+
+        Args:
+            agent_obsk: neighbours up to this many edges away are seen. None is MaMuJoCo's single agent: it sees the
+                state and drives every joint, in the order of ctrl.
+
+        Raises:
+            InvalidTaskOption: if `agent_obsk` is negative.
+        """
+        layout = rules.layout(scene.nq, scene.nv)
+        actuators = actuator_index(scene.partition)
+        if agent_obsk is None:
+            return cls(np.array([layout.columns(rules.state)]), np.sort(actuators[actuators >= 0])[None])
+        return cls(observation_index(scene.partition, agent_obsk, layout), actuators)
+
+    @property
+    def action_dims(self) -> tuple[int, ...]:
+        """Numbers of each agent's action that drive something; those after them are ignored."""
+        return tuple(int(driven) for driven in (self.actuators >= 0).sum(axis=1))
+
+    def with_index(self, zero: int, one: int) -> NDArray[np.intp]:
+        """(N, C + N): what is observed, then a one-hot index of the agent out of these two columns."""
+        index = np.where(np.eye(len(self.observed), dtype=bool), one, zero)
+        return np.concatenate([self.observed, index], axis=1)
 
 
 class MujocoTask:
@@ -188,3 +229,60 @@ class MujocoTask:
         state = seen[:, self._state_columns]
         # A slice is a view of what is let go here; an index has made its own.
         return observations, state.copy() if isinstance(self._state_columns, slice) else state
+
+
+@dataclass(frozen=True, slots=True)
+class MujocoEntry:
+    """A task on MuJoCo: a body, its agents, and its rules."""
+
+    name: str
+    scene: MujocoScene
+    rules: MujocoRules
+    #: One per agent, in the order of the partition.
+    agent_names: tuple[str, ...]
+    #: What the team should achieve, in plain words for a labeller.
+    instructions: str
+    #: Steps after which an episode is cut.
+    horizon_steps: int = 1000
+    #: Actions are meant to lie within plus and minus this.
+    action_limit: float = 1.0
+
+    def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
+        team = Team.of(self.scene, self.rules, agent_obsk)
+        n_agents, width = team.observed.shape
+        dims = team.action_dims
+        return TaskSpec(
+            name=self.name,
+            n_agents=n_agents,
+            observation_dim=width + n_agents * agent_index,
+            action_dim=max(dims),
+            state_dim=len(self.rules.state),
+            horizon_steps=self.horizon_steps,
+            step_seconds=self.rules.frame_skip * self.scene.physics_step_seconds,
+            agent_names=(WHOLE_TEAM,) if agent_obsk is None else self.agent_names,
+            nq=self.scene.nq,
+            nv=self.scene.nv,
+            instructions=self.instructions,
+            action_limit=self.action_limit,
+            agent_action_dims=dims,
+        )
+
+    def make(
+        self, n_envs: int, *, n_threads: int, agent_obsk: int | None, agent_index: bool, dtype: type[np.floating]
+    ) -> Task:
+        return MujocoTask(
+            self.spec(agent_obsk=agent_obsk, agent_index=agent_index),
+            self.scene,
+            self.rules,
+            Team.of(self.scene, self.rules, agent_obsk),
+            n_envs=n_envs,
+            n_threads=n_threads,
+            agent_index=agent_index,
+            dtype=dtype,
+        )
+
+    def load_model(self) -> mujoco.MjModel:
+        return self.scene.load_model()
+
+    def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
+        return self.scene.agent_geoms()

@@ -3,9 +3,13 @@
 Dimension letters: E environments, N agents, C observation, A action, S state.
 """
 
+# mujoco is compiled and ships no stubs.
+# pyright: reportAttributeAccessIssue=false
+
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -141,3 +145,81 @@ class DrawnTask(Task, Protocol):
             NoPicture: if it does not draw itself.
         """
         ...
+
+
+class TaskEntry(Protocol):
+    """A task by name. `MujocoEntry` and `ParallelEntry` are the two kinds that exist."""
+
+    @property
+    def name(self) -> str: ...
+
+    def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
+        """What `make` with these options gives, cheaply.
+
+        Raises:
+            InvalidTaskOption: if `agent_obsk` is negative.
+        """
+        ...
+
+    def make(
+        self, n_envs: int, *, n_threads: int, agent_obsk: int | None, agent_index: bool, dtype: type[np.floating]
+    ) -> Task:
+        """See `make_task`."""
+        ...
+
+    def load_model(self) -> mujoco.MjModel:
+        """The model that is simulated.
+
+        Raises:
+            NoSimulator: if the task has none.
+        """
+        ...
+
+    def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
+        """Per agent, the ids of its geoms.
+
+        Raises:
+            NoSimulator: if the task has none.
+        """
+        ...
+
+
+class WrappedTask:
+    """Does what the task within does; a subclass overrides what it changes. It may stand for a `MaskingTask` too.
+
+    Args:
+        task: what is wrapped; closed with this one.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+
+    @property
+    def spec(self) -> TaskSpec:
+        return self._task.spec
+
+    @property
+    def n_envs(self) -> int:
+        return self._task.n_envs
+
+    def reset(self, seed: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        return self._task.reset(seed)
+
+    def step(self, actions: NDArray[np.floating]) -> TaskStep:
+        return self._task.step(actions)
+
+    def simulator_state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return self._task.simulator_state()
+
+    def available_actions(self) -> NDArray[np.bool_] | None:
+        """See `MaskingTask`; none if every action always is."""
+        return self._task.available_actions() if isinstance(self._task, MaskingTask) else None
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        return self._task.snapshot()
+
+    def restore(self, snapshot: dict[str, np.ndarray]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        return self._task.restore(snapshot)
+
+    def close(self) -> None:
+        self._task.close()

@@ -3,27 +3,29 @@
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
+import os
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from itertools import chain
+from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from mapt.tasks import (
+from mapt.tasks.errors import TaskExists, TaskFileFailed, UnknownTask
+from mapt.tasks.protocol import Task, TaskEntry, TaskSpec
+from mapt.tasks.robots import (
     ant,
     coupled_half_cheetah,
     half_cheetah,
     hopper,
     humanoid,
     many_segments,
-    plugins,
     pusher,
     reacher,
     swimmer,
     walker2d,
 )
-from mapt.tasks.entry import TaskEntry
-from mapt.tasks.errors import TaskExists, UnknownTask
-from mapt.tasks.protocol import Task, TaskSpec
 
 #: How many joints away an agent sees when nobody says: gymnasium-robotics' 1, not the paper's 0. A joint that knows
 #: its neighbours' angles learned more in every pair of runs. True return on HalfCheetah-6x1 after 300,000 steps of
@@ -59,7 +61,7 @@ def register_task(entry: TaskEntry) -> None:
 
 def task_names() -> tuple[str, ...]:
     """Names of all tasks, sorted. Many-segment bodies come in any size; those of common sizes are listed."""
-    plugins.load()
+    load_task_files()
     return tuple(sorted(_ENTRIES))
 
 
@@ -127,8 +129,79 @@ def find_entry(name: str) -> TaskEntry:
     Raises:
         UnknownTask: if no task has this name.
     """
-    plugins.load()
+    load_task_files()
     entry = _ENTRIES.get(name) or many_segments.entry(name)
     if entry is None:
         raise UnknownTask(name, task_names())
     return entry
+
+
+VARIABLE = "MAPT_TASKS"
+_loaded: set[str] = set()
+
+
+def load_task_files() -> None:
+    """Run every file or module that MAPT_TASKS names and that has not run yet in this process.
+
+    They stand in it as in PATH: paths of Python files, or names of modules, with colons between (semicolons on
+    Windows). Each calls `mapt.tasks.register_task`.
+
+    Raises:
+        TaskFileFailed: if one is not there, or fails.
+    """
+    for name in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
+        if name not in _loaded:
+            _loaded.add(name)
+            try:
+                _run(name)
+            except Exception as error:
+                _loaded.discard(name)
+                raise TaskFileFailed(VARIABLE, name, error) from error
+
+
+def _run(name: str) -> None:
+    path = Path(name)
+    if path.suffix != ".py":
+        import_module(name)
+        return
+    spec = spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} is no Python file")
+    spec.loader.exec_module(module_from_spec(spec))
+
+
+_HEADINGS = ("task", "N", "C", "A", "horizon", "state", "step, s")
+
+
+def task_listing(agent_obsk: int) -> str:
+    """One line per task under a line of headings; an agent that drives less than others shows how much it drives.
+
+    Args:
+        agent_obsk: as of `make_task`; observations grow with it.
+
+    Raises:
+        TaskFileFailed: if a file that MAPT_TASKS names is not there, or fails.
+    """
+    rows = [_HEADINGS, *(_row(name, agent_obsk) for name in task_names())]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(_line(row, widths) for row in rows)
+
+
+def _row(name: str, agent_obsk: int) -> tuple[str, ...]:
+    spec = task_spec(name, agent_obsk=agent_obsk)
+    dims = spec.agent_action_dims or (spec.action_dim,)
+    least, most = min(dims), max(dims)
+    return (
+        name,
+        str(spec.n_agents),
+        str(spec.observation_dim),
+        f"{most if least == most else f'{least}-{most}'}{' choices' if spec.discrete_actions else ''}",
+        str(spec.horizon_steps),
+        str(spec.state_dim),
+        f"{spec.step_seconds:g}",
+    )
+
+
+def _line(row: tuple[str, ...], widths: list[int]) -> str:
+    name, *numbers = row
+    return "  ".join((name.ljust(widths[0]), *map(str.rjust, numbers, widths[1:])))

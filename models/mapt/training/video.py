@@ -10,11 +10,10 @@ from safetensors.numpy import save_file
 
 from mapt.policies import Policy
 from mapt.policies.rollout import available_actions
-from mapt.rendering.apart import draw_apart
 from mapt.rendering.encode import write_clip
-from mapt.rendering.environment import BACKENDS, INSTALL
+from mapt.rendering.episode_video import DONE
 from mapt.rendering.errors import NothingDraws
-from mapt.rendering.film import DONE
+from mapt.rendering.offscreen import BACKENDS, INSTALL, draw_apart
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import DrawnTask, NoPicture, Task, make_task
 
@@ -91,7 +90,7 @@ def _film_states(
         for backend in BACKENDS:
             failure = draw_apart(
                 backend,
-                "mapt.rendering.film",
+                "mapt.rendering.episode_video",
                 [task_name, str(states), f"{frame_rate_hz:g}", str(path.resolve())],
                 done=DONE,
                 limit_seconds=_LIMIT_SECONDS,

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from accord.rendering.errors import RenderingUnavailable
-from accord.rendering.probe import probe_backend
+from accord.rendering.checks import probe_backend
+from accord.rendering.process import RenderingUnavailable
 from integration.rendering.drawing import Drawing
-from mapt.rendering.environment import Backend
+from mapt.rendering.offscreen import Backend
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.rendering.environment import Backend, render_environment
+from mapt.rendering.offscreen import Backend, render_environment
 from mapt.rendering.renderer import ClipRenderer
 from mapt.rendering.settings import CodecSettings, RenderSettings
 from mapt.tasks import load_model

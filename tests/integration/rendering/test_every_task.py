@@ -8,8 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from integration.rendering.drawing import Drawing
-from mapt.rendering.colours import AGENT_COLOURS, rgb_bytes
-from mapt.rendering.scene import moving_geoms
+from mapt.rendering.appearance import AGENT_COLOURS, moving_geoms, rgb_bytes
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model, make_task, task_names, task_spec
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from integration.rendering.drawing import Drawing
 from integration.rendering.gaits import trot, wild_run
-from mapt.rendering.colours import AGENT_COLOURS, rgb_bytes
+from mapt.rendering.appearance import AGENT_COLOURS, rgb_bytes
 from mapt.rendering.settings import Quality, RenderSettings
 from mapt.tasks import agent_geoms
 

@@ -16,12 +16,10 @@ import numpy as np
 import psutil
 import pytest
 
-from accord.rendering.errors import RenderFailed, RenderTimedOut
-from accord.rendering.process import RenderProcess
-from accord.rendering.protocol import ClipJob
+from accord.rendering.process import ClipJob, RenderFailed, RenderProcess, RenderTimedOut
 from integration.rendering.gaits import trot
 from mapt.rendering.encode import partial_path
-from mapt.rendering.environment import Backend
+from mapt.rendering.offscreen import Backend
 from mapt.rendering.settings import RenderSettings
 
 #: for what must happen soon, on a machine that is busy
@@ -205,7 +203,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from accord.rendering.process import RenderProcess
-from accord.rendering.protocol import ClipJob
+from accord.rendering.process import ClipJob
 from mapt.rendering.settings import RenderSettings
 
 process = RenderProcess(sys.argv[1])

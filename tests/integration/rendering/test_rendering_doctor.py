@@ -6,11 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from accord.rendering import probe
-from accord.rendering.doctor import check_encoder, check_rendering
-from accord.rendering.errors import RenderingUnavailable
-from accord.rendering.probe import probe_backend, try_backend
-from mapt.rendering.environment import Backend, render_environment
+from accord.rendering import checks as probe
+from accord.rendering.checks import check_encoder, check_rendering, probe_backend, try_backend
+from accord.rendering.process import RenderingUnavailable
+from mapt.rendering.offscreen import Backend, render_environment
 
 
 def test_this_machine_can_draw_and_encode(backend: Backend) -> None:

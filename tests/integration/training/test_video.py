@@ -6,12 +6,12 @@ import av
 import numpy as np
 import pytest
 
-from accord.rendering.errors import RenderingUnavailable
-from accord.rendering.probe import probe_backend
+from accord.rendering.checks import probe_backend
+from accord.rendering.process import RenderingUnavailable
 from mapt.policies import Policy, PolicyConfig
 from mapt.policies.learner import make_policy
+from mapt.rendering.episode_video import widen_floors
 from mapt.rendering.errors import NothingDraws
-from mapt.rendering.film import widen_floors
 from mapt.tasks import ParallelEntry, load_model, register_task, task_spec
 from mapt.training import video
 from mapt.training.run import Watch, complete_run

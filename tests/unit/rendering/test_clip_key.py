@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from accord.rendering.clip import clip_key
+from accord.rendering.clip_key import clip_key
 from mapt.rendering.settings import CodecSettings, RenderSettings
 from mapt.tasks import agent_geoms, load_model
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapt.rendering.colours import (
+from mapt.rendering.appearance import (
     AGENT_COLOURS,
     BACKDROP_COLOUR,
     FLOOR_COLOURS,

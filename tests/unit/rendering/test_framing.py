@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mapt.rendering.body import Body
-from mapt.rendering.framing import Framing, Kind, directions, frame
+from mapt.rendering.camera import Body, Framing, Kind, directions, frame
 from mapt.tasks import load_model
 
 ASPECT = 4 / 3

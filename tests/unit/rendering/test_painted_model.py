@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mapt.rendering.colours import AGENT_COLOURS, BODY_COLOUR, POST_COLOUR, rgba
-from mapt.rendering.scene import moving_geoms, painted
+from mapt.rendering.appearance import AGENT_COLOURS, BODY_COLOUR, POST_COLOUR, moving_geoms, painted, rgba
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accord.rendering.protocol import ClipJob, Reply, receive_job, receive_reply, send_job, send_reply
+from accord.rendering.process import ClipJob, Reply, receive_job, receive_reply, send_job, send_reply
 from mapt.rendering.encode import ClipFile
 from mapt.rendering.settings import CodecSettings, RenderSettings
 

@@ -10,7 +10,7 @@ from gymnasium_robotics import mamujoco_v1
 from pettingzoo import ParallelEnv
 
 from mapt.tasks import DrawnTask, MaskingTask, NoPicture, Task, TaskExists, make_task, register_task, task_names
-from mapt.tasks.parallel_entry import ParallelEntry
+from mapt.tasks.pettingzoo_task import ParallelEntry
 
 
 @pytest.fixture(autouse=True)

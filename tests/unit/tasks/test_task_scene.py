@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mapt.tasks import load_model
-from mapt.tasks.scene import asset_path
+from mapt.tasks.mujoco_definition import asset_path
 
 
 def test_scaling_the_mass_after_the_compiler_gives_the_same_bits(

@@ -6,11 +6,17 @@ Physics, reward and starts are gymnasium's Walker2d-v5; the partition into legs 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.tasks.entry import MujocoEntry
-from mapt.tasks.layout import columns
-from mapt.tasks.partition import Partition, hinge
-from mapt.tasks.rules import Float64s, Frame, MujocoRules, squared, uniform_about
-from mapt.tasks.scene import MujocoScene, gymnasium_asset
+from mapt.tasks.mujoco_definition import (
+    Float64s,
+    Frame,
+    MujocoRules,
+    MujocoScene,
+    gymnasium_asset,
+    squared,
+    uniform_about,
+)
+from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.partition import Partition, columns, hinge
 
 FRAME_SKIP = 4
 PHYSICS_STEP_SECONDS = 0.002

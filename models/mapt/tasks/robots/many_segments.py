@@ -14,10 +14,10 @@ from itertools import pairwise
 
 import mujoco
 
-from mapt.tasks import ant, swimmer
-from mapt.tasks.entry import MujocoEntry
+from mapt.tasks.mujoco_definition import MujocoScene, gymnasium_asset
+from mapt.tasks.mujoco_task import MujocoEntry
 from mapt.tasks.partition import Joint, Partition, hinge
-from mapt.tasks.scene import MujocoScene, gymnasium_asset
+from mapt.tasks.robots import ant, swimmer
 
 _CAPSULE = mujoco.mjtGeom.mjGEOM_CAPSULE
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE

@@ -5,11 +5,17 @@ Physics, reward and starts are gymnasium's HalfCheetah-v5; the partition is gymn
 
 import numpy as np
 
-from mapt.tasks.entry import MujocoEntry
-from mapt.tasks.layout import columns
-from mapt.tasks.partition import Partition, hinge
-from mapt.tasks.rules import Float64s, Frame, MujocoRules, squared, uniform_about
-from mapt.tasks.scene import MujocoScene, gymnasium_asset
+from mapt.tasks.mujoco_definition import (
+    Float64s,
+    Frame,
+    MujocoRules,
+    MujocoScene,
+    gymnasium_asset,
+    squared,
+    uniform_about,
+)
+from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.partition import Partition, columns, hinge
 
 FRAME_SKIP = 5
 PHYSICS_STEP_SECONDS = 0.01

@@ -1,4 +1,7 @@
-"""What `accord doctor` asks of a machine that is to make clips."""
+"""Which OpenGL can draw here without a display.
+
+A driver may be missing, broken or hang, so each is tried in a child process that draws one frame.
+"""
 
 import tempfile
 from pathlib import Path
@@ -8,12 +11,44 @@ import numpy as np
 from av.error import FFmpegError
 
 from accord.domain.checks import Check
-from accord.rendering.errors import RenderingUnavailable
-from accord.rendering.probe import probe_backend
+from accord.rendering.process import RenderingUnavailable
 from mapt.rendering.encode import CODEC, write_clip
-from mapt.rendering.environment import INSTALL
 from mapt.rendering.errors import ClipNotWritten
+from mapt.rendering.offscreen import BACKENDS, INSTALL, Backend, draw_apart
 from mapt.rendering.settings import RenderSettings
+
+#: what the child prints when its frame shows what it should
+DREW = "drew a frame"
+#: the first frame takes 1 to 2 s; a busy machine may need ten times that
+PROBE_LIMIT_SECONDS = 60.0
+
+
+def probe_backend(limit_seconds: float = PROBE_LIMIT_SECONDS) -> Backend:
+    """The first of EGL and OSMesa that draws a frame.
+
+    Args:
+        limit_seconds: how long each may take.
+
+    Raises:
+        RenderingUnavailable: if neither does; the message says what each said and what to install.
+    """
+    said: list[str] = []
+    for backend in BACKENDS:
+        failure = try_backend(backend, limit_seconds)
+        if failure is None:
+            return backend
+        said.append(f"{backend}: {failure}")
+    raise RenderingUnavailable(
+        f"No clip can be drawn: no OpenGL works here without a display ({'; '.join(said)}). Install one: {INSTALL}"
+    )
+
+
+def try_backend(backend: Backend, limit_seconds: float) -> str | None:
+    """Draw one frame with this backend in a child process. None if it did, else what went wrong, in a line."""
+    return draw_apart(
+        backend, "accord.rendering.child", ["probe"], done=DREW, limit_seconds=limit_seconds, undone="no frame"
+    )
+
 
 FRAMES = 5
 

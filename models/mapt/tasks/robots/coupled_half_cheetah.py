@@ -9,12 +9,18 @@ The body is put together from gymnasium's half_cheetah.xml.
 import mujoco
 import numpy as np
 
-from mapt.tasks import half_cheetah
-from mapt.tasks.entry import MujocoEntry
-from mapt.tasks.layout import columns
-from mapt.tasks.partition import Joint, Partition, hinge
-from mapt.tasks.rules import Float64s, Frame, MujocoRules, squared, uniform_about
-from mapt.tasks.scene import MujocoScene, gymnasium_asset
+from mapt.tasks.mujoco_definition import (
+    Float64s,
+    Frame,
+    MujocoRules,
+    MujocoScene,
+    gymnasium_asset,
+    squared,
+    uniform_about,
+)
+from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.partition import Joint, Partition, columns, hinge
+from mapt.tasks.robots import half_cheetah
 
 CHEETAHS = ("first", "second")
 SIDES_METRES = (-1.0, 1.0)

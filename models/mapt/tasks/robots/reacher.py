@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from mapt.tasks.entry import MujocoEntry
-from mapt.tasks.layout import columns
-from mapt.tasks.partition import Joint, Partition
-from mapt.tasks.rules import Float64s, Frame, MujocoRules, squared
-from mapt.tasks.scene import MujocoScene, gymnasium_asset
+from mapt.tasks.mujoco_definition import Float64s, Frame, MujocoRules, MujocoScene, gymnasium_asset, squared
+from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.partition import Joint, Partition, columns
 
 ANGLE_NOISE = 0.1
 SPEED_NOISE = 0.005

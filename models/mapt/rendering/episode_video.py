@@ -1,4 +1,6 @@
-"""States of one episode to a video, in a process of its own: `python -m mapt.rendering.film TASK STATES HZ VIDEO`.
+"""Render an episode to a video in its own process.
+
+`python -m mapt.rendering.episode_video TASK STATES HZ VIDEO`.
 
 Started with the environment that `render_environment` gives. STATES is a safetensors file of `qpos` and `qvel`.
 """

@@ -4,11 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from mapt.tasks.entry import MujocoEntry
-from mapt.tasks.layout import columns
-from mapt.tasks.partition import Joint, Partition, hinge
-from mapt.tasks.rules import Float64s, Frame, MujocoRules, squared
-from mapt.tasks.scene import MujocoScene, gymnasium_asset
+from mapt.tasks.mujoco_definition import Float64s, Frame, MujocoRules, MujocoScene, gymnasium_asset, squared
+from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.partition import Joint, Partition, columns, hinge
 
 NEAR_WEIGHT = 0.5
 CONTROL_COST_WEIGHT = 0.1

@@ -6,11 +6,18 @@ Physics, rewards and starts are gymnasium's Humanoid-v5 and HumanoidStandup-v5; 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.tasks.entry import MujocoEntry
-from mapt.tasks.layout import Column, columns
-from mapt.tasks.partition import Joint, Partition
-from mapt.tasks.rules import Float64s, Frame, MujocoRules, never_terminated, squared, uniform_about
-from mapt.tasks.scene import MujocoScene, gymnasium_asset
+from mapt.tasks.mujoco_definition import (
+    Float64s,
+    Frame,
+    MujocoRules,
+    MujocoScene,
+    gymnasium_asset,
+    never_terminated,
+    squared,
+    uniform_about,
+)
+from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.partition import Column, Joint, Partition, columns
 
 FRAME_SKIP = 5
 PHYSICS_STEP_SECONDS = 0.003
