@@ -10,6 +10,7 @@ export default defineConfig({
   build: {
     outDir: "../backend/accord/static",
     emptyOutDir: true,
+    license: { fileName: "licenses.md" },
     target: "es2022",
   },
   // `npm run dev` serves the page with hot reloading and passes everything else on to a running `accord up`.

@@ -2,6 +2,7 @@
 
 import re
 from base64 import b64decode
+from collections.abc import Iterator
 from typing import Any
 
 import imageio.v3 as iio
@@ -36,11 +37,16 @@ _PICTURE = "side => document.querySelector(`[data-testid=clip-${side}]`).toDataU
 
 
 @pytest.fixture
-def watching(service: Service, new_experiment: NewExperiment, sign_in: SignIn, request: pytest.FixtureRequest) -> Page:
-    """A page on which a pair plays."""
+def watching(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn, request: pytest.FixtureRequest
+) -> Iterator[Page]:
+    """A page on which a pair plays. Fails when the page reports a warning, such as a fallback to a slower decoder."""
     page = sign_in("Vera")
+    warnings: list[str] = []
+    page.on("console", lambda message: warnings.append(message.text) if message.type == "warning" else None)
     Labeller(page).open(service.url, new_experiment(request.node.name))
-    return page
+    yield page
+    assert warnings == []
 
 
 def test_both_clips_show_the_same_frame_at_every_repaint(watching: Page) -> None:

@@ -1,4 +1,4 @@
-/** A clip as pictures in memory: any frame can be drawn at once, forwards and backwards. */
+/** A decoded clip: every frame is in memory, so that any of them can be drawn at once. */
 export interface Clip {
   frames: ImageBitmap[];
   frameSeconds: number;
@@ -6,17 +6,24 @@ export interface Clip {
   height: number;
 }
 
-/** What is known of a clip before it is loaded. */
+/** Where to load a clip from, and what the API says about it. */
 export interface ClipSource {
   url: string;
   frames: number;
   seconds: number;
 }
 
+/** Clips have a constant frame rate. */
+export function frameSecondsOf(source: ClipSource): number {
+  return source.seconds / source.frames;
+}
+
+/** Memory of the decoded frames, four bytes per pixel. */
 export function bytesOf(clip: Clip): number {
   return clip.width * clip.height * 4 * clip.frames.length;
 }
 
+/** Frees the memory of the frames. */
 export function close(clip: Clip): void {
   for (const frame of clip.frames) frame.close();
 }
@@ -24,5 +31,5 @@ export function close(clip: Clip): void {
 /** The clip could not be loaded or decoded. */
 export class ClipUnplayable extends Error {}
 
-/** The clip could not be loaded because the server does not answer, which passes. */
-export class ClipUnreached extends ClipUnplayable {}
+/** The clip could not be loaded because the server does not respond; a later attempt may succeed. */
+export class ClipUnreachable extends ClipUnplayable {}

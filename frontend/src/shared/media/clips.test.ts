@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
-import { type Clip, type ClipSource, ClipUnreached } from "./clip";
+import { type Clip, type ClipSource, ClipUnreachable } from "./clip";
 import { Clips } from "./clips";
 
 const source = (url: string): ClipSource => ({ url, frames: 2, seconds: 0.1 });
@@ -64,10 +64,10 @@ describe("Clips", () => {
   test("a server that stays away is told apart from a clip that is not there, and asked again", async () => {
     failures = 4;
     const clips = new Clips(decode);
-    const loading = expect(clips.load(source("/a"))).rejects.toBeInstanceOf(ClipUnreached);
+    const loading = expect(clips.load(source("/a"))).rejects.toBeInstanceOf(ClipUnreachable);
     await vi.advanceTimersByTimeAsync(5_000);
     await loading;
-    await expect(clips.load(source("/missing"))).rejects.not.toBeInstanceOf(ClipUnreached);
+    await expect(clips.load(source("/missing"))).rejects.not.toBeInstanceOf(ClipUnreachable);
     expect((await clips.load(source("/a"))).width).toBe(10);
   });
 

@@ -1,4 +1,4 @@
-import { bytesOf, type Clip, type ClipSource, ClipUnplayable, ClipUnreached, close } from "./clip";
+import { bytesOf, type Clip, type ClipSource, ClipUnplayable, ClipUnreachable, close } from "./clip";
 import { decodeClip } from "./decode";
 
 /** Decoded pictures of the clips in use stay under this; compressed ones are small and always kept. */
@@ -84,7 +84,7 @@ async function download(url: string): Promise<Blob> {
       if (error instanceof ClipUnplayable) throw error;
     }
     if (attempt === ATTEMPTS)
-      throw new ClipUnreached("The server does not answer for a clip; it goes on being asked.");
+      throw new ClipUnreachable("The server does not answer for a clip; it goes on being asked.");
     await new Promise((resolve) => setTimeout(resolve, wait * 1000));
     wait *= 2;
   }

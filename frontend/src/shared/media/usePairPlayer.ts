@@ -1,5 +1,5 @@
 import { type RefObject, useCallback, useEffect, useRef, useState } from "react";
-import { type Clip, type ClipSource, ClipUnreached } from "./clip";
+import { type Clip, type ClipSource, ClipUnreachable } from "./clip";
 import type { Clips } from "./clips";
 import { usualSpeed } from "./clock";
 import { PairPlayer } from "./player";
@@ -79,7 +79,7 @@ export function usePairPlayer(
       if (gone) return;
       setTrouble(error.message);
       setState("failed");
-      if (error instanceof ClipUnreached) waiting = setTimeout(begin, RETRY_SECONDS * 1000);
+      if (error instanceof ClipUnreachable) waiting = setTimeout(begin, RETRY_SECONDS * 1000);
     };
     const begin = () => void Promise.all([clips.load(left), clips.load(right)]).then(play, fail);
     begin();
