@@ -5,13 +5,11 @@ Run by `make learn`; prints the figures it judges by.
 
 import pytest
 
+from mapt.benchmarks.evaluate import Judge, examine, labelled_dataset
+from mapt.benchmarks.job import network_of, training_of
+from mapt.benchmarks.recorded_dataset import Recording, Replay, record_replay
 from mapt.preferences.dataset import PreferenceDataset
 from mapt.rewards.trainer import TrainedReward, train_reward_model
-from mapt.studies.examination import examine
-from mapt.studies.judging import Judge, labelled_dataset
-from mapt.studies.recording import Recording, record_replay
-from mapt.studies.replay import Replay
-from mapt.studies.variants import network_of, training_of
 
 N_PAIRS, N_TEST_PAIRS = 500, 4000
 # A version trained on so many labels, and the one after it.

@@ -10,12 +10,11 @@ import typer
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from accord.cli.client import Api
-from accord.cli.options import Parameters, TeacherName
-from accord.cli.output import note, on_terminal, out, say
-from accord.cli.plans import PREFERENCES, Grid, RunPlan, parse_numbers, parse_settings, parse_words
-from accord.cli.results import rows_of, table, write
-from accord.cli.runs import (
+from accord.cli.demo_runs import (
+    PREFERENCES,
+    Grid,
     Lesson,
+    RunPlan,
     RunResult,
     RunState,
     check_known,
@@ -23,8 +22,11 @@ from accord.cli.runs import (
     pause_others,
     run_experiment,
 )
-from accord.cli.service import OwnService
-from accord.cli.teaching import TeacherChoice, parse_teacher
+from accord.cli.options import Parameters, TeacherName, parse_numbers, parse_settings, parse_words
+from accord.cli.output import note, on_terminal, out, say
+from accord.cli.own_service import OwnService
+from accord.cli.results import rows_of, table, write
+from accord.cli.teach import TeacherChoice, parse_teacher
 from accord.domain.enums import Role
 from accord.workers.runner import Stop
 from mapt.processes import at_once as n_at_once

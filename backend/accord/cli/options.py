@@ -1,11 +1,15 @@
 """Options that several commands share, and how they become settings."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from accord.domain.errors import Invalid
 from accord.settings import Settings
+from mapt.benchmarks.errors import InvalidStudy
+from mapt.benchmarks.specification import numbers, setting, words
 from mapt.preferences.teachers import PRESETS, teacher_names
 
 Home = Annotated[
@@ -63,3 +67,31 @@ def url_of(host: str, port: int) -> str:
     """A URL that a browser on this machine can open."""
     name = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, host)
     return f"http://{name}:{port}"
+
+
+def parse_numbers(option: str, text: str, least: int) -> tuple[int, ...]:
+    """Raises Invalid, with an example."""
+    try:
+        return numbers(option, text, least)
+    except InvalidStudy as error:
+        raise Invalid(f"{error}.") from error
+
+
+def parse_words(option: str, text: str) -> tuple[str, ...]:
+    """Raises Invalid."""
+    try:
+        return words(option, text)
+    except InvalidStudy as error:
+        raise Invalid(f"{error}.") from error
+
+
+def parse_settings(option: str, texts: Sequence[str], example: str) -> dict[str, Any]:
+    """Settings written as KEY=VALUE.
+
+    Raises:
+        Invalid: if one is none; it shows the example.
+    """
+    try:
+        return dict(setting(text) for text in texts)
+    except InvalidStudy as error:
+        raise Invalid(f"{option} {error}. One looks like {example}.") from error

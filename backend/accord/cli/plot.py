@@ -14,8 +14,8 @@ mpl.use("Agg")
 
 from matplotlib import pyplot as plt
 
-from accord.cli.plans import PREFERENCES
-from mapt.studies.palette import QUIET, Style, style
+from accord.cli.demo_runs import PREFERENCES
+from mapt.plotting import QUIET, Style, style
 from mapt.training.results import deviation, seed_curves
 
 Run = dict[str, Any]

@@ -15,8 +15,7 @@ from typing import Any
 
 from rich.table import Table
 
-from accord.cli.plans import PREFERENCES, TRUE
-from accord.cli.runs import RunResult
+from accord.cli.demo_runs import PREFERENCES, TRUE, RunResult
 
 RESULTS, CURVES, PLOT = "results.json", "curves.csv", "returns.png"
 

@@ -4,13 +4,13 @@ import sys
 
 import typer
 
-from mapt.cli import curves, dataset, evaluate, report, table, tasks, train
+from mapt.benchmarks.errors import StudyError
+from mapt.cli import benchmarks, results, tasks, train
 from mapt.cli.output import complain
 from mapt.policies import PolicyError
 from mapt.preferences.errors import PreferenceError
 from mapt.rendering.errors import RenderingError
 from mapt.rewards.errors import RewardModelError
-from mapt.studies.errors import StudyError
 from mapt.tasks import TaskError
 from mapt.training.errors import RunError
 
@@ -24,11 +24,11 @@ app = typer.Typer(
 )
 app.command("tasks")(tasks.tasks)
 app.command("train")(train.train)
-app.command("evaluate")(evaluate.evaluate)
-app.command("curves")(curves.curves)
-app.command("dataset")(dataset.dataset)
-app.command("table")(table.table)
-app.command("report")(report.report)
+app.command("evaluate")(results.evaluate)
+app.command("curves")(results.curves)
+app.command("dataset")(benchmarks.dataset)
+app.command("table")(benchmarks.table)
+app.command("report")(benchmarks.report)
 
 
 def main() -> None:

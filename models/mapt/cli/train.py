@@ -7,16 +7,14 @@ from typing import Annotated, get_args
 
 import typer
 
-from mapt.cli.bars import Bars
+from mapt.benchmarks.specification import numbers, setting
 from mapt.cli.options import Device, Task, Workers
-from mapt.cli.output import complain
-from mapt.cli.run_bars import RunBars
+from mapt.cli.output import Bars, RunBars, complain
 from mapt.policies import Algorithm, PolicyConfig
 from mapt.processes import Done, at_once, cores_of_each, run_jobs, stop_requests
 from mapt.rewards.base import PolicyReward
 from mapt.rewards.checkpoints import load_reward_model
 from mapt.rewards.relabelling import Credit
-from mapt.studies.naming import numbers, setting
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 from mapt.training.errors import InvalidRun
 from mapt.training.evaluation import Evaluation

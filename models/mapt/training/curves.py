@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from mapt.studies.palette import style
+from mapt.plotting import style
 from mapt.training.results import Group, deviation, seed_curves
 
 

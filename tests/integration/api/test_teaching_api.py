@@ -8,7 +8,7 @@ import pytest
 from sqlalchemy import select as sql_select
 
 from accord.cli.client import Api, Refused
-from accord.cli.teaching import parse_teacher, teach_experiment
+from accord.cli.teach import parse_teacher, teach_experiment
 from accord.domain.enums import Role
 from accord.domain.errors import Invalid
 from accord.services import collect, metrics, select

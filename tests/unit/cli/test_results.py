@@ -5,9 +5,8 @@ from pathlib import Path
 
 from matplotlib.image import imread
 
-from accord.cli.plans import Grid, RunPlan
+from accord.cli.demo_runs import Grid, RunPlan, RunResult
 from accord.cli.results import rows_of, write
-from accord.cli.runs import RunResult
 
 
 def result(seed: int, source: str, final: float, model: str = "MAPT", labels: int = 50) -> RunResult:

@@ -4,9 +4,9 @@ from hypothesis import strategies as st
 
 from accord.cli.client import Api
 from accord.cli.demo import describe
-from accord.cli.plans import RunPlan, parse_numbers
-from accord.cli.runs import RunState
-from accord.cli.teaching import Sight, judge, parse_teacher
+from accord.cli.demo_runs import RunPlan, RunState
+from accord.cli.options import parse_numbers
+from accord.cli.teach import Sight, judge, parse_teacher
 from accord.domain.errors import Invalid
 from mapt.preferences.teachers import make_teacher
 

@@ -1,0 +1,294 @@
+"""A recorded replay: segments of a policy's training with true rewards and simulator states, as they were made."""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from mapt.benchmarks.errors import InvalidStudy, NoTrueRewards, RecordingStopped, ReplayNotFound
+from mapt.policies import Learner, Policy, PolicyConfig, Rollout, train, true_reward
+from mapt.policies.rollout import Collector
+from mapt.preferences.cutting import Stretch, cut
+from mapt.preferences.dataset import SegmentArrays, SegmentSource
+from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
+from mapt.preferences.storage_layout import MANIFEST, column_path
+from mapt.processes import Desk
+from mapt.tasks import TaskSpec, make_task
+
+_BYTES_AT_ONCE = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replay:
+    """S segments of T steps, in the order they were made; observations, actions and states stay on disk."""
+
+    path: Path
+    source: SegmentFolder
+    #: the task's own reward, float64 (S, T), 0 in the padding
+    rewards: NDArray[np.float64]
+    #: bool (S, T), true where the step is real
+    mask: NDArray[np.bool_]
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Open the replay in a folder, one of `SegmentFolder`.
+
+        Raises:
+            ReplayNotFound: if there is none.
+            NoTrueRewards: if its segments were kept without.
+            FileError: if it is not whole.
+        """
+        if not (path / MANIFEST).is_file():
+            raise ReplayNotFound(path)
+        source = SegmentFolder.open(path)
+        if not source.layout.rewards:
+            raise NoTrueRewards(path)
+        everything = np.arange(len(source))
+        return cls(path, source, source.rewards(everything), source.mask(everything))
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    @property
+    def origin(self) -> Mapping[str, Any]:
+        """How it was recorded, see `Recording`."""
+        return self.source.about
+
+    @property
+    def returns(self) -> NDArray[np.float64]:
+        """True return of each segment, (S,)."""
+        return self.rewards.sum(axis=1)
+
+    def segments(self, indices: ArrayLike) -> SegmentArrays:
+        """What a reward model sees of the segments at `indices`, in that order, read into memory."""
+        return self.source.take(indices)
+
+    def view(self, indices: ArrayLike) -> "SegmentView":
+        """The segments at `indices` as a source of their own, which stays on disk."""
+        return SegmentView(self.source, np.asarray(indices, dtype=np.int64))
+
+    def fingerprint(self) -> str:
+        """SHA-256 of every number in it: two replays with the same fingerprint are the same. Reads all its files."""
+        digest = hashlib.sha256()
+        for name, column in sorted(self.source.layout.columns.items()):
+            digest.update(f"{name} {column} {len(self)}\n".encode())
+            rest = len(self) * column.row_bytes
+            with column_path(self.path, name).open("rb") as file:
+                while rest and (part := file.read(min(rest, _BYTES_AT_ONCE))):
+                    digest.update(part)
+                    rest -= len(part)
+        return digest.hexdigest()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SegmentView:
+    """Some segments of a source, as a `SegmentSource`."""
+
+    source: SegmentSource
+    #: int64 (S,)
+    indices: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    @property
+    def n_steps(self) -> int:
+        """T."""
+        return self.source.n_steps
+
+    @property
+    def n_agents(self) -> int:
+        """N."""
+        return self.source.n_agents
+
+    @property
+    def observation_dim(self) -> int:
+        """C."""
+        return self.source.observation_dim
+
+    @property
+    def action_dim(self) -> int:
+        """A."""
+        return self.source.action_dim
+
+    def take(self, indices: ArrayLike) -> SegmentArrays:
+        """See `SegmentSource.take`."""
+        return self.source.take(self.indices[np.asarray(indices)])
+
+
+#: whole episodes kept of each trained team
+EPISODES = 4
+
+Number = TypeVar("Number", bound=np.floating)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What to record."""
+
+    task: str
+    #: environment steps of the policy's training
+    policy_steps: int
+    #: T, at most the steps of one rollout
+    segment_steps: int
+    #: how many segments to keep, spread evenly over the training
+    segments: int
+    seed: int
+
+
+def record_replay(
+    recording: Recording,
+    path: Path,
+    progress: Callable[[int, float], None] | None = None,
+    *,
+    physics_threads: int = 0,
+) -> Replay:
+    """Train a team on the true reward and keep segments of every rollout, cut as the service cuts them.
+
+    They go to disk as they come: memory does not grow with their number. At the end the trained team plays some
+    episodes, which are kept whole in `episodes_path`.
+
+    Args:
+        path: of the new folder.
+        progress: called after each rollout with the steps so far and the mean true reward of a step.
+        physics_threads: as `n_threads` of `make_task`; nothing that is recorded depends on it.
+
+    Raises:
+        InvalidStudy: if a number is out of its range.
+        UnknownTask: if no task has this name.
+        AlreadyThere: if the folder holds anything.
+    """
+    config = PolicyConfig(seed=recording.seed, device="cpu")
+    if not 1 <= recording.segment_steps <= config.rollout_steps:
+        raise InvalidStudy(f"segments of {recording.segment_steps} steps; a rollout has {config.rollout_steps}")
+    if recording.segments < 1 or recording.policy_steps < 1:
+        raise InvalidStudy("segments and policy steps must be 1 or more")
+    rng = np.random.default_rng([recording.seed, 3])
+    about = asdict(recording) | {"policy": config.to_dict()}
+    task = make_task(recording.task, config.n_envs, n_threads=physics_threads)
+    try:
+        with SegmentWriter.create(path, layout_of(task.spec, recording.segment_steps), about=about) as writer:
+
+            def keep(learner: Learner, rollout: Rollout, _metrics: dict[str, float]) -> None:
+                done = min(1.0, learner.steps / recording.policy_steps)
+                wanted = round(recording.segments * done) - len(writer)
+                append(writer, rollout, draw_places(rollout, recording.segment_steps, wanted, rng))
+                if progress is not None:
+                    progress(learner.steps, float(rollout.rewards.mean()))
+
+            learner = Learner(task, config)
+            train(learner, true_reward, recording.policy_steps, keep)
+        record_episodes(recording.task, learner.policy, episodes_path(path), recording.seed)
+    finally:
+        task.close()
+    return Replay.open(path)
+
+
+def episodes_path(replay: Path) -> Path:
+    """Where whole episodes of a replay's trained team lie: a folder of segments as long as the task's horizon."""
+    return replay / "episodes"
+
+
+def record_episodes(task_name: str, policy: Policy, path: Path, seed: int) -> None:
+    """Play `EPISODES` episodes with draws of the policy, each to its end or the task's horizon."""
+    task = make_task(task_name, EPISODES)
+    try:
+        length = task.spec.horizon_steps
+        rollout = Collector(task, seed).collect(policy, length, torch.Generator().manual_seed(seed))
+    finally:
+        task.close()
+    starts = rollout.episode_start[1:]
+    n_steps = np.where(starts.any(axis=0), starts.argmax(axis=0) + 1, length)
+    mask = np.arange(length) < n_steps[:, None]
+
+    def of_envs(values: NDArray[Number]) -> NDArray[Number]:
+        return np.ascontiguousarray(values.swapaxes(0, 1))
+
+    with SegmentWriter.create(path, layout_of(task.spec, length), about={"task": task_name, "seed": seed}) as writer:
+        states = {
+            name: of_envs(getattr(rollout, name))
+            for name in ("rewards", "qpos", "qvel")
+            if name in writer.layout.columns
+        }
+        writer.append(SegmentArrays(of_envs(rollout.observations), of_envs(rollout.actions), mask), **states)
+
+
+def layout_of(spec: TaskSpec, n_steps: int) -> SegmentLayout:
+    """How segments of this task are kept."""
+    return SegmentLayout(
+        n_steps=n_steps,
+        n_agents=spec.n_agents,
+        observation_dim=spec.observation_dim,
+        action_dim=spec.action_dim,
+        discrete=spec.discrete_actions,
+        rewards=True,
+        qpos_dim=spec.nq,
+        qvel_dim=spec.nv,
+    )
+
+
+def draw_places(rollout: Rollout, n_steps: int, count: int, rng: np.random.Generator) -> list[Stretch]:
+    """At most `count` segments drawn at random, in the order they were made; see `cut`."""
+    chosen = cut(rollout.episode_start, rollout.terminated, n_steps, rng)[: max(0, count)]
+    return sorted(chosen, key=lambda place: (place.first, place.env))
+
+
+def append(writer: SegmentWriter, rollout: Rollout, chosen: Sequence[Stretch]) -> None:
+    """Write these parts of a rollout, short ones padded with zeros."""
+    if not chosen:
+        return
+    lead = len(chosen), writer.layout.n_steps
+    mask = np.arange(lead[1]) < np.array([place.n_steps for place in chosen])[:, None]
+
+    def padded(values: NDArray[Number]) -> NDArray[Number]:
+        parts = np.zeros((*lead, *values.shape[2:]), values.dtype)
+        for part, place in zip(parts, chosen, strict=True):
+            part[: place.n_steps] = values[place.first : place.end, place.env]
+        return parts
+
+    states = {
+        name: padded(getattr(rollout, name)) for name in ("rewards", "qpos", "qvel") if name in writer.layout.columns
+    }
+    writer.append(SegmentArrays(padded(rollout.observations), padded(rollout.actions), mask), **states)
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayJob:
+    """A replay to record."""
+
+    recording: Recording
+    #: where it will lie
+    folder: Path
+    #: as `n_threads` of `make_task`
+    physics_threads: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingProgress:
+    """How far a recording is."""
+
+    #: of the policy's training
+    steps: int
+    #: mean true reward of a step in the newest rollout
+    reward: float
+
+
+def make_replay(job: ReplayJob, desk: Desk) -> None:
+    """`record_replay` by a worker of `run_jobs`, which is told a `RecordingProgress` after each rollout.
+
+    Raises:
+        RecordingStopped: if the parent asked to stop, or is gone.
+        See `record_replay` for what else.
+    """
+
+    def tell(steps: int, reward: float) -> None:
+        desk.tell(RecordingProgress(steps, reward))
+        if desk.unwanted():
+            raise RecordingStopped(job.folder)
+
+    record_replay(job.recording, job.folder, tell, physics_threads=job.physics_threads)

@@ -1,0 +1,20 @@
+from pathlib import Path
+
+import pytest
+import torch
+
+from mapt.benchmarks.recorded_dataset import Replay
+from unit.benchmarks.tiny_replay import write_replay
+
+
+@pytest.fixture
+def replay(tmp_path: Path) -> Replay:
+    return write_replay(tmp_path / "replay")
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)

@@ -1,0 +1,226 @@
+"""A cell is found again by exactly its settings, and by no others."""
+
+import json
+import os
+import signal
+from dataclasses import replace
+from functools import partial
+from multiprocessing import active_children
+
+import numpy as np
+import pytest
+
+from mapt.benchmarks.errors import DamagedCell, InvalidStudy
+from mapt.benchmarks.evaluate import split_replay
+from mapt.benchmarks.job import (
+    CellFolder,
+    CellJob,
+    CellSettings,
+    TablePlan,
+    make_cell,
+    network_of,
+    run_cell,
+    table_jobs,
+    training_of,
+)
+from mapt.benchmarks.specification import Written
+from mapt.preferences.storage import SegmentLayout
+from mapt.processes import run_jobs
+from mapt.rewards.config import MODEL_NAMES
+from mapt.rewards.errors import InvalidConfig
+from mapt.rewards.train_config import TrainConfig
+from unit.benchmarks.tiny_replay import TASK
+
+PLAN = TablePlan(
+    task=TASK,
+    models=("MA-MLP:hidden_dim=8:train.markov_epochs=2",),
+    teachers=("oracle",),
+    labels=(30,),
+    seeds=(0,),
+    preset="small",
+    test_pairs=200,
+    device="cpu",
+    baseline="MA-MLP:hidden_dim=8:train.markov_epochs=2",
+)
+
+
+@pytest.fixture
+def settings(replay) -> CellSettings:
+    return table_jobs(PLAN, {0: replay})[0].settings
+
+
+def test_a_cell_has_every_metric_of_the_table(replay, settings):
+    metrics = run_cell(settings, replay).metrics
+    expected = {"accuracy", "label_accuracy", "loss", "ece", "rank_correlation", "rank_correlation_teacher"}
+    expected |= {"step_correlation", "step_correlation_within", "parameters", "seconds", "cpu_seconds"}
+    assert expected <= metrics.keys()
+    assert all(np.isfinite(value) for value in metrics.values())
+
+
+def test_the_same_settings_give_the_same_cell(replay, settings):
+    first, second = (run_cell(settings, replay) for _ in range(2))
+    np.testing.assert_array_equal(first.logits, second.logits)
+
+
+def test_a_cell_is_tested_on_segments_it_has_not_learned_from(replay, settings):
+    assert set(run_cell(settings, replay).pairs.ravel()) <= set(split_replay(len(replay), settings.seed).test)
+
+
+def test_a_stopped_cell_is_none(replay, settings):
+    assert run_cell(settings, replay, stop=lambda: True) is None
+
+
+def test_a_cell_reads_back_as_it_was_written(tmp_path, replay, settings):
+    folder, examined = CellFolder(tmp_path / "cells"), run_cell(settings, replay)
+    assert folder.read(settings) is None
+    folder.write(settings, examined, "abc")
+    cell = folder.read(settings)
+    assert cell.code == "abc"
+    assert cell.result.metrics == examined.metrics
+    for name in ("logits", "labels", "clean_labels", "pairs"):
+        np.testing.assert_array_equal(getattr(cell.result, name), getattr(examined, name))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"seed": 1},
+        {"labels": 31},
+        {"teacher": "mistake"},
+        {"model": "MAPT"},
+        {"test_pairs": 201},
+        {"replay": "0" * 64},
+        {"task": "Other"},
+        {"network": {"hidden_dim": 16}},
+        {"training": {"lr": 1.0}},
+        {"teacher_parameters": {"mistake": 0.2}},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_a_cell_of_other_settings_is_another(tmp_path, replay, settings, changes):
+    folder = CellFolder(tmp_path / "cells")
+    folder.write(settings, run_cell(settings, replay), "abc")
+    assert folder.read(replace(settings, **changes)) is None
+
+
+def test_a_file_whose_settings_are_not_those_of_its_name_is_refused(tmp_path, replay, settings):
+    folder = CellFolder(tmp_path / "cells")
+    folder.write(settings, run_cell(settings, replay), "abc")
+    path = folder.path / f"{settings.key}.json"
+    card = json.loads(path.read_text())
+    card["settings"]["training"]["lr"] = 0.5
+    path.write_text(json.dumps(card))
+    with pytest.raises(DamagedCell, match="settings"):
+        folder.read(settings)
+
+
+@pytest.mark.parametrize("suffix", ["json", "safetensors"])
+def test_a_file_cut_short_is_refused(tmp_path, replay, settings, suffix):
+    folder = CellFolder(tmp_path / "cells")
+    folder.write(settings, run_cell(settings, replay), "abc")
+    path = folder.path / f"{settings.key}.{suffix}"
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(DamagedCell, match="delete it"):
+        folder.read(settings)
+
+
+def test_arrays_without_a_card_are_no_cell(tmp_path, replay, settings):
+    folder = CellFolder(tmp_path / "cells")
+    folder.write(settings, run_cell(settings, replay), "abc")
+    (folder.path / f"{settings.key}.json").unlink()
+    assert folder.read(settings) is None
+
+
+QUICK, SLOW = "MA-MLP:hidden_dim=8:train.markov_epochs=1", "MA-MLP:hidden_dim=8:train.markov_epochs=100000"
+
+
+def jobs_of(replay, *models: str) -> list[CellJob]:
+    plan = TablePlan(TASK, models, ("oracle",), (30,), (0,), "small", 50, "cpu", models[0])
+    return table_jobs(plan, {0: replay})
+
+
+def test_a_cell_of_a_worker_is_the_one_made_here(tmp_path, replay):
+    (job,) = jobs_of(replay, QUICK)
+    started: list[CellJob] = []
+    (done,) = run_jobs(partial(make_cell, tmp_path / "cells"), [job], 1, started=started.append)
+    assert (done.job, done.failure, started) == (job, None, [job])
+    np.testing.assert_array_equal(
+        CellFolder(tmp_path / "cells").read(job.settings).result.logits, run_cell(job.settings, replay).logits
+    )
+
+
+def test_a_failure_is_told_and_the_other_cells_are_made(tmp_path, replay):
+    good, other = jobs_of(replay, QUICK, QUICK + ":train.seed=0")
+    bad = CellJob(replace(good.settings, teacher="nobody"), good.replay)
+    done = {
+        each.job.settings.key: each.failure
+        for each in run_jobs(partial(make_cell, tmp_path / "cells"), [bad, good, other], 1)
+    }
+    assert "no teacher is called 'nobody'" in done[bad.settings.key]
+    assert done[good.settings.key] is None
+    assert done[other.settings.key] is None
+
+
+def test_a_killed_worker_fails_its_own_cell_alone(tmp_path, replay):
+    slow, quick = jobs_of(replay, SLOW + ":train.markov_patience=100000", QUICK)
+
+    def kill_the_slow(job: CellJob) -> None:
+        if job is slow:
+            (child,) = active_children()
+            os.kill(child.pid, signal.SIGKILL)
+
+    done = {
+        each.job.settings.key: each.failure
+        for each in run_jobs(partial(make_cell, tmp_path / "cells"), [slow, quick], 1, started=kill_the_slow)
+    }
+    assert "died" in done[slow.settings.key]
+    assert done[quick.settings.key] is None
+
+
+def test_leaving_early_ends_the_workers(tmp_path, replay):
+    quick, slow = jobs_of(replay, QUICK, SLOW + ":train.markov_patience=100000")
+    running = run_jobs(partial(make_cell, tmp_path / "cells"), [quick, slow], 2)
+    assert next(running).job == quick
+    assert active_children()
+    running.close()
+    assert not active_children()
+
+
+LAYOUT = SegmentLayout(n_steps=6, n_agents=2, observation_dim=3, action_dim=1)
+
+
+def test_a_text_is_a_name_and_settings():
+    written = Written.parse(" MAPT:tpa=false:hidden_dim=128:train.lr=1e-3:device=cpu ")
+    assert written.name == "MAPT"
+    assert written.settings == {"tpa": False, "hidden_dim": 128, "train.lr": 1e-3, "device": "cpu"}
+
+
+@pytest.mark.parametrize("text", ["MAPT:", "MAPT:tpa", "MAPT:=1"])
+def test_a_part_that_is_no_setting_is_refused(text):
+    with pytest.raises(InvalidStudy, match="hidden_dim=128"):
+        Written.parse(text)
+
+
+@pytest.mark.parametrize("name", MODEL_NAMES)
+def test_every_model_of_the_tables_has_the_dimensions_of_the_segments(name):
+    config = network_of(name, "small", LAYOUT)
+    assert (config.n_agents, config.observation_dim, config.action_dim) == (2, 3, 1)
+
+
+def test_settings_go_to_the_network_or_to_its_training():
+    text = "MAPT:hidden_dim=32:train.max_epochs=3"
+    assert network_of(text, "small", LAYOUT).hidden_dim == 32
+    training = training_of(text, "small", seed=5, device="cpu")
+    assert (training.max_epochs, training.seed, training.device) == (3, 5, "cpu")
+    assert training_of("MAPT", "paper", 5, "cpu").batch_pairs == TrainConfig.preset("paper").batch_pairs
+
+
+@pytest.mark.parametrize("text", ["Nobody", "MAPT:colour=1", "MAPT:hidden_dim=7"])
+def test_an_unknown_model_or_setting_is_refused(text):
+    with pytest.raises(InvalidConfig):
+        network_of(text, "small", LAYOUT)
+
+
+def test_an_unknown_setting_of_the_training_is_refused():
+    with pytest.raises(InvalidConfig):
+        training_of("MAPT:train.colour=1", "small", 0, "cpu")

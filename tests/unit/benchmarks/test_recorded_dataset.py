@@ -1,0 +1,183 @@
+"""Replays are cut from a training as it goes, and no segment crosses into another episode."""
+
+import numpy as np
+import pytest
+
+from mapt.benchmarks.errors import InvalidStudy, NoTrueRewards, ReplayNotFound
+from mapt.benchmarks.recorded_dataset import (
+    EPISODES,
+    Recording,
+    RecordingProgress,
+    Replay,
+    ReplayJob,
+    draw_places,
+    episodes_path,
+    make_replay,
+    record_replay,
+)
+from mapt.policies import Rollout
+from mapt.preferences.cutting import SHORTEST_SHARE
+from mapt.preferences.errors import AlreadyThere, FileError
+from mapt.preferences.storage import SegmentLayout, SegmentWriter
+from mapt.processes import run_jobs
+from mapt.tasks import UnknownTask, make_task
+from unit.benchmarks.tiny_replay import N_SEGMENTS, N_STEPS, write_replay
+
+# Two rollouts of 32 environments and 128 steps.
+SHORT = Recording("HalfCheetah-2x3", policy_steps=8192, segment_steps=40, segments=30, seed=3)
+
+
+def rollout_with_starts(*starts: tuple[int, int]) -> Rollout:
+    length, n_envs = 20, 2
+    episode_start = np.zeros((length, n_envs), dtype=bool)
+    for step, env in starts:
+        episode_start[step, env] = True
+    fields = dict.fromkeys(Rollout.__dataclass_fields__, np.zeros((length, n_envs)))
+    return Rollout(**{**fields, "episode_start": episode_start})
+
+
+def test_as_many_places_are_drawn_as_are_wanted_in_the_order_they_were_made():
+    rollout = rollout_with_starts((3, 0), (10, 1), (0, 1))
+    drawn = draw_places(rollout, 5, 3, np.random.default_rng(0))
+    assert len(drawn) == 3
+    assert [place.first for place in drawn] == sorted(place.first for place in drawn)
+    for count, n_steps in ((0, 5), (-2, 5), (4, 21)):
+        assert draw_places(rollout, n_steps, count, np.random.default_rng(0)) == []
+
+
+def test_falls_are_kept_as_shorter_segments(tmp_path):
+    recording = Recording("Hopper-3x1", policy_steps=4096, segment_steps=20, segments=100, seed=0)
+    replay = record_replay(recording, tmp_path)
+    n_steps = replay.mask.sum(axis=1)
+    assert n_steps.max() == 20
+    short = np.flatnonzero(n_steps < 20)
+    assert len(short)
+    assert n_steps.min() >= SHORTEST_SHARE * 20
+    arrays = replay.segments(short)
+    for values in (replay.rewards[short], replay.source.qpos(short), arrays.observations, arrays.actions):
+        assert not values[~replay.mask[short]].any()
+        assert values[replay.mask[short]].any()
+    # It stood, and leans to the 0.2 radians at which a hopper is done.
+    leaning = np.abs(replay.source.qpos(short)[..., 2])
+    assert leaning[:, 0].max() < 0.01
+    assert leaning[np.arange(len(short)), n_steps[short] - 1].min() > 0.15
+
+
+def test_a_replay_is_spread_over_the_training_and_its_states_are_the_simulators(tmp_path):
+    seen: list[int] = []
+    replay = record_replay(SHORT, tmp_path / "replay", lambda steps, _reward: seen.append(steps))
+    assert seen == [4096, 8192]
+    assert len(replay) == 30
+    assert replay.mask.all()
+    assert replay.origin["task"] == "HalfCheetah-2x3"
+    task = make_task("HalfCheetah-2x3", 1)
+    spec = task.spec
+    task.close()
+    assert replay.source.qpos([0]).shape == (1, 40, spec.nq)
+    # Forward speed over a step of 0.05 s, less the cost of the actions: the reward of that very step.
+    x, actions = replay.source.qpos(np.arange(30))[..., 0], replay.segments(np.arange(30)).actions
+    speed = np.diff(x, axis=1) / spec.step_seconds
+    cost = 0.1 * (actions.astype(float) ** 2).sum(axis=(2, 3))[:, :-1]
+    np.testing.assert_allclose(replay.rewards[:, :-1], speed - cost, atol=1e-5)
+    episodes = Replay.open(episodes_path(replay.path))
+    assert episodes.rewards.shape == (EPISODES, spec.horizon_steps)
+    assert episodes.mask.all()
+
+
+def test_the_same_recording_gives_the_same_replay(tmp_path):
+    short = Recording("HalfCheetah-2x3", policy_steps=4096, segment_steps=30, segments=12, seed=0)
+    first, second = (record_replay(short, tmp_path / name) for name in "ab")
+    assert first.fingerprint() == second.fingerprint()
+
+
+def test_a_replay_is_never_written_over(tmp_path, replay):
+    with pytest.raises(AlreadyThere):
+        record_replay(SHORT, replay.path)
+
+
+@pytest.mark.parametrize("changes", [{"segment_steps": 129}, {"segment_steps": 0}, {"segments": 0}])
+def test_a_recording_out_of_range_is_refused(tmp_path, changes):
+    with pytest.raises(InvalidStudy):
+        record_replay(Recording(**{**{f: getattr(SHORT, f) for f in SHORT.__dataclass_fields__}, **changes}), tmp_path)
+
+
+def test_an_unknown_task_is_refused_and_leaves_nothing(tmp_path):
+    with pytest.raises(UnknownTask):
+        record_replay(Recording("Nothing", 4096, 40, 30, 0), tmp_path / "replay")
+    assert not (tmp_path / "replay").exists()
+
+
+def test_a_replay_gives_what_was_written(replay):
+    assert len(replay) == N_SEGMENTS
+    assert replay.rewards.shape == replay.mask.shape == (N_SEGMENTS, N_STEPS)
+    np.testing.assert_allclose(
+        replay.rewards[[5, 2]], replay.segments([5, 2]).observations[..., 0].mean(axis=2), atol=1e-6
+    )
+    np.testing.assert_allclose(replay.returns, replay.rewards.sum(axis=1))
+
+
+def test_a_view_is_the_chosen_segments_in_their_order(replay):
+    view = replay.view([7, 3, 11])
+    assert len(view) == 3
+    dimensions = (view.n_steps, view.n_agents, view.observation_dim, view.action_dim)
+    assert dimensions == (N_STEPS, 2, 3, 1)
+    np.testing.assert_array_equal(view.take([2, 0]).observations, replay.segments([11, 7]).observations)
+
+
+def test_the_fingerprint_is_that_of_the_numbers_wherever_they_lie(tmp_path):
+    first, copy = write_replay(tmp_path / "a"), write_replay(tmp_path / "b")
+    assert first.fingerprint() == copy.fingerprint() != write_replay(tmp_path / "c", seed=1).fingerprint()
+
+
+def test_one_number_makes_another_fingerprint(replay):
+    before = replay.fingerprint()
+    with (replay.path / "actions.bin").open("r+b") as file:
+        file.seek(-4, 2)
+        file.write(np.float32(1.5).tobytes())
+    assert replay.fingerprint() != before
+
+
+def test_an_empty_folder_is_no_replay(tmp_path):
+    with pytest.raises(ReplayNotFound, match="mapt dataset"):
+        Replay.open(tmp_path)
+
+
+def test_a_replay_cut_short_is_refused(replay):
+    with (replay.path / "rewards.bin").open("r+b") as file:
+        file.truncate(100)
+    with pytest.raises(FileError):
+        Replay.open(replay.path)
+
+
+def test_segments_without_true_rewards_are_no_replay(tmp_path, replay):
+    with SegmentWriter.create(tmp_path / "bare", SegmentLayout(N_STEPS, 2, 3, 1)) as writer:
+        writer.append(replay.segments(range(4)))
+    with pytest.raises(NoTrueRewards):
+        Replay.open(tmp_path / "bare")
+
+
+IN_WORKER = Recording("HalfCheetah-2x3", policy_steps=8192, segment_steps=30, segments=12, seed=1)
+
+
+def test_a_worker_records_what_is_recorded_here_and_tells_how_far_it_is(tmp_path):
+    told: list[RecordingProgress] = []
+    (done,) = run_jobs(
+        make_replay, [ReplayJob(IN_WORKER, tmp_path / "there")], 1, told=lambda job, news: told.append(news)
+    )
+    assert done.failure is None
+    assert [news.steps for news in told] == [4096, 8192]
+    here = record_replay(IN_WORKER, tmp_path / "here")
+    assert Replay.open(tmp_path / "there").fingerprint() == here.fingerprint()
+
+
+def test_of_a_recording_that_is_stopped_nothing_is_kept(tmp_path):
+    told: list[RecordingProgress] = []
+    (done,) = run_jobs(
+        make_replay,
+        [ReplayJob(Recording("HalfCheetah-2x3", 10**9, 30, 12, 1), tmp_path / "replay")],
+        1,
+        told=lambda job, news: told.append(news),
+        stopped=lambda: bool(told),
+    )
+    assert "was stopped" in (done.failure or "")
+    assert not (tmp_path / "replay").exists()

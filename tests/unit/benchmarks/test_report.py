@@ -1,0 +1,209 @@
+"""A report is written whole, of models that fit the replay, whatever attentions they have."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from mapt.benchmarks.errors import InvalidStudy
+from mapt.benchmarks.evaluate import predict, split_replay
+from mapt.benchmarks.job import network_of
+from mapt.benchmarks.recorded_dataset import Replay, episodes_path
+from mapt.benchmarks.report import ReportPlan, agent_names, make_report
+from mapt.benchmarks.reward_analysis import (
+    STATE_ACTIONS,
+    attention_maps,
+    breadth,
+    diagnose,
+    draw_sample,
+    rollout_series,
+    weight_concentration,
+)
+from mapt.cli.benchmarks import load_models
+from mapt.cli.main import main
+from mapt.preferences.dataset import SegmentArrays
+from mapt.preferences.storage import SegmentWriter
+from mapt.rewards.checkpoints import save_reward_model
+from mapt.rewards.errors import ModelMismatch
+from mapt.rewards.model import RewardModel, build_reward_model
+
+PLAN = ReportPlan("oracle", 60, None)
+ALWAYS = {
+    "report.html",
+    "report.json",
+    "histograms.png",
+    "time-series.png",
+    "ranks.png",
+    "calibration.png",
+    "agents.png",
+}
+
+
+def model_of(name, replay):
+    return build_reward_model(network_of(f"{name}:hidden_dim=8", "small", replay.source.layout)).eval()
+
+
+def test_a_report_of_several_models_has_every_picture(tmp_path, replay):
+    models = {name: model_of(name, replay) for name in ("MAPT", "MA-MLP", "MA-Transformer")}
+    paths = make_report(models, replay, PLAN, tmp_path / "report")
+    assert {path.name for path in paths} == ALWAYS | {"step-attention.png", "agent-attention.png"}
+    page = (tmp_path / "report" / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 7
+    assert "src='http" not in page
+    numbers = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert [model["name"] for model in numbers["models"]] == list(models)
+    assert all(np.isfinite(value) for model in numbers["models"] for value in model["metrics"].values())
+
+
+def test_a_report_of_a_model_without_attention_leaves_its_pictures_out(tmp_path, replay):
+    paths = make_report({"<MLP> & co": model_of("MA-MLP", replay)}, replay, PLAN, tmp_path)
+    assert {path.name for path in paths} == ALWAYS
+    assert "&lt;MLP&gt; &amp; co" in (tmp_path / "report.html").read_text()
+
+
+def test_a_model_of_other_dimensions_is_refused_and_nothing_written(tmp_path, replay):
+    layout = replay.source.layout
+    other = build_reward_model(network_of("MA-MLP", "small", type(layout)(6, 2, 5, 1)))
+    with pytest.raises(ModelMismatch):
+        make_report({"other": other}, replay, PLAN, tmp_path / "report")
+    assert not (tmp_path / "report").exists()
+
+
+def test_rewards_go_along_segments_where_no_episode_was_recorded(replay):
+    model = model_of("MAPT", replay)
+    series = rollout_series(replay, {"MAPT": model})
+    assert series.breaks == (6, 12, 18, 24)
+    assert series.true.shape == series.learned["MAPT"].shape == (30,)
+
+
+def test_rewards_go_along_an_episode_as_the_policy_is_given_them(replay):
+    rng = np.random.default_rng(0)
+    observations, actions = rng.normal(size=(1, 20, 2, 3)), rng.normal(size=(1, 20, 2, 1))
+    played = SegmentArrays(observations.astype(np.float32), actions.astype(np.float32), np.arange(20)[None] < 15)
+    layout = type(replay.source.layout)(20, 2, 3, 1, rewards=True)
+    with SegmentWriter.create(episodes_path(replay.path), layout) as writer:
+        writer.append(played, rewards=rng.normal(size=(1, 20)))
+    model = model_of("MA-MLP", replay)
+    series = rollout_series(replay, {"MLP": model})
+    assert series.true.shape == (15,)
+    expected = (predict(model, played).rewards[0, :15] - model.reward_mean.item()) / model.reward_deviation.item()
+    np.testing.assert_allclose(series.learned["MLP"], expected, atol=1e-5)
+
+
+def test_agents_of_our_tasks_have_names(replay):
+    assert agent_names(replay) == ["agent 0", "agent 1"]
+    replay.origin["task"] = "HalfCheetah-2x3"
+    assert agent_names(replay) == ["back leg", "front leg"]
+
+
+def test_the_command_reads_checkpoints_and_names_them(tmp_path, replay, monkeypatch):
+    save_reward_model(model_of("MAPT-TPA", replay), {}).write(tmp_path / "a=b")
+    assert list(load_models([str(tmp_path / "a=b")])) == ["a=b"]
+    with pytest.raises(InvalidStudy, match="NAME=FOLDER"):
+        load_models([str(tmp_path / "a=b"), str(tmp_path / "a=b")])
+    arguments = ["--replay", replay.path, "--output", tmp_path / "report", "--pairs", 40]
+    monkeypatch.setattr(sys, "argv", ["mapt", "report", f"MAPT-TPA={tmp_path / 'a=b'}", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    assert "MAPT-TPA" in (tmp_path / "report" / "report.html").read_text()
+
+
+def test_a_checkpoint_that_is_not_there_is_told_in_one_sentence(tmp_path, replay, monkeypatch, capsys):
+    arguments = [tmp_path / "nothing", "--replay", replay.path, "--output", tmp_path / "report"]
+    monkeypatch.setattr(sys, "argv", ["mapt", "report", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "is missing" in capsys.readouterr().err
+
+
+WITH_AGENTS, WITH_STEPS = {"MAPT", "MAPT-TPA", "MAPT*"}, {"MAPT", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-Transformer"}
+
+
+def drawn_model(name: str, replay: Replay) -> RewardModel:
+    """A small model whose every parameter was drawn, so that no path is silent."""
+    model = build_reward_model(network_of(f"{name}:hidden_dim=8", "small", replay.source.layout)).eval()
+    generator = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.copy_(0.5 * torch.randn(parameter.shape, generator=generator))
+    return model
+
+
+@pytest.mark.parametrize("name", ["MAPT", "MAPT-TPA", "MAPT-CPA", "MAPT*", "MA-MLP", "MA-LSTM", "MA-Transformer"])
+def test_attention_is_seen_where_a_model_has_it(replay, name):
+    model, segments = drawn_model(name, replay), replay.segments(range(5))
+    maps = attention_maps(model, segments)
+    assert (maps.agents is not None) == (name in WITH_AGENTS)
+    assert (maps.steps is not None) == (name in WITH_STEPS)
+    if maps.agents is not None:
+        assert maps.agents.shape == (5, 6, 2, 2)
+        np.testing.assert_allclose(maps.agents.sum(axis=-1), 1, atol=1e-5)
+    if maps.steps is not None:
+        # Eq. 6: the weight of a step is the mean of what the steps give it.
+        np.testing.assert_allclose(maps.steps.mean(axis=1), predict(model, segments).weights, atol=1e-5)
+
+
+def test_looking_at_attention_leaves_no_hook(replay):
+    model = drawn_model("MAPT", replay)
+    attention_maps(model, replay.segments(range(2)))
+    assert all(not module._forward_hooks for module in model.modules())
+
+
+def test_padding_is_never_attended_to(replay):
+    whole = replay.segments(range(4))
+    mask = np.arange(6) < np.array([6, 3, 2, 5])[:, None]
+    maps = attention_maps(drawn_model("MAPT", replay), SegmentArrays(whole.observations, whole.actions, mask))
+    assert maps.steps is not None
+    assert (maps.steps.transpose(0, 2, 1)[~mask] == 0).all()
+
+
+def test_concentration_is_0_for_equal_weights_and_1_for_a_single_step():
+    mask = np.array([[True] * 4, [True, True, True, False]])
+    equal, single = mask / mask.sum(axis=1, keepdims=True), np.eye(4)[[2, 0]]
+    assert weight_concentration(equal, mask) == pytest.approx(0.0)
+    assert weight_concentration(single, mask) == pytest.approx(1.0)
+
+
+def test_breadth_is_half_for_rewards_spread_evenly_and_less_for_heaped_ones():
+    even = np.linspace(0, 1, 10_001)
+    assert breadth(even) == pytest.approx(0.5, abs=0.01)
+    assert breadth(np.tan((even - 0.5) * 3)) < 0.2
+    assert np.isnan(breadth(np.ones(10)))
+
+
+def test_a_sample_has_the_papers_number_of_state_actions_at_most(replay):
+    sample = draw_sample(replay, "oracle", 50, None)
+    assert len(sample.indices) == len(replay)
+    assert sample.mask.sum() <= STATE_ACTIONS
+    np.testing.assert_array_equal(sample.labels == 1, np.subtract(*sample.returns[sample.pairs].T) > 0)
+    shown = sample.returns[sample.shown]
+    assert shown[0] < shown[1] < shown[2]
+
+
+def test_a_sample_may_be_of_fresh_segments_alone(replay):
+    sample = draw_sample(replay, "oracle", 50, fresh_of_seed=3)
+    np.testing.assert_array_equal(sample.indices, split_replay(len(replay), 3).test)
+
+
+def test_the_past_has_no_share_in_a_markov_model_and_all_of_it_without_a_markov_path(replay):
+    sample = draw_sample(replay, "oracle", 50, None)
+    share = {
+        name: diagnose(name, drawn_model(name, replay), sample).metrics["past_share"]
+        for name in ("MA-MLP", "MAPT", "MAPT:markov_path=false")
+    }
+    assert share["MA-MLP"] == pytest.approx(0.0, abs=1e-9)
+    assert share["MAPT"] > 0.01
+    assert share["MAPT:markov_path=false"] == 1.0
+
+
+def test_agents_of_a_joint_reward_do_not_differ(replay):
+    sample = draw_sample(replay, "oracle", 50, None)
+    joint = diagnose("joint", drawn_model("MA-Transformer:markov_path=false", replay), sample)
+    own = diagnose("own", drawn_model("MA-MLP", replay), sample)
+    assert joint.metrics["spread_across_agents"] == pytest.approx(0.0, abs=1e-5)
+    assert own.metrics["spread_across_agents"] > 0.1
+    assert own.agent_attention is None

@@ -1,0 +1,121 @@
+"""A table from cells made by hand."""
+
+import csv
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapt.benchmarks.errors import InvalidStudy
+from mapt.benchmarks.evaluate import Examination
+from mapt.benchmarks.figures import draw_table
+from mapt.benchmarks.job import Cell, CellSettings, TablePlan
+from mapt.benchmarks.tables import markdown, summarise, write_cells, write_comparisons
+
+PLAN = TablePlan("Tiny", ("MA-MLP", "MAPT"), ("oracle", "phase"), (100, 500), (0, 1, 2), "small", 10, "cpu", "MA-MLP")
+PAIRS = np.arange(20).reshape(10, 2)
+
+
+def cell(model: str, seed: int, n_right: int, *, labels: int = 100, teacher: str = "oracle", code: str = "a") -> Cell:
+    """A cell whose first `n_right` of 10 fresh pairs are told rightly."""
+    settings = CellSettings("Tiny", "f", model, {}, {}, teacher, {}, labels, seed, 10)
+    logits = np.where(np.arange(10) < n_right, 1.0, -1.0).astype(np.float32)
+    metrics = {"accuracy": n_right / 10, "loss": 0.5, "seconds": 60.0}
+    return Cell(settings, Examination(metrics, logits, np.ones(10), np.ones(10), PAIRS), code)
+
+
+THREE_SEEDS = [
+    *(cell("MA-MLP", seed, right) for seed, right in enumerate((5, 6, 7))),
+    *(cell("MAPT", seed, right) for seed, right in enumerate((6, 8, 10))),
+]
+
+
+def test_means_and_spreads_are_over_seeds():
+    accuracy = summarise(PLAN, THREE_SEEDS).line("oracle", 100, "MA-MLP").metrics["accuracy"]
+    assert (accuracy.mean, accuracy.deviation, accuracy.n) == pytest.approx((0.6, 0.1, 3))
+
+
+def test_the_comparison_is_paired_by_seed_and_by_pair():
+    comparison = summarise(PLAN, reversed(THREE_SEEDS)).line("oracle", 100, "MAPT").comparison
+    # Gains of 1, 2 and 3 pairs of 10: mean 0.2, deviation 0.1, t = 3.4641.
+    assert comparison.over_seeds.mean == pytest.approx(0.2)
+    assert comparison.over_seeds.p == pytest.approx(1 - math.sqrt(12 / 14))
+    assert (comparison.over_pairs.gained, comparison.over_pairs.lost) == (6, 0)
+    assert comparison.over_pairs.p == pytest.approx(2 / 64)
+    assert comparison.interval[0] < 0.2 < comparison.interval[1]
+
+
+def test_only_seeds_that_both_have_are_compared():
+    cells = [cell("MA-MLP", 0, 5), cell("MAPT", 0, 7), cell("MAPT", 1, 10)]
+    comparison = summarise(PLAN, cells).line("oracle", 100, "MAPT").comparison
+    assert (comparison.over_seeds.n, comparison.over_seeds.mean) == (1, pytest.approx(0.2))
+
+
+def test_ties_decide_nothing():
+    tied = np.where(np.arange(10) < 5, 0.5, 1.0)
+    cells = [
+        replace(one, result=replace(one.result, clean_labels=tied))
+        for one in (cell("MA-MLP", 0, 5), cell("MAPT", 0, 10))
+    ]
+    comparison = summarise(PLAN, cells).line("oracle", 100, "MAPT").comparison
+    assert comparison.over_seeds.mean == 1.0
+
+
+def test_a_cell_that_is_not_finished_stays_empty():
+    summary = summarise(PLAN, THREE_SEEDS)
+    assert summary.missing == 2 * 2 * 2 * 3 - 6
+    text = markdown(summary)
+    assert "18 cells are not finished" in text
+    assert "| MA-MLP | 60.0 ± 10.0 |  |" in text
+    (row,) = [line for line in text.partition("### phase, 500 labels")[2].splitlines() if line.startswith("| MAPT")]
+    assert set(row.removeprefix("| MAPT")) <= {"|", " "}
+
+
+def test_the_markdown_shows_the_gain_and_its_tests():
+    text = markdown(summarise(PLAN, THREE_SEEDS)).partition("### oracle, 100 labels")[2]
+    (row,) = [line for line in text.splitlines() if line.startswith("| MAPT") and "+20.00" in line]
+    assert "0.074" in row
+    assert "0.031" in row
+    assert row.endswith("| 3 |")
+
+
+def test_an_arrow_shows_a_difference_beyond_chance():
+    cells = [cell(model, seed, right) for seed in (0, 1) for model, right in (("MA-MLP", 2), ("MAPT", 9))]
+    assert "| MAPT | 90.0 ± 0.0 ▲ |" in markdown(summarise(PLAN, cells))
+    turned = [cell(model, seed, right) for seed in (0, 1) for model, right in (("MA-MLP", 9), ("MAPT", 2))]
+    assert "| MAPT | 20.0 ± 0.0 ▼ |" in markdown(summarise(PLAN, turned))
+    assert "| MAPT | 30.0 |" in markdown(summarise(PLAN, [cell("MA-MLP", 0, 2), cell("MAPT", 0, 3)]))
+
+
+def test_the_markdown_says_when_cells_come_from_several_states_of_the_code():
+    assert "states of the code" not in markdown(summarise(PLAN, THREE_SEEDS))
+    assert "2 states of the code" in markdown(summarise(PLAN, [*THREE_SEEDS, cell("MAPT", 0, 5, labels=500, code="b")]))
+
+
+def test_csv_has_a_line_for_each_cell_and_each_comparison(tmp_path):
+    summary = summarise(PLAN, THREE_SEEDS)
+    write_cells(summary, tmp_path / "cells.csv")
+    write_comparisons(summary, tmp_path / "comparisons.csv")
+    cells = list(csv.DictReader((tmp_path / "cells.csv").read_text().splitlines()))
+    assert [(row["model"], row["seed"], row["accuracy"]) for row in cells[:2]] == [
+        ("MA-MLP", "0", "0.5"),
+        ("MA-MLP", "1", "0.6"),
+    ]
+    (comparison,) = csv.DictReader((tmp_path / "comparisons.csv").read_text().splitlines())
+    assert (comparison["model"], comparison["gained"], comparison["lost"]) == ("MAPT", "6", "0")
+    assert float(comparison["difference"]) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("cells", [THREE_SEEDS, [], [cell("MAPT", 0, 10)]], ids=["some", "none", "one, all right"])
+def test_the_plot_is_drawn_of_whatever_is_there(tmp_path, cells):
+    draw_table(summarise(PLAN, cells), tmp_path / "table.png")
+    assert (tmp_path / "table.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    "changes", [{"models": ()}, {"seeds": (0, 0)}, {"labels": (1,)}, {"baseline": "MA-LSTM"}, {"test_pairs": 0}]
+)
+def test_a_plan_that_makes_no_sense_is_refused(changes):
+    with pytest.raises(InvalidStudy):
+        replace(PLAN, **changes)

@@ -1,0 +1,217 @@
+"""The mapt command: what it refuses in one sentence, what it leaves behind, and that a killed run goes on."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mapt.benchmarks.errors import InvalidStudy
+from mapt.benchmarks.specification import numbers, words
+from mapt.training.run_folder import RunFolder
+from support.short_cheetah import SHORTEST_NAME
+from support.waiting import until
+from unit.benchmarks.tiny_replay import TASK, write_replay
+from unit.training.conftest import STEPS_PER_ITERATION, reward_model, write_reward
+
+MODELS = "MA-MLP:hidden_dim=8:train.markov_epochs=1,MAPT:hidden_dim=8:train.markov_epochs=1:train.max_epochs=1"
+
+
+def command(*arguments: str | Path) -> list[str]:
+    return [sys.executable, "-m", "mapt.cli", *map(str, arguments)]
+
+
+@pytest.fixture(scope="module")
+def replays(tmp_path_factory) -> Path:
+    root = tmp_path_factory.mktemp("replays")
+    for seed in (0, 1):
+        write_replay(root / f"seed-{seed}", seed)
+    return root
+
+
+def table_arguments(replays: Path, output: Path) -> list[str | Path]:
+    plan = ["--task", TASK, "--models", MODELS, "--labels", "30", "--seeds", "0,1", "--test-pairs", "100"]
+    return ["table", *plan, "--replay", replays, "--output", output]
+
+
+def arrays(output: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((output / "cells").glob("*.safetensors"))}
+
+
+def test_a_killed_table_goes_on_and_is_the_same_as_one_that_was_not(tmp_path, replays, mapt):
+    process = subprocess.Popen(
+        command(*table_arguments(replays, tmp_path / "killed"), "--workers", "1"), stdout=subprocess.DEVNULL
+    )
+    cells = tmp_path / "killed" / "cells"
+    until(lambda: process.poll() is not None or list(cells.glob("*.json")), "a finished cell")
+    assert process.poll() is None
+    process.kill()
+    process.wait()
+    made = {path: path.stat().st_mtime_ns for path in cells.glob("*.json")}
+    resumed = mapt(*table_arguments(replays, tmp_path / "killed"))
+    assert resumed.status == 0, resumed.errors
+    assert {path: path.stat().st_mtime_ns for path in made} == made
+    whole = mapt(*table_arguments(replays, tmp_path / "whole"), "--workers", "2", "--keep-models")
+    assert whole.status == 0, whole.errors
+    assert len(arrays(tmp_path / "whole")) == 4
+    assert arrays(tmp_path / "killed") == arrays(tmp_path / "whole")
+    assert "not finished" not in (tmp_path / "whole" / "table.md").read_text()
+    assert len(list((tmp_path / "whole" / "models").glob("*/reward.json"))) == 4
+
+
+def test_a_dry_run_makes_no_cell_and_leaves_a_table_with_empty_places(tmp_path, replays, mapt):
+    assert mapt(*table_arguments(replays, tmp_path), "--dry-run").status == 0
+    assert not (tmp_path / "cells").exists()
+    assert "4 cells are not finished" in (tmp_path / "table.md").read_text()
+    assert len((tmp_path / "cells.csv").read_text().splitlines()) == 1
+    assert (tmp_path / "table.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_table_that_lacks_cells_ends_with_status_1(tmp_path, replays, mapt):
+    # A teacher who skips every pair never gives 30 labels.
+    failed = mapt(*table_arguments(replays, tmp_path), "--teachers", "skip:skip=1000")
+    assert failed.status == 1
+    assert "gave 0 of 30 labels" in failed.errors
+    assert "4 cells are missing" in failed.errors
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--models", "Nobody"], "no reward model is called 'Nobody'"),
+        (["--teachers", "nobody"], "no teacher is called 'nobody'"),
+        (["--labels", "many"], "it looks like 0,1,2"),
+        (["--baseline", "MAPT*"], "none of the models"),
+        (["--task", "HalfCheetah-6x1"], "is of Tiny"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_sentence(tmp_path, replays, mapt, arguments, sentence):
+    refused = mapt(*table_arguments(replays, tmp_path), *arguments)
+    assert refused.status == 2
+    assert refused.errors.startswith("mapt: ")
+    assert sentence in refused.errors
+
+
+def test_dataset_records_the_replay_of_a_seed(tmp_path, mapt):
+    counts = ["--policy-steps", "4096", "--segment-steps", "20", "--segments", "10"]
+    made = mapt("dataset", "--task", "HalfCheetah-2x3", "--seeds", "2", *counts, "--output", tmp_path)
+    assert made.status == 0, made.errors
+    about = json.loads((tmp_path / "seed-2" / "manifest.json").read_text())
+    assert (about["n_segments"], about["about"]["seed"]) == (10, 2)
+
+
+def test_lists_are_read_with_commas():
+    assert words("--models", "MAPT, MA-MLP") == ("MAPT", "MA-MLP")
+    assert numbers("--seeds", "0,2", 0) == (0, 2)
+
+
+@pytest.mark.parametrize("text", ["", "0,,1", "0,0", "1,-1", "a"])
+def test_lists_that_make_no_sense_are_refused(text):
+    with pytest.raises(InvalidStudy, match="--seeds"):
+        numbers("--seeds", text, 0)
+
+
+TINY = ("n_envs=4", "rollout_steps=24", "minibatches=2", "epochs=2", "hidden=[8]")
+
+
+pytestmark = pytest.mark.usefixtures("short_episodes")
+
+
+def training(output: Path, *more: str | Path) -> list[str | Path]:
+    settings = [word for setting in TINY for word in ("--set", setting)]
+    steps = str(2 * STEPS_PER_ITERATION)
+    return [
+        *("train", "--task", SHORTEST_NAME, "--steps", steps, "--device", "cpu", "--no-video", "--output", output),
+        *settings,
+        *more,
+    ]
+
+
+def test_seeds_are_trained_measured_and_compared(mapt, tmp_path):
+    trained = mapt(*training(tmp_path / "runs", "--seed", "0,1"))
+    assert trained.status == 0, trained.errors
+    assert trained.printed.count("true return") >= 2
+    for seed in (0, 1):
+        settings = RunFolder(tmp_path / "runs" / f"seed-{seed}").settings()
+        assert (settings.policy.seed, settings.policy.hidden, settings.reward) == (seed, (8,), None)
+
+    told = mapt("evaluate", tmp_path / "runs" / "seed-1", "--episodes", "3", "--json", "--device", "cpu")
+    found = json.loads(told.printed)
+    assert found["steps"] == 2 * STEPS_PER_ITERATION
+    assert len(found["returns"]) == found["episodes"] == 3
+    assert "over 3 episodes of 20 steps" in mapt("evaluate", tmp_path / "runs" / "seed-1", "--episodes", "3").printed
+
+    drawn = mapt("curves", tmp_path / "runs", "--output", tmp_path / "a" / "c.png", "--table", tmp_path / "b" / "t.md")
+    assert drawn.status == 0, drawn.errors
+    assert (tmp_path / "a" / "c.png").exists()
+    assert f"| {SHORTEST_NAME} | mappo | true |" in (tmp_path / "b" / "t.md").read_text()
+
+
+def test_a_finished_run_is_not_trained_again(mapt, tmp_path):
+    mapt(*training(tmp_path))
+    before = RunFolder(tmp_path / "seed-0").metrics.read_bytes()
+    assert mapt(*training(tmp_path)).status == 0
+    assert RunFolder(tmp_path / "seed-0").metrics.read_bytes() == before
+
+
+def test_what_a_reward_looks_back_on_is_on_its_card_or_has_to_be_said(mapt, tmp_path):
+    write_reward(tmp_path / "told", reward_model(), segment_steps=7)
+    write_reward(tmp_path / "silent", reward_model(), segment_steps=None)
+    assert mapt(*training(tmp_path / "a", "--reward", tmp_path / "told")).status == 0
+    refused = mapt(*training(tmp_path / "b", "--reward", tmp_path / "silent"))
+    assert (refused.status, "--segment-steps" in refused.errors) == (2, True)
+    said = mapt(*training(tmp_path / "b", "--reward", tmp_path / "silent", "--segment-steps", "4"))
+    assert said.status == 0, said.errors
+    steps = [RunFolder(tmp_path / name / "seed-0").settings().reward for name in "ab"]
+    assert [reward.segment_steps for reward in steps if reward] == [7, 4]
+
+
+def test_a_reward_is_taken_as_the_service_keeps_it(mapt, tmp_path):
+    write_reward(tmp_path, reward_model())
+    for name, kept in (("reward.safetensors", "rwb_1.safetensors"), ("reward.json", "rwb_1.json")):
+        (tmp_path / name).rename(tmp_path / kept)
+    trained = mapt(*training(tmp_path / "run", "--reward", tmp_path / "rwb_1.safetensors"))
+    assert trained.status == 0, trained.errors
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--set", "learning_rte=1"], "learning_rte"),
+        (["--set", "learning_rate"], "'learning_rate' is no KEY=VALUE"),
+        (["--set", "learning_rate=fast"], "must be of type float"),
+        (["--set", "seed=3"], "give --seed instead"),
+        (["--algorithm", "ppo"], "one of mappo, happo, mat, mat_dec"),
+        (["--task", "Cheetah"], "No task is called 'Cheetah'"),
+        (["--seed", "0,0"], "--seed '0,0'"),
+        (["--reward", "nowhere"], "reward.safetensors is missing"),
+        (["--reward", "nowhere", "--segment-steps", "5"], "reward.safetensors is missing"),
+        (["--device", "tpu"], "auto, cpu or cuda"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused_in_one_sentence(mapt, tmp_path, arguments, message):
+    ended = mapt(*training(tmp_path / "run", *arguments))
+    assert ended.status == 2
+    assert message in ended.errors
+    assert ended.errors.count("\n") == 1
+    assert not (tmp_path / "run" / "seed-0" / "run.json").exists()
+
+
+def test_a_folder_of_another_run_is_refused(mapt, tmp_path):
+    mapt(*training(tmp_path))
+    for more, message in (
+        (("--set", "clip=0.3"), "policy.clip: 0.1, not 0.3"),
+        (("--set", "n_envs=8"), "policy.n_envs: 4, not 8"),
+        (("--task", "Ant-4x2"), f"task: {SHORTEST_NAME}, not Ant-4x2"),
+    ):
+        ended = mapt(*training(tmp_path, *more))
+        assert ended.status == 2
+        assert message in ended.errors
+
+
+@pytest.mark.parametrize("command", [["evaluate"], ["curves", "--output", "c.png"]])
+def test_a_folder_without_a_run_is_told(mapt, tmp_path, command):
+    ended = mapt(*command, tmp_path)
+    assert ended.status == 2
+    assert "holds no run" in ended.errors
