@@ -1,7 +1,8 @@
 """Reward models as they are once their attention path has been trained."""
 
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.model import RewardModel, build_reward_model
+from mapt.rewards.model import RewardModel
+from mapt.rewards.registry import build_reward_model
 
 
 def awake_model(config: RewardConfig) -> RewardModel:

@@ -23,8 +23,7 @@ from mapt.preferences.dataset import PreferenceDataset, SegmentArrays, in_batche
 from mapt.preferences.formats.records import SegmentRecords
 from mapt.preferences.formats.tables import LabelRow, PreferenceTables, QueryRow, SegmentRow, TableWriter
 from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
-from mapt.rewards.config import RewardConfig
-from mapt.rewards.train_config import TrainConfig
+from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.trainer import train_reward_model
 
 N_PAIRS = 50_000

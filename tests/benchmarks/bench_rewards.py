@@ -22,12 +22,10 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
 from mapt.preferences.loss import preference_loss
-from mapt.rewards.config import PresetName, RewardConfig
-from mapt.rewards.model import build_reward_model
-from mapt.rewards.precision import products_in
-from mapt.rewards.relabelling import RolloutRelabeller
-from mapt.rewards.streaming import RewardStream
-from mapt.rewards.train_config import Precision
+from mapt.rewards.config import Precision, PresetName, RewardConfig
+from mapt.rewards.kernels import products_in
+from mapt.rewards.registry import build_reward_model
+from mapt.rewards.relabelling import RewardStream, RolloutRelabeller
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 6, 24, 1
 N_ENVS, ROLLOUT_STEPS = 40, 100

@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.rewards.config import RewardConfig, TemporalEncoder
-from mapt.rewards.train_config import TrainConfig
+from mapt.rewards.config import RewardConfig, TemporalEncoder, TrainConfig
 from mapt.rewards.trainer import train_reward_model
 
 N_STEPS, N_AGENTS, OBSERVATION_DIM = 8, 2, 3

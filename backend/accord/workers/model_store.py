@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from accord.domain.ids import new_id
 from accord.store.blobs import BlobStore
 from accord.store.tables import RewardVersionRow
-from mapt.rewards.base import RewardModel
 from mapt.rewards.checkpoints import load_reward_model, save_reward_model
 from mapt.rewards.ensemble_storage import load_reward_ensemble, save_reward_ensemble
 from mapt.rewards.errors import DamagedCheckpoint
 from mapt.rewards.members import RewardEnsemble
+from mapt.rewards.model import RewardModel
 from mapt.training.run_folder import PolicyCheckpoint
 
 _WEIGHTS, _CARD = ".safetensors", ".json"

@@ -22,11 +22,10 @@ from accord.workers.query_planner import Asker, wants_ensemble
 from accord.workers.runner import Context, run_worker, sentence
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.selection import UnknownSelector
-from mapt.rewards.base import RewardModel
-from mapt.rewards.config import RewardConfig
+from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.ensemble import train_reward_ensemble
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
-from mapt.rewards.train_config import TrainConfig
+from mapt.rewards.model import RewardModel
 from mapt.rewards.trainer import TrainedReward, TrainProgress, train_reward_model
 
 _Arrays = tuple[NDArray[np.float32], NDArray[np.float32]]

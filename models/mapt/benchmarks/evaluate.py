@@ -13,10 +13,10 @@ from mapt.benchmarks.recorded_dataset import Replay
 from mapt.benchmarks.specification import Written
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.teachers import Evidence, ScriptedTeacher, make_teacher
-from mapt.rewards.fitting import judge_logits
+from mapt.rewards.data import EVALUATION_SEGMENTS
 from mapt.rewards.metrics import correlation, rank_correlation
 from mapt.rewards.model import RewardModel
-from mapt.rewards.segment_reader import EVALUATION_SEGMENTS
+from mapt.rewards.trainer import judge_logits
 
 IntArray = NDArray[np.int64]
 #: what part of a replay is kept for testing, and the most segments

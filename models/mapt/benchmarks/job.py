@@ -22,9 +22,8 @@ from mapt.benchmarks.specification import Written
 from mapt.preferences.storage import SegmentLayout
 from mapt.processes import Desk
 from mapt.rewards.checkpoints import save_reward_model
-from mapt.rewards.config import PresetName, RewardConfig
+from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
 from mapt.rewards.model import RewardModel
-from mapt.rewards.train_config import TrainConfig
 from mapt.rewards.trainer import TrainedReward, train_reward_model
 
 

@@ -20,8 +20,8 @@ from mapt.benchmarks.figures import (
 )
 from mapt.benchmarks.recorded_dataset import Replay
 from mapt.benchmarks.reward_analysis import Diagnosis, Sample, diagnose, draw_sample, rollout_series
+from mapt.rewards.data import check_fit
 from mapt.rewards.model import RewardModel
-from mapt.rewards.segment_reader import check_fit
 from mapt.tasks import UnknownTask, task_spec
 
 

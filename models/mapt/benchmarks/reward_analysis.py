@@ -23,11 +23,11 @@ from mapt.benchmarks.evaluate import (
 from mapt.benchmarks.job import count_parameters
 from mapt.benchmarks.recorded_dataset import Replay, episodes_path
 from mapt.preferences.dataset import SegmentArrays
+from mapt.rewards.data import EVALUATION_SEGMENTS
+from mapt.rewards.layers import CooperationAwareAttention, TemporalAwareAttention
 from mapt.rewards.metrics import CalibrationBin, calibration_bins, rank_correlation
 from mapt.rewards.model import RewardModel
-from mapt.rewards.preference_attention import CooperationAwareAttention, TemporalAwareAttention
 from mapt.rewards.relabelling import RolloutRelabeller
-from mapt.rewards.segment_reader import EVALUATION_SEGMENTS
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from mapt.cli.options import Device, Task, Workers
 from mapt.cli.output import Bars, RunBars, complain
 from mapt.policies import Algorithm, PolicyConfig
 from mapt.processes import Done, at_once, cores_of_each, run_jobs, stop_requests
-from mapt.rewards.base import PolicyReward
 from mapt.rewards.checkpoints import load_reward_model
+from mapt.rewards.model import PolicyReward
 from mapt.rewards.relabelling import Credit
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 from mapt.training.errors import InvalidRun

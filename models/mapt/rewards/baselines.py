@@ -4,12 +4,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from mapt.rewards.attention import Band, behind_context, zeroed
-from mapt.rewards.base import REWARD_GAIN, Readers, RewardModel
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.encoders import TemporalEncoder
-from mapt.rewards.markov_path import MarkovPath
-from mapt.rewards.preference_attention import LinearReadOut, TemporalAwareAttention
+from mapt.rewards.kernels import Band, behind_context
+from mapt.rewards.layers import LinearReadOut, MarkovPath, TemporalAwareAttention, TemporalEncoder, zeroed
+from mapt.rewards.model import REWARD_GAIN, Readers, RewardModel
 
 
 class MarkovRewards(RewardModel):

@@ -12,10 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mapt.device import resolve_device, seeded
 from mapt.preferences.dataset import PreferenceDataset, SegmentSource
-from mapt.rewards.base import RewardModel
-from mapt.rewards.config import RewardConfig
-from mapt.rewards.device import resolve_device, seeded
+from mapt.rewards.config import RewardConfig, TrainConfig, check_positive_int
+from mapt.rewards.data import PairTensors, SegmentReader, check_fit, segment_reader, spread_sample
 from mapt.rewards.ensemble_fitting import (
     EnsembleFitting,
     EnsembleStage,
@@ -29,17 +29,13 @@ from mapt.rewards.ensemble_scorers import (
     whole_stack_scorer,
 )
 from mapt.rewards.errors import ModelMismatch
-from mapt.rewards.fitting import TrainProgress, is_reliable
+from mapt.rewards.kernels import resolve_precision
 from mapt.rewards.members import RewardEnsemble
-from mapt.rewards.model import build_reward_model
-from mapt.rewards.pair_tensors import PairTensors
-from mapt.rewards.precision import resolve_precision
-from mapt.rewards.segment_reader import SegmentReader, check_fit, segment_reader, spread_sample
-from mapt.rewards.settings import check_positive_int
+from mapt.rewards.model import RewardModel
+from mapt.rewards.registry import build_reward_model
+from mapt.rewards.schedule import Stages, StageSettings, plan_stages, state_to_begin_with
 from mapt.rewards.stacked import StackedModels
-from mapt.rewards.stages import Stages, StageSettings, plan_stages, state_to_begin_with
-from mapt.rewards.train_config import TrainConfig
-from mapt.rewards.trainer import MOST_PAIRS_JUDGED
+from mapt.rewards.trainer import MOST_PAIRS_JUDGED, TrainProgress, is_reliable
 
 __all__ = ["RewardEnsemble", "train_reward_ensemble"]
 

@@ -14,7 +14,10 @@ import torch
 from torch import Tensor
 
 from mapt.preferences.loss import preference_losses
-from mapt.rewards.fitting import (
+from mapt.rewards.data import PairTensors
+from mapt.rewards.schedule import StageSettings
+from mapt.rewards.stacked import SEGMENTS_PER_PASS, StackedModels
+from mapt.rewards.trainer import (
     GRADIENT_NORM_LIMIT,
     TrainProgress,
     WeightAverage,
@@ -25,9 +28,6 @@ from mapt.rewards.fitting import (
     is_out_of_patience,
     is_reliable,
 )
-from mapt.rewards.pair_tensors import PairTensors
-from mapt.rewards.stacked import SEGMENTS_PER_PASS, StackedModels
-from mapt.rewards.stages import StageSettings
 
 #: From indices of segments, (B,) or (M, B), to the members' scores of them, (M, B).
 StackScorer = Callable[[Tensor], Tensor]
@@ -83,7 +83,7 @@ class EnsembleFitting:
         )
         self.epochs = 0
         self.stopped = False
-        #: see `mapt.rewards.fitting.Fitting.early`
+        #: see `mapt.rewards.trainer.Fitting.early`
         self.early: dict[str, Tensor] | None = None
 
     @property

@@ -3,9 +3,9 @@
 import torch
 from torch import Tensor
 
+from mapt.rewards.data import SegmentReader
 from mapt.rewards.ensemble_fitting import StackScorer
-from mapt.rewards.precision import products_in
-from mapt.rewards.segment_reader import SegmentReader
+from mapt.rewards.kernels import products_in
 from mapt.rewards.stacked import SEGMENTS_PER_PASS, StackedModels
 
 

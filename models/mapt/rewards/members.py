@@ -6,13 +6,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from mapt.device import resolve_device
 from mapt.preferences.dataset import SegmentSource, in_batches
-from mapt.rewards.base import RewardModel
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.device import resolve_device
+from mapt.rewards.data import SegmentTensors, check_fit
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
-from mapt.rewards.model import build_reward_model
-from mapt.rewards.segment_reader import SegmentTensors, check_fit
+from mapt.rewards.model import RewardModel
+from mapt.rewards.registry import build_reward_model
 from mapt.rewards.stacked import SEGMENTS_PER_PASS, StackedModels
 
 

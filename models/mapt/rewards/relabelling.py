@@ -1,6 +1,7 @@
 """Rewards of a whole rollout in one batched pass."""
 
 import copy
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -8,13 +9,11 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from mapt.rewards.bands import EpisodeBand
-from mapt.rewards.base import PolicyReward, RewardModel
-from mapt.rewards.context import RolloutContext
-from mapt.rewards.device import resolve_device
-from mapt.rewards.errors import InvalidConfig, ModelMismatch
-from mapt.rewards.precision import products_in, resolve_precision
-from mapt.rewards.train_config import Precision
+from mapt.device import resolve_device
+from mapt.rewards.config import Precision
+from mapt.rewards.errors import InvalidConfig, InvalidRollout, ModelMismatch
+from mapt.rewards.kernels import EpisodeBand, KeyValueRing, products_in, resolve_precision
+from mapt.rewards.model import PolicyReward, RewardModel
 
 Credit = Literal["shared", "individual"]
 # Agent-steps in one pass: enough to fill the vector units, small enough that activations stay in cache
@@ -161,3 +160,181 @@ class RolloutRelabeller:
 def one_pass(model: RewardModel, kind: PolicyReward) -> bool:
     """Whether a step's reward needs of its past only what one attention layer reads there."""
     return kind == "value" and model.sees_one_window
+
+
+# Episode number of remembered steps that were never filled.
+NO_EPISODE = -1
+
+
+@dataclass(frozen=True, slots=True)
+class RolloutSteps:
+    """K remembered steps and the L of a rollout behind each other."""
+
+    #: float32 (K + L, E, N, C)
+    observations: NDArray[np.float32]
+    #: float32 (K + L, E, N, A)
+    actions: NDArray[np.float32]
+    #: int64 (K + L, E), equal for the steps of one episode of one environment, NO_EPISODE where empty
+    episode: NDArray[np.int64]
+
+
+class RolloutContext:
+    """The last K steps of E environments, and which episode each belongs to."""
+
+    def __init__(self, n_steps: int, n_envs: int, n_agents: int, observation_dim: int, action_dim: int) -> None:
+        self._steps = RolloutSteps(
+            np.zeros((n_steps, n_envs, n_agents, observation_dim), dtype=np.float32),
+            np.zeros((n_steps, n_envs, n_agents, action_dim), dtype=np.float32),
+            np.full((n_steps, n_envs), NO_EPISODE, dtype=np.int64),
+        )
+        #: the running episode's number, per environment; kept apart since K may be 0
+        self._episode = np.full(n_envs, NO_EPISODE, dtype=np.int64)
+
+    def extend(self, observations: ArrayLike, actions: ArrayLike, episode_start: ArrayLike) -> RolloutSteps:
+        """The remembered steps followed by these; the memory is left as it is.
+
+        Raises:
+            InvalidRollout: if a shape is wrong or a number not finite.
+        """
+        start = np.asarray(episode_start, dtype=np.bool_)
+        if start.ndim != 2 or not len(start):
+            raise InvalidRollout(f"episode_start has shape {start.shape}, expected (L, E) with L >= 1")
+        parts = [
+            self._joined(name, kept, values, len(start))
+            for name, kept, values in (
+                ("observations", self._steps.observations, observations),
+                ("actions", self._steps.actions, actions),
+            )
+        ]
+        if start.shape[1] != len(self._episode):
+            raise InvalidRollout(f"episode_start is for {start.shape[1]} environments, not {len(self._episode)}")
+        # The very first step begins an episode even when the caller starts in the middle of one.
+        running = np.maximum(self._episode, 0)
+        episode = np.concatenate((self._steps.episode, running + np.cumsum(start, axis=0)))
+        return RolloutSteps(parts[0], parts[1], episode)
+
+    @staticmethod
+    def _joined(name: str, kept: NDArray[np.float32], values: ArrayLike, n_steps: int) -> NDArray[np.float32]:
+        new = np.asarray(values, dtype=np.float32)
+        expected = (n_steps, *kept.shape[1:])
+        if new.shape != expected:
+            raise InvalidRollout(f"{name} has shape {new.shape}, expected {expected}")
+        if not np.isfinite(new).all():
+            raise InvalidRollout(f"{name} holds NaN or infinity")
+        return np.concatenate((kept, new))
+
+    def keep(self, steps: RolloutSteps) -> None:
+        """Remember the last K of `steps`."""
+        first = len(steps.episode) - len(self._steps.episode)
+        self._episode = steps.episode[-1]
+        self._steps = RolloutSteps(
+            steps.observations[first:].copy(), steps.actions[first:].copy(), steps.episode[first:].copy()
+        )
+
+    def state_dict(self) -> dict[str, NDArray[np.generic]]:
+        """Copies of everything remembered."""
+        return {
+            "observations": self._steps.observations.copy(),
+            "actions": self._steps.actions.copy(),
+            "episode": self._steps.episode.copy(),
+            "running_episode": self._episode.copy(),
+        }
+
+    def load_state_dict(self, state: dict[str, NDArray[np.generic]]) -> None:
+        """Remember what another context of the same shape did.
+
+        Raises:
+            InvalidRollout: if an array is missing or has another shape.
+        """
+        own = self.state_dict()
+        if set(state) != set(own):
+            raise InvalidRollout(f"the context holds {sorted(state)}, expected {sorted(own)}")
+        taken: dict[str, NDArray[np.generic]] = {}
+        for name, array in own.items():
+            if state[name].shape != array.shape:
+                raise InvalidRollout(f"{name} has shape {state[name].shape}, expected {array.shape}")
+            taken[name] = state[name].astype(array.dtype)
+        self._steps = RolloutSteps(
+            np.asarray(taken["observations"], dtype=np.float32),
+            np.asarray(taken["actions"], dtype=np.float32),
+            np.asarray(taken["episode"], dtype=np.int64),
+        )
+        self._episode = np.asarray(taken["running_episode"], dtype=np.int64)
+
+
+class RewardStream:
+    """Gives each step of E environments the reward r-hat_t computed from their last T transitions, as they happen.
+
+    With one temporal attention layer, keys and values of the last T steps are kept, so that a step costs the network
+    on that one step. What a second layer, an LSTM, or a kind of reward other than "value" reads of an earlier step
+    depends on where the window begins, so there the window is run anew with every step, which costs T times as
+    much. Both give what the network gives on the step's own window.
+
+    Args:
+        model: copied; its `reward_mean` and `reward_deviation` normalise what is given.
+        window, n_envs, credit, device, kind: as in `RolloutRelabeller`.
+
+    Raises:
+        InvalidConfig: if an argument is out of its range.
+    """
+
+    def __init__(
+        self,
+        model: RewardModel,
+        window: int,
+        n_envs: int,
+        credit: Credit = "shared",
+        device: str = "cpu",
+        *,
+        kind: PolicyReward = "value",
+    ) -> None:
+        self._relabeller = RolloutRelabeller(model, window, n_envs, credit, device, kind=kind, precision="float32")
+        self._model = self._relabeller.model
+        self._device = self._model.reward_mean.device
+        self._credit = credit
+        self._shape = (n_envs, model.config.n_agents)
+        self._ring: KeyValueRing | None = None
+        if one_pass(model, kind):
+            self._ring = KeyValueRing(window, n_envs, self._device)
+
+    @torch.inference_mode()
+    def step(self, observations: ArrayLike, actions: ArrayLike, episode_start: ArrayLike) -> NDArray[np.float32]:
+        """Normalised rewards of the next step.
+
+        Args:
+            observations: (E, N, C), what the agents saw before they acted.
+            actions: (E, N, A), one-hot where discrete.
+            episode_start: bool (E,), true where the step is the first of its episode.
+
+        Returns:
+            float32 (E,) with shared credit, (E, N) with individual.
+
+        Raises:
+            InvalidRollout: if a shape is wrong or a number not finite; nothing is then remembered.
+        """
+        config = self._model.config
+        observed = self._checked("observations", observations, config.observation_dim)
+        acted = self._checked("actions", actions, config.action_dim)
+        start = np.asarray(episode_start, dtype=np.bool_)
+        if start.shape != self._shape[:1]:
+            raise InvalidRollout(f"episode_start has shape {start.shape}, expected {self._shape[:1]}")
+        if self._ring is None:
+            return self._relabeller.relabel(observed[None], acted[None], start[None])[0]
+        if start.any():
+            self._ring.forget(torch.as_tensor(start, device=self._device))
+        rewards = self._model.agent_rewards(self._one_step(observed), self._one_step(acted), self._ring)[:, 0]
+        if self._credit == "shared":
+            rewards = rewards.mean(dim=1)
+        return self._model.normalised(rewards).cpu().numpy()
+
+    def _checked(self, name: str, values: ArrayLike, width: int) -> NDArray[np.float32]:
+        array = np.asarray(values, dtype=np.float32)
+        expected = (*self._shape, width)
+        if array.shape != expected:
+            raise InvalidRollout(f"{name} has shape {array.shape}, expected {expected}")
+        if not np.isfinite(array).all():
+            raise InvalidRollout(f"{name} holds NaN or infinity")
+        return array
+
+    def _one_step(self, array: NDArray[np.float32]) -> Tensor:
+        return torch.as_tensor(array, device=self._device)[:, None]

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.policies import Rollout
-from mapt.rewards.base import PolicyReward, RewardModel
 from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, LoadedRewardModel, load_reward_model, save_reward_model
 from mapt.rewards.errors import DamagedCheckpoint, ModelMismatch
+from mapt.rewards.model import PolicyReward, RewardModel
 from mapt.rewards.relabelling import Credit, RolloutRelabeller
 from mapt.tasks import TaskSpec
 from mapt.training.settings import RunSettings

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Self, get_args
 
 from mapt.policies import PolicyConfig
-from mapt.rewards.base import PolicyReward
+from mapt.rewards.model import PolicyReward
 from mapt.rewards.relabelling import Credit
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 from mapt.training.errors import InvalidRun

@@ -15,7 +15,7 @@ from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.selection import segment_features
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.members import RewardEnsemble
-from mapt.rewards.model import build_reward_model
+from mapt.rewards.registry import build_reward_model
 from support.scenes import ACTION, AGENTS, OBSERVATION, STEPS, segment
 
 CONFIG = RewardConfig(OBSERVATION, ACTION, AGENTS, hidden_dim=8, heads=2)

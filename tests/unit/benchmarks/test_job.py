@@ -26,9 +26,8 @@ from mapt.benchmarks.job import (
 from mapt.benchmarks.specification import Written
 from mapt.preferences.storage import SegmentLayout
 from mapt.processes import run_jobs
-from mapt.rewards.config import MODEL_NAMES
+from mapt.rewards.config import MODEL_NAMES, TrainConfig
 from mapt.rewards.errors import InvalidConfig
-from mapt.rewards.train_config import TrainConfig
 from unit.benchmarks.tiny_replay import TASK
 
 PLAN = TablePlan(

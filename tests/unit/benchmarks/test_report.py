@@ -27,7 +27,8 @@ from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.storage import SegmentWriter
 from mapt.rewards.checkpoints import save_reward_model
 from mapt.rewards.errors import ModelMismatch
-from mapt.rewards.model import RewardModel, build_reward_model
+from mapt.rewards.model import RewardModel
+from mapt.rewards.registry import build_reward_model
 
 PLAN = ReportPlan("oracle", 60, None)
 ALWAYS = {

@@ -12,8 +12,8 @@ from accord.domain.experiment import (
     RewardPreset,
 )
 from mapt.preferences.selection import selector_names
-from mapt.rewards.base import PolicyReward as LibraryPolicyReward
 from mapt.rewards.config import MODEL_NAMES, PresetName
+from mapt.rewards.model import PolicyReward as LibraryPolicyReward
 
 
 def config(**changes: object) -> ExperimentConfig:

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.network import MAPT
+from mapt.rewards.mapt import MAPT
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 4, 2
 VARIANTS: dict[str, dict[str, object]] = {

@@ -2,8 +2,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapt.rewards.attention import CausalAttention, rotary_angles, rotate
-from mapt.rewards.bands import EpisodeBand
+from mapt.rewards.kernels import EpisodeBand
+from mapt.rewards.layers import CausalAttention, rotary_angles, rotate
 
 
 def draw(*shape, seed=0):

@@ -9,19 +9,18 @@ from torch import nn
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.errors import NotEnoughPairs
 from mapt.preferences.loss import preference_loss
-from mapt.rewards.config import MODEL_NAMES, RewardConfig
+from mapt.rewards.config import MODEL_NAMES, RewardConfig, TrainConfig
+from mapt.rewards.data import PairTensors, segment_reader
 from mapt.rewards.ensemble import RewardEnsemble, train_reward_ensemble
 from mapt.rewards.ensemble_fitting import ensemble_step
 from mapt.rewards.ensemble_scorers import whole_stack_scorer
 from mapt.rewards.ensemble_storage import FORMAT, load_reward_ensemble, save_reward_ensemble
 from mapt.rewards.errors import DamagedCheckpoint, InvalidConfig, ModelMismatch, NewerCheckpoint
-from mapt.rewards.fitting import GRADIENT_NORM_LIMIT, adamw
-from mapt.rewards.model import RewardModel, build_reward_model
-from mapt.rewards.pair_tensors import PairTensors
-from mapt.rewards.segment_reader import segment_reader
+from mapt.rewards.model import RewardModel
+from mapt.rewards.registry import build_reward_model
+from mapt.rewards.schedule import StageSettings
 from mapt.rewards.stacked import StackedModels
-from mapt.rewards.stages import StageSettings
-from mapt.rewards.train_config import TrainConfig
+from mapt.rewards.trainer import GRADIENT_NORM_LIMIT, adamw
 
 N, C, A, T = 3, 4, 2, 6
 DIMENSIONS = {"observation_dim": C, "action_dim": A, "n_agents": N}

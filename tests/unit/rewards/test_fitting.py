@@ -4,7 +4,9 @@ import pytest
 import torch
 
 from mapt.preferences.loss import preference_losses
-from mapt.rewards.fitting import (
+from mapt.rewards.data import PairTensors
+from mapt.rewards.schedule import StageSettings
+from mapt.rewards.trainer import (
     Fitting,
     Stage,
     WeightAverage,
@@ -13,8 +15,6 @@ from mapt.rewards.fitting import (
     is_out_of_patience,
     judge_pairs,
 )
-from mapt.rewards.pair_tensors import PairTensors
-from mapt.rewards.stages import StageSettings
 
 
 def test_a_steady_gain_convinces_and_a_lucky_one_does_not():

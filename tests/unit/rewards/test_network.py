@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from mapt.preferences.errors import ShapeError
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.network import MAPT
+from mapt.rewards.mapt import MAPT
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 4, 2
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}

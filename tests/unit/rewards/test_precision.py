@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from mapt.rewards.errors import InvalidConfig
-from mapt.rewards.precision import multiplies_bfloat16, products_in, resolve_precision
+from mapt.rewards.kernels import multiplies_bfloat16, products_in, resolve_precision
 
 CPU = torch.device("cpu")
 

@@ -4,12 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from mapt.rewards.preference_attention import (
-    CooperationAwareAttention,
-    TemporalAwareAttention,
-    equal_weights,
-    votes,
-)
+from mapt.rewards.layers import CooperationAwareAttention, TemporalAwareAttention, equal_weights, votes
 
 S, T, N, D = 4, 7, 3, 16
 

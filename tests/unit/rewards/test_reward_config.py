@@ -1,8 +1,7 @@
 import pytest
 
-from mapt.rewards.config import RewardConfig
+from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.errors import InvalidConfig
-from mapt.rewards.train_config import TrainConfig
 
 DIMENSIONS = {"observation_dim": 9, "action_dim": 1, "n_agents": 6}
 

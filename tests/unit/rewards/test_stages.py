@@ -1,8 +1,7 @@
 import pytest
 
-from mapt.rewards.config import RewardConfig
-from mapt.rewards.stages import Stages, plan_stages
-from mapt.rewards.train_config import TrainConfig
+from mapt.rewards.config import RewardConfig, TrainConfig
+from mapt.rewards.schedule import Stages, plan_stages
 
 DIMENSIONS = {"observation_dim": 4, "action_dim": 2, "n_agents": 3}
 

@@ -6,9 +6,8 @@ from hypothesis import strategies as st
 
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.errors import InvalidConfig, InvalidRollout
-from mapt.rewards.model import build_reward_model
-from mapt.rewards.relabelling import RolloutRelabeller
-from mapt.rewards.streaming import RewardStream
+from mapt.rewards.registry import build_reward_model
+from mapt.rewards.relabelling import RewardStream, RolloutRelabeller
 
 N_ENVS, N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 3, 4, 2
 TOLERANCE = {"rtol": 1e-5, "atol": 1e-5}

@@ -10,16 +10,14 @@ from mapt.preferences.errors import NotEnoughPairs
 from mapt.preferences.loss import preference_losses
 from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
 from mapt.preferences.teachers import Evidence, OracleTeacher
-from mapt.rewards import segment_reader
-from mapt.rewards.config import MODEL_NAMES, RewardConfig
+from mapt.rewards import data as reward_data
+from mapt.rewards.config import MODEL_NAMES, RewardConfig, TrainConfig
+from mapt.rewards.data import PairTensors, markov_scorer, segment_reader, whole_scorer
 from mapt.rewards.errors import InvalidConfig, ModelMismatch
-from mapt.rewards.fitting import Fitting, Stage, judge_pairs
-from mapt.rewards.model import build_reward_model
-from mapt.rewards.network import MAPT
-from mapt.rewards.pair_tensors import PairTensors, markov_scorer, whole_scorer
-from mapt.rewards.stages import StageSettings
-from mapt.rewards.train_config import TrainConfig
-from mapt.rewards.trainer import train_reward_model
+from mapt.rewards.mapt import MAPT
+from mapt.rewards.registry import build_reward_model
+from mapt.rewards.schedule import StageSettings
+from mapt.rewards.trainer import Fitting, Stage, judge_pairs, train_reward_model
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 2, 4, 1
 CONFIG = RewardConfig(OBSERVATION_DIM, ACTION_DIM, N_AGENTS, hidden_dim=16)
@@ -187,7 +185,7 @@ def test_segments_left_on_disk_train_the_same_model(tmp_path, monkeypatch):
         writer.append(dataset.segments)
     folder = SegmentFolder.open(tmp_path / "segments")
     kept = train_reward_model(dataset, CONFIG, QUICK)
-    monkeypatch.setattr(segment_reader, "MOST_NUMBERS_KEPT", 0)
+    monkeypatch.setattr(reward_data, "MOST_NUMBERS_KEPT", 0)
     streamed = train_reward_model(PreferenceDataset(folder, dataset.pairs, dataset.labels), CONFIG, QUICK)
     assert same_weights(kept.model, streamed.model)
 
@@ -278,7 +276,7 @@ def test_the_attention_path_is_kept_only_where_the_hold_out_gains():
 def test_before_the_markov_path_moves_its_scores_are_the_whole_network_s():
     data = preferences(30)
     model = build_reward_model(CONFIG).eval()
-    segments = segment_reader.segment_reader(data.segments, torch.device("cpu"))
+    segments = segment_reader(data.segments, torch.device("cpu"))
     used = torch.tensor([3, 17, 20, 58])
     asked = torch.tensor([58, 3, 20])
     with torch.inference_mode():
@@ -290,7 +288,7 @@ def test_what_a_stage_learned_by_heart_early_is_not_handed_on():
     data, cpu = preferences(400, labels=coin_flips), torch.device("cpu")
     train, hold_out = (PairTensors.of(part, cpu) for part in data.split(0.2, 0))
     model = build_reward_model(CONFIG).eval()
-    scorer = markov_scorer(model, segment_reader.segment_reader(data.segments, cpu), torch.arange(len(data.segments)))
+    scorer = markov_scorer(model, segment_reader(data.segments, cpu), torch.arange(len(data.segments)))
     untrained = judge_pairs(hold_out, scorer).loss
     settings = StageSettings(2e-2, 0.0, 32, 80, 80, 0.0, remember_epoch=80)
     fitting = Fitting(model, train, hold_out, seed=0, max_epochs=80)

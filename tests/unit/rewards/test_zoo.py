@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from mapt.rewards.checkpoints import load_reward_model, save_reward_model
 from mapt.rewards.config import MODEL_NAMES, RewardConfig
 from mapt.rewards.errors import InvalidConfig
-from mapt.rewards.model import PolicyReward, RewardModel, build_reward_model
-from mapt.rewards.relabelling import RolloutRelabeller
-from mapt.rewards.streaming import RewardStream
+from mapt.rewards.model import PolicyReward, RewardModel
+from mapt.rewards.registry import build_reward_model
+from mapt.rewards.relabelling import RewardStream, RolloutRelabeller
 
 N, C, A = 3, 4, 2
 DIMENSIONS = {"observation_dim": C, "action_dim": A, "n_agents": N}

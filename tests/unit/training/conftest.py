@@ -9,7 +9,8 @@ import torch
 from mapt.policies import PolicyConfig
 from mapt.rewards.checkpoints import save_reward_model
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.model import RewardModel, build_reward_model
+from mapt.rewards.model import RewardModel
+from mapt.rewards.registry import build_reward_model
 from mapt.tasks import task_spec
 from mapt.training.settings import LearnedRewardSettings, RunSettings
 from support.short_cheetah import SHORTEST_NAME

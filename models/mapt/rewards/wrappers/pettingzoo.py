@@ -6,11 +6,9 @@ import numpy as np
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from mapt.rewards.base import PolicyReward, RewardModel
-from mapt.rewards.relabelling import Credit
-from mapt.rewards.streaming import RewardStream
-from mapt.rewards.wrappers.agents import action_rows, observation_rows
-from mapt.rewards.wrappers.gymnasium import TRUE_REWARD
+from mapt.rewards.model import PolicyReward, RewardModel
+from mapt.rewards.relabelling import Credit, RewardStream
+from mapt.rewards.wrappers.gymnasium import TRUE_REWARD, action_rows, observation_rows
 
 
 class LearnedParallelReward(BaseParallelWrapper[str, Any, Any]):

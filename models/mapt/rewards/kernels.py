@@ -1,18 +1,93 @@
-"""The past as a rollout has it: episodes behind each other, or one step at a time."""
+"""In which precision the products of a network are taken."""
 
+from abc import ABC, abstractmethod
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from typing import get_args
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from mapt.rewards.attention import Band
+from mapt.rewards.config import Precision
+from mapt.rewards.errors import InvalidConfig
+
+# From this d on, products take so much of a training step that halving their numbers pays for the conversions.
+LEAST_BFLOAT16_DIM = 128
+
+
+def resolve_precision(name: str, hidden_dim: int, device: torch.device) -> torch.dtype:
+    """The type in which products are taken; "auto" is bfloat16 where the machine multiplies it and d is large enough.
+
+    Raises:
+        InvalidConfig: if there is no such precision.
+    """
+    if name not in get_args(Precision):
+        raise InvalidConfig(f"precision is {name!r}; known: {', '.join(get_args(Precision))}")
+    if name == "auto":
+        pays = hidden_dim >= LEAST_BFLOAT16_DIM and multiplies_bfloat16(device)
+        return torch.bfloat16 if pays else torch.float32
+    return torch.bfloat16 if name == "bfloat16" else torch.float32
+
+
+def multiplies_bfloat16(device: torch.device) -> bool:
+    """Whether the device has instructions for products of bfloat16."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    return device.type == "cpu" and torch.ops.mkldnn._is_mkldnn_bf16_supported()
+
+
+def products_in(dtype: torch.dtype, device: torch.device) -> AbstractContextManager[object]:
+    """Within it, layers multiply in `dtype`; parameters, their gradients and the optimiser stay float32.
+
+    Go through it forwards only, once a step, and leave it before the loss: the backward pass follows by itself.
+    """
+    if dtype == torch.float32:
+        return nullcontext()
+    return torch.autocast(device.type, dtype)
+
+
+def small_products(device: torch.device) -> AbstractContextManager[object]:
+    """Within it, products on a CPU are float32 again, whatever is around it.
+
+    An attention over few agents or steps is thousands of tiny products; each conversion to bfloat16 costs more than
+    it saves, and the backward pass of such an attention took three times as long.
+    """
+    return torch.autocast("cpu", enabled=False) if device.type == "cpu" else nullcontext()
+
 
 # Episode numbers of the filler around a rollout: equal to no real one, nor to each other.
 _FILLER_BEFORE = -2
 _FILLER_AFTER = -3
 # Fewest queries that are worth a block of their own.
 _SMALLEST_BLOCK = 16
+
+
+class Band(ABC):
+    """Which past a step may look at, where that is not all of its segment's."""
+
+    @property
+    def context_steps(self) -> int:
+        """K, leading steps that are looked at alone: what comes out begins behind them."""
+        return 0
+
+    @abstractmethod
+    def positions(self, n_steps: int) -> Tensor:
+        """When each of T steps is, float64 (T,); only differences matter."""
+
+    @abstractmethod
+    def attend(self, query: Tensor, key: Tensor, value: Tensor) -> Tensor:
+        """Mix values over the past of each step, (S, T - K, G, X), G the groups that do not see each other.
+
+        Args:
+            query: (S, T - K, G, X).
+            key, value: (S, T, G, X).
+        """
+
+
+def behind_context(steps: Tensor, band: Band | None) -> Tensor:
+    """The steps of (S, T, ...) that something is wanted for: (S, T - K, ...)."""
+    return steps if band is None else steps[:, band.context_steps :]
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,12 +2,18 @@
 
 from torch import Tensor
 
-from mapt.rewards.attention import Band, zeroed
-from mapt.rewards.base import REWARD_GAIN, Readers, RewardModel, RewardOutput
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.encoders import CooperativeEmbedding, TemporalEncoder
-from mapt.rewards.markov_path import MarkovPath
-from mapt.rewards.preference_attention import CooperationAwareAttention, LinearReadOut, TemporalAwareAttention
+from mapt.rewards.kernels import Band
+from mapt.rewards.layers import (
+    CooperationAwareAttention,
+    CooperativeEmbedding,
+    LinearReadOut,
+    MarkovPath,
+    TemporalAwareAttention,
+    TemporalEncoder,
+    zeroed,
+)
+from mapt.rewards.model import REWARD_GAIN, Readers, RewardModel, RewardOutput
 
 __all__ = ["MAPT", "REWARD_GAIN", "RewardOutput"]
 

@@ -17,9 +17,8 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from mapt.rewards.base import RewardModel
-from mapt.rewards.config import RewardConfig
-from mapt.rewards.train_config import TrainConfig
+from mapt.rewards.config import RewardConfig, TrainConfig
+from mapt.rewards.model import RewardModel
 
 # How far the Markov path's own training has come where the whole network goes on from it.
 EARLY_SHARE = 0.3
