@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accord.domain.errors import AccordError, Unavailable
-from mapt.rendering.encode import ClipFile, partial_path
+from mapt.io import delete_partial
+from mapt.rendering.encode import ClipFile
 from mapt.rendering.offscreen import Backend, render_environment
 from mapt.rendering.settings import CodecSettings, RenderSettings
 
@@ -224,6 +225,6 @@ class RenderProcess:
         self._child.kill()
         status = self._child.wait()
         self._connection.close()
-        partial_path(job.path, self._child.pid).unlink(missing_ok=True)
+        delete_partial(job.path, self._child.pid)
         self._start()
         return f"signal {-status}" if status < 0 else f"exit status {status}"

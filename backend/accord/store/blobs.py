@@ -1,7 +1,6 @@
 """Bytes by key: arrays, clips, checkpoints. Written once, whole or not at all, never changed."""
 
 import errno
-import os
 import re
 import secrets
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any, Protocol, cast
 from fsspec.core import url_to_fs  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
 from accord.domain.errors import BlobMissing, BlobsNotWritable
+from mapt.io import atomic_write, sync_folder
 
 _KEY = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*")
 _PROBE = "probe"
@@ -84,18 +84,11 @@ class FolderBlobs:
         path = self._path(key)
         if path.exists():
             return
-        # A name that begins with a dot is no key: a half-written file is never taken for a blob.
-        temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
         try:
             self._make_folder(path.parent)
-            with temporary.open("xb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.rename(path)
-            _sync_folder(path.parent)
+            # The temporary name starts with a dot, so it is no key and nobody reads a half-written blob.
+            atomic_write(path, content)
         except OSError as error:
-            temporary.unlink(missing_ok=True)
             raise _not_writable(str(self._root), error) from error
 
     def read(self, key: str) -> bytes:
@@ -138,7 +131,7 @@ class FolderBlobs:
         missing = [each for each in (folder, *folder.parents) if not each.exists()]
         for each in reversed(missing):
             each.mkdir(exist_ok=True)
-            _sync_folder(each.parent)
+            sync_folder(each.parent)
 
 
 class RemoteBlobs:
@@ -194,14 +187,6 @@ def _checked(key: str) -> str:
     if not _KEY.fullmatch(key):
         raise ValueError(f"{key!r} is no blob key")
     return key
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _not_writable(place: str, error: OSError) -> BlobsNotWritable:

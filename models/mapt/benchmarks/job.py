@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import re
 import time
 from collections.abc import Callable, Mapping
@@ -11,7 +10,7 @@ from functools import cache, partial
 from pathlib import Path
 
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
 import mapt.preferences
 import mapt.rewards
@@ -19,6 +18,7 @@ from mapt.benchmarks.errors import DamagedCell, InvalidStudy
 from mapt.benchmarks.evaluate import Examination, Judge, examine, labelled_dataset, split_replay
 from mapt.benchmarks.recorded_dataset import Replay
 from mapt.benchmarks.specification import Written
+from mapt.io import atomic_write
 from mapt.preferences.storage import SegmentLayout
 from mapt.processes import Desk
 from mapt.rewards.checkpoints import save_reward_model
@@ -140,12 +140,8 @@ class CellFolder:
             "metrics": dict(result.metrics),
             "code": code,
         }
-        partial = arrays_path.with_suffix(".partial")
-        save_file({name: getattr(result, name) for name in _ARRAYS}, partial)
-        os.replace(partial, arrays_path)
-        partial = card_path.with_suffix(".partial")
-        partial.write_text(json.dumps(card, indent=1, sort_keys=True, allow_nan=False) + "\n")
-        os.replace(partial, card_path)
+        atomic_write(arrays_path, save({name: getattr(result, name) for name in _ARRAYS}))
+        atomic_write(card_path, (json.dumps(card, indent=1, sort_keys=True, allow_nan=False) + "\n").encode())
 
     def _paths(self, settings: CellSettings) -> tuple[Path, Path]:
         return self.path / f"{settings.key}.json", self.path / f"{settings.key}.safetensors"

@@ -1,12 +1,10 @@
 """A learner as one safetensors file: tensors by dotted name, and a JSON description in its header. No pickle."""
 
 import json
-import os
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import safetensors.torch
 from safetensors import SafetensorError
@@ -101,16 +99,3 @@ def refusing_mismatch() -> Iterator[None]:
         yield
     except (KeyError, RuntimeError, ValueError, TaskError, InvalidConfig) as error:
         raise InvalidCheckpoint(f"The checkpoint does not fit this learner: {error}") from error
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write by way of a file beside it, flushed to disk before it takes the name."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with partial.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)

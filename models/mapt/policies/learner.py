@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mapt.io import atomic_write
 from mapt.policies import checkpoint
 from mapt.policies.config import PolicyConfig
 from mapt.policies.device import resolve_device, torch_threads
@@ -167,7 +168,7 @@ class Learner:
 
     def save(self, path: Path) -> None:
         """Write `to_bytes` to a file; a crash leaves the old file or the new one, whole."""
-        checkpoint.write_whole(path, self.to_bytes())
+        atomic_write(path, self.to_bytes())
 
     @classmethod
     def load(cls, path: Path, task: Task) -> Self:

@@ -1,15 +1,14 @@
 """How segments lie on disk: one file of equal rows per array, and a manifest that counts the rows."""
 
 import json
-import os
-from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mapt.io import atomic_write
 from mapt.preferences.errors import MissingPart, NotReadable, SchemaTooNew
 
 FORMAT = "mapt segments"
@@ -112,7 +111,7 @@ class Manifest:
             "layout": asdict(self.layout),
             "about": dict(self.about),
         }
-        replace_file(folder / MANIFEST, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+        atomic_write(folder / MANIFEST, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
 
     @classmethod
     def read(cls, folder: Path) -> "Manifest":
@@ -142,35 +141,3 @@ def _count(value: object) -> int:
     if not isinstance(value, int) or value < 0:
         raise ValueError(f"n_segments is {value!r}")
     return value
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    """Write a file that is there whole or as it was before, whatever happens; it survives a crash."""
-    with replaced_file(path) as temporary:
-        temporary.write_bytes(content)
-
-
-@contextmanager
-def replaced_file(path: Path) -> Generator[Path]:
-    """Where to write what is to lie at `path` when the block ends; a block that raises leaves what was there."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    sync_folder(path.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in a folder survive a crash, where the system has a way to."""
-    if os.name != "posix":
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

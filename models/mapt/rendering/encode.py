@@ -3,7 +3,6 @@
 PyAV is called directly: imageio's plugin for it has no way to set crf, preset or `faststart`.
 """
 
-import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,12 +18,12 @@ from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTr
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
+from mapt.io import atomic_path
 from mapt.rendering.errors import ClipNotWritten
 from mapt.rendering.settings import RenderSettings
 
 CODEC = "libx264"
 PIXEL_FORMAT = "yuv420p"
-PARTIAL_SUFFIX = ".partial"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,26 +63,10 @@ def write_clip(frames: Iterable[NDArray[np.uint8]], path: Path, settings: Render
 def open_clip(path: Path, settings: RenderSettings) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
     """For whoever has frames of several clips at a time: call what is given with each frame. See `write_clip`."""
     try:
-        with partial_file(path) as partial:
+        with atomic_path(path, durable=False) as partial:
             yield from _encode(partial, settings)
     except (FFmpegError, OSError) as error:
         raise ClipNotWritten(f"The clip {path.name} could not be written: {error}") from error
-
-
-@contextmanager
-def partial_file(path: Path) -> Iterator[Path]:
-    """A name beside `path` to write to. It takes the place of `path` at the end, and is removed on any error."""
-    partial = partial_path(path, os.getpid())
-    try:
-        yield partial
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-def partial_path(path: Path, pid: int) -> Path:
-    """Where process `pid` writes what will be `path`: for whoever must clean up after it was killed."""
-    return path.with_name(f"{path.name}.{pid}{PARTIAL_SUFFIX}")
 
 
 def _encode(path: Path, settings: RenderSettings) -> Iterator[Callable[[NDArray[np.uint8]], None]]:

@@ -9,8 +9,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.io import atomic_write
 from mapt.policies import Learner
-from mapt.policies.checkpoint import write_whole
 from mapt.processes import Desk, stop_requests
 from mapt.rendering.errors import RenderingError
 from mapt.tasks import Task, TaskStep, WrappedTask, make_task
@@ -187,7 +187,7 @@ class Run:
         # Lines first: a checkpoint vouches for those before it.
         self._metrics.sync()
         stored = PolicyCheckpoint(self.learner.to_bytes(), self._source.context(), progress)
-        write_whole(self._folder.checkpoint, stored.to_bytes())
+        atomic_write(self._folder.checkpoint, stored.to_bytes())
         self._saved_at, self._saved_iteration = time.monotonic(), self.iteration
 
 

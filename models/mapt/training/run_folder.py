@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from mapt.io import atomic_write
 from mapt.policies import InvalidCheckpoint, Policy, PolicyConfig
-from mapt.policies.checkpoint import describe, refusing_mismatch, unflatten, unpack, write_whole
+from mapt.policies.checkpoint import describe, refusing_mismatch, unflatten, unpack
 from mapt.policies.device import resolve_device
 from mapt.policies.learner import make_policy
 from mapt.tasks import task_spec
@@ -114,7 +115,7 @@ class RunFolder:
         if (self.path / RUN_FILE).exists():
             settings = replace(settings, steps=max(settings.steps, self.settings().steps))
         card = {"format_version": FORMAT_VERSION, **settings.to_dict()}
-        write_whole(self.path / RUN_FILE, json.dumps(card, indent=2).encode() + b"\n")
+        atomic_write(self.path / RUN_FILE, json.dumps(card, indent=2).encode() + b"\n")
 
     def settings(self) -> RunSettings:
         """What the run was started with.
@@ -159,7 +160,7 @@ class RunFolder:
     def write_evaluation(self, steps: int, evaluation: Evaluation) -> None:
         """Keep what the policy after so many steps did."""
         content = json.dumps({"steps": steps, **evaluation.to_dict()}, indent=2)
-        write_whole(self.evaluation, content.encode() + b"\n")
+        atomic_write(self.evaluation, content.encode() + b"\n")
 
 
 @dataclass(frozen=True, slots=True)

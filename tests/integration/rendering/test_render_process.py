@@ -18,7 +18,6 @@ import pytest
 
 from accord.rendering.process import ClipJob, RenderFailed, RenderProcess, RenderTimedOut
 from integration.rendering.gaits import trot
-from mapt.rendering.encode import partial_path
 from mapt.rendering.offscreen import Backend
 from mapt.rendering.settings import RenderSettings
 
@@ -54,14 +53,18 @@ def is_gone(pid: int) -> bool:
     return not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
 
 
+def size_bytes(path: Path) -> int:
+    """Size of a file; 0 if it is gone."""
+    return path.stat().st_size if path.exists() else 0
+
+
 @contextmanager
 def struck_in_the_middle(process: RenderProcess, folder: Path, signal_number: int) -> Iterator[None]:
     """Send a signal to the process once it is writing its clip."""
     pid = process.pid
-    partial = partial_path(folder / "clip.mp4", pid)
 
     def strike() -> None:
-        wait_until(lambda: is_gone(pid) or (partial.exists() and partial.stat().st_size > 0))
+        wait_until(lambda: is_gone(pid) or any(size_bytes(path) for path in folder.glob(f".clip.mp4.{pid}.*")))
         with suppress(ProcessLookupError):
             os.kill(pid, signal_number)
 

@@ -14,12 +14,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.io import atomic_path
 from mapt.preferences.dataset import FloatArray
 from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError
 from mapt.preferences.formats.arrays import finite_doubles, finite_floats
 from mapt.preferences.formats.episodes import AgentIndices, Episode
 from mapt.preferences.formats.hdf5 import MAX_BYTES, Hdf5File, open_hdf5, rows
-from mapt.preferences.storage_layout import replaced_file
 
 #: Our own addition: how many agents the flat arrays hold, one after the other.
 _AGENTS = "mapt_n_agents"
@@ -127,7 +127,7 @@ def write_d4rl(path: Path | str, episodes: Iterable[Episode]) -> None:
     path = Path(path)
     if path.exists():
         raise AlreadyThere(path)
-    with replaced_file(path) as temporary, h5py.File(temporary, "w") as file:
+    with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
         n_episodes = 0
         for episode in episodes:
             n_episodes += 1

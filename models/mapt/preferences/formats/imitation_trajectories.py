@@ -18,10 +18,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from mapt.io import atomic_write
 from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError, TooLarge, Truncated
 from mapt.preferences.formats.arrays import finite_doubles, finite_floats, numbered_actions
 from mapt.preferences.formats.episodes import Episode
-from mapt.preferences.storage_layout import replace_file
 
 #: The largest file that is read: a damaged one may claim any size.
 MAX_BYTES = 16 << 30
@@ -99,8 +99,8 @@ def _write(folder: Path, episodes: Iterable[Episode]) -> None:
         "_output_all_columns": False,
         "_split": None,
     }
-    replace_file(folder / _INFO, json.dumps({"features": _features(columns)}).encode())
-    replace_file(folder / _STATE, json.dumps(state).encode())
+    atomic_write(folder / _INFO, json.dumps({"features": _features(columns)}).encode())
+    atomic_write(folder / _STATE, json.dumps(state).encode())
 
 
 def _row(episode: Episode, schema: pa.Schema) -> pa.RecordBatch:

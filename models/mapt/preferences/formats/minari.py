@@ -17,12 +17,12 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mapt.io import atomic_write
 from mapt.preferences.dataset import FloatArray
 from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError
 from mapt.preferences.formats.arrays import finite_doubles, finite_floats, numbered_actions
 from mapt.preferences.formats.episodes import Episode
 from mapt.preferences.formats.hdf5 import MAX_BYTES, Hdf5File, open_hdf5
-from mapt.preferences.storage_layout import replace_file
 
 _MAIN, _METADATA = "main_data.hdf5", "metadata.json"
 #: The version whose layout is written.
@@ -75,7 +75,7 @@ def write_minari(path: Path | str, episodes: Iterable[Episode], *, dataset_id: s
     data.mkdir(parents=True)
     try:
         metadata = _write_episodes(data / _MAIN, episodes)
-        replace_file(data / _METADATA, json.dumps(metadata | {"dataset_id": dataset_id}).encode())
+        atomic_write(data / _METADATA, json.dumps(metadata | {"dataset_id": dataset_id}).encode())
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)
         raise

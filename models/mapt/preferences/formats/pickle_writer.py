@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.io import atomic_path
 from mapt.preferences.errors import AlreadyThere
 from mapt.preferences.formats.pickles import Record
-from mapt.preferences.storage_layout import replaced_file
 
 
 def write_pickle(path: Path, value: object) -> None:
@@ -31,7 +31,7 @@ def write_pickle(path: Path, value: object) -> None:
     """
     if path.exists():
         raise AlreadyThere(path)
-    with replaced_file(path) as temporary, temporary.open("wb") as file:
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write(pickle.PROTO + b"\x04")
         for piece in _pieces(value):
             file.write(piece)

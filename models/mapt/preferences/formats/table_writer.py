@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from mapt.io import sync_folder
 from mapt.preferences.actions import action_numbers
 from mapt.preferences.errors import AlreadyThere, ShapeError
 from mapt.preferences.formats.records import SegmentRecords
@@ -29,7 +30,6 @@ from mapt.preferences.formats.table_schemas import (
     schema_of,
 )
 from mapt.preferences.storage import SegmentLayout
-from mapt.preferences.storage_layout import sync_folder
 
 #: A row group is what writer and reader hold at once.
 ROW_GROUP_BYTES = 32 << 20

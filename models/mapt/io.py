@@ -1,0 +1,59 @@
+"""Writing files so that a crash leaves the old file or the new one, never half of one."""
+
+import glob
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+def atomic_write(path: Path, content: bytes) -> None:
+    """Write a file that appears whole and survives a crash of the machine; an existing file is replaced.
+
+    Raises:
+        OSError: if the disk is full or the folder cannot be written to; `path` is then as it was.
+    """
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+
+
+@contextmanager
+def atomic_path(path: Path, *, durable: bool = True) -> Iterator[Path]:
+    """Yield a temporary path beside `path` for the block to write; rename it to `path` when the block ends.
+
+    If the block raises, the temporary file is deleted and `path` is as it was. The temporary name starts with a dot
+    and differs between processes and threads, so several writers of one path never mix their content.
+
+    Args:
+        path: the file to create or replace; its folder exists.
+        durable: flush the file and its folder to disk, so that the new content survives a crash of the machine.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.partial")
+    try:
+        yield temporary
+        if durable:
+            with temporary.open("rb+") as file:
+                os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    if durable:
+        sync_folder(path.parent)
+
+
+def delete_partial(path: Path, pid: int) -> None:
+    """Delete the temporary files that process `pid` left for `path` when it was killed."""
+    for leftover in path.parent.glob(f".{glob.escape(path.name)}.{pid}.*.partial"):
+        leftover.unlink(missing_ok=True)
+
+
+def sync_folder(folder: Path) -> None:
+    """Flush the names in a folder to disk; does nothing on Windows, which cannot open folders."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
