@@ -13,4 +13,4 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 settings.register_profile("unhurried", deadline=None, derandomize=True)
 settings.load_profile("unhurried")
 
-pytest_plugins = ["support.mapt_command", "support.short_cheetah"]
+pytest_plugins = ["support.mapt_command", "support.short_tasks"]

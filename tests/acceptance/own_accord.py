@@ -13,11 +13,11 @@ from typing import Any
 import httpx
 import psutil
 
-from support import short_cheetah
+from support import short_tasks
 from support.waiting import PATIENCE_SECONDS, until
 
 #: quick to collect, quick to train on; the machine that runs the tests may be busy
-ENVIRONMENT = short_cheetah.ENVIRONMENT | {
+ENVIRONMENT = short_tasks.ENVIRONMENT | {
     "OMP_NUM_THREADS": "1",
     "ACCORD_TORCH_THREADS": "1",
     "ACCORD_POLL_SECONDS": "0.05",
@@ -27,7 +27,7 @@ ENVIRONMENT = short_cheetah.ENVIRONMENT | {
 TINY_POLICY = {"n_envs": 4, "rollout_steps": 50, "epochs": 2, "minibatches": 2}
 STEPS_PER_ITERATION = 200
 TINY: dict[str, Any] = {
-    "task": short_cheetah.NAME,
+    "task": short_tasks.NAME,
     "segment_steps": 10,
     "total_steps": 40 * STEPS_PER_ITERATION,
     "label_budget": 40,

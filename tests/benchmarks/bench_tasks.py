@@ -26,8 +26,8 @@ from gymnasium_robotics import mamujoco_v1
 from mujoco.batch import Batch
 
 from mapt.tasks import load_model, make_task
-from mapt.tasks.mujoco_task import MujocoEntry, Team
-from mapt.tasks.registry import find_entry
+from mapt.tasks.mujoco_task import AgentIndices, MujocoDefinition
+from mapt.tasks.registry import find_definition
 
 TASKS = ("HalfCheetah-6x1", "Ant-4x2", "Humanoid-9|8")
 N_ENVS = (16, 64)
@@ -62,9 +62,9 @@ class Round:
 
 def record(name: str, n_envs: int) -> Round:
     """A round of uniform actions from the task's own starts."""
-    task, entry = make_task(name, n_envs, agent_obsk=AGENT_OBSK), find_entry(name)
-    assert isinstance(entry, MujocoEntry)
-    actuators = Team.of(entry.scene, entry.rules, AGENT_OBSK).actuators
+    task, definition = make_task(name, n_envs, agent_obsk=AGENT_OBSK), find_definition(name)
+    assert isinstance(definition, MujocoDefinition)
+    actuators = AgentIndices.of(definition.robot, definition.mdp, AGENT_OBSK).actuators
     limit, lead = task.spec.action_limit, (STEPS_PER_ROUND // n_envs, n_envs)
     shape = (*lead, task.spec.n_agents, task.spec.action_dim)
     actions = np.random.default_rng(0).uniform(-limit, limit, shape).astype(np.float32)
@@ -89,9 +89,9 @@ def bare_physics(name: str, played: Round, n_threads: int) -> Callable[[], int]:
     Raises:
         AssertionError: if the states it comes to are not the task's.
     """
-    entry = find_entry(name)
-    assert isinstance(entry, MujocoEntry)
-    batch = Batch(entry.load_model(), played.actions.shape[1], nthread=n_threads)
+    definition = find_definition(name)
+    assert isinstance(definition, MujocoDefinition)
+    batch = Batch(definition.load_model(), played.actions.shape[1], nthread=n_threads)
     controls, qpos, qvel = (batch.bind(field) for field in ("ctrl", "qpos", "qvel"))
 
     def begin(start: Start | None) -> None:
@@ -104,7 +104,7 @@ def bare_physics(name: str, played: Round, n_threads: int) -> Callable[[], int]:
         begin(played.starts[0])
         for given, start in zip(played.controls, played.starts[1:], strict=True):
             controls[:] = given
-            batch.step(nstep=entry.rules.frame_skip)
+            batch.step(nstep=definition.mdp.frame_skip)
             begin(start)
         return STEPS_PER_ROUND
 

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from mapt.tasks import ParallelEntry, register_task
+from mapt.tasks import PettingZooDefinition, register_task
 
 HORIZON_STEPS = 30
 #: rows and columns; odd, so that a codec must be helped
@@ -58,8 +58,8 @@ def light(level: int) -> int:
     return 20 + 28 * level
 
 
-def _entry(name: str, **options: bool) -> ParallelEntry:
-    return ParallelEntry(name, partial(Buttons, **options), HORIZON_STEPS, 0.1, "Hold both buttons at once.")
+def _entry(name: str, **options: bool) -> PettingZooDefinition:
+    return PettingZooDefinition(name, partial(Buttons, **options), HORIZON_STEPS, 0.1, "Hold both buttons at once.")
 
 
 if __name__ == "buttons":

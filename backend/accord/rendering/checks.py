@@ -14,7 +14,7 @@ from accord.domain.checks import Check
 from accord.rendering.process import RenderingUnavailable
 from mapt.rendering.encode import CODEC, write_clip
 from mapt.rendering.errors import ClipNotWritten
-from mapt.rendering.offscreen import BACKENDS, INSTALL, Backend, draw_apart
+from mapt.rendering.offscreen import BACKENDS, INSTALL, Backend, run_rendering_module
 from mapt.rendering.settings import RenderSettings
 
 #: what the child prints when its frame shows what it should
@@ -45,7 +45,7 @@ def probe_backend(limit_seconds: float = PROBE_LIMIT_SECONDS) -> Backend:
 
 def try_backend(backend: Backend, limit_seconds: float) -> str | None:
     """Draw one frame with this backend in a child process. None if it did, else what went wrong, in a line."""
-    return draw_apart(
+    return run_rendering_module(
         backend, "accord.rendering.child", ["probe"], done=DREW, limit_seconds=limit_seconds, undone="no frame"
     )
 

@@ -18,7 +18,7 @@ from mapt.policies import Rollout
 from mapt.preferences.cutting import Stretch
 from mapt.rendering.encode import open_clip
 from mapt.rendering.settings import RenderSettings
-from mapt.tasks import DrawnTask, NoSimulator, Task, UnusableEnvironment, make_task
+from mapt.tasks import NoSimulator, RenderableTask, Task, UnusableEnvironment, make_task
 
 
 def draws_itself(task: Task) -> bool:
@@ -29,7 +29,7 @@ def draws_itself(task: Task) -> bool:
     """
     if task.spec.nq > 0:
         return False
-    if not isinstance(task, DrawnTask):
+    if not isinstance(task, RenderableTask):
         raise NoSimulator(task.spec.name)
     return True
 
@@ -62,14 +62,14 @@ class Redrawing:
             task = make_task(self._spec.name, self._n_envs)
             try:
                 task.restore(self._before)
-                assert isinstance(task, DrawnTask)
+                assert isinstance(task, RenderableTask)
                 self._draw(task, paths)
             finally:
                 task.close()
             for place, key in zip(places, segment_blob_keys, strict=True):
                 blobs.put(drawn_blob_key(key), paths[place].read_bytes())
 
-    def _draw(self, task: DrawnTask, paths: Mapping[Stretch, Path]) -> None:
+    def _draw(self, task: RenderableTask, paths: Mapping[Stretch, Path]) -> None:
         settings = self._settings(even(task.render(0)))
         with ExitStack() as unfinished:
             writing: dict[int, tuple[Callable[[NDArray[np.uint8]], None], ExitStack, int]] = {}

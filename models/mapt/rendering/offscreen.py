@@ -23,7 +23,7 @@ def render_environment(backend: Backend) -> dict[str, str]:
     }
 
 
-def draw_apart(
+def run_rendering_module(
     backend: Backend, module: str, arguments: Sequence[str] = (), *, done: str, limit_seconds: float, undone: str
 ) -> str | None:
     """Run a module that draws with this backend.

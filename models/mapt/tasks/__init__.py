@@ -12,23 +12,23 @@ from mapt.tasks.errors import (
     UnknownTask,
     UnusableEnvironment,
 )
-from mapt.tasks.mujoco_task import MujocoEntry
-from mapt.tasks.pettingzoo_task import ParallelEntry
-from mapt.tasks.protocol import DrawnTask, MaskingTask, Task, TaskEntry, TaskSpec, TaskStep, WrappedTask
+from mapt.tasks.mujoco_task import MujocoDefinition
+from mapt.tasks.pettingzoo_task import PettingZooDefinition
+from mapt.tasks.protocol import MaskingTask, RenderableTask, Task, TaskDefinition, TaskSpec, TaskStep, WrappedTask
 from mapt.tasks.registry import agent_geoms, load_model, make_task, register_task, task_names, task_spec
 
 __all__ = [
-    "DrawnTask",
     "InvalidAction",
     "InvalidSnapshot",
     "InvalidTaskOption",
     "MaskingTask",
-    "MujocoEntry",
+    "MujocoDefinition",
     "NoPicture",
     "NoSimulator",
-    "ParallelEntry",
+    "PettingZooDefinition",
+    "RenderableTask",
     "Task",
-    "TaskEntry",
+    "TaskDefinition",
     "TaskError",
     "TaskExists",
     "TaskFileFailed",

@@ -16,7 +16,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from mapt.tasks.errors import TaskError
-from mapt.tasks.mujoco_definition import MujocoScene
+from mapt.tasks.mujoco_definition import Robot
 
 _READ = ("actuator_length", "actuator_velocity", "xpos", "xquat", "xmat", "cvel", "subtree_com")
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
@@ -26,20 +26,20 @@ class ContactForces:
     """`cfrc_ext` (E, nbody, 6) of the last stage of each simulation's last step.
 
     Args:
-        scene: integrated by RK4, every joint either free and a root, or driven by one actuator.
+        robot: integrated by RK4, every joint either free and a root, or driven by one actuator.
         physics: the batch whose steps are followed.
 
     Raises:
-        TaskError: if the scene is another.
+        TaskError: if the robot is another.
     """
 
-    def __init__(self, scene: MujocoScene, physics: Batch, n_threads: int) -> None:
-        spec = scene.describe()
+    def __init__(self, robot: Robot, physics: Batch, n_threads: int) -> None:
+        spec = robot.describe()
         body = spec.worldbody.first_body()
         spec.add_sensor(
             name="forces", type=mujoco.mjtSensor.mjSENS_FRAMELINACC, objtype=mujoco.mjtObj.mjOBJ_BODY, objname=body.name
         )
-        model = scene.compile(spec)
+        model = robot.compile(spec)
         self._free, self._hinges = _joints(model)
         self._gear = model.actuator_gear[:, 0].copy()
         self._stage = {name: physics.bind(name) for name in _READ}

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.tasks.errors import TaskError
-from mapt.tasks.partition import Column, Layout, Partition, Shapes
+from mapt.tasks.partition import FeatureColumn, FeatureLayout, Partition, Shapes
 
 
 @dataclass(frozen=True, slots=True)
-class MujocoScene:
+class Robot:
     """A model and its partition among agents. The sizes are stated, so that a spec needs no compiler."""
 
     #: Makes a description of the model, for the compiler; `gymnasium_asset` is one such.
@@ -83,34 +83,34 @@ def asset_path(name: str) -> Path:
     return path
 
 
-Float64s = NDArray[np.float64]
-#: Every feature by name, each (E, ...): qpos, qvel, the fields that the rules name, and what they compute.
-Frame = Mapping[str, Float64s]
+FloatArray = NDArray[np.float64]
+#: Every feature by name, each (E, ...): qpos, qvel, the fields that the mdp name, and what they compute.
+Features = Mapping[str, FloatArray]
 
 
-def no_features(_frame: Frame) -> None:
+def no_features(_frame: Features) -> None:
     """Nothing is computed beyond positions, velocities and fields."""
 
 
-def never_terminated(frame: Frame) -> NDArray[np.bool_]:
+def never_terminated(frame: Features) -> NDArray[np.bool_]:
     """(E,) bool: no state is without a future."""
     return np.zeros(len(frame["qpos"]), dtype=bool)
 
 
 @dataclass(frozen=True, slots=True)
-class MujocoRules:
-    """The rules of a task on MuJoCo."""
+class MujocoMdp:
+    """The mdp of a task on MuJoCo."""
 
     #: Physics steps per step of the task.
     frame_skip: int
     #: (generator, n) -> qpos (n, nq), qvel (n, nv) of n fresh episodes.
-    draw_start: Callable[[np.random.Generator, int], tuple[Float64s, Float64s]]
+    sample_start: Callable[[np.random.Generator, int], tuple[FloatArray, FloatArray]]
     #: (frame before, frame after, controls (E, nu)) -> reward (E,). The frame before holds `before` alone.
-    reward: Callable[[Frame, Frame, Float64s], Float64s]
+    reward: Callable[[Features, Features, FloatArray], FloatArray]
     #: What the state is made of.
-    state: tuple[Column, ...]
+    state: tuple[FeatureColumn, ...]
     #: frame after -> terminated (E,) bool.
-    terminated: Callable[[Frame], NDArray[np.bool_]] = never_terminated
+    terminated: Callable[[Features], NDArray[np.bool_]] = never_terminated
     #: Features that the reward reads from the frame before the step.
     before: tuple[str, ...] = ("qpos",)
     #: Fields of MjData that are read, with their shapes. As after `mj_step`, they describe the last stage of the
@@ -119,21 +119,21 @@ class MujocoRules:
     #: Shapes of what `compute` writes.
     features: Shapes = field(default_factory=dict)
     #: Writes every one of `features` into the frame, in place.
-    compute: Callable[[Frame], None] = no_features
+    compute: Callable[[Features], None] = no_features
 
-    def layout(self, nq: int, nv: int) -> Layout:
-        return Layout({"qpos": (nq,), "qvel": (nv,), **self.fields, **self.features})
+    def layout(self, nq: int, nv: int) -> FeatureLayout:
+        return FeatureLayout({"qpos": (nq,), "qvel": (nv,), **self.fields, **self.features})
 
 
-def uniform_about(
-    qpos: Float64s, n_velocities: int, scale: float, *, normal_velocities: bool = False
-) -> Callable[[np.random.Generator, int], tuple[Float64s, Float64s]]:
+def uniform_start(
+    qpos: FloatArray, n_velocities: int, scale: float, *, normal_velocities: bool = False
+) -> Callable[[np.random.Generator, int], tuple[FloatArray, FloatArray]]:
     """Starts about a pose at rest: uniform noise within plus and minus `scale` on each position.
 
     Velocities are as wide, or normal with this deviation.
     """
 
-    def draw(rng: np.random.Generator, n: int) -> tuple[Float64s, Float64s]:
+    def draw(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
         positions = qpos + rng.uniform(-scale, scale, size=(n, qpos.size))
         if normal_velocities:
             return positions, scale * rng.standard_normal((n, n_velocities))
@@ -142,7 +142,7 @@ def uniform_about(
     return draw
 
 
-def squared(numbers: Float64s) -> Float64s:
+def sum_of_squares(numbers: FloatArray) -> FloatArray:
     """Sum of squares of each environment, (E,)."""
     flat = numbers.reshape(len(numbers), -1)
     return np.vecdot(flat, flat)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mapt.tasks.contact_forces import ContactForces
 from mapt.tasks.errors import InvalidAction, InvalidSnapshot, InvalidTaskOption
-from mapt.tasks.mujoco_definition import Float64s, MujocoRules, MujocoScene
+from mapt.tasks.mujoco_definition import FloatArray, MujocoMdp, Robot
 from mapt.tasks.partition import actuator_index, as_slice, observation_index
 from mapt.tasks.protocol import Task, TaskSpec, TaskStep
 from mapt.tasks.snapshot import generator_from_array, generator_to_array
@@ -22,17 +22,17 @@ WHOLE_TEAM = "whole team"
 
 
 @dataclass(frozen=True, slots=True)
-class Team:
+class AgentIndices:
     """N agents on one body."""
 
-    #: (N, C): columns of the row, see `Layout`.
+    #: (N, C): columns of the row, see `FeatureLayout`.
     observed: NDArray[np.intp]
     #: (N, A): actuators, -1 where an agent drives fewer than others.
     actuators: NDArray[np.intp]
 
     @classmethod
-    def of(cls, scene: MujocoScene, rules: MujocoRules, agent_obsk: int | None) -> "Team":
-        """The team that the scene's partition makes.
+    def of(cls, robot: Robot, mdp: MujocoMdp, agent_obsk: int | None) -> "AgentIndices":
+        """The team that the robot's partition makes.
 
         Args:
             agent_obsk: neighbours up to this many edges away are seen. None is MaMuJoCo's single agent: it sees the
@@ -41,18 +41,18 @@ class Team:
         Raises:
             InvalidTaskOption: if `agent_obsk` is negative.
         """
-        layout = rules.layout(scene.nq, scene.nv)
-        actuators = actuator_index(scene.partition)
+        layout = mdp.layout(robot.nq, robot.nv)
+        actuators = actuator_index(robot.partition)
         if agent_obsk is None:
-            return cls(np.array([layout.columns(rules.state)]), np.sort(actuators[actuators >= 0])[None])
-        return cls(observation_index(scene.partition, agent_obsk, layout), actuators)
+            return cls(np.array([layout.columns(mdp.state)]), np.sort(actuators[actuators >= 0])[None])
+        return cls(observation_index(robot.partition, agent_obsk, layout), actuators)
 
     @property
     def action_dims(self) -> tuple[int, ...]:
         """Numbers of each agent's action that drive something; those after them are ignored."""
         return tuple(int(driven) for driven in (self.actuators >= 0).sum(axis=1))
 
-    def with_index(self, zero: int, one: int) -> NDArray[np.intp]:
+    def with_agent_index(self, zero: int, one: int) -> NDArray[np.intp]:
         """(N, C + N): what is observed, then a one-hot index of the agent out of these two columns."""
         index = np.where(np.eye(len(self.observed), dtype=bool), one, zero)
         return np.concatenate([self.observed, index], axis=1)
@@ -65,7 +65,7 @@ class MujocoTask:
     the whole of the physics and a restored task goes on bit for bit.
 
     Args:
-        spec, scene, rules: the task.
+        spec, robot, mdp: the task.
         team: who drives what and sees what.
         n_envs: environments, E.
         n_threads: threads that step them; 0 for one per core.
@@ -79,9 +79,9 @@ class MujocoTask:
     def __init__(
         self,
         spec: TaskSpec,
-        scene: MujocoScene,
-        rules: MujocoRules,
-        team: Team,
+        robot: Robot,
+        mdp: MujocoMdp,
+        team: AgentIndices,
         *,
         n_envs: int,
         n_threads: int,
@@ -90,23 +90,23 @@ class MujocoTask:
     ) -> None:
         if n_envs < 1 or n_threads < 0:
             raise InvalidTaskOption(f"n_envs must be 1 or more and n_threads 0 or more, got {n_envs} and {n_threads}.")
-        model = scene.load_model()
+        model = robot.load_model()
         self._spec = spec
         self._n_envs = n_envs
-        self._rules = rules
+        self._mdp = mdp
         self._batch = Batch(model, n_envs, nthread=n_threads)
         self._physics = {name: self._batch.bind(name) for name in ("time", "qpos", "qvel", "qacc_warmstart", "ctrl")}
-        self._fields = {name: self._batch.bind(name) for name in rules.fields if name != "cfrc_ext"}
-        self._forces = ContactForces(scene, self._batch, n_threads) if "cfrc_ext" in rules.fields else None
+        self._fields = {name: self._batch.bind(name) for name in mdp.fields if name != "cfrc_ext"}
+        self._forces = ContactForces(robot, self._batch, n_threads) if "cfrc_ext" in mdp.fields else None
 
-        layout = rules.layout(model.nq, model.nv)
+        layout = mdp.layout(model.nq, model.nv)
         #: (E, R): every feature, then the 0 that stands for what an agent lacks, and last a 1.
         self._row = np.zeros((n_envs, layout.width + 1))
         self._row[:, -1] = 1.0
         self._frame = layout.views(self._row)
-        self._before = {name: np.empty_like(self._frame[name]) for name in rules.before}
-        self._state_columns = as_slice(np.array(layout.columns(rules.state)))
-        self._columns = team.with_index(layout.zero, layout.width) if agent_index else team.observed
+        self._before = {name: np.empty_like(self._frame[name]) for name in mdp.before}
+        self._state_columns = as_slice(np.array(layout.columns(mdp.state)))
+        self._columns = team.with_agent_index(layout.zero, layout.width) if agent_index else team.observed
         # In the order of ctrl: where every agent drives all that it could, both are unbroken runs.
         driven = np.flatnonzero(team.actuators >= 0)
         driven = driven[np.argsort(team.actuators.flat[driven])]
@@ -136,8 +136,8 @@ class MujocoTask:
         self._advance()
         self._elapsed_steps += 1
 
-        reward = self._rules.reward(self._before, self._frame, self._controls)
-        terminated = self._rules.terminated(self._frame)
+        reward = self._mdp.reward(self._before, self._frame, self._controls)
+        terminated = self._mdp.terminated(self._frame)
         truncated = (self._elapsed_steps >= self._spec.horizon_steps) & ~terminated
         final_observations, final_state = observations, state = self._observe(slice(None))
         ended = np.flatnonzero(terminated | truncated)
@@ -147,7 +147,7 @@ class MujocoTask:
             observations[ended], state[ended] = self._observe(ended)
         return TaskStep(observations, state, reward, terminated, truncated, final_observations, final_state)
 
-    def simulator_state(self) -> tuple[Float64s, Float64s]:
+    def simulator_state(self) -> tuple[FloatArray, FloatArray]:
         return self._physics["qpos"].copy(), self._physics["qvel"].copy()
 
     def snapshot(self) -> dict[str, np.ndarray]:
@@ -175,7 +175,7 @@ class MujocoTask:
 
         Fields follow from the step that was, not from the state that it reached, so they are kept too.
         """
-        fields = {f"field.{name}": self._frame[name] for name in self._rules.fields}
+        fields = {f"field.{name}": self._frame[name] for name in self._mdp.fields}
         return {**self._physics, **fields, "elapsed_steps": self._elapsed_steps}
 
     def _apply(self, actions: NDArray[np.floating]) -> None:
@@ -190,9 +190,9 @@ class MujocoTask:
 
     def _advance(self) -> None:
         if self._forces is None:
-            self._batch.step(nstep=self._rules.frame_skip)
+            self._batch.step(nstep=self._mdp.frame_skip)
         else:
-            self._batch.step(nstep=self._rules.frame_skip - 1)
+            self._batch.step(nstep=self._mdp.frame_skip - 1)
             self._forces.before_last_step()
             self._batch.step(nstep=1)
             np.copyto(self._frame["cfrc_ext"], self._forces.after_last_step())
@@ -203,7 +203,7 @@ class MujocoTask:
         # What Batch.reset would do to a row, without its pass over everything else that a simulation holds.
         for field in self._physics.values():
             field[envs] = 0.0
-        self._physics["qpos"][envs], self._physics["qvel"][envs] = self._rules.draw_start(self._rng, len(envs))
+        self._physics["qpos"][envs], self._physics["qvel"][envs] = self._mdp.sample_start(self._rng, len(envs))
         # Computes the accelerations from which the first step's solver warm-starts.
         self._batch.forward(envs)
         self._elapsed_steps[envs] = 0
@@ -220,7 +220,7 @@ class MujocoTask:
         """Bring the row up to the physics and the fields that it holds."""
         self._frame["qpos"][:] = self._physics["qpos"]
         self._frame["qvel"][:] = self._physics["qvel"]
-        self._rules.compute(self._frame)
+        self._mdp.compute(self._frame)
 
     def _observe(self, envs: NDArray[np.intp] | slice) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Observations and state of these environments."""
@@ -232,12 +232,12 @@ class MujocoTask:
 
 
 @dataclass(frozen=True, slots=True)
-class MujocoEntry:
-    """A task on MuJoCo: a body, its agents, and its rules."""
+class MujocoDefinition:
+    """A task on MuJoCo: a body, its agents, and its mdp."""
 
     name: str
-    scene: MujocoScene
-    rules: MujocoRules
+    robot: Robot
+    mdp: MujocoMdp
     #: One per agent, in the order of the partition.
     agent_names: tuple[str, ...]
     #: What the team should achieve, in plain words for a labeller.
@@ -248,7 +248,7 @@ class MujocoEntry:
     action_limit: float = 1.0
 
     def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
-        team = Team.of(self.scene, self.rules, agent_obsk)
+        team = AgentIndices.of(self.robot, self.mdp, agent_obsk)
         n_agents, width = team.observed.shape
         dims = team.action_dims
         return TaskSpec(
@@ -256,12 +256,12 @@ class MujocoEntry:
             n_agents=n_agents,
             observation_dim=width + n_agents * agent_index,
             action_dim=max(dims),
-            state_dim=len(self.rules.state),
+            state_dim=len(self.mdp.state),
             horizon_steps=self.horizon_steps,
-            step_seconds=self.rules.frame_skip * self.scene.physics_step_seconds,
+            step_seconds=self.mdp.frame_skip * self.robot.physics_step_seconds,
             agent_names=(WHOLE_TEAM,) if agent_obsk is None else self.agent_names,
-            nq=self.scene.nq,
-            nv=self.scene.nv,
+            nq=self.robot.nq,
+            nv=self.robot.nv,
             instructions=self.instructions,
             action_limit=self.action_limit,
             agent_action_dims=dims,
@@ -272,9 +272,9 @@ class MujocoEntry:
     ) -> Task:
         return MujocoTask(
             self.spec(agent_obsk=agent_obsk, agent_index=agent_index),
-            self.scene,
-            self.rules,
-            Team.of(self.scene, self.rules, agent_obsk),
+            self.robot,
+            self.mdp,
+            AgentIndices.of(self.robot, self.mdp, agent_obsk),
             n_envs=n_envs,
             n_threads=n_threads,
             agent_index=agent_index,
@@ -282,7 +282,7 @@ class MujocoEntry:
         )
 
     def load_model(self) -> mujoco.MjModel:
-        return self.scene.load_model()
+        return self.robot.load_model()
 
     def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
-        return self.scene.agent_geoms()
+        return self.robot.agent_geoms()

@@ -2,7 +2,7 @@
 
 The conventions are gymnasium-robotics' MaMuJoCo's: an agent sees everything of its own joints, then less of the joints
 one, two, ... edges away, each group in the order of the joints' labels, then what every agent sees. A number is named
-by its feature (`qpos`, `qvel`, a field of MjData, or what the task's rules compute) and its place in it.
+by its feature (`qpos`, `qvel`, a field of MjData, or what the task's mdp compute) and its place in it.
 """
 
 from collections.abc import Iterable, Mapping
@@ -16,18 +16,18 @@ from numpy.typing import NDArray
 from mapt.tasks.errors import InvalidTaskOption
 
 #: A feature's name and a place in it, counted through its shape in C order.
-Column = tuple[str, int]
+FeatureColumn = tuple[str, int]
 #: A feature's shape for one environment, by name.
 Shapes = Mapping[str, tuple[int, ...]]
 
 
-def columns(feature: str, start: int, stop: int) -> tuple[Column, ...]:
+def columns(feature: str, start: int, stop: int) -> tuple[FeatureColumn, ...]:
     """Places start to stop - 1 of a feature."""
     return tuple((feature, index) for index in range(start, stop))
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class FeatureLayout:
     """Features one after the other, and last a 0 that stands for whatever an agent lacks."""
 
     shapes: Shapes
@@ -47,7 +47,7 @@ class Layout:
     def width(self) -> int:
         return self.zero + 1
 
-    def columns(self, wanted: Iterable[Column]) -> list[int]:
+    def columns(self, wanted: Iterable[FeatureColumn]) -> list[int]:
         slices = self.slices
         return [slices[feature].start + index for feature, index in wanted]
 
@@ -73,9 +73,9 @@ class Joint:
     #: Index in ctrl.
     actuator: int
     #: What the agent that drives it sees.
-    own: tuple[Column, ...]
+    own: tuple[FeatureColumn, ...]
     #: What an agent sees that only neighbours it.
-    near: tuple[Column, ...]
+    near: tuple[FeatureColumn, ...]
     #: By which joints are ordered in an observation; the name where it is empty.
     label: str = ""
 
@@ -100,7 +100,7 @@ class Partition:
     #: Names of the joints each agent drives, in the order of its action.
     agents: tuple[tuple[str, ...], ...]
     #: What every agent sees.
-    shared: tuple[Column, ...]
+    shared: tuple[FeatureColumn, ...]
     #: Features about bodies rather than joints: an agent sees a number of these once, though several joints show it.
     seen_once: frozenset[str] = frozenset()
 
@@ -128,7 +128,7 @@ def actuator_index(partition: Partition) -> NDArray[np.intp]:
     return np.array([actuators + [-1] * (width - len(actuators)) for actuators in driven])
 
 
-def observation_index(partition: Partition, agent_obsk: int, layout: Layout) -> NDArray[np.intp]:
+def observation_index(partition: Partition, agent_obsk: int, layout: FeatureLayout) -> NDArray[np.intp]:
     """(N, C): the column of the row behind each number of each observation.
 
     An agent at the end of a limb has fewer neighbours. Its missing ones read the 0 at the end of the row, placed before
@@ -148,9 +148,9 @@ def observation_index(partition: Partition, agent_obsk: int, layout: Layout) -> 
     return np.array([index + [layout.zero] * (width - len(index)) + shared for index in local])
 
 
-def _local(partition: Partition, agent: int, agent_obsk: int) -> list[Column]:
+def _local(partition: Partition, agent: int, agent_obsk: int) -> list[FeatureColumn]:
     own, *near = partition.neighbourhoods(agent, agent_obsk)
-    columns: list[Column] = []
+    columns: list[FeatureColumn] = []
     for column in chain.from_iterable(partition.joint(name).own for name in own):
         if column[0] not in partition.seen_once or column not in columns:
             columns.append(column)

@@ -47,14 +47,14 @@ class ParallelEnv(Protocol):
     def close(self) -> None: ...
 
 
-class ParallelTask:
-    """A `Task`, a `MaskingTask` and a `DrawnTask` on PettingZoo environments.
+class PettingZooTask:
+    """A `Task`, a `MaskingTask` and a `RenderableTask` on PettingZoo environments.
 
     An agent that has left, and what it lacks of the widest observation, is zeros; the team's reward is the mean over
     all agents, so an environment that gives each the team's reward gives just that.
 
     Args:
-        spec: what `ParallelEntry` found out.
+        spec: what `PettingZooDefinition` found out.
         make_env: makes one environment.
         agent_index: append the agent's one-hot index to its observation.
         dtype: of observations and state.
@@ -227,7 +227,7 @@ def state_of(env: ParallelEnv, own: NDArray[np.floating]) -> NDArray[np.floating
 
 
 @dataclass(frozen=True)
-class ParallelEntry:
+class PettingZooDefinition:
     """A task made of any `pettingzoo.ParallelEnv`.
 
     Agents see what their environment shows them: `agent_obsk` changes nothing.
@@ -243,7 +243,7 @@ class ParallelEntry:
     instructions: str
 
     def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
-        """See `TaskEntry.spec`. The first call makes an environment and looks.
+        """See `TaskDefinition.spec`. The first call makes an environment and looks.
 
         Raises:
             UnusableEnvironment: if some agents' actions are discrete and others' not, or of different numbers.
@@ -256,7 +256,7 @@ class ParallelEntry:
     ) -> Task:
         """See `make_task`; environments are stepped in this thread."""
         spec = self.spec(agent_obsk=agent_obsk, agent_index=agent_index)
-        return ParallelTask(spec, self.make_env, n_envs=n_envs, agent_index=agent_index, dtype=dtype)
+        return PettingZooTask(spec, self.make_env, n_envs=n_envs, agent_index=agent_index, dtype=dtype)
 
     def load_model(self) -> mujoco.MjModel:
         raise NoSimulator(self.name)

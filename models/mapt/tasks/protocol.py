@@ -135,7 +135,7 @@ class MaskingTask(Task, Protocol):
 
 
 @runtime_checkable
-class DrawnTask(Task, Protocol):
+class RenderableTask(Task, Protocol):
     """A task that draws itself, for one that no MuJoCo model can be drawn from."""
 
     def render(self, env: int) -> NDArray[np.uint8]:
@@ -147,8 +147,8 @@ class DrawnTask(Task, Protocol):
         ...
 
 
-class TaskEntry(Protocol):
-    """A task by name. `MujocoEntry` and `ParallelEntry` are the two kinds that exist."""
+class TaskDefinition(Protocol):
+    """A task by name. `MujocoDefinition` and `PettingZooDefinition` are the two kinds that exist."""
 
     @property
     def name(self) -> str: ...

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from mapt.tasks.errors import TaskExists, TaskFileFailed, UnknownTask
-from mapt.tasks.protocol import Task, TaskEntry, TaskSpec
+from mapt.tasks.protocol import Task, TaskDefinition, TaskSpec
 from mapt.tasks.robots import (
     ant,
     coupled_half_cheetah,
@@ -45,24 +45,26 @@ _BODIES = (
     coupled_half_cheetah,
     many_segments,
 )
-_ENTRIES: dict[str, TaskEntry] = {entry.name: entry for entry in chain.from_iterable(body.TASKS for body in _BODIES)}
+_DEFINITIONS: dict[str, TaskDefinition] = {
+    definition.name: definition for definition in chain.from_iterable(body.TASKS for body in _BODIES)
+}
 
 
-def register_task(entry: TaskEntry) -> None:
+def register_task(definition: TaskDefinition) -> None:
     """Make a task known by its name to this process. See docs/tasks.md.
 
     Raises:
         TaskExists: if the name is taken.
     """
-    if entry.name in _ENTRIES:
-        raise TaskExists(entry.name)
-    _ENTRIES[entry.name] = entry
+    if definition.name in _DEFINITIONS:
+        raise TaskExists(definition.name)
+    _DEFINITIONS[definition.name] = definition
 
 
 def task_names() -> tuple[str, ...]:
     """Names of all tasks, sorted. Many-segment bodies come in any size; those of common sizes are listed."""
     load_task_files()
-    return tuple(sorted(_ENTRIES))
+    return tuple(sorted(_DEFINITIONS))
 
 
 def task_spec(name: str, *, agent_obsk: int | None = DEFAULT_AGENT_OBSK, agent_index: bool = True) -> TaskSpec:
@@ -72,7 +74,7 @@ def task_spec(name: str, *, agent_obsk: int | None = DEFAULT_AGENT_OBSK, agent_i
         UnknownTask: if no task has this name.
         InvalidTaskOption: if `agent_obsk` is negative.
     """
-    return find_entry(name).spec(agent_obsk=agent_obsk, agent_index=agent_index)
+    return find_definition(name).spec(agent_obsk=agent_obsk, agent_index=agent_index)
 
 
 def make_task(
@@ -98,7 +100,7 @@ def make_task(
         UnknownTask: if no task has this name.
         InvalidTaskOption: if a number is out of its range.
     """
-    return find_entry(name).make(
+    return find_definition(name).make(
         n_envs, n_threads=n_threads, agent_obsk=agent_obsk, agent_index=agent_index, dtype=dtype
     )
 
@@ -110,7 +112,7 @@ def load_model(task_name: str) -> mujoco.MjModel:
         UnknownTask: if no task has this name.
         NoSimulator: if the task is not simulated by MuJoCo here.
     """
-    return find_entry(task_name).load_model()
+    return find_definition(task_name).load_model()
 
 
 def agent_geoms(task_name: str) -> tuple[tuple[int, ...], ...]:
@@ -120,23 +122,23 @@ def agent_geoms(task_name: str) -> tuple[tuple[int, ...], ...]:
         UnknownTask: if no task has this name.
         NoSimulator: if the task is not simulated by MuJoCo here.
     """
-    return find_entry(task_name).agent_geoms()
+    return find_definition(task_name).agent_geoms()
 
 
-def find_entry(name: str) -> TaskEntry:
-    """The entry behind a name.
+def find_definition(name: str) -> TaskDefinition:
+    """The definition behind a name.
 
     Raises:
         UnknownTask: if no task has this name.
     """
     load_task_files()
-    entry = _ENTRIES.get(name) or many_segments.entry(name)
-    if entry is None:
+    definition = _DEFINITIONS.get(name) or many_segments.definition(name)
+    if definition is None:
         raise UnknownTask(name, task_names())
-    return entry
+    return definition
 
 
-VARIABLE = "MAPT_TASKS"
+TASK_FILES_VARIABLE = "MAPT_TASKS"
 _loaded: set[str] = set()
 
 
@@ -149,14 +151,14 @@ def load_task_files() -> None:
     Raises:
         TaskFileFailed: if one is not there, or fails.
     """
-    for name in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
+    for name in filter(None, os.environ.get(TASK_FILES_VARIABLE, "").split(os.pathsep)):
         if name not in _loaded:
             _loaded.add(name)
             try:
                 _run(name)
             except Exception as error:
                 _loaded.discard(name)
-                raise TaskFileFailed(VARIABLE, name, error) from error
+                raise TaskFileFailed(TASK_FILES_VARIABLE, name, error) from error
 
 
 def _run(name: str) -> None:

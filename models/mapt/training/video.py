@@ -13,9 +13,9 @@ from mapt.policies.rollout import available_actions
 from mapt.rendering.encode import write_clip
 from mapt.rendering.episode_video import DONE
 from mapt.rendering.errors import NothingDraws
-from mapt.rendering.offscreen import BACKENDS, INSTALL, draw_apart
+from mapt.rendering.offscreen import BACKENDS, INSTALL, run_rendering_module
 from mapt.rendering.settings import RenderSettings
-from mapt.tasks import DrawnTask, NoPicture, Task, make_task
+from mapt.tasks import NoPicture, RenderableTask, Task, make_task
 
 #: the longest episodes take a minute on a quiet machine
 _LIMIT_SECONDS = 600.0
@@ -34,7 +34,7 @@ def record_video(policy: Policy, task_name: str, path: Path, *, agent_obsk: int,
     """
     task = make_task(task_name, 1, agent_obsk=agent_obsk)
     try:
-        if isinstance(task, DrawnTask):
+        if isinstance(task, RenderableTask):
             _film_drawn(policy, task, path, seed)
         elif task.spec.nq == 0:
             raise NothingDraws(f"{task_name} has no simulator's state to draw, and does not draw itself.")
@@ -61,7 +61,7 @@ def _frame_rate(task: Task) -> float:
     return 1.0 / task.spec.step_seconds
 
 
-def _film_drawn(policy: Policy, task: DrawnTask, path: Path, seed: int) -> None:
+def _film_drawn(policy: Policy, task: RenderableTask, path: Path, seed: int) -> None:
     def frames() -> Iterator[NDArray[np.uint8]]:
         for _ in _episode(policy, task, seed):
             yield _even(task.render(0))
@@ -88,7 +88,7 @@ def _film_states(
         states = Path(folder) / "states.safetensors"
         save_file({"qpos": qpos, "qvel": qvel}, states)
         for backend in BACKENDS:
-            failure = draw_apart(
+            failure = run_rendering_module(
                 backend,
                 "mapt.rendering.episode_video",
                 [task_name, str(states), f"{frame_rate_hz:g}", str(path.resolve())],

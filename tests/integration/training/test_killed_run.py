@@ -11,7 +11,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from mapt.training.metrics import EVENTS, TIMINGS, Metrics, read_metrics
 from mapt.training.run_folder import RunFolder
-from support import short_cheetah
+from support import short_tasks
 from support.waiting import until
 from unit.training.conftest import reward_model, write_reward
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("short_episodes")
 
 STEPS_PER_ITERATION = 4 * 24
 ITERATIONS = 40
-ENVIRONMENT = os.environ | short_cheetah.ENVIRONMENT | {"OMP_NUM_THREADS": "1"}
+ENVIRONMENT = os.environ | short_tasks.ENVIRONMENT | {"OMP_NUM_THREADS": "1"}
 #: less than the time between two iterations at times, more at others: lines without a checkpoint do occur
 CHECKPOINT_MINUTES = "0.003"
 
@@ -27,7 +27,7 @@ CHECKPOINT_MINUTES = "0.003"
 def command(output: Path, reward: Path, *more: str) -> list[str]:
     tiny = ("n_envs=4", "rollout_steps=24", "minibatches=2", "epochs=2", "width=8", "hidden=[8]")
     return [
-        *(sys.executable, "-m", "mapt.cli", "train", "--task", short_cheetah.SHORTEST_NAME, "--algorithm", "mat"),
+        *(sys.executable, "-m", "mapt.cli", "train", "--task", short_tasks.SHORTEST_NAME, "--algorithm", "mat"),
         *("--reward", str(reward), "--credit", "individual", "--steps", str(ITERATIONS * STEPS_PER_ITERATION)),
         *("--output", str(output), "--seed", "3", "--evaluate-every", "1500", "--device", "cpu", "--no-video"),
         *("--checkpoint-minutes", CHECKPOINT_MINUTES),

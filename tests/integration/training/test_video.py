@@ -12,14 +12,14 @@ from mapt.policies import Policy, PolicyConfig
 from mapt.policies.learner import make_policy
 from mapt.rendering.episode_video import widen_floors
 from mapt.rendering.errors import NothingDraws
-from mapt.tasks import ParallelEntry, load_model, register_task, task_spec
+from mapt.tasks import PettingZooDefinition, load_model, register_task, task_spec
 from mapt.training import video
 from mapt.training.run import Watch, complete_run
 from mapt.training.run_folder import RunFolder
 from mapt.training.settings import RunSettings
 from mapt.training.video import record_video
-from support.short_cheetah import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
-from unit.tasks.test_parallel_task import DrawnLevers, Levers
+from support.short_tasks import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
+from unit.tasks.test_pettingzoo_task import DrawnLevers, Levers
 
 pytestmark = pytest.mark.usefixtures("short_episodes")
 
@@ -61,7 +61,7 @@ def test_a_task_that_draws_itself_is_filmed_by_itself(tmp_path):
             return np.full((65, 97, 3), 40 * (1 + len(self.agents)), np.uint8)
 
     name = f"LargeLevers-{os.getpid()}"
-    register_task(ParallelEntry(name, Large, 6, 0.5, "Pull."))
+    register_task(PettingZooDefinition(name, Large, 6, 0.5, "Pull."))
     record_video(policy_of(name), name, tmp_path / "final.mp4", agent_obsk=1)
     shown, rate = frames(tmp_path / "final.mp4")
     assert shown[0].shape == (64, 96, 3)
@@ -71,7 +71,7 @@ def test_a_task_that_draws_itself_is_filmed_by_itself(tmp_path):
 
 def test_a_task_that_cannot_be_drawn_says_so(tmp_path):
     name = f"BlindLevers-{os.getpid()}"
-    register_task(ParallelEntry(name, Levers, 6, 0.5, "Pull."))
+    register_task(PettingZooDefinition(name, Levers, 6, 0.5, "Pull."))
     with pytest.raises(NothingDraws, match="rgb_array"):
         record_video(policy_of(name), name, tmp_path / "final.mp4", agent_obsk=1)
 

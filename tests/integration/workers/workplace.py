@@ -18,11 +18,11 @@ from accord.workers.heartbeat import Claim, Pulse
 from accord.workers.policy_run import PolicyRun
 from accord.workers.render_worker import RenderWorker
 from accord.workers.runner import Context, Stop
-from support import short_cheetah
+from support import short_tasks
 
 STEPS_PER_ITERATION = 100
 TINY: dict[str, Any] = {
-    "task": short_cheetah.NAME,
+    "task": short_tasks.NAME,
     "segment_steps": 10,
     "total_steps": 6 * STEPS_PER_ITERATION,
     "label_budget": 16,

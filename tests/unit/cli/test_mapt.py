@@ -10,7 +10,7 @@ import pytest
 from mapt.benchmarks.errors import InvalidStudy
 from mapt.benchmarks.specification import numbers, words
 from mapt.training.run_folder import RunFolder
-from support.short_cheetah import SHORTEST_NAME
+from support.short_tasks import SHORTEST_NAME
 from support.waiting import until
 from unit.benchmarks.tiny_replay import TASK, write_replay
 from unit.training.conftest import STEPS_PER_ITERATION, reward_model, write_reward

@@ -64,7 +64,7 @@ class Reference:
             limited = limited.env
         limited._elapsed_steps = n_steps
 
-    def draw_start(self, seed: int) -> np.ndarray:
+    def sample_start(self, seed: int) -> np.ndarray:
         self.env.reset(seed=seed)
         data = self.env.single_agent_env.unwrapped.data
         return np.concatenate([data.qpos, data.qvel])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mapt.tasks import TaskStep, load_model, make_task, task_names
-from mapt.tasks.registry import find_entry
+from mapt.tasks.registry import find_definition
 from unit.tasks.mamujoco import Reference, assert_close, assert_same_observations
 
 DEPTHS = (0, 1, 2, 5)
@@ -33,7 +33,7 @@ def assert_same_step(ours: TaskStep, theirs: Reference, actions: np.ndarray, act
 
 @pytest.mark.parametrize("name", task_names())
 def test_steps_ends_and_resets_equal_gymnasium_robotics_at_every_depth(name: str) -> None:
-    shared = len(find_entry(name).scene.partition.shared)
+    shared = len(find_definition(name).robot.partition.shared)
     tasks = {
         depth: make_task(name, 1, n_threads=1, agent_obsk=depth, agent_index=False, dtype=np.float64)
         for depth in DEPTHS
@@ -90,7 +90,7 @@ def test_without_a_depth_one_agent_sees_the_state_and_drives_every_joint(name: s
 def test_starts_are_spread_as_gymnasiums(name: str) -> None:
     n = 200
     theirs = Reference(name, (0,))
-    drawn = np.array([theirs.draw_start(seed) for seed in range(n)])
+    drawn = np.array([theirs.sample_start(seed) for seed in range(n)])
     task = make_task(name, 4_000, n_threads=1)
     task.reset(0)
     ours = np.hstack(task.simulator_state())

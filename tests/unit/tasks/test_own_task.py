@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from mapt.tasks import DrawnTask, TaskFileFailed, UnknownTask, agent_geoms, make_task, task_names, task_spec
+from mapt.tasks import RenderableTask, TaskFileFailed, UnknownTask, agent_geoms, make_task, task_names, task_spec
 from support import buttons
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "tasks.md"
@@ -52,7 +52,7 @@ def test_the_documented_pettingzoo_environment_is_a_task_that_draws_itself(
     task.reset(0)
     steps = [task.step(np.tile([0.0, 1.0], (2, 2, 1))) for _ in range(100)]
     assert steps[-1].truncated.all()
-    assert isinstance(task, DrawnTask)
+    assert isinstance(task, RenderableTask)
     assert task.render(1).shape == (*buttons.PICTURE, 3)
     assert set(asked) == {"rgb_array"}
 

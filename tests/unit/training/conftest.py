@@ -13,7 +13,7 @@ from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
 from mapt.tasks import task_spec
 from mapt.training.settings import LearnedRewardSettings, RunSettings
-from support.short_cheetah import SHORTEST_NAME
+from support.short_tasks import SHORTEST_NAME
 
 
 @pytest.fixture(autouse=True)

@@ -12,7 +12,7 @@ from mapt.training.metrics import TIMINGS, read_metrics
 from mapt.training.run import Run, Watch, complete_run
 from mapt.training.run_folder import PolicyCheckpoint, RunFolder, load_policy
 from mapt.training.settings import LearnedRewardSettings
-from support.short_cheetah import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
+from support.short_tasks import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
 from unit.training.conftest import STEPS_PER_ITERATION, reward_model, write_reward
 
 

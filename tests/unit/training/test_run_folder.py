@@ -7,7 +7,7 @@ from mapt.policies import InvalidCheckpoint, Learner
 from mapt.tasks import make_task
 from mapt.training.errors import RunNotFound
 from mapt.training.run_folder import PolicyCheckpoint, load_policy
-from support.short_cheetah import SHORTEST_NAME
+from support.short_tasks import SHORTEST_NAME
 from unit.training.conftest import STEPS_PER_ITERATION
 
 

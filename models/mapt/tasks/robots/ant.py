@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.tasks.mujoco_definition import (
-    Float64s,
-    Frame,
-    MujocoRules,
-    MujocoScene,
+    Features,
+    FloatArray,
+    MujocoMdp,
+    Robot,
     gymnasium_asset,
-    squared,
-    uniform_about,
+    sum_of_squares,
+    uniform_start,
 )
-from mapt.tasks.mujoco_task import MujocoEntry
-from mapt.tasks.partition import Column, Joint, Partition, columns
+from mapt.tasks.mujoco_task import MujocoDefinition
+from mapt.tasks.partition import FeatureColumn, Joint, Partition, columns
 
 FRAME_SKIP = 5
 PHYSICS_STEP_SECONDS = 0.01
@@ -40,7 +40,7 @@ INSTRUCTIONS = (
 )
 
 
-def healthy(frame: Frame) -> NDArray[np.bool_]:
+def healthy(frame: Features) -> NDArray[np.bool_]:
     """(E,) bool: every number is finite, and the torso neither lies nor flies."""
     # A sum is finite only if every term is.
     finite = np.isfinite(frame["qpos"].sum(axis=1) + frame["qvel"].sum(axis=1))
@@ -49,29 +49,31 @@ def healthy(frame: Frame) -> NDArray[np.bool_]:
     return finite & (low <= height) & (height <= high)
 
 
-def terminated(frame: Frame) -> NDArray[np.bool_]:
+def terminated(frame: Features) -> NDArray[np.bool_]:
     return ~healthy(frame)
 
 
-def reward(before: Frame, after: Frame, controls: Float64s) -> Float64s:
+def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
     """Forward speed of the torso and one for every healthy step, less the costs of controls and of contacts."""
     speed = (after["xpos"][:, TORSO, 0] - before["xpos"][:, TORSO, 0]) / STEP_SECONDS
-    costs = CONTROL_COST_WEIGHT * squared(controls) + CONTACT_COST_WEIGHT * squared(after["contact_forces"])
+    costs = CONTROL_COST_WEIGHT * sum_of_squares(controls) + CONTACT_COST_WEIGHT * sum_of_squares(
+        after["contact_forces"]
+    )
     return speed + HEALTHY_REWARD * healthy(after) - costs
 
 
-def clip_contact_forces(frame: Frame) -> None:
+def clip_contact_forces(frame: Features) -> None:
     np.clip(frame["cfrc_ext"], -1.0, 1.0, out=frame["contact_forces"])
 
 
-def rules(n_joints: int, n_bodies: int, height_metres: float) -> MujocoRules:
-    """The rules for an ant of this many joints and bodies (the world is one) that starts at this height."""
+def mdp(n_joints: int, n_bodies: int, height_metres: float) -> MujocoMdp:
+    """The mdp for an ant of this many joints and bodies (the world is one) that starts at this height."""
     nq, nv = 7 + n_joints, 6 + n_joints
     pose = np.zeros(nq)
     pose[2:4] = height_metres, 1.0
-    return MujocoRules(
+    return MujocoMdp(
         frame_skip=FRAME_SKIP,
-        draw_start=uniform_about(pose, nv, 0.1, normal_velocities=True),
+        sample_start=uniform_start(pose, nv, 0.1, normal_velocities=True),
         reward=reward,
         terminated=terminated,
         before=("xpos",),
@@ -87,7 +89,7 @@ def rules(n_joints: int, n_bodies: int, height_metres: float) -> MujocoRules:
 
 def leg_joint(name: str, qpos: int, qvel: int, actuator: int, bodies: Sequence[int]) -> Joint:
     """A joint that shows its agent its angle, its speed and the forces on these bodies, and others its angle."""
-    forces: tuple[Column, ...] = ()
+    forces: tuple[FeatureColumn, ...] = ()
     for body in bodies:
         forces += columns("contact_forces", N_FORCES * body, N_FORCES * (body + 1))
     return Joint(name, actuator, own=(("qpos", qpos), ("qvel", qvel), *forces), near=(("qpos", qpos),))
@@ -107,13 +109,13 @@ def _leg(number: int) -> tuple[Joint, Joint]:
 LEGS = {1: "front left leg", 2: "front right leg", 3: "back left leg", 4: "back right leg"}
 JOINTS = tuple(joint for number in LEGS for joint in _leg(number))
 EDGES = (*((f"ankle_{number}", f"hip_{number}") for number in LEGS), tuple(f"hip_{number}" for number in LEGS))
-RULES = rules(n_joints=8, n_bodies=14, height_metres=0.75)
+MDP = mdp(n_joints=8, n_bodies=14, height_metres=0.75)
 
 
-def _entry(conf: str, agents: tuple[tuple[str, ...], ...], names: tuple[str, ...]) -> MujocoEntry:
+def _definition(conf: str, agents: tuple[tuple[str, ...], ...], names: tuple[str, ...]) -> MujocoDefinition:
     partition = Partition(JOINTS, EDGES, agents, SHARED, frozenset({"contact_forces"}))
-    scene = MujocoScene(gymnasium_asset("ant.xml"), 15, 14, PHYSICS_STEP_SECONDS, partition)
-    return MujocoEntry(f"Ant-{conf}", scene, RULES, names, INSTRUCTIONS)
+    robot = Robot(gymnasium_asset("ant.xml"), 15, 14, PHYSICS_STEP_SECONDS, partition)
+    return MujocoDefinition(f"Ant-{conf}", robot, MDP, names, INSTRUCTIONS)
 
 
 def _legs(*numbers: int) -> tuple[str, ...]:
@@ -121,10 +123,10 @@ def _legs(*numbers: int) -> tuple[str, ...]:
 
 
 TASKS = (
-    _entry("4x2", tuple(_legs(number) for number in LEGS), tuple(LEGS.values())),
-    _entry("2x4", (_legs(1, 2), _legs(3, 4)), ("front legs", "back legs")),
-    _entry("2x4d", (_legs(1, 4), _legs(2, 3)), ("front left, back right", "front right, back left")),
-    _entry(
+    _definition("4x2", tuple(_legs(number) for number in LEGS), tuple(LEGS.values())),
+    _definition("2x4", (_legs(1, 2), _legs(3, 4)), ("front legs", "back legs")),
+    _definition("2x4d", (_legs(1, 4), _legs(2, 3)), ("front left, back right", "front right, back left")),
+    _definition(
         "8x1",
         tuple((name,) for name in _legs(4, 1, 2, 3)),
         tuple(f"{LEGS[number]}, {part}" for number in (4, 1, 2, 3) for part in ("hip", "ankle")),

@@ -10,15 +10,15 @@ import mujoco
 import numpy as np
 
 from mapt.tasks.mujoco_definition import (
-    Float64s,
-    Frame,
-    MujocoRules,
-    MujocoScene,
+    Features,
+    FloatArray,
+    MujocoMdp,
+    Robot,
     gymnasium_asset,
-    squared,
-    uniform_about,
+    sum_of_squares,
+    uniform_start,
 )
-from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.mujoco_task import MujocoDefinition
 from mapt.tasks.partition import Joint, Partition, columns, hinge
 from mapt.tasks.robots import half_cheetah
 
@@ -56,11 +56,11 @@ def describe() -> mujoco.MjSpec:
     return spec
 
 
-def reward(before: Frame, after: Frame, controls: Float64s) -> Float64s:
+def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
     """Mean over the cheetahs of forward speed less the cost of the controls."""
     way = after["qpos"][:, (0, SECOND)] - before["qpos"][:, (0, SECOND)]
     speed = (way / half_cheetah.STEP_SECONDS).mean(axis=1)
-    return speed - half_cheetah.CONTROL_COST_WEIGHT * squared(controls) / 2.0
+    return speed - half_cheetah.CONTROL_COST_WEIGHT * sum_of_squares(controls) / 2.0
 
 
 #: The tendon's six moments are about the three root joints of each cheetah; those about x and z are shown.
@@ -93,12 +93,12 @@ _PARTITION = Partition(
 )
 
 TASKS = (
-    MujocoEntry(
+    MujocoDefinition(
         name="CoupledHalfCheetah-1p1",
-        scene=MujocoScene(describe, NQ, NV, half_cheetah.PHYSICS_STEP_SECONDS, _PARTITION, total_mass_kg=14.0),
-        rules=MujocoRules(
+        robot=Robot(describe, NQ, NV, half_cheetah.PHYSICS_STEP_SECONDS, _PARTITION, total_mass_kg=14.0),
+        mdp=MujocoMdp(
             frame_skip=half_cheetah.FRAME_SKIP,
-            draw_start=uniform_about(np.zeros(NQ), NV, 0.1, normal_velocities=True),
+            sample_start=uniform_start(np.zeros(NQ), NV, 0.1, normal_velocities=True),
             reward=reward,
             fields={"ten_J": (6,), "ten_length": (1,), "ten_velocity": (1,)},
             state=columns("qpos", 1, SECOND) + columns("qpos", SECOND + 1, NQ) + columns("qvel", 0, NV) + _TENDON,

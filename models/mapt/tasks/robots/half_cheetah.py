@@ -6,15 +6,15 @@ Physics, reward and starts are gymnasium's HalfCheetah-v5; the partition is gymn
 import numpy as np
 
 from mapt.tasks.mujoco_definition import (
-    Float64s,
-    Frame,
-    MujocoRules,
-    MujocoScene,
+    Features,
+    FloatArray,
+    MujocoMdp,
+    Robot,
     gymnasium_asset,
-    squared,
-    uniform_about,
+    sum_of_squares,
+    uniform_start,
 )
-from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.mujoco_task import MujocoDefinition
 from mapt.tasks.partition import Partition, columns, hinge
 
 FRAME_SKIP = 5
@@ -35,35 +35,33 @@ INSTRUCTIONS = (
 )
 
 
-def reward(before: Frame, after: Frame, controls: Float64s) -> Float64s:
+def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
     """Forward speed in metres per second less the cost of the controls as given, before MuJoCo clamps them."""
     speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
-    return speed - CONTROL_COST_WEIGHT * squared(controls)
+    return speed - CONTROL_COST_WEIGHT * sum_of_squares(controls)
 
 
-RULES = MujocoRules(
+MDP = MujocoMdp(
     frame_skip=FRAME_SKIP,
-    draw_start=uniform_about(np.zeros(NQ), NV, 0.1, normal_velocities=True),
+    sample_start=uniform_start(np.zeros(NQ), NV, 0.1, normal_velocities=True),
     reward=reward,
     state=columns("qpos", 1, NQ) + columns("qvel", 0, NV),
 )
 
 
-def _entry(conf: str, agents: tuple[tuple[str, ...], ...], names: tuple[str, ...]) -> MujocoEntry:
+def _definition(conf: str, agents: tuple[tuple[str, ...], ...], names: tuple[str, ...]) -> MujocoDefinition:
     # Nobody sees how far the cheetah has run, root x.
     shared = columns("qpos", 1, 3) + columns("qvel", 0, 3)
     partition = Partition(JOINTS, EDGES, agents, shared)
-    scene = MujocoScene(
-        gymnasium_asset("half_cheetah.xml"), NQ, NV, PHYSICS_STEP_SECONDS, partition, total_mass_kg=14.0
-    )
-    return MujocoEntry(f"HalfCheetah-{conf}", scene, RULES, names, INSTRUCTIONS)
+    robot = Robot(gymnasium_asset("half_cheetah.xml"), NQ, NV, PHYSICS_STEP_SECONDS, partition, total_mass_kg=14.0)
+    return MujocoDefinition(f"HalfCheetah-{conf}", robot, MDP, names, INSTRUCTIONS)
 
 
 TASKS = (
-    _entry(
+    _definition(
         "6x1",
         tuple((joint.name,) for joint in JOINTS),
         ("back thigh", "back shin", "back foot", "front thigh", "front shin", "front foot"),
     ),
-    _entry("2x3", (("bthigh", "bshin", "bfoot"), ("fthigh", "fshin", "ffoot")), ("back leg", "front leg")),
+    _definition("2x3", (("bthigh", "bshin", "bfoot"), ("fthigh", "fshin", "ffoot")), ("back leg", "front leg")),
 )

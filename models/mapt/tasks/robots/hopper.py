@@ -4,15 +4,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.tasks.mujoco_definition import (
-    Float64s,
-    Frame,
-    MujocoRules,
-    MujocoScene,
+    Features,
+    FloatArray,
+    MujocoMdp,
+    Robot,
     gymnasium_asset,
-    squared,
-    uniform_about,
+    sum_of_squares,
+    uniform_start,
 )
-from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.mujoco_task import MujocoDefinition
 from mapt.tasks.partition import Joint, Partition, columns
 
 FRAME_SKIP = 4
@@ -30,30 +30,30 @@ SEEN_SPEED = 10.0
 NQ = NV = 6
 
 
-def healthy(frame: Frame) -> NDArray[np.bool_]:
+def healthy(frame: Features) -> NDArray[np.bool_]:
     """(E,) bool: upright above the ground, with no number out of all bounds."""
     qpos, qvel = frame["qpos"], frame["qvel"]
     bounded = (np.abs(qpos[:, 2:]) < HEALTHY_STATE).all(axis=1) & (np.abs(qvel) < HEALTHY_STATE).all(axis=1)
     return bounded & (qpos[:, 1] > HEALTHY_HEIGHT_METRES) & (np.abs(qpos[:, 2]) < HEALTHY_ANGLE_RADIANS)
 
 
-def terminated(frame: Frame) -> NDArray[np.bool_]:
+def terminated(frame: Features) -> NDArray[np.bool_]:
     return ~healthy(frame)
 
 
-def reward(before: Frame, after: Frame, controls: Float64s) -> Float64s:
+def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
     """Forward speed and one for every healthy step, less the cost of the controls."""
     speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
-    return speed + HEALTHY_REWARD * healthy(after) - CONTROL_COST_WEIGHT * squared(controls)
+    return speed + HEALTHY_REWARD * healthy(after) - CONTROL_COST_WEIGHT * sum_of_squares(controls)
 
 
-def clip_speeds(frame: Frame) -> None:
+def clip_speeds(frame: Features) -> None:
     np.clip(frame["qvel"], -SEEN_SPEED, SEEN_SPEED, out=frame["seen_qvel"])
 
 
-RULES = MujocoRules(
+MDP = MujocoMdp(
     frame_skip=FRAME_SKIP,
-    draw_start=uniform_about(np.array([0.0, 1.25, 0.0, 0.0, 0.0, 0.0]), NV, START_NOISE),
+    sample_start=uniform_start(np.array([0.0, 1.25, 0.0, 0.0, 0.0, 0.0]), NV, START_NOISE),
     reward=reward,
     terminated=terminated,
     features={"seen_qvel": (NV,)},
@@ -76,10 +76,10 @@ _PARTITION = Partition(
 )
 
 TASKS = (
-    MujocoEntry(
+    MujocoDefinition(
         name="Hopper-3x1",
-        scene=MujocoScene(gymnasium_asset("hopper.xml"), NQ, NV, PHYSICS_STEP_SECONDS, _PARTITION),
-        rules=RULES,
+        robot=Robot(gymnasium_asset("hopper.xml"), NQ, NV, PHYSICS_STEP_SECONDS, _PARTITION),
+        mdp=MDP,
         agent_names=("thigh", "leg", "foot"),
         instructions="The hopper should hop to the right as fast as it can, without falling over.",
     ),

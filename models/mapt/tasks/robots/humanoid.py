@@ -7,17 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.tasks.mujoco_definition import (
-    Float64s,
-    Frame,
-    MujocoRules,
-    MujocoScene,
+    Features,
+    FloatArray,
+    MujocoMdp,
+    Robot,
     gymnasium_asset,
     never_terminated,
-    squared,
-    uniform_about,
+    sum_of_squares,
+    uniform_start,
 )
-from mapt.tasks.mujoco_task import MujocoEntry
-from mapt.tasks.partition import Column, Joint, Partition, columns
+from mapt.tasks.mujoco_task import MujocoDefinition
+from mapt.tasks.partition import FeatureColumn, Joint, Partition, columns
 
 FRAME_SKIP = 5
 PHYSICS_STEP_SECONDS = 0.003
@@ -82,33 +82,40 @@ def _joint(actuator: int, name: str, from_end: int, bodies: tuple[int, ...]) -> 
         tuple(column for body in bodies for column in columns(field, width * body, width * (body + 1)))
         for field, width in BODY_FIELDS.items()
     )
-    own: tuple[Column, ...] = (("qpos", qpos), ("qvel", qvel), *inertia, *velocity, ("qfrc_actuator", qvel), *force)
+    own: tuple[FeatureColumn, ...] = (
+        ("qpos", qpos),
+        ("qvel", qvel),
+        *inertia,
+        *velocity,
+        ("qfrc_actuator", qvel),
+        *force,
+    )
     return Joint(name, actuator, own, near=(("qpos", qpos),))
 
 
-def fallen(frame: Frame) -> NDArray[np.bool_]:
+def fallen(frame: Features) -> NDArray[np.bool_]:
     """(E,) bool: the torso is as low as in a fall, or in the air."""
     low, high = HEALTHY_HEIGHT_METRES
     height = frame["qpos"][:, 2]
     return ~((low < height) & (height < high))
 
 
-def contact_cost(frame: Frame) -> Float64s:
-    return np.minimum(CONTACT_COST_WEIGHT * squared(frame["cfrc_ext"]), CONTACT_COST_LIMIT)
+def contact_cost(frame: Features) -> FloatArray:
+    return np.minimum(CONTACT_COST_WEIGHT * sum_of_squares(frame["cfrc_ext"]), CONTACT_COST_LIMIT)
 
 
-def walking_reward(before: Frame, after: Frame, controls: Float64s) -> Float64s:
+def walking_reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
     """Forward speed of the centre of mass and five for every step on its feet, less the costs."""
     whole = 0
     speed = (after["subtree_com"][:, whole, 0] - before["subtree_com"][:, whole, 0]) / STEP_SECONDS
-    costs = CONTROL_COST_WEIGHT * squared(controls) + contact_cost(after)
+    costs = CONTROL_COST_WEIGHT * sum_of_squares(controls) + contact_cost(after)
     return FORWARD_WEIGHT * speed + HEALTHY_REWARD * ~fallen(after) - costs
 
 
-def standing_reward(_before: Frame, after: Frame, controls: Float64s) -> Float64s:
+def standing_reward(_before: Features, after: Features, controls: FloatArray) -> FloatArray:
     """Height of the torso in metres per step of the physics in seconds, and one, less the costs."""
     height = after["qpos"][:, 2] / PHYSICS_STEP_SECONDS
-    return height - CONTROL_COST_WEIGHT * squared(controls) - contact_cost(after) + 1.0
+    return height - CONTROL_COST_WEIGHT * sum_of_squares(controls) - contact_cost(after) + 1.0
 
 
 _STATE = (
@@ -126,22 +133,22 @@ _FIELDS = {
 }
 
 
-def _pose(height_metres: float, quaternion: tuple[float, float, float, float]) -> Float64s:
+def _pose(height_metres: float, quaternion: tuple[float, float, float, float]) -> FloatArray:
     return np.array([0.0, 0.0, height_metres, *quaternion, *[0.0] * (NQ - 7)])
 
 
-WALKING = MujocoRules(
+WALKING = MujocoMdp(
     frame_skip=FRAME_SKIP,
-    draw_start=uniform_about(_pose(1.4, (1.0, 0.0, 0.0, 0.0)), NV, START_NOISE),
+    sample_start=uniform_start(_pose(1.4, (1.0, 0.0, 0.0, 0.0)), NV, START_NOISE),
     reward=walking_reward,
     terminated=fallen,
     before=("subtree_com",),
     fields=_FIELDS,
     state=_STATE,
 )
-STANDING = MujocoRules(
+STANDING = MujocoMdp(
     frame_skip=FRAME_SKIP,
-    draw_start=uniform_about(_pose(0.105, (1.0, 0.0, 0.0, 0.0)), NV, START_NOISE),
+    sample_start=uniform_start(_pose(0.105, (1.0, 0.0, 0.0, 0.0)), NV, START_NOISE),
     reward=standing_reward,
     terminated=never_terminated,
     before=(),
@@ -150,7 +157,7 @@ STANDING = MujocoRules(
 )
 
 
-def _entries(body: str, asset: str, rules: MujocoRules, instructions: str) -> tuple[MujocoEntry, ...]:
+def _definitions(body: str, asset: str, mdp: MujocoMdp, instructions: str) -> tuple[MujocoDefinition, ...]:
     joints = tuple(_joint(actuator, *joint) for actuator, joint in enumerate(_JOINTS))
     shared = columns("qpos", 2, 7) + columns("qvel", 0, 6)
     alone = (*ABDOMEN, *LEGS, *ARMS)
@@ -159,16 +166,16 @@ def _entries(body: str, asset: str, rules: MujocoRules, instructions: str) -> tu
         "17x1": (tuple((name,) for name in alone), tuple(name.replace("_", " ") for name in alone)),
     }
     return tuple(
-        MujocoEntry(
+        MujocoDefinition(
             name=f"{body}-{conf}",
-            scene=MujocoScene(
+            robot=Robot(
                 gymnasium_asset(asset),
                 NQ,
                 NV,
                 PHYSICS_STEP_SECONDS,
                 Partition(joints, EDGES, agents, shared, frozenset(BODY_FIELDS)),
             ),
-            rules=rules,
+            mdp=mdp,
             agent_names=names,
             instructions=instructions,
             action_limit=ACTION_LIMIT,
@@ -178,13 +185,13 @@ def _entries(body: str, asset: str, rules: MujocoRules, instructions: str) -> tu
 
 
 TASKS = (
-    *_entries(
+    *_definitions(
         "Humanoid",
         "humanoid.xml",
         WALKING,
         "The humanoid should walk or run to the right as fast as it can, upright and without falling over.",
     ),
-    *_entries(
+    *_definitions(
         "HumanoidStandup",
         "humanoidstandup.xml",
         STANDING,

@@ -14,8 +14,8 @@ from itertools import pairwise
 
 import mujoco
 
-from mapt.tasks.mujoco_definition import MujocoScene, gymnasium_asset
-from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.mujoco_definition import Robot, gymnasium_asset
+from mapt.tasks.mujoco_task import MujocoDefinition
 from mapt.tasks.partition import Joint, Partition, hinge
 from mapt.tasks.robots import ant, swimmer
 
@@ -25,7 +25,7 @@ _LIMITED = mujoco.mjtLimited.mjLIMITED_TRUE
 _MOTOR_GEAR = 150.0
 
 
-def entry(name: str) -> MujocoEntry | None:
+def definition(name: str) -> MujocoDefinition | None:
     """The task that a name such as ManySegmentAnt-2x3 asks for, or None if it asks for none of these."""
     match = re.fullmatch(r"(ManySegmentSwimmer|ManySegmentAnt)-([1-9]\d?)x([1-9]\d?)", name)
     if match is None or int(match[2]) * int(match[3]) < 2:
@@ -33,7 +33,7 @@ def entry(name: str) -> MujocoEntry | None:
     return _FAMILIES[match[1]](int(match[2]), int(match[3]))
 
 
-def _swimmer(n_agents: int, per_agent: int) -> MujocoEntry:
+def _swimmer(n_agents: int, per_agent: int) -> MujocoDefinition:
     n = n_agents * per_agent
     names = [f"rot{index}" for index in range(n)]
     partition = Partition(
@@ -42,11 +42,11 @@ def _swimmer(n_agents: int, per_agent: int) -> MujocoEntry:
         agents=tuple(tuple(names[first : first + per_agent]) for first in range(0, n, per_agent)),
         shared=(),
     )
-    scene = MujocoScene(partial(describe_swimmer, n), 3 + n, 3 + n, swimmer.PHYSICS_STEP_SECONDS, partition)
-    return MujocoEntry(
+    robot = Robot(partial(describe_swimmer, n), 3 + n, 3 + n, swimmer.PHYSICS_STEP_SECONDS, partition)
+    return MujocoDefinition(
         name=f"ManySegmentSwimmer-{n_agents}x{per_agent}",
-        scene=scene,
-        rules=swimmer.rules(n),
+        robot=robot,
+        mdp=swimmer.mdp(n),
         agent_names=_numbered(n_agents),
         instructions=swimmer.INSTRUCTIONS,
     )
@@ -129,7 +129,7 @@ def _drive(spec: mujoco.MjSpec, joints: list[str]) -> None:
         )
 
 
-def _ant(n_agents: int, per_agent: int) -> MujocoEntry:
+def _ant(n_agents: int, per_agent: int) -> MujocoDefinition:
     n = n_agents * per_agent
     segments = [_segment(index, n) for index in range(n)]
     # A segment sees the hips in front of it, which MaMuJoCo's graph holds twice, and is not seen by them.
@@ -148,11 +148,11 @@ def _ant(n_agents: int, per_agent: int) -> MujocoEntry:
         shared=ant.SHARED,
         seen_once=frozenset({"contact_forces"}),
     )
-    scene = MujocoScene(partial(describe_ant, n), 7 + 4 * n, 6 + 4 * n, ant.PHYSICS_STEP_SECONDS, partition)
-    return MujocoEntry(
+    robot = Robot(partial(describe_ant, n), 7 + 4 * n, 6 + 4 * n, ant.PHYSICS_STEP_SECONDS, partition)
+    return MujocoDefinition(
         name=f"ManySegmentAnt-{n_agents}x{per_agent}",
-        scene=scene,
-        rules=ant.rules(4 * n, 1 + 7 * n, height_metres=0.75),
+        robot=robot,
+        mdp=ant.mdp(4 * n, 1 + 7 * n, height_metres=0.75),
         agent_names=_numbered(n_agents),
         instructions=ant.INSTRUCTIONS,
     )
@@ -188,7 +188,7 @@ def _numbered(n_agents: int) -> tuple[str, ...]:
     return tuple(f"part {number}" for number in range(1, n_agents + 1))
 
 
-_FAMILIES: dict[str, Callable[[int, int], MujocoEntry]] = {"ManySegmentSwimmer": _swimmer, "ManySegmentAnt": _ant}
+_FAMILIES: dict[str, Callable[[int, int], MujocoDefinition]] = {"ManySegmentSwimmer": _swimmer, "ManySegmentAnt": _ant}
 
 #: Sizes that are listed: those of the paper that made these bodies (FACMAC), and one agent per segment.
 TASKS = (_swimmer(10, 2), _swimmer(6, 1), _ant(2, 3), _ant(3, 1))

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from mapt.tasks.mujoco_definition import Float64s, Frame, MujocoRules, MujocoScene, gymnasium_asset, squared
-from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.mujoco_definition import Features, FloatArray, MujocoMdp, Robot, gymnasium_asset, sum_of_squares
+from mapt.tasks.mujoco_task import MujocoDefinition
 from mapt.tasks.partition import Joint, Partition, columns, hinge
 
 NEAR_WEIGHT = 0.5
@@ -21,7 +21,7 @@ N_BODIES = 13
 TIP, OBJECT, GOAL = 10, 11, 12
 
 
-def draw_start(rng: np.random.Generator, n: int) -> tuple[Float64s, Float64s]:
+def sample_start(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
     """The arm at zero and nearly at rest, the object anywhere but at the goal."""
     qpos = np.zeros((n, NQ))
     qpos[:, 7:9] = _objects(rng, n)
@@ -30,7 +30,7 @@ def draw_start(rng: np.random.Generator, n: int) -> tuple[Float64s, Float64s]:
     return qpos, qvel
 
 
-def _objects(rng: np.random.Generator, n: int) -> Float64s:
+def _objects(rng: np.random.Generator, n: int) -> FloatArray:
     """(n, 2): drawn anew until none is too near the goal."""
     places = np.zeros((n, 2))
     while (near := np.flatnonzero(np.linalg.norm(places, axis=1) <= OBJECT_CLEARANCE_METRES)).size:
@@ -38,12 +38,12 @@ def _objects(rng: np.random.Generator, n: int) -> Float64s:
     return places
 
 
-def reward(_before: Frame, after: Frame, controls: Float64s) -> Float64s:
+def reward(_before: Features, after: Features, controls: FloatArray) -> FloatArray:
     """Distances in metres of the object from the goal and, half as much, from the tip, and the controls, as costs."""
     places = after["xpos"]
     to_goal = np.linalg.norm(places[:, OBJECT] - places[:, GOAL], axis=1)
     to_tip = np.linalg.norm(places[:, OBJECT] - places[:, TIP], axis=1)
-    return -to_goal - NEAR_WEIGHT * to_tip - CONTROL_COST_WEIGHT * squared(controls)
+    return -to_goal - NEAR_WEIGHT * to_tip - CONTROL_COST_WEIGHT * sum_of_squares(controls)
 
 
 SHOULDER = ("r_shoulder_pan_joint", "r_shoulder_lift_joint", "r_upper_arm_roll_joint")
@@ -68,12 +68,12 @@ _PARTITION = Partition(
 )
 
 TASKS = (
-    MujocoEntry(
+    MujocoDefinition(
         name="Pusher-3p",
-        scene=MujocoScene(gymnasium_asset("pusher_v5.xml"), NQ, NV, 0.01, _PARTITION),
-        rules=MujocoRules(
+        robot=Robot(gymnasium_asset("pusher_v5.xml"), NQ, NV, 0.01, _PARTITION),
+        mdp=MujocoMdp(
             frame_skip=5,
-            draw_start=draw_start,
+            sample_start=sample_start,
             reward=reward,
             before=(),
             fields={"xpos": (N_BODIES, 3)},

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mapt.tasks.mujoco_definition import Float64s, Frame, MujocoRules, MujocoScene, gymnasium_asset, squared
-from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.mujoco_definition import Features, FloatArray, MujocoMdp, Robot, gymnasium_asset, sum_of_squares
+from mapt.tasks.mujoco_task import MujocoDefinition
 from mapt.tasks.partition import Joint, Partition, columns
 
 ANGLE_NOISE = 0.1
@@ -14,7 +14,7 @@ NQ = NV = 4
 FINGERTIP, TARGET = 3, 4
 
 
-def draw_start(rng: np.random.Generator, n: int) -> tuple[Float64s, Float64s]:
+def sample_start(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
     """An arm nearly straight and nearly at rest, and a target anywhere within its reach."""
     qpos = rng.uniform(-ANGLE_NOISE, ANGLE_NOISE, size=(n, NQ))
     qpos[:, 2:] = _targets(rng, n)
@@ -23,7 +23,7 @@ def draw_start(rng: np.random.Generator, n: int) -> tuple[Float64s, Float64s]:
     return qpos, qvel
 
 
-def _targets(rng: np.random.Generator, n: int) -> Float64s:
+def _targets(rng: np.random.Generator, n: int) -> FloatArray:
     """(n, 2): even over a disc, by drawing from the square about it until all lie within."""
     targets = np.full((n, 2), np.inf)
     while (outside := np.flatnonzero(np.linalg.norm(targets, axis=1) >= TARGET_RADIUS_METRES)).size:
@@ -31,7 +31,7 @@ def _targets(rng: np.random.Generator, n: int) -> Float64s:
     return targets
 
 
-def measure(frame: Frame) -> None:
+def measure(frame: Features) -> None:
     """Sines and cosines of the arm's angles, and the way from the target to the fingertip."""
     angles = frame["qpos"][:, :2]
     np.sin(angles, out=frame["sine"])
@@ -39,9 +39,9 @@ def measure(frame: Frame) -> None:
     np.subtract(frame["xpos"][:, FINGERTIP], frame["xpos"][:, TARGET], out=frame["miss"])
 
 
-def reward(_before: Frame, after: Frame, controls: Float64s) -> Float64s:
-    """The fingertip's distance from the target in metres, and the squared controls, both as costs."""
-    return -np.linalg.norm(after["miss"], axis=1) - squared(controls)
+def reward(_before: Features, after: Features, controls: FloatArray) -> FloatArray:
+    """The fingertip's distance from the target in metres, and the sum_of_squares controls, both as costs."""
+    return -np.linalg.norm(after["miss"], axis=1) - sum_of_squares(controls)
 
 
 _SHOULDER = Joint("joint0", 0, own=(("sine", 0), ("cosine", 0), ("qvel", 0)), near=(("sine", 0), ("cosine", 0)))
@@ -59,12 +59,12 @@ _PARTITION = Partition(
 )
 
 TASKS = (
-    MujocoEntry(
+    MujocoDefinition(
         name="Reacher-2x1",
-        scene=MujocoScene(gymnasium_asset("reacher.xml"), NQ, NV, 0.01, _PARTITION),
-        rules=MujocoRules(
+        robot=Robot(gymnasium_asset("reacher.xml"), NQ, NV, 0.01, _PARTITION),
+        mdp=MujocoMdp(
             frame_skip=2,
-            draw_start=draw_start,
+            sample_start=sample_start,
             reward=reward,
             before=(),
             fields={"xpos": (5, 3)},

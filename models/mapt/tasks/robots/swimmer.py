@@ -3,15 +3,15 @@
 import numpy as np
 
 from mapt.tasks.mujoco_definition import (
-    Float64s,
-    Frame,
-    MujocoRules,
-    MujocoScene,
+    Features,
+    FloatArray,
+    MujocoMdp,
+    Robot,
     gymnasium_asset,
-    squared,
-    uniform_about,
+    sum_of_squares,
+    uniform_start,
 )
-from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.mujoco_task import MujocoDefinition
 from mapt.tasks.partition import Joint, Partition, columns
 
 FRAME_SKIP = 4
@@ -22,18 +22,18 @@ START_NOISE = 0.1
 INSTRUCTIONS = "The swimmer should swim to the right as fast as it can, in even strokes."
 
 
-def reward(before: Frame, after: Frame, controls: Float64s) -> Float64s:
+def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
     """Forward speed less the cost of the controls."""
     speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
-    return speed - CONTROL_COST_WEIGHT * squared(controls)
+    return speed - CONTROL_COST_WEIGHT * sum_of_squares(controls)
 
 
-def rules(n_joints: int) -> MujocoRules:
-    """The rules for a swimmer of this many driven joints, after x, y and heading."""
+def mdp(n_joints: int) -> MujocoMdp:
+    """The mdp for a swimmer of this many driven joints, after x, y and heading."""
     size = 3 + n_joints
-    return MujocoRules(
+    return MujocoMdp(
         frame_skip=FRAME_SKIP,
-        draw_start=uniform_about(np.zeros(size), size, START_NOISE),
+        sample_start=uniform_start(np.zeros(size), size, START_NOISE),
         reward=reward,
         state=columns("qpos", 2, size) + columns("qvel", 0, size),
     )
@@ -50,10 +50,10 @@ _PARTITION = Partition(
 )
 
 TASKS = (
-    MujocoEntry(
+    MujocoDefinition(
         name="Swimmer-2x1",
-        scene=MujocoScene(gymnasium_asset("swimmer.xml"), 5, 5, PHYSICS_STEP_SECONDS, _PARTITION),
-        rules=rules(2),
+        robot=Robot(gymnasium_asset("swimmer.xml"), 5, 5, PHYSICS_STEP_SECONDS, _PARTITION),
+        mdp=mdp(2),
         agent_names=("front joint", "back joint"),
         instructions=INSTRUCTIONS,
     ),

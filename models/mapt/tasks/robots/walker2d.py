@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.tasks.mujoco_definition import (
-    Float64s,
-    Frame,
-    MujocoRules,
-    MujocoScene,
+    Features,
+    FloatArray,
+    MujocoMdp,
+    Robot,
     gymnasium_asset,
-    squared,
-    uniform_about,
+    sum_of_squares,
+    uniform_start,
 )
-from mapt.tasks.mujoco_task import MujocoEntry
+from mapt.tasks.mujoco_task import MujocoDefinition
 from mapt.tasks.partition import Partition, columns, hinge
 
 FRAME_SKIP = 4
@@ -43,30 +43,30 @@ EDGES = (
 INSTRUCTIONS = "The walker should walk or run to the right as fast as it can, upright and without falling over."
 
 
-def healthy(frame: Frame) -> NDArray[np.bool_]:
+def healthy(frame: Features) -> NDArray[np.bool_]:
     """(E,) bool: upright, neither fallen nor in the air."""
     low, high = HEALTHY_HEIGHT_METRES
     height, angle = frame["qpos"][:, 1], frame["qpos"][:, 2]
     return (low < height) & (height < high) & (np.abs(angle) < HEALTHY_ANGLE_RADIANS)
 
 
-def terminated(frame: Frame) -> NDArray[np.bool_]:
+def terminated(frame: Features) -> NDArray[np.bool_]:
     return ~healthy(frame)
 
 
-def reward(before: Frame, after: Frame, controls: Float64s) -> Float64s:
+def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
     """Forward speed and one for every healthy step, less the cost of the controls."""
     speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
-    return speed + HEALTHY_REWARD * healthy(after) - CONTROL_COST_WEIGHT * squared(controls)
+    return speed + HEALTHY_REWARD * healthy(after) - CONTROL_COST_WEIGHT * sum_of_squares(controls)
 
 
-def clip_speeds(frame: Frame) -> None:
+def clip_speeds(frame: Features) -> None:
     np.clip(frame["qvel"], -STATE_SPEED, STATE_SPEED, out=frame["state_qvel"])
 
 
-RULES = MujocoRules(
+MDP = MujocoMdp(
     frame_skip=FRAME_SKIP,
-    draw_start=uniform_about(np.array([0.0, 1.25, *[0.0] * 7]), NV, START_NOISE),
+    sample_start=uniform_start(np.array([0.0, 1.25, *[0.0] * 7]), NV, START_NOISE),
     reward=reward,
     terminated=terminated,
     features={"state_qvel": (NV,)},
@@ -75,15 +75,15 @@ RULES = MujocoRules(
 )
 
 
-def _entry(conf: str, agents: tuple[tuple[str, ...], ...], names: tuple[str, ...]) -> MujocoEntry:
+def _definition(conf: str, agents: tuple[tuple[str, ...], ...], names: tuple[str, ...]) -> MujocoDefinition:
     partition = Partition(JOINTS, EDGES, agents, columns("qpos", 1, 3) + columns("qvel", 0, 3))
-    scene = MujocoScene(gymnasium_asset("walker2d_v5.xml"), NQ, NV, PHYSICS_STEP_SECONDS, partition)
-    return MujocoEntry(f"Walker2d-{conf}", scene, RULES, names, INSTRUCTIONS)
+    robot = Robot(gymnasium_asset("walker2d_v5.xml"), NQ, NV, PHYSICS_STEP_SECONDS, partition)
+    return MujocoDefinition(f"Walker2d-{conf}", robot, MDP, names, INSTRUCTIONS)
 
 
 TASKS = (
-    _entry("2x3", (RIGHT, LEFT), ("right leg", "left leg")),
-    _entry(
+    _definition("2x3", (RIGHT, LEFT), ("right leg", "left leg")),
+    _definition(
         "6x1",
         tuple((name,) for name in (*RIGHT, *LEFT)),
         ("right foot", "right shin", "right thigh", "left foot", "left shin", "left thigh"),

@@ -9,8 +9,8 @@ from gymnasium import spaces
 from gymnasium_robotics import mamujoco_v1
 from pettingzoo import ParallelEnv
 
-from mapt.tasks import DrawnTask, MaskingTask, NoPicture, Task, TaskExists, make_task, register_task, task_names
-from mapt.tasks.pettingzoo_task import ParallelEntry
+from mapt.tasks import MaskingTask, NoPicture, RenderableTask, Task, TaskExists, make_task, register_task, task_names
+from mapt.tasks.pettingzoo_task import PettingZooDefinition
 
 
 @pytest.fixture(autouse=True)
@@ -54,7 +54,7 @@ class Levers(ParallelEnv):
         return seen, rewards, dict.fromkeys(actions, broken), flags, {}
 
 
-LEVERS = ParallelEntry("Levers-2", Levers, horizon_steps=6, step_seconds=0.5, instructions="Pull lever 2.")
+LEVERS = PettingZooDefinition("Levers-2", Levers, horizon_steps=6, step_seconds=0.5, instructions="Pull lever 2.")
 
 
 def levers(n_envs: int) -> Task:
@@ -107,10 +107,10 @@ def test_a_restored_environment_goes_on_as_it_would_have() -> None:
 
 
 def test_continuous_agents_of_another_library_are_driven_and_seen() -> None:
-    entry = ParallelEntry(
+    definition = PettingZooDefinition(
         "Foreign-3p", lambda: mamujoco_v1.parallel_env("Pusher", "3p"), 100, 0.05, "Push the object onto the goal."
     )
-    task = entry.make(2, n_threads=1, agent_obsk=1, agent_index=False, dtype=np.float64)
+    task = definition.make(2, n_threads=1, agent_obsk=1, agent_index=False, dtype=np.float64)
     assert (task.spec.agent_action_dims, task.spec.action_limit, task.spec.state_dim) == ((3, 1, 3), 2.0, 23)
     task.reset(0)
     steps = [task.step(np.ones((2, 3, 3))) for _ in range(100)]
@@ -123,7 +123,7 @@ def test_continuous_agents_of_another_library_are_driven_and_seen() -> None:
 
 def test_a_task_that_cannot_draw_says_how_it_could() -> None:
     task = levers(1)
-    assert isinstance(task, DrawnTask)
+    assert isinstance(task, RenderableTask)
     task.reset(0)
     with pytest.raises(NoPicture, match="rgb_array"):
         task.render(0)
@@ -135,10 +135,10 @@ class DrawnLevers(Levers):
 
 
 def test_an_environment_that_draws_itself_is_drawn_as_it_is_now() -> None:
-    task = ParallelEntry("Drawn", DrawnLevers, 6, 0.5, "").make(
+    task = PettingZooDefinition("Drawn", DrawnLevers, 6, 0.5, "").make(
         2, n_threads=1, agent_obsk=1, agent_index=False, dtype=np.float32
     )
-    assert isinstance(task, DrawnTask)
+    assert isinstance(task, RenderableTask)
     task.reset(0)
     task.step(one_hot([[1, 1], [2, 1]]))
     assert [int(task.render(env).max()) for env in range(2)] == [11, 12]
@@ -146,9 +146,9 @@ def test_an_environment_that_draws_itself_is_drawn_as_it_is_now() -> None:
 
 
 def test_a_registered_name_is_known_and_taken() -> None:
-    entry = ParallelEntry(f"Levers-{os.getpid()}", Levers, 6, 0.5, "Pull lever 2.")
-    register_task(entry)
-    assert entry.name in task_names()
-    assert make_task(entry.name, 1).spec.name == entry.name
+    definition = PettingZooDefinition(f"Levers-{os.getpid()}", Levers, 6, 0.5, "Pull lever 2.")
+    register_task(definition)
+    assert definition.name in task_names()
+    assert make_task(definition.name, 1).spec.name == definition.name
     with pytest.raises(TaskExists):
-        register_task(entry)
+        register_task(definition)

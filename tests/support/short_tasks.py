@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from mapt.tasks import MujocoEntry, register_task
-from mapt.tasks.registry import VARIABLE, find_entry
+from mapt.tasks import MujocoDefinition, register_task
+from mapt.tasks.registry import TASK_FILES_VARIABLE, find_definition
 
 #: HalfCheetah-6x1 with episodes a twentieth as long
 NAME = "ShortHalfCheetah-6x1"
@@ -17,21 +17,21 @@ HORIZON_STEPS = 50
 #: HalfCheetah-2x3 with episodes a fiftieth as long
 SHORTEST_NAME = "ShortestHalfCheetah-2x3"
 SHORTEST_HORIZON_STEPS = 20
-ENVIRONMENT = {VARIABLE: __file__}
+ENVIRONMENT = {TASK_FILES_VARIABLE: __file__}
 
 
 @pytest.fixture
 def short_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lets this process and those it starts know the tasks with short episodes."""
-    monkeypatch.setenv(VARIABLE, __file__)
+    monkeypatch.setenv(TASK_FILES_VARIABLE, __file__)
 
 
 def _register(whole: str, name: str, horizon_steps: int) -> None:
-    entry = find_entry(whole)
-    assert isinstance(entry, MujocoEntry)
-    register_task(replace(entry, name=name, horizon_steps=horizon_steps))
+    definition = find_definition(whole)
+    assert isinstance(definition, MujocoDefinition)
+    register_task(replace(definition, name=name, horizon_steps=horizon_steps))
 
 
-if __name__ == "short_cheetah":  # run as a file of tasks
+if __name__ == "short_tasks":  # run as a file of tasks
     _register("HalfCheetah-6x1", NAME, HORIZON_STEPS)
     _register("HalfCheetah-2x3", SHORTEST_NAME, SHORTEST_HORIZON_STEPS)
