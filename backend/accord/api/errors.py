@@ -15,6 +15,7 @@ from accord.api.schemas import ErrorBody, ErrorResponse
 from accord.domain.errors import (
     AccordError,
     BodyTooLarge,
+    DatabaseFull,
     Forbidden,
     Invalid,
     LeaseLost,
@@ -40,6 +41,7 @@ STATUS: tuple[tuple[type[AccordError], int], ...] = (
     (BodyTooLarge, 413),
     (Invalid, 422),
     (TooManyRequests, 429),
+    (DatabaseFull, 507),
     (Unavailable, 503),
 )
 _HTTP_MESSAGES = {
@@ -83,7 +85,10 @@ def install(app: FastAPI) -> None:
 
     async def on_accord_error(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, AccordError)
-        if status_of(error) >= 500:
+        if isinstance(error, DatabaseFull):
+            # Every request that writes fails this way until there is space; tracebacks would fill the log's disk.
+            log.error("%s: %s", error.code, error)
+        elif status_of(error) >= 500:
             log.error("%s: %s", error.code, error, exc_info=error)
         return accord_error_response(error)
 

@@ -14,7 +14,8 @@
     │   ├── InvalidLabel, InvalidId, InvalidExperiment, UnknownTask, BodyTooLarge
     ├── TooManyRequests
     └── Unavailable                   this machine cannot do it now; says how to mend it
-        ├── DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable, PortInUse, BlobMissing, TaskUnavailable
+        ├── DatabaseTooNew, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, BlobMissing,
+            PortInUse, TaskUnavailable
 
 Nothing here knows of HTTP: `accord.api.errors` maps a class to a status. `code` is stable and part of the
 public API; the message is a sentence that says what was wrong and what to do.
@@ -192,6 +193,12 @@ class DatabaseTooNew(Unavailable):
 
 class DatabaseUnreachable(Unavailable):
     code = "database_unreachable"
+
+
+class DatabaseFull(Unavailable):
+    """There is no space left for the database; nothing of the request was stored."""
+
+    code = "database_full"
 
 
 class BlobsNotWritable(Unavailable):

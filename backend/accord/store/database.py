@@ -1,5 +1,6 @@
 """One database: how it is opened, how a transaction begins and ends, how its tables are brought up to date."""
 
+import sqlite3
 from collections.abc import Generator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -10,7 +11,7 @@ from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError, OperationalError
 from sqlalchemy.orm import Session
 
-from accord.domain.errors import DatabaseUnreachable
+from accord.domain.errors import DatabaseFull, DatabaseUnreachable
 from accord.store.group_commit import CommitFailed, GroupCommit
 from accord.store.migrate import upgrade
 
@@ -65,7 +66,8 @@ class Database:
         """A transaction that may write: committed at the end of the block, rolled back if the block raises.
 
         Raises:
-            DatabaseUnreachable: if the database cannot be reached, is locked, is full or cannot be written.
+            DatabaseFull: if its disk is full.
+            DatabaseUnreachable: if it cannot be reached or written, or stays locked.
         """
         with self._errors_named(), self._writing() as session:
             yield session
@@ -115,15 +117,27 @@ class Database:
             yield
         except (DatabaseError, CommitFailed) as failure:
             error = failure.__cause__ if isinstance(failure, CommitFailed) else failure
-            # its other subclasses tell of a mistake of ours, not of the machine
-            if type(error) not in (OperationalError, DatabaseError):
-                raise
-            assert isinstance(error, DatabaseError)
             url = self.engine.url.render_as_string(hide_password=True)
+            if isinstance(error, DatabaseError) and _is_full(error):
+                raise DatabaseFull(
+                    f"There is no space left for the database {url}, so nothing of this request was stored. "
+                    "Free some space on its disk, then try again."
+                ) from failure
+            # The other subclasses of DatabaseError report a mistake in a statement, not a fault of the machine.
+            if type(error) not in (OperationalError, DatabaseError, MemoryError):
+                raise
+            reason = error.orig if isinstance(error, DatabaseError) else "out of memory"
             raise DatabaseUnreachable(
-                f"The database {url} did not do it: {error.orig}. "
-                "Check that it is there, running, writable and not full."
+                f"The database {url} failed: {reason}. Check that it exists, runs, is writable and has space left."
             ) from failure
+
+
+def _is_full(error: DatabaseError) -> bool:
+    """Whether SQLite (result code FULL) or Postgres (state disk_full) had no space left."""
+    return (
+        getattr(error.orig, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL
+        or getattr(error.orig, "sqlstate", None) == "53100"
+    )
 
 
 def _sqlite(url: URL) -> Engine:

@@ -7,11 +7,14 @@ savepoint of its own, and the last of them commits for all. Each still waits for
 block has written is on disk when the block has ended, or the block raises.
 """
 
+import sqlite3
 import threading
 from collections.abc import Generator
 from contextlib import contextmanager
+from typing import cast
 
 from sqlalchemy import Connection, Engine
+from sqlalchemy.exc import DatabaseError
 from sqlalchemy.orm import Session
 
 #: after so many the transaction is committed even if more are waiting: other processes want to write as well
@@ -19,7 +22,7 @@ LARGEST_GROUP = 64
 
 
 class CommitFailed(Exception):
-    """The commit that several blocks shared failed; none of them has written anything. `__cause__` says why."""
+    """The transaction that several blocks shared failed; none of them has written anything. `__cause__` says why."""
 
 
 class _Group:
@@ -28,26 +31,70 @@ class _Group:
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
         self.members = 0
+        #: why the transaction cannot be committed; None while it can
+        self.error: BaseException | None = None
         self._ended = threading.Event()
-        self._error: Exception | None = None
+
+    @contextmanager
+    def member(self) -> Generator[Session]:
+        """A session within its own savepoint, which is rolled back if the block raises."""
+        self.members += 1
+        with Session(self.connection, expire_on_commit=False, join_transaction_mode="create_savepoint") as session:
+            try:
+                yield session
+                session.commit()
+            except BaseException as error:
+                self._undo(session, error)
+                raise
+
+    def _undo(self, session: Session, error: BaseException) -> None:
+        """Rolls one member back, or marks the whole group as failed where that cannot be done.
+
+        On SQLITE_FULL, SQLITE_IOERR and SQLITE_NOMEM, SQLite may roll the whole transaction back, with the savepoints
+        of the members before. A COMMIT would then succeed and write nothing.
+        """
+        try:
+            session.rollback()
+        except DatabaseError:
+            self.error = _first_of(error)
+        if not self._in_transaction():
+            self.error = _first_of(error)
+
+    def _in_transaction(self) -> bool:
+        if self.connection.invalidated:
+            return False
+        driver = cast(sqlite3.Connection, self.connection.connection.dbapi_connection)
+        return driver.in_transaction
 
     def end(self) -> None:
-        """Commits for all members."""
+        """Commits for all members, unless the group has failed."""
         try:
-            self.connection.commit()
+            if self.error is None:
+                self.connection.commit()
         except Exception as error:  # noqa: BLE001 (every member raises it)
-            self._error = error
-            # Nobody knows what state it is in; closing it for good undoes what it had open.
-            self.connection.invalidate(error)
+            self.error = error
         finally:
+            if self.error is not None:
+                # The state of the connection is unknown; closing it rolls back whatever is still open.
+                self.connection.invalidate(self.error)
             self.connection.close()
             self._ended.set()
 
     def wait(self) -> None:
-        """Raises CommitFailed if this group's commit failed."""
+        """Waits for the commit. Raises CommitFailed if the group failed."""
         self._ended.wait()
-        if self._error is not None:
-            raise CommitFailed(str(self._error)) from self._error
+        if self.error is not None:
+            raise CommitFailed(str(self.error)) from self.error
+
+
+def _first_of(error: BaseException) -> BaseException:
+    """The database's first error: a session that rolls back after it raises a second one, `no such savepoint`."""
+    first = error
+    while error.__context__ is not None:
+        error = error.__context__
+        if isinstance(error, DatabaseError):
+            first = error
+    return first
 
 
 class GroupCommit:
@@ -77,12 +124,7 @@ class GroupCommit:
             try:
                 self._owner = threading.get_ident()
                 group = self._group or self._begin()
-                with (
-                    Session(
-                        group.connection, expire_on_commit=False, join_transaction_mode="create_savepoint"
-                    ) as session,
-                    session.begin(),
-                ):
+                with group.member() as session:
                     yield session
             finally:
                 if group is not None:
@@ -116,8 +158,7 @@ class GroupCommit:
         return self._group
 
     def _leave(self, group: _Group) -> None:
-        """Commits, unless another thread waits for its turn: then that one will, or the one after it."""
-        group.members += 1
-        if self._waiting == 0 or group.members >= LARGEST_GROUP:
+        """Ends the group, unless another thread waits for its turn: that one ends it, or the one after it."""
+        if self._waiting == 0 or group.members >= LARGEST_GROUP or group.error is not None:
             self._group = None
             group.end()
