@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import torch
 
-from mapt.rewards.errors import InvalidConfig
+from mapt.errors import InvalidConfig
 
 
 def resolve_device(name: str) -> torch.device:

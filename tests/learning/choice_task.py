@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.tasks import InvalidAction, InvalidSnapshot, TaskSpec, TaskStep
+from mapt.errors import InvalidAction, InvalidSnapshot
+from mapt.tasks import TaskSpec, TaskStep
 from mapt.tasks.snapshot import generator_from_array, generator_to_array
 
 N_AGENTS = 2

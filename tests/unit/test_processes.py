@@ -6,8 +6,8 @@ from multiprocessing import active_children
 
 import pytest
 
+from mapt.errors import InvalidConfig
 from mapt.processes import Desk, run_jobs
-from mapt.training.errors import InvalidRun
 
 
 def count(job: int, desk: Desk) -> int:
@@ -24,7 +24,7 @@ def wait_until_unwanted(job: str, desk: Desk) -> str:
 
 
 def fail(job: str, desk: Desk) -> None:
-    raise InvalidRun("a sentence") if job == "ours" else LookupError("nothing there")
+    raise InvalidConfig("a sentence") if job == "ours" else LookupError("nothing there")
 
 
 def test_what_is_told_comes_in_order_and_before_the_result():

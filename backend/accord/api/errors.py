@@ -27,7 +27,7 @@ from accord.domain.errors import (
     WrongState,
 )
 from accord.domain.ids import new_id
-from mapt.tasks import TaskError
+from mapt.errors import TaskError
 
 log = logging.getLogger(__name__)
 

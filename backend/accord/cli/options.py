@@ -8,8 +8,8 @@ import typer
 
 from accord.domain.errors import Invalid
 from accord.settings import Settings
-from mapt.benchmarks.errors import InvalidStudy
 from mapt.benchmarks.specification import numbers, setting, words
+from mapt.errors import InvalidConfig
 from mapt.preferences.teachers import PRESETS, teacher_names
 
 Home = Annotated[
@@ -73,7 +73,7 @@ def parse_numbers(option: str, text: str, least: int) -> tuple[int, ...]:
     """Raises Invalid, with an example."""
     try:
         return numbers(option, text, least)
-    except InvalidStudy as error:
+    except InvalidConfig as error:
         raise Invalid(f"{error}.") from error
 
 
@@ -81,7 +81,7 @@ def parse_words(option: str, text: str) -> tuple[str, ...]:
     """Raises Invalid."""
     try:
         return words(option, text)
-    except InvalidStudy as error:
+    except InvalidConfig as error:
         raise Invalid(f"{error}.") from error
 
 
@@ -93,5 +93,5 @@ def parse_settings(option: str, texts: Sequence[str], example: str) -> dict[str,
     """
     try:
         return dict(setting(text) for text in texts)
-    except InvalidStudy as error:
+    except InvalidConfig as error:
         raise Invalid(f"{option} {error}. One looks like {example}.") from error

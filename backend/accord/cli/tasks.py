@@ -2,7 +2,7 @@
 
 from accord.cli.output import out
 from accord.domain.errors import Unavailable
-from mapt.tasks import TaskError
+from mapt.errors import TaskError
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK, task_listing
 
 

@@ -19,7 +19,7 @@ from accord.cli.options import Home, Parameters, TeacherName, Token, Url, load_s
 from accord.cli.output import out, say
 from accord.domain.errors import Invalid
 from accord.workers.runner import Stop
-from mapt.preferences.errors import PreferenceError
+from mapt.errors import PreferenceError
 from mapt.preferences.teachers import Evidence, ScriptedTeacher, make_teacher
 
 

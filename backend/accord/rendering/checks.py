@@ -12,8 +12,8 @@ from av.error import FFmpegError
 
 from accord.domain.checks import Check
 from accord.rendering.process import RenderingUnavailable
+from mapt.errors import ClipNotWritten
 from mapt.rendering.encode import CODEC, write_clip
-from mapt.rendering.errors import ClipNotWritten
 from mapt.rendering.offscreen import BACKENDS, INSTALL, Backend, run_rendering_module
 from mapt.rendering.settings import RenderSettings
 

@@ -13,7 +13,7 @@ from accord.services.policy_settings import policy_settings
 from accord.services.texts import check_line, check_lines
 from accord.store import experiments
 from accord.store.tables import ExperimentRow, utc_now
-from mapt.tasks import UnknownTask as TaskIsUnknown
+from mapt.errors import UnknownTask as TaskIsUnknown
 from mapt.tasks import task_names, task_spec
 
 _OVER = frozenset({ExperimentStatus.CANCELLED, ExperimentStatus.FINISHED, ExperimentStatus.FAILED})

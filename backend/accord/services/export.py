@@ -20,8 +20,8 @@ from accord.store import exports
 from accord.store.blobs import BlobStore
 from accord.store.exports import ExportedLabel, ExportedQuery, ExportedSegment
 from accord.store.tables import ExperimentRow, RewardVersionRow, utc_now
+from mapt.errors import AlreadyExists, PreferenceError
 from mapt.preferences.dataset import SegmentArrays
-from mapt.preferences.errors import AlreadyThere, PreferenceError
 from mapt.preferences.formats.records import SegmentRecords, concatenate
 from mapt.preferences.formats.tables import LabelRow, QueryRow, SegmentRow, TableWriter
 
@@ -73,7 +73,7 @@ def write(
     """
     try:
         _write(blobs, found, folder, on_segments)
-    except AlreadyThere as error:
+    except AlreadyExists as error:
         raise Invalid(f"{folder} is there already. Choose another folder with --output.") from error
     except PreferenceError as error:
         raise Invalid(f"The segments of the experiment do not fit together: {error}.") from error

@@ -2,8 +2,8 @@
 
 from accord.domain.errors import InvalidExperiment
 from accord.domain.experiment import ExperimentConfig
+from mapt.errors import InvalidConfig
 from mapt.policies.config import PolicyConfig
-from mapt.policies.errors import InvalidConfig
 
 
 def policy_settings(config: ExperimentConfig, n_threads: int = 0) -> PolicyConfig:

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from accord.domain.ids import new_id
 from accord.store.blobs import BlobStore
 from accord.store.tables import RewardVersionRow
+from mapt.errors import DamagedCheckpoint
 from mapt.rewards.checkpoints import load_reward_model, save_reward_model
 from mapt.rewards.ensemble_storage import load_reward_ensemble, save_reward_ensemble
-from mapt.rewards.errors import DamagedCheckpoint
 from mapt.rewards.members import RewardEnsemble
 from mapt.rewards.model import RewardModel
 from mapt.training.run_folder import PolicyCheckpoint
@@ -37,7 +37,7 @@ def read_reward_model(blobs: BlobStore, weights_key: str) -> RewardModel:
 
     Raises:
         BlobMissing: if a blob of it is gone.
-        mapt.rewards.errors.CheckpointError: if it is damaged, or newer than this program.
+        CheckpointError: if it is damaged, or newer than this program.
     """
     card_key = weights_key.removesuffix(_WEIGHTS) + _CARD
     return load_reward_model(blobs.read(weights_key), blobs.read(card_key)).model
@@ -56,7 +56,7 @@ def store_checkpoint(blobs: BlobStore, experiment_id: str, steps: int, checkpoin
 
 
 def read_checkpoint(blobs: BlobStore, key: str) -> PolicyCheckpoint:
-    """Raises BlobMissing, mapt.policies.InvalidCheckpoint."""
+    """Raises BlobMissing, CheckpointError."""
     return PolicyCheckpoint.from_bytes(blobs.read(key))
 
 
@@ -90,7 +90,7 @@ class Ensembles:
         """The version's ensemble; None if it is to be trained (again).
 
         Raises:
-            mapt.rewards.errors.NewerCheckpoint: if a later version of this program wrote it.
+            NewerCheckpoint: if a later version of this program wrote it.
         """
         ensemble = self._kept.get(version.id) or self._read(version)
         if ensemble is not None:

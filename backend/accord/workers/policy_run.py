@@ -107,8 +107,8 @@ def start_or_restore(
 
     Raises:
         InvalidExperiment: if `config.policy` makes no sense; one that was made by another version may.
-        mapt.policies.InvalidConfig: if its device is not here.
-        BlobMissing, mapt.policies.InvalidCheckpoint: if the checkpoint is gone, or damaged.
+        InvalidConfig: if its device is not here.
+        BlobMissing, CheckpointError: if the checkpoint is gone, or damaged.
     """
     settings = policy_settings(config, n_threads)
     task = make_task(config.task, settings.n_envs, n_threads=n_threads)

@@ -12,16 +12,14 @@ from accord.workers.heartbeat import Claim, ClaimLost
 from accord.workers.pacing import waits_for
 from accord.workers.policy_run import Interrupted, PolicyRun, read_progress
 from accord.workers.runner import Context, run_worker, sentence
-from mapt.policies import InvalidConfig, TrainingDiverged
-from mapt.rendering.errors import ClipNotWritten
-from mapt.tasks import TaskError
+from mapt.errors import ClipNotWritten, InvalidAction, InvalidConfig, TaskError, TrainingDiverged
 
 log = logging.getLogger(__name__)
 
 #: while one experiment waits for labels, the worker looks this often whether another could be trained meanwhile
 _LOOK_AROUND_SECONDS = 2.0
 #: trying these again would end the same way: the experiment has failed, and says why
-_HOPELESS = (Invalid, InvalidConfig, TaskError, ClipNotWritten, TrainingDiverged)
+_HOPELESS = (Invalid, InvalidAction, InvalidConfig, TaskError, ClipNotWritten, TrainingDiverged)
 
 
 class PolicyWorker:

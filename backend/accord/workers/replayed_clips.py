@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from accord.services.collect import drawn_blob_key
 from accord.store.blobs import BlobStore
+from mapt.errors import NoSimulator, UnusableEnvironment
 from mapt.policies import Rollout
 from mapt.preferences.cutting import Stretch
 from mapt.rendering.encode import open_clip
 from mapt.rendering.settings import RenderSettings
-from mapt.tasks import NoSimulator, RenderableTask, Task, UnusableEnvironment, make_task
+from mapt.tasks import RenderableTask, Task, make_task
 
 
 def draws_itself(task: Task) -> bool:
@@ -52,7 +53,7 @@ class Redrawing:
             places: of the segments, in the order of their keys.
 
         Raises:
-            NoPicture: if the task draws nothing.
+            NotRenderable: if the task draws nothing.
             UnusableEnvironment: if it does not play again as it did.
             ClipNotWritten: if its pictures change in size, or cannot be encoded.
         """

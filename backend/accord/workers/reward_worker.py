@@ -20,11 +20,10 @@ from accord.workers.model_store import Ensembles, read_reward_model, store_rewar
 from accord.workers.pacing import version_is_due
 from accord.workers.query_planner import Asker, wants_ensemble
 from accord.workers.runner import Context, run_worker, sentence
+from mapt.errors import InvalidConfig, ModelMismatch, UnknownSelector
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.preferences.selection import UnknownSelector
 from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.ensemble import train_reward_ensemble
-from mapt.rewards.errors import InvalidConfig, ModelMismatch
 from mapt.rewards.model import RewardModel
 from mapt.rewards.trainer import TrainedReward, TrainProgress, train_reward_model
 

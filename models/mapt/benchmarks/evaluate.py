@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mapt.benchmarks.errors import InvalidStudy, TooFewLabels
 from mapt.benchmarks.recorded_dataset import Replay
 from mapt.benchmarks.specification import Written
+from mapt.errors import InvalidConfig, TooFewLabels
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.teachers import Evidence, ScriptedTeacher, make_teacher
 from mapt.rewards.data import EVALUATION_SEGMENTS
@@ -35,10 +35,10 @@ def split_replay(n_segments: int, seed: int) -> Split:
     """Keep some segments, drawn at random, for testing alone.
 
     Raises:
-        InvalidStudy: with fewer than 10 segments.
+        InvalidConfig: with fewer than 10 segments.
     """
     if n_segments < 10:
-        raise InvalidStudy(f"a replay of {n_segments} segments is too small to split; it needs 10")
+        raise InvalidConfig(f"a replay of {n_segments} segments is too small to split; it needs 10")
     n_test = min(MOST_TEST_SEGMENTS, round(TEST_SHARE * n_segments))
     order = np.random.default_rng([seed, 0]).permutation(n_segments)
     return Split(np.sort(order[n_test:]), np.sort(order[:n_test]))

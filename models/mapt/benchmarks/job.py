@@ -14,10 +14,10 @@ from safetensors.numpy import load_file, save
 
 import mapt.preferences
 import mapt.rewards
-from mapt.benchmarks.errors import DamagedCell, InvalidStudy
 from mapt.benchmarks.evaluate import Examination, Judge, examine, labelled_dataset, split_replay
 from mapt.benchmarks.recorded_dataset import Replay
 from mapt.benchmarks.specification import Written
+from mapt.errors import DamagedCell, InvalidConfig
 from mapt.io import atomic_write
 from mapt.preferences.storage import SegmentLayout
 from mapt.processes import Desk
@@ -256,11 +256,11 @@ class TablePlan:
         for name in ("models", "teachers", "labels", "seeds"):
             values = getattr(self, name)
             if not values or len(set(values)) != len(values):
-                raise InvalidStudy(f"{name} must be at least one, each once; got {', '.join(map(str, values))!r}")
+                raise InvalidConfig(f"{name} must be at least one, each once; got {', '.join(map(str, values))!r}")
         if min(self.labels) < 2 or min(self.seeds) < 0 or self.test_pairs < 1:
-            raise InvalidStudy("labels must be 2 or more, seeds 0 or more, test pairs 1 or more")
+            raise InvalidConfig("labels must be 2 or more, seeds 0 or more, test pairs 1 or more")
         if self.baseline not in self.models:
-            raise InvalidStudy(f"the baseline {self.baseline!r} is none of the models: {', '.join(self.models)}")
+            raise InvalidConfig(f"the baseline {self.baseline!r} is none of the models: {', '.join(self.models)}")
 
 
 def replay_folder(root: Path, seed: int) -> Path:
@@ -282,12 +282,12 @@ def table_jobs(plan: TablePlan, replays: Mapping[int, Replay], models: Path | No
         models: folder to keep the trained models in; None lets them go.
 
     Raises:
-        InvalidStudy, InvalidConfig, UnknownTeacher, InvalidTeacher: if a model, teacher or setting is unknown, or a
+        InvalidConfig, UnknownTeacher, InvalidTeacher: if a model, teacher or setting is unknown, or a
             replay does not fit.
     """
     for replay in replays.values():
         if replay.origin.get("task") != plan.task:
-            raise InvalidStudy(f"the replay in {replay.path} is of {replay.origin.get('task')}, not of {plan.task}")
+            raise InvalidConfig(f"the replay in {replay.path} is of {replay.origin.get('task')}, not of {plan.task}")
         split_replay(len(replay), 0)
     fingerprints = {seed: replay.fingerprint() for seed, replay in replays.items()}
     cells = [

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.benchmarks.errors import InvalidStudy, NoTrueRewards, RecordingStopped, ReplayNotFound
+from mapt.errors import InvalidConfig, NoTrueRewards, RecordingStopped, ReplayNotFound
 from mapt.policies import Learner, Policy, PolicyConfig, Rollout, train, true_reward
 from mapt.policies.rollout import Collector
 from mapt.preferences.cutting import Stretch, cut
@@ -159,15 +159,15 @@ def record_replay(
         physics_threads: as `n_threads` of `make_task`; nothing that is recorded depends on it.
 
     Raises:
-        InvalidStudy: if a number is out of its range.
+        InvalidConfig: if a number is out of its range.
         UnknownTask: if no task has this name.
-        AlreadyThere: if the folder holds anything.
+        AlreadyExists: if the folder holds anything.
     """
     config = PolicyConfig(seed=recording.seed, device="cpu")
     if not 1 <= recording.segment_steps <= config.rollout_steps:
-        raise InvalidStudy(f"segments of {recording.segment_steps} steps; a rollout has {config.rollout_steps}")
+        raise InvalidConfig(f"segments of {recording.segment_steps} steps; a rollout has {config.rollout_steps}")
     if recording.segments < 1 or recording.policy_steps < 1:
-        raise InvalidStudy("segments and policy steps must be 1 or more")
+        raise InvalidConfig("segments and policy steps must be 1 or more")
     rng = np.random.default_rng([recording.seed, 3])
     about = asdict(recording) | {"policy": config.to_dict()}
     task = make_task(recording.task, config.n_envs, n_threads=physics_threads)

@@ -20,9 +20,10 @@ from mapt.benchmarks.figures import (
 )
 from mapt.benchmarks.recorded_dataset import Replay
 from mapt.benchmarks.reward_analysis import Diagnosis, Sample, diagnose, draw_sample, rollout_series
+from mapt.errors import UnknownTask
 from mapt.rewards.data import check_fit
 from mapt.rewards.model import RewardModel
-from mapt.tasks import UnknownTask, task_spec
+from mapt.tasks import task_spec
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,7 @@ def make_report(models: dict[str, RewardModel], replay: Replay, plan: ReportPlan
 
     Raises:
         ModelMismatch: if a model is for segments of other dimensions.
-        UnknownTeacher, InvalidTeacher, InvalidStudy: if the plan does not fit.
+        UnknownTeacher, InvalidTeacher, InvalidConfig: if the plan does not fit.
     """
     for model in models.values():
         check_fit(model.config, replay.source)

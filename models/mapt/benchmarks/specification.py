@@ -4,7 +4,7 @@ NAME:setting=value:setting=value."""
 import json
 from dataclasses import dataclass
 
-from mapt.benchmarks.errors import InvalidStudy
+from mapt.errors import InvalidConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,15 +19,15 @@ class Written:
         """Read a text such as `MAPT:tpa=false:hidden_dim=128`.
 
         Raises:
-            InvalidStudy: if a part is no setting=value.
+            InvalidConfig: if a part is no setting=value.
         """
         name, *parts = text.strip().split(":")
         settings: dict[str, object] = {}
         for part in parts:
             try:
                 key, value = setting(part)
-            except InvalidStudy as error:
-                raise InvalidStudy(f"{error} in {text!r}; one looks like hidden_dim=128") from error
+            except InvalidConfig as error:
+                raise InvalidConfig(f"{error} in {text!r}; one looks like hidden_dim=128") from error
             settings[key] = value
         return cls(name, settings)
 
@@ -36,11 +36,11 @@ def setting(text: str) -> tuple[str, object]:
     """Key and value of KEY=VALUE: a number, true, false, null or a list as JSON writes them, or else a word.
 
     Raises:
-        InvalidStudy: if it is none.
+        InvalidConfig: if it is none.
     """
     name, equals, value = text.strip().partition("=")
     if not name or not equals:
-        raise InvalidStudy(f"{text!r} is no KEY=VALUE")
+        raise InvalidConfig(f"{text!r} is no KEY=VALUE")
     try:
         return name, json.loads(value)
     except ValueError:
@@ -51,11 +51,11 @@ def words(option: str, text: str) -> tuple[str, ...]:
     """The parts of a list with commas.
 
     Raises:
-        InvalidStudy: if one is empty or comes twice.
+        InvalidConfig: if one is empty or comes twice.
     """
     parts = tuple(part.strip() for part in text.split(","))
     if not all(parts) or len(set(parts)) != len(parts):
-        raise InvalidStudy(f"{option} {text!r} must name at least one, each once, with commas between")
+        raise InvalidConfig(f"{option} {text!r} must name at least one, each once, with commas between")
     return parts
 
 
@@ -63,12 +63,12 @@ def numbers(option: str, text: str, least: int) -> tuple[int, ...]:
     """The whole numbers of a list with commas.
 
     Raises:
-        InvalidStudy: if one is no number, too small, or comes twice.
+        InvalidConfig: if one is no number, too small, or comes twice.
     """
     try:
         parts = tuple(int(part) for part in words(option, text))
     except ValueError as error:
-        raise InvalidStudy(f"{option} {text!r} is no list of numbers; it looks like 0,1,2") from error
+        raise InvalidConfig(f"{option} {text!r} is no list of numbers; it looks like 0,1,2") from error
     if min(parts) < least or len(set(parts)) != len(parts):
-        raise InvalidStudy(f"{option} {text!r}: each must be {least} or more, and come once")
+        raise InvalidConfig(f"{option} {text!r}: each must be {least} or more, and come once")
     return parts

@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from mapt.benchmarks.errors import InvalidStudy
 from mapt.benchmarks.figures import draw_table
 from mapt.benchmarks.job import CellFolder, CellJob, TablePlan, code_fingerprint, make_cell, replay_folder, table_jobs
 from mapt.benchmarks.recorded_dataset import Recording, RecordingProgress, Replay, ReplayJob, make_replay
@@ -18,6 +17,7 @@ from mapt.benchmarks.specification import numbers, words
 from mapt.benchmarks.tables import Summary, markdown, summarise, write_cells, write_comparisons
 from mapt.cli.options import PolicySteps, Preset, Seeds, Segments, SegmentSteps, Task, Workers
 from mapt.cli.output import Bars, complain, note, on_terminal, out, say
+from mapt.errors import InvalidConfig
 from mapt.processes import at_once, cores_of_each, run_jobs
 from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model
 from mapt.rewards.config import MODEL_NAMES
@@ -221,7 +221,7 @@ def load_models(checkpoints: list[str]) -> dict[str, RewardModel]:
     """Models by name.
 
     Raises:
-        InvalidStudy: if two have the same name.
+        InvalidConfig: if two have the same name.
         CheckpointError: if one cannot be read.
     """
     models: dict[str, RewardModel] = {}
@@ -231,6 +231,6 @@ def load_models(checkpoints: list[str]) -> dict[str, RewardModel]:
         path = Path(folder if equals or not name else text)
         name = name if equals else path.name
         if name in models:
-            raise InvalidStudy(f"two models are called {name!r}; give them names: NAME=FOLDER")
+            raise InvalidConfig(f"two models are called {name!r}; give them names: NAME=FOLDER")
         models[name] = load_reward_model(path / WEIGHTS_FILE, path / CARD_FILE).model
     return models

@@ -4,15 +4,9 @@ import sys
 
 import typer
 
-from mapt.benchmarks.errors import StudyError
 from mapt.cli import benchmarks, results, tasks, train
 from mapt.cli.output import complain
-from mapt.policies import PolicyError
-from mapt.preferences.errors import PreferenceError
-from mapt.rendering.errors import RenderingError
-from mapt.rewards.errors import RewardModelError
-from mapt.tasks import TaskError
-from mapt.training.errors import RunError
+from mapt.errors import MaptError
 
 app = typer.Typer(
     name="mapt",
@@ -35,7 +29,7 @@ def main() -> None:
     """The entry point of the script `mapt`."""
     try:
         app()
-    except (StudyError, RunError, TaskError, PreferenceError, RewardModelError, PolicyError, RenderingError) as error:
+    except MaptError as error:
         complain(str(error))
         sys.exit(2)
     except KeyboardInterrupt:

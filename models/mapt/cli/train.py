@@ -10,13 +10,13 @@ import typer
 from mapt.benchmarks.specification import numbers, setting
 from mapt.cli.options import Device, Task, Workers
 from mapt.cli.output import Bars, RunBars, complain
+from mapt.errors import InvalidConfig
 from mapt.policies import Algorithm, PolicyConfig
 from mapt.processes import Done, at_once, cores_of_each, run_jobs, stop_requests
 from mapt.rewards.checkpoints import load_reward_model
 from mapt.rewards.model import PolicyReward
 from mapt.rewards.relabelling import Credit
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
-from mapt.training.errors import InvalidRun
 from mapt.training.evaluation import Evaluation
 from mapt.training.reward_source import reward_files
 from mapt.training.run import RunJob, make_run, make_run_apart
@@ -99,18 +99,18 @@ def train(
 
 
 def _own(settings: Sequence[str]) -> dict[str, object]:
-    """Raises InvalidStudy, InvalidRun."""
+    """Raises InvalidConfig."""
     own = dict(setting(text) for text in settings)
     for name in _OPTIONS & own.keys():
-        raise InvalidRun(f"--set {name}: give --{name} instead.")
+        raise InvalidConfig(f"--set {name}: give --{name} instead.")
     return own
 
 
 def _learned(path: Path, segment_steps: int | None, kind: str, credit: str) -> LearnedRewardSettings:
-    """Raises InvalidRun, CheckpointError."""
+    """Raises InvalidConfig, CheckpointError."""
     steps = segment_steps or load_reward_model(*reward_files(path)).segment_steps
     if steps is None:
-        raise InvalidRun(f"The card of {path} does not say what T was; give --segment-steps.")
+        raise InvalidConfig(f"The card of {path} does not say what T was; give --segment-steps.")
     return LearnedRewardSettings(str(path.resolve()), steps, kind, credit)  # pyright: ignore[reportArgumentType]  (checked on creation)
 
 

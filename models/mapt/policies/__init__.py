@@ -7,7 +7,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from mapt.policies.config import Algorithm, PolicyConfig
-from mapt.policies.errors import InvalidCheckpoint, InvalidConfig, InvalidRewards, PolicyError, TrainingDiverged
 
 if TYPE_CHECKING:
     from mapt.policies.evaluation import Episodes, evaluate, play
@@ -19,15 +18,10 @@ if TYPE_CHECKING:
 __all__ = [
     "Algorithm",
     "Episodes",
-    "InvalidCheckpoint",
-    "InvalidConfig",
-    "InvalidRewards",
     "Learner",
     "Policy",
     "PolicyConfig",
-    "PolicyError",
     "Rollout",
-    "TrainingDiverged",
     "evaluate",
     "play",
     "train",

@@ -10,15 +10,13 @@ import safetensors.torch
 from safetensors import SafetensorError
 from torch import Tensor
 
-from mapt.policies.errors import InvalidCheckpoint, InvalidConfig
-from mapt.tasks import TaskError
+from mapt.errors import CheckpointMismatch, DamagedCheckpoint, InvalidConfig, NewerCheckpoint, TaskError
 
 FORMAT_VERSION = 1
 #: Key of the description in the header's metadata, which maps strings to strings.
 _DESCRIPTION = "mapt.policies"
 #: A safetensors file starts with the length of its JSON header in this many bytes, little-endian.
 _LENGTH_BYTES = 8
-_NONE = "This is no checkpoint of a learner, or it is damaged."
 
 
 def flatten(parts: Mapping[str, Mapping[str, Tensor]]) -> dict[str, Tensor]:
@@ -59,7 +57,8 @@ def describe(content: bytes) -> Description:
     """The description in a checkpoint's header.
 
     Raises:
-        InvalidCheckpoint: if it is damaged or of another format.
+        DamagedCheckpoint: if it is not a checkpoint of a learner.
+        NewerCheckpoint: if a later version of this library wrote it.
     """
     try:
         length = int.from_bytes(content[:_LENGTH_BYTES], "little")
@@ -67,9 +66,9 @@ def describe(content: bytes) -> Description:
         description = json.loads(header["__metadata__"][_DESCRIPTION])
         version, task, config = description["format"], description["task"], description["config"]
     except (ValueError, KeyError, TypeError) as error:
-        raise InvalidCheckpoint(_NONE) from error
+        raise DamagedCheckpoint(repr(error)) from error
     if version != FORMAT_VERSION:
-        raise InvalidCheckpoint(f"The checkpoint has format {version}; this version reads {FORMAT_VERSION}.")
+        raise NewerCheckpoint(version, FORMAT_VERSION)
     return Description(task, config)
 
 
@@ -77,25 +76,25 @@ def unpack(content: bytes, task_name: str) -> tuple[dict[str, Tensor], dict[str,
     """Tensors and the learner's settings.
 
     Raises:
-        InvalidCheckpoint: if it is damaged, of another format or of another task.
+        CheckpointError: if it is damaged, of another format or of another task.
     """
     description = describe(content)
     if description.task != task_name:
-        raise InvalidCheckpoint(f"The checkpoint is of {description.task}, not of {task_name}.")
+        raise CheckpointMismatch(f"The checkpoint is of {description.task}, not of {task_name}.")
     try:
         return safetensors.torch.load(content), description.config
     except SafetensorError as error:
-        raise InvalidCheckpoint(_NONE) from error
+        raise DamagedCheckpoint(repr(error)) from error
 
 
 @contextmanager
 def refusing_mismatch() -> Iterator[None]:
-    """Turn what torch and tasks say about foreign tensors into InvalidCheckpoint.
+    """Raise CheckpointMismatch for the errors of torch and tasks about tensors that do not fit.
 
     Raises:
-        InvalidCheckpoint: if a tensor is missing, surplus or of another shape.
+        CheckpointMismatch: if a tensor is missing, surplus or of another shape.
     """
     try:
         yield
     except (KeyError, RuntimeError, ValueError, TaskError, InvalidConfig) as error:
-        raise InvalidCheckpoint(f"The checkpoint does not fit this learner: {error}") from error
+        raise CheckpointMismatch(f"The checkpoint does not fit this learner: {error}") from error

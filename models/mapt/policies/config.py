@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Literal, Self, get_args
 
-from mapt.policies.errors import InvalidConfig
+from mapt.errors import InvalidConfig
 
 Algorithm = Literal["mappo", "happo", "mat", "mat_dec"]
 Activation = Literal["tanh", "relu"]

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import torch
 
-from mapt.policies.errors import InvalidConfig
+from mapt.errors import InvalidConfig
 
 
 @contextmanager

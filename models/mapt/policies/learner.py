@@ -13,11 +13,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mapt.errors import InvalidConfig, TrainingDiverged
 from mapt.io import atomic_write
 from mapt.policies import checkpoint
 from mapt.policies.config import PolicyConfig
 from mapt.policies.device import resolve_device, torch_threads
-from mapt.policies.errors import InvalidConfig, TrainingDiverged
 from mapt.policies.kernels import Adam
 from mapt.policies.mat import EncoderCritic, MultiAgentTransformer
 from mapt.policies.networks import ActorCritic, Actors, Policy, StateCritic
@@ -93,7 +93,7 @@ class Learner:
             Metrics by name, those of gradient steps as means over the last pass.
 
         Raises:
-            InvalidRewards: if the shape is another or a number is not finite.
+            InvalidRollout: if the shape is another or a number is not finite.
             TrainingDiverged: if a gradient is not finite.
         """
         each = checked_rewards(rewards, rollout)
@@ -137,7 +137,7 @@ class Learner:
         """Continue exactly, bit for bit on a CPU, as the learner that gave `state_dict` would have.
 
         Raises:
-            InvalidCheckpoint: if it belongs to another task or configuration.
+            CheckpointError: if it belongs to another task or configuration.
         """
         with checkpoint.refusing_mismatch():
             parts = checkpoint.unflatten(tensors)
@@ -159,7 +159,7 @@ class Learner:
         """The learner that `to_bytes` wrote.
 
         Raises:
-            InvalidCheckpoint: if it is damaged, or belongs to another task.
+            CheckpointError: if it is damaged, or belongs to another task.
         """
         tensors, config = checkpoint.unpack(content, task.spec.name)
         learner = cls(task, PolicyConfig.from_dict(config))

@@ -11,9 +11,9 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
+from mapt.errors import InvalidRollout
 from mapt.policies.config import PolicyConfig
 from mapt.policies.distributions import ActionDistribution
-from mapt.policies.errors import InvalidRewards
 from mapt.policies.networks import ActorCritic, Batch, Policy
 from mapt.policies.rollout import Rollout
 
@@ -158,13 +158,13 @@ def checked_rewards(rewards: NDArray[np.floating], rollout: Rollout) -> NDArray[
     """Rewards (L, E, N) from those of the team (L, E) or of each agent (L, E, N).
 
     Raises:
-        InvalidRewards: if the shape is another or a number is not finite.
+        InvalidRollout: if the shape is another or a number is not finite.
     """
     shared, individual = rollout.rewards.shape, rollout.log_probs.shape
     if rewards.shape not in {shared, individual}:
-        raise InvalidRewards(f"Rewards must have the shape {shared} or {individual}, got {rewards.shape}.")
+        raise InvalidRollout(f"Rewards must have the shape {shared} or {individual}, got {rewards.shape}.")
     if not np.isfinite(rewards).all():
-        raise InvalidRewards("Rewards must be finite numbers.")
+        raise InvalidRollout("Rewards must be finite numbers.")
     if rewards.shape == shared:
         rewards = np.broadcast_to(rewards[..., None], individual)
     return rewards.astype(np.float32)

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mapt.errors import InvalidAction, NotOneHot, ShapeError
 from mapt.preferences.dataset import SegmentArrays
-from mapt.preferences.errors import InvalidAction, NotOneHot, ShapeError
 
 # How a message calls the places of an action in its array, from the last one back.
 _PLACES = ("agent", "step", "segment")

@@ -7,14 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.preferences.errors import (
-    InvalidLabel,
-    InvalidMask,
-    InvalidPair,
-    NotEnoughPairs,
-    NotFinite,
-    ShapeError,
-)
+from mapt.errors import InvalidLabel, InvalidMask, InvalidPair, NotEnoughPairs, NotFinite, ShapeError
 
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]

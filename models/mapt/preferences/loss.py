@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from mapt.preferences.errors import ShapeError
+from mapt.errors import ShapeError
 
 # A model this sure of a pair, and right, has nothing more to learn from it. Gradients of e^-90 and less would become
 # denormal numbers on their way through the network, and a CPU takes ten times as long over those: on 1,050 labels of an

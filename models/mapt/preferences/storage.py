@@ -18,8 +18,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mapt.errors import InvalidFile, MissingPart, TruncatedFile
 from mapt.preferences.dataset import FloatArray, IntArray, SegmentArrays
-from mapt.preferences.errors import MissingPart, NotReadable, Truncated
 from mapt.preferences.storage_layout import Column, Manifest, SegmentLayout, column_path
 from mapt.preferences.storage_writer import SegmentWriter
 
@@ -45,9 +45,9 @@ class SegmentFolder:
         """
         Raises:
             MissingPart: if it is no folder of segments, or one of its files is gone.
-            SchemaTooNew: if a newer mapt wrote it.
-            Truncated: if a file is shorter than the manifest says.
-            NotReadable: if the manifest or the lengths make no sense.
+            NewerFile: if a newer mapt wrote it.
+            TruncatedFile: if a file is shorter than the manifest says.
+            InvalidFile: if the manifest or the lengths make no sense.
         """
         path = Path(path)
         manifest = Manifest.read(path)
@@ -57,10 +57,10 @@ class SegmentFolder:
             if not file.is_file():
                 raise MissingPart(path, file.name)
             if file.stat().st_size < n_segments * column.row_bytes:
-                raise Truncated(file, f"holds fewer than {n_segments} segments")
+                raise TruncatedFile(file, f"holds fewer than {n_segments} segments")
         lengths = _read_rows(path, "lengths", layout.columns["lengths"], np.arange(n_segments))
         if ((lengths < 1) | (lengths > layout.n_steps)).any():
-            raise NotReadable(column_path(path, "lengths"), f"holds a length that is not within 1 to {layout.n_steps}")
+            raise InvalidFile(column_path(path, "lengths"), f"holds a length that is not within 1 to {layout.n_steps}")
         return cls(path, layout, manifest.about, lengths.astype(np.int32))
 
     def __len__(self) -> int:
@@ -91,7 +91,7 @@ class SegmentFolder:
 
         Raises:
             IndexError: if one is not in [0, S).
-            Truncated: if a file has been cut since it was opened.
+            TruncatedFile: if a file has been cut since it was opened.
         """
         index = self._index(indices)
         mask = self.mask(index)
@@ -147,7 +147,7 @@ def _fill(file: BinaryIO, rows: NDArray[Any], path: Path) -> None:
         # One system call gives at most 2 GiB.
         n_bytes = file.readinto(rest)  # pyright: ignore[reportAttributeAccessIssue]
         if not n_bytes:
-            raise Truncated(path)
+            raise TruncatedFile(path)
         rest = rest[n_bytes:]
 
 

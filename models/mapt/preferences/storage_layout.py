@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from mapt.errors import InvalidFile, MissingPart, NewerFile
 from mapt.io import atomic_write
-from mapt.preferences.errors import MissingPart, NotReadable, SchemaTooNew
 
 FORMAT = "mapt segments"
 SCHEMA_VERSION = 1
@@ -118,7 +118,7 @@ class Manifest:
         """
         Raises:
             MissingPart: if there is no manifest: no folder of segments, or a write that never got so far.
-            SchemaTooNew, NotReadable: if it is a newer one, or none of ours.
+            NewerFile, InvalidFile: if it is a newer one, or none of ours.
         """
         path = folder / MANIFEST
         if not path.is_file():
@@ -126,15 +126,15 @@ class Manifest:
         try:
             document = json.loads(path.read_bytes())
             if document["format"] != FORMAT:
-                raise NotReadable(path, f"is of {document['format']!r}, not of {FORMAT!r}")
+                raise InvalidFile(path, f"is of {document['format']!r}, not of {FORMAT!r}")
             if document["schema_version"] > SCHEMA_VERSION:
-                raise SchemaTooNew(path, document["schema_version"], SCHEMA_VERSION)
+                raise NewerFile(path, document["schema_version"], SCHEMA_VERSION)
             layout = SegmentLayout(**document["layout"])
             return cls(layout, _count(document["n_segments"]), dict(document["about"]))
-        except NotReadable:
+        except InvalidFile:
             raise
         except (ValueError, TypeError, KeyError) as error:
-            raise NotReadable(path, f"is no manifest of segments ({error})") from error
+            raise InvalidFile(path, f"is no manifest of segments ({error})") from error
 
 
 def _count(value: object) -> int:

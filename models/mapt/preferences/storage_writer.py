@@ -10,9 +10,9 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mapt.errors import AlreadyExists, NotFinite, ShapeError, TruncatedFile
 from mapt.preferences.actions import action_numbers
 from mapt.preferences.dataset import IntArray, SegmentArrays
-from mapt.preferences.errors import AlreadyThere, NotFinite, ShapeError, Truncated
 from mapt.preferences.storage_layout import (
     MANIFEST,
     Column,
@@ -45,12 +45,12 @@ class SegmentWriter:
             about: where the segments come from (task, versions, seeds); kept in the manifest as JSON.
 
         Raises:
-            AlreadyThere: if the folder holds segments, or anything that is not the rest of a write that crashed.
+            AlreadyExists: if the folder holds segments, or anything that is not the rest of a write that crashed.
         """
         path = Path(path)
         names = {column_path(path, name).name for name in layout.columns}
         if path.exists() and not (path.is_dir() and {each.name for each in path.iterdir()} <= names):
-            raise AlreadyThere(path)
+            raise AlreadyExists(path)
         path.mkdir(parents=True, exist_ok=True)
         return cls(path, Manifest(layout, 0, about or {}))
 
@@ -59,8 +59,8 @@ class SegmentWriter:
         """Go on after the last committed segment of a folder.
 
         Raises:
-            MissingPart, SchemaTooNew, NotReadable: see `SegmentFolder.open`.
-            Truncated: if a file holds fewer segments than were committed.
+            MissingPart, NewerFile, InvalidFile: see `SegmentFolder.open`.
+            TruncatedFile: if a file holds fewer segments than were committed.
         """
         return cls(Path(path), Manifest.read(Path(path)))
 
@@ -148,7 +148,7 @@ class SegmentWriter:
         path = column_path(self.path, name)
         try:
             if self._committed and path.stat().st_size < self._committed * column.row_bytes:
-                raise Truncated(path, f"holds fewer than {self._committed} segments")
+                raise TruncatedFile(path, f"holds fewer than {self._committed} segments")
             file = self._stack.enter_context(path.open("r+b" if self._committed else "wb"))
         except BaseException:
             self._stack.close()

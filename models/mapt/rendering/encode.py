@@ -18,8 +18,8 @@ from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTr
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
+from mapt.errors import ClipNotWritten
 from mapt.io import atomic_path
-from mapt.rendering.errors import ClipNotWritten
 from mapt.rendering.settings import RenderSettings
 
 CODEC = "libx264"

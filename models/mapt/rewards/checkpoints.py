@@ -9,8 +9,8 @@ from pathlib import Path
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 
+from mapt.errors import DamagedCheckpoint, InvalidConfig, NewerCheckpoint
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.errors import DamagedCheckpoint, InvalidConfig, NewerCheckpoint
 from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Literal, TypeVar, get_args
 
-from mapt.rewards.errors import InvalidConfig
+from mapt.errors import InvalidConfig
 
 SettingsT = TypeVar("SettingsT")
 

@@ -9,9 +9,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mapt.errors import ModelMismatch
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays, SegmentSource
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.errors import ModelMismatch
 from mapt.rewards.kernels import products_in
 from mapt.rewards.model import RewardModel
 

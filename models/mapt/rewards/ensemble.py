@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from mapt.device import resolve_device, seeded
+from mapt.errors import ModelMismatch
 from mapt.preferences.dataset import PreferenceDataset, SegmentSource
 from mapt.rewards.config import RewardConfig, TrainConfig, check_positive_int
 from mapt.rewards.data import PairTensors, SegmentReader, check_fit, segment_reader, spread_sample
@@ -28,7 +29,6 @@ from mapt.rewards.ensemble_scorers import (
     measure_reward_scales,
     whole_stack_scorer,
 )
-from mapt.rewards.errors import ModelMismatch
 from mapt.rewards.kernels import resolve_precision
 from mapt.rewards.members import RewardEnsemble
 from mapt.rewards.model import RewardModel

@@ -10,8 +10,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
+from mapt.errors import DamagedCheckpoint, InvalidConfig, ModelMismatch
 from mapt.rewards.checkpoints import POLARITY, checked_card, config_in, metrics_in, read_stored
-from mapt.rewards.errors import DamagedCheckpoint, InvalidConfig, ModelMismatch
 from mapt.rewards.members import RewardEnsemble
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.stacked import StackedModels

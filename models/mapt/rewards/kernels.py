@@ -9,8 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from mapt.errors import InvalidConfig
 from mapt.rewards.config import Precision
-from mapt.rewards.errors import InvalidConfig
 
 # From this d on, products take so much of a training step that halving their numbers pays for the conversions.
 LEAST_BFLOAT16_DIM = 128

@@ -7,10 +7,10 @@ import torch
 from numpy.typing import NDArray
 
 from mapt.device import resolve_device
+from mapt.errors import InvalidConfig, ModelMismatch
 from mapt.preferences.dataset import SegmentSource, in_batches
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.data import SegmentTensors, check_fit
-from mapt.rewards.errors import InvalidConfig, ModelMismatch
 from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.stacked import SEGMENTS_PER_PASS, StackedModels

@@ -9,7 +9,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from mapt.preferences.errors import ShapeError
+from mapt.errors import ShapeError
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.kernels import Band, behind_context
 from mapt.rewards.layers import InputNormaliser, MarkovPath, ReadOut, equal_weights, votes

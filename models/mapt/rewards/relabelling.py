@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from mapt.device import resolve_device
+from mapt.errors import InvalidConfig, InvalidRollout, ModelMismatch
 from mapt.rewards.config import Precision
-from mapt.rewards.errors import InvalidConfig, InvalidRollout, ModelMismatch
 from mapt.rewards.kernels import EpisodeBand, KeyValueRing, products_in, resolve_precision
 from mapt.rewards.model import PolicyReward, RewardModel
 

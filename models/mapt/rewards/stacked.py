@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.func import functional_call, stack_module_state
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
-from mapt.rewards.errors import ModelMismatch
+from mapt.errors import ModelMismatch
 from mapt.rewards.model import SMALLEST_REWARD_DEVIATION, RewardModel
 from mapt.rewards.unrolled_lstm import unroll_lstms
 

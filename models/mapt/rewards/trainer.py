@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from mapt.device import resolve_device, seeded
+from mapt.errors import ModelMismatch
 from mapt.preferences.dataset import PreferenceDataset, SegmentSource
 from mapt.preferences.loss import preference_loss, preference_losses
 from mapt.rewards.config import RewardConfig, TrainConfig
@@ -26,7 +27,6 @@ from mapt.rewards.data import (
     step_rewards,
     whole_scorer,
 )
-from mapt.rewards.errors import ModelMismatch
 from mapt.rewards.kernels import resolve_precision
 from mapt.rewards.metrics import accuracy, calibration_error
 from mapt.rewards.model import RewardModel

@@ -15,7 +15,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from mapt.tasks.errors import TaskError
+from mapt.errors import TaskError
 from mapt.tasks.mujoco_definition import Robot
 
 _READ = ("actuator_length", "actuator_velocity", "xpos", "xquat", "xmat", "cvel", "subtree_com")

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.tasks.errors import TaskError
+from mapt.errors import TaskError
 from mapt.tasks.partition import FeatureColumn, FeatureLayout, Partition, Shapes
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from mapt.errors import InvalidAction, InvalidConfig, InvalidSnapshot
 from mapt.tasks.contact_forces import ContactForces
-from mapt.tasks.errors import InvalidAction, InvalidSnapshot, InvalidTaskOption
 from mapt.tasks.mujoco_definition import FloatArray, MujocoMdp, Robot
 from mapt.tasks.partition import actuator_index, as_slice, observation_index
 from mapt.tasks.protocol import Task, TaskSpec, TaskStep
@@ -39,7 +39,7 @@ class AgentIndices:
                 state and drives every joint, in the order of ctrl.
 
         Raises:
-            InvalidTaskOption: if `agent_obsk` is negative.
+            InvalidConfig: if `agent_obsk` is negative.
         """
         layout = mdp.layout(robot.nq, robot.nv)
         actuators = actuator_index(robot.partition)
@@ -73,7 +73,7 @@ class MujocoTask:
         dtype: of observations and state. float64 is for comparisons with other simulators.
 
     Raises:
-        InvalidTaskOption: if a number is out of its range.
+        InvalidConfig: if a number is out of its range.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class MujocoTask:
         dtype: type[np.floating],
     ) -> None:
         if n_envs < 1 or n_threads < 0:
-            raise InvalidTaskOption(f"n_envs must be 1 or more and n_threads 0 or more, got {n_envs} and {n_threads}.")
+            raise InvalidConfig(f"n_envs must be 1 or more and n_threads 0 or more, got {n_envs} and {n_threads}.")
         model = robot.load_model()
         self._spec = spec
         self._n_envs = n_envs

@@ -13,7 +13,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.tasks.errors import InvalidTaskOption
+from mapt.errors import InvalidConfig
 
 #: A feature's name and a place in it, counted through its shape in C order.
 FeatureColumn = tuple[str, int]
@@ -138,10 +138,10 @@ def observation_index(partition: Partition, agent_obsk: int, layout: FeatureLayo
         agent_obsk: neighbours up to this many edges away are seen.
 
     Raises:
-        InvalidTaskOption: if `agent_obsk` is negative.
+        InvalidConfig: if `agent_obsk` is negative.
     """
     if agent_obsk < 0:
-        raise InvalidTaskOption(f"agent_obsk must be 0 or more, got {agent_obsk}.")
+        raise InvalidConfig(f"agent_obsk must be 0 or more, got {agent_obsk}.")
     local = [layout.columns(_local(partition, agent, agent_obsk)) for agent in range(len(partition.agents))]
     width = max(map(len, local))
     shared = layout.columns(partition.shared)

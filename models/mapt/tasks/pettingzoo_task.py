@@ -16,14 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.tasks.errors import (
-    InvalidAction,
-    InvalidSnapshot,
-    InvalidTaskOption,
-    NoPicture,
-    NoSimulator,
-    UnusableEnvironment,
-)
+from mapt.errors import InvalidAction, InvalidConfig, InvalidSnapshot, NoSimulator, NotRenderable, UnusableEnvironment
 from mapt.tasks.protocol import Task, TaskSpec, TaskStep
 from mapt.tasks.snapshot import generator_from_array, generator_to_array
 
@@ -60,7 +53,7 @@ class PettingZooTask:
         dtype: of observations and state.
 
     Raises:
-        InvalidTaskOption: if `n_envs` is below 1.
+        InvalidConfig: if `n_envs` is below 1.
     """
 
     def __init__(
@@ -73,7 +66,7 @@ class PettingZooTask:
         dtype: type[np.floating],
     ) -> None:
         if n_envs < 1:
-            raise InvalidTaskOption(f"n_envs must be 1 or more, got {n_envs}.")
+            raise InvalidConfig(f"n_envs must be 1 or more, got {n_envs}.")
         self._spec, self._n_envs, self._dtype = spec, n_envs, dtype
         self._envs = [make_env() for _ in range(n_envs)]
         self._agents = tuple(self._envs[0].possible_agents)
@@ -127,7 +120,9 @@ class PettingZooTask:
         except NotImplementedError:
             picture = None
         if not isinstance(picture, np.ndarray) or picture.ndim != 3:
-            raise NoPicture(f"{self._spec.name} draws no picture; make its environments with render_mode='rgb_array'.")
+            raise NotRenderable(
+                f"{self._spec.name} draws no picture; make its environments with render_mode='rgb_array'."
+            )
         return picture.astype(np.uint8)
 
     def simulator_state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -142,7 +142,7 @@ class RenderableTask(Task, Protocol):
         """(height, width, 3): a picture of one environment as it is now.
 
         Raises:
-            NoPicture: if it does not draw itself.
+            NotRenderable: if it does not draw itself.
         """
         ...
 
@@ -157,7 +157,7 @@ class TaskDefinition(Protocol):
         """What `make` with these options gives, cheaply.
 
         Raises:
-            InvalidTaskOption: if `agent_obsk` is negative.
+            InvalidConfig: if `agent_obsk` is negative.
         """
         ...
 

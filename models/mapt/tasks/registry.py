@@ -12,7 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from mapt.tasks.errors import TaskExists, TaskFileFailed, UnknownTask
+from mapt.errors import TaskExists, TaskImportFailed, UnknownTask
 from mapt.tasks.protocol import Task, TaskDefinition, TaskSpec
 from mapt.tasks.robots import (
     ant,
@@ -72,7 +72,7 @@ def task_spec(name: str, *, agent_obsk: int | None = DEFAULT_AGENT_OBSK, agent_i
 
     Raises:
         UnknownTask: if no task has this name.
-        InvalidTaskOption: if `agent_obsk` is negative.
+        InvalidConfig: if `agent_obsk` is negative.
     """
     return find_definition(name).spec(agent_obsk=agent_obsk, agent_index=agent_index)
 
@@ -98,7 +98,7 @@ def make_task(
 
     Raises:
         UnknownTask: if no task has this name.
-        InvalidTaskOption: if a number is out of its range.
+        InvalidConfig: if a number is out of its range.
     """
     return find_definition(name).make(
         n_envs, n_threads=n_threads, agent_obsk=agent_obsk, agent_index=agent_index, dtype=dtype
@@ -149,7 +149,7 @@ def load_task_files() -> None:
     Windows). Each calls `mapt.tasks.register_task`.
 
     Raises:
-        TaskFileFailed: if one is not there, or fails.
+        TaskImportFailed: if one is not there, or fails.
     """
     for name in filter(None, os.environ.get(TASK_FILES_VARIABLE, "").split(os.pathsep)):
         if name not in _loaded:
@@ -158,7 +158,7 @@ def load_task_files() -> None:
                 _run(name)
             except Exception as error:
                 _loaded.discard(name)
-                raise TaskFileFailed(TASK_FILES_VARIABLE, name, error) from error
+                raise TaskImportFailed(TASK_FILES_VARIABLE, name, error) from error
 
 
 def _run(name: str) -> None:
@@ -182,7 +182,7 @@ def task_listing(agent_obsk: int) -> str:
         agent_obsk: as of `make_task`; observations grow with it.
 
     Raises:
-        TaskFileFailed: if a file that MAPT_TASKS names is not there, or fails.
+        TaskImportFailed: if a file that MAPT_TASKS names is not there, or fails.
     """
     rows = [_HEADINGS, *(_row(name, agent_obsk) for name in task_names())]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

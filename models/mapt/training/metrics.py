@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tensorboardX import SummaryWriter
 
+from mapt.errors import DamagedRun
 from mapt.policies import Rollout
-from mapt.training.errors import DamagedRun
 
 #: what differs from run to run of the same settings; everything else is decided by them
 TIMINGS = ("time", "steps_per_second", "seconds_physics", "seconds_inference", "seconds_reward", "seconds_update")

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.training.errors import RunNotFound
+from mapt.errors import RunNotFound
 from mapt.training.metrics import Metrics, read_metrics
 from mapt.training.run_folder import RUN_FILE, RunFolder
 from mapt.training.settings import TRUE, RunSettings

@@ -7,9 +7,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.errors import DamagedCheckpoint, ModelMismatch
 from mapt.policies import Rollout
 from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, LoadedRewardModel, load_reward_model, save_reward_model
-from mapt.rewards.errors import DamagedCheckpoint, ModelMismatch
 from mapt.rewards.model import PolicyReward, RewardModel
 from mapt.rewards.relabelling import Credit, RolloutRelabeller
 from mapt.tasks import TaskSpec

@@ -9,10 +9,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.errors import RenderingError
 from mapt.io import atomic_write
 from mapt.policies import Learner
 from mapt.processes import Desk, stop_requests
-from mapt.rendering.errors import RenderingError
 from mapt.tasks import Task, TaskStep, WrappedTask, make_task
 from mapt.training.evaluation import Evaluation, evaluate_policy
 from mapt.training.metrics import EventFile, Metrics, MetricsFile, iteration_metrics, read_metrics
@@ -64,7 +64,7 @@ class Run:
         physics_threads: as `n_threads` of `make_task`; nothing that is learned depends on it.
 
     Raises:
-        OtherRun, DamagedRun: if the folder holds another run, or one that cannot be read.
+        RunMismatch, DamagedRun: if the folder holds another run, or one that cannot be read.
         UnknownTask, InvalidConfig, CheckpointError, ModelMismatch: if the settings cannot be met.
     """
 

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from mapt.errors import DamagedCheckpoint, DamagedRun, RunBusy, RunMismatch, RunNotFound
 from mapt.io import atomic_write
-from mapt.policies import InvalidCheckpoint, Policy, PolicyConfig
+from mapt.policies import Policy, PolicyConfig
 from mapt.policies.checkpoint import describe, refusing_mismatch, unflatten, unpack
 from mapt.policies.device import resolve_device
 from mapt.policies.learner import make_policy
 from mapt.tasks import task_spec
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
-from mapt.training.errors import DamagedRun, OtherRun, RunBusy, RunNotFound
 from mapt.training.evaluation import Evaluation
 from mapt.training.settings import RunSettings
 
@@ -52,14 +52,14 @@ class PolicyCheckpoint:
         """What `to_bytes` wrote.
 
         Raises:
-            mapt.policies.InvalidCheckpoint: if it is damaged, or another file.
+            DamagedCheckpoint: if it is damaged, or another file.
         """
         try:
             arrays = load(content)
             learner, progress = arrays[_LEARNER].tobytes(), arrays.get(_PROGRESS)
             noted = {} if progress is None else json.loads(progress.tobytes())
         except (SafetensorError, KeyError, ValueError) as error:
-            raise InvalidCheckpoint("This is no checkpoint of a run, or it is damaged.") from error
+            raise DamagedCheckpoint(repr(error)) from error
         context = {name.removeprefix(_CONTEXT): array for name, array in arrays.items() if name.startswith(_CONTEXT)}
         return cls(learner, context, noted)
 
@@ -103,11 +103,11 @@ class RunFolder:
         """Make sure that a run that is here has these settings.
 
         Raises:
-            OtherRun: if it has others.
+            RunMismatch: if it has others.
             DamagedRun: if its settings cannot be read.
         """
         if (self.path / RUN_FILE).exists() and (differences := self.settings().differences(settings)):
-            raise OtherRun(self.path, differences)
+            raise RunMismatch(self.path, differences)
 
     def claim(self, settings: RunSettings) -> None:
         """Write the settings of a new run, or of one that is made longer; raises as `check` does."""
@@ -139,7 +139,7 @@ class RunFolder:
         """Where the run stands; None if it was killed before its first checkpoint.
 
         Raises:
-            mapt.policies.InvalidCheckpoint: if it is damaged.
+            CheckpointError: if it is damaged.
         """
         return PolicyCheckpoint.from_bytes(self.checkpoint.read_bytes()) if self.checkpoint.exists() else None
 
@@ -184,7 +184,7 @@ def load_policy(path: Path, device: str = "auto", agent_obsk: int | None = None)
 
     Raises:
         RunNotFound: if there is none.
-        mapt.policies.InvalidCheckpoint: if the file is damaged, no checkpoint, or of other observations.
+        CheckpointError: if the file is damaged, no checkpoint, or of other observations.
     """
     file = path / CHECKPOINT_FILE if path.is_dir() else path
     if not file.is_file():
@@ -200,7 +200,7 @@ def learner_bytes(file: Path) -> bytes:
     content = file.read_bytes()
     try:
         describe(content)
-    except InvalidCheckpoint:
+    except DamagedCheckpoint:
         return PolicyCheckpoint.from_bytes(content).learner
     return content
 

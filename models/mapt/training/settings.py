@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Self, get_args
 
+from mapt.errors import InvalidConfig
 from mapt.policies import PolicyConfig
 from mapt.rewards.model import PolicyReward
 from mapt.rewards.relabelling import Credit
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
-from mapt.training.errors import InvalidRun
 
 #: how the true reward is written
 TRUE = "true"
@@ -19,7 +19,7 @@ class LearnedRewardSettings:
     """A reward model, and what the policy is given of it.
 
     Raises:
-        InvalidRun: if a value is out of its range.
+        InvalidConfig: if a value is out of its range.
     """
 
     #: folder of reward.safetensors and reward.json, or a .safetensors file with its .json beside it
@@ -33,13 +33,13 @@ class LearnedRewardSettings:
 
     def __post_init__(self) -> None:
         if self.segment_steps < 1:
-            raise InvalidRun(f"segment_steps is {self.segment_steps}; it must be 1 or more")
+            raise InvalidConfig(f"segment_steps is {self.segment_steps}; it must be 1 or more")
         for name, value, known in (
             ("policy_reward", self.kind, get_args(PolicyReward)),
             ("credit", self.credit, get_args(Credit)),
         ):
             if value not in known:
-                raise InvalidRun(f"{name} is {value!r}; known: {', '.join(known)}")
+                raise InvalidConfig(f"{name} is {value!r}; known: {', '.join(known)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class RunSettings:
     """One policy's training.
 
     Raises:
-        InvalidRun: if a value is out of its range.
+        InvalidConfig: if a value is out of its range.
     """
 
     task: str
@@ -64,9 +64,9 @@ class RunSettings:
 
     def __post_init__(self) -> None:
         if self.steps < 1:
-            raise InvalidRun(f"steps is {self.steps}; it must be 1 or more")
+            raise InvalidConfig(f"steps is {self.steps}; it must be 1 or more")
         if self.evaluate_every_steps < 0:
-            raise InvalidRun(f"evaluate_every_steps is {self.evaluate_every_steps}; it must be 0 or more")
+            raise InvalidConfig(f"evaluate_every_steps is {self.evaluate_every_steps}; it must be 0 or more")
 
     @property
     def reward_name(self) -> str:
@@ -89,17 +89,17 @@ class RunSettings:
         """Settings from parsed JSON.
 
         Raises:
-            InvalidRun, mapt.policies.InvalidConfig: if a key is unknown or missing, or a value out of its range.
+            InvalidConfig: if a key is unknown or missing, or a value out of its range.
         """
         values = dict(settings)
         try:
             policy, reward = values.pop("policy"), values.pop("reward")
             if not isinstance(policy, Mapping) or not isinstance(reward, Mapping | None):
-                raise InvalidRun("policy and reward of a run must be settings by name")
+                raise InvalidConfig("policy and reward of a run must be settings by name")
             learned = None if reward is None else LearnedRewardSettings(**reward)
             return cls(policy=PolicyConfig.from_dict(policy), reward=learned, **values)  # pyright: ignore[reportArgumentType]
         except (KeyError, TypeError) as error:
-            raise InvalidRun(f"These are not the settings of a run: {error}") from error
+            raise InvalidConfig(f"These are not the settings of a run: {error}") from error
 
     def flat(self) -> dict[str, object]:
         """Every setting by name, those within others as `outer.inner`."""

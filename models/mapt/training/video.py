@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save_file
 
+from mapt.errors import NoRenderer, NotRenderable
 from mapt.policies import Policy
 from mapt.policies.rollout import available_actions
 from mapt.rendering.encode import write_clip
 from mapt.rendering.episode_video import DONE
-from mapt.rendering.errors import NothingDraws
 from mapt.rendering.offscreen import BACKENDS, INSTALL, run_rendering_module
 from mapt.rendering.settings import RenderSettings
-from mapt.tasks import NoPicture, RenderableTask, Task, make_task
+from mapt.tasks import RenderableTask, Task, make_task
 
 #: the longest episodes take a minute on a quiet machine
 _LIMIT_SECONDS = 600.0
@@ -29,7 +29,7 @@ def record_video(policy: Policy, task_name: str, path: Path, *, agent_obsk: int,
         seed: decides the start.
 
     Raises:
-        NothingDraws: if nothing draws this task here; the message says why and what helps.
+        NoRenderer: if nothing draws this task here; the message says why and what helps.
         ClipNotWritten: if the disk or the encoder refuses.
     """
     task = make_task(task_name, 1, agent_obsk=agent_obsk)
@@ -37,7 +37,7 @@ def record_video(policy: Policy, task_name: str, path: Path, *, agent_obsk: int,
         if isinstance(task, RenderableTask):
             _film_drawn(policy, task, path, seed)
         elif task.spec.nq == 0:
-            raise NothingDraws(f"{task_name} has no simulator's state to draw, and does not draw itself.")
+            raise NoRenderer(f"{task_name} has no simulator's state to draw, and does not draw itself.")
         else:
             states = [task.simulator_state() for _ in _episode(policy, task, seed)]
             qpos, qvel = (np.concatenate(parts) for parts in zip(*states, strict=True))
@@ -70,8 +70,8 @@ def _film_drawn(policy: Policy, task: RenderableTask, path: Path, seed: int) -> 
         task.reset(seed)
         height, width, _ = _even(task.render(0)).shape
         write_clip(frames(), path, RenderSettings(width=width, height=height, frame_rate_hz=_frame_rate(task)))
-    except NoPicture as error:
-        raise NothingDraws(str(error)) from error
+    except NotRenderable as error:
+        raise NoRenderer(str(error)) from error
 
 
 def _even(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -99,4 +99,4 @@ def _film_states(
             if failure is None:
                 return
             said.append(f"{backend}: {failure}")
-    raise NothingDraws(f"{task_name} was not drawn without a display ({'; '.join(said)}). It may help: {INSTALL}")
+    raise NoRenderer(f"{task_name} was not drawn without a display ({'; '.join(said)}). It may help: {INSTALL}")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mapt.errors import ClipNotWritten
 from mapt.rendering.encode import write_clip
-from mapt.rendering.errors import ClipNotWritten
 from mapt.rendering.settings import CodecSettings, RenderSettings
 
 SETTINGS = RenderSettings(width=96, height=64, codec=CodecSettings(keyframe_interval_frames=4))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from integration.training.test_killed_run import ENVIRONMENT, ITERATIONS, command
-from mapt.training.errors import RunBusy
+from mapt.errors import RunBusy
 from mapt.training.metrics import read_metrics
 from mapt.training.run_folder import RunFolder
 from support.waiting import until

@@ -8,10 +8,10 @@ import pytest
 
 from accord.rendering.checks import probe_backend
 from accord.rendering.process import RenderingUnavailable
+from mapt.errors import NoRenderer
 from mapt.policies import Policy, PolicyConfig
 from mapt.policies.learner import make_policy
 from mapt.rendering.episode_video import widen_floors
-from mapt.rendering.errors import NothingDraws
 from mapt.tasks import PettingZooDefinition, load_model, register_task, task_spec
 from mapt.training import video
 from mapt.training.run import Watch, complete_run
@@ -72,7 +72,7 @@ def test_a_task_that_draws_itself_is_filmed_by_itself(tmp_path):
 def test_a_task_that_cannot_be_drawn_says_so(tmp_path):
     name = f"BlindLevers-{os.getpid()}"
     register_task(PettingZooDefinition(name, Levers, 6, 0.5, "Pull."))
-    with pytest.raises(NothingDraws, match="rgb_array"):
+    with pytest.raises(NoRenderer, match="rgb_array"):
         record_video(policy_of(name), name, tmp_path / "final.mp4", agent_obsk=1)
 
 

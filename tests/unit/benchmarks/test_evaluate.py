@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from mapt.benchmarks.errors import InvalidStudy, TooFewLabels
 from mapt.benchmarks.evaluate import (
     Judge,
     Predictions,
@@ -16,7 +15,7 @@ from mapt.benchmarks.evaluate import (
     split_replay,
     training_pairs,
 )
-from mapt.preferences.teachers import InvalidTeacher, UnknownTeacher
+from mapt.errors import InvalidConfig, InvalidTeacher, TooFewLabels, UnknownTeacher
 from unit.benchmarks.tiny_replay import KnowingModel, write_replay
 
 
@@ -173,5 +172,5 @@ def test_seeds_split_and_draw_differently():
 
 
 def test_a_handful_of_segments_cannot_be_split():
-    with pytest.raises(InvalidStudy):
+    with pytest.raises(InvalidConfig):
         split_replay(9, seed=0)

@@ -10,7 +10,6 @@ from multiprocessing import active_children
 import numpy as np
 import pytest
 
-from mapt.benchmarks.errors import DamagedCell, InvalidStudy
 from mapt.benchmarks.evaluate import split_replay
 from mapt.benchmarks.job import (
     CellFolder,
@@ -24,10 +23,10 @@ from mapt.benchmarks.job import (
     training_of,
 )
 from mapt.benchmarks.specification import Written
+from mapt.errors import DamagedCell, InvalidConfig
 from mapt.preferences.storage import SegmentLayout
 from mapt.processes import run_jobs
 from mapt.rewards.config import MODEL_NAMES, TrainConfig
-from mapt.rewards.errors import InvalidConfig
 from unit.benchmarks.tiny_replay import TASK
 
 PLAN = TablePlan(
@@ -196,7 +195,7 @@ def test_a_text_is_a_name_and_settings():
 
 @pytest.mark.parametrize("text", ["MAPT:", "MAPT:tpa", "MAPT:=1"])
 def test_a_part_that_is_no_setting_is_refused(text):
-    with pytest.raises(InvalidStudy, match="hidden_dim=128"):
+    with pytest.raises(InvalidConfig, match="hidden_dim=128"):
         Written.parse(text)
 
 

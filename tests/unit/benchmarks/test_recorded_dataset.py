@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from mapt.benchmarks.errors import InvalidStudy, NoTrueRewards, ReplayNotFound
 from mapt.benchmarks.recorded_dataset import (
     EPISODES,
     Recording,
@@ -15,12 +14,12 @@ from mapt.benchmarks.recorded_dataset import (
     make_replay,
     record_replay,
 )
+from mapt.errors import AlreadyExists, FileError, InvalidConfig, NoTrueRewards, ReplayNotFound, UnknownTask
 from mapt.policies import Rollout
 from mapt.preferences.cutting import SHORTEST_SHARE
-from mapt.preferences.errors import AlreadyThere, FileError
 from mapt.preferences.storage import SegmentLayout, SegmentWriter
 from mapt.processes import run_jobs
-from mapt.tasks import UnknownTask, make_task
+from mapt.tasks import make_task
 from unit.benchmarks.tiny_replay import N_SEGMENTS, N_STEPS, write_replay
 
 # Two rollouts of 32 environments and 128 steps.
@@ -91,13 +90,13 @@ def test_the_same_recording_gives_the_same_replay(tmp_path):
 
 
 def test_a_replay_is_never_written_over(tmp_path, replay):
-    with pytest.raises(AlreadyThere):
+    with pytest.raises(AlreadyExists):
         record_replay(SHORT, replay.path)
 
 
 @pytest.mark.parametrize("changes", [{"segment_steps": 129}, {"segment_steps": 0}, {"segments": 0}])
 def test_a_recording_out_of_range_is_refused(tmp_path, changes):
-    with pytest.raises(InvalidStudy):
+    with pytest.raises(InvalidConfig):
         record_replay(Recording(**{**{f: getattr(SHORT, f) for f in SHORT.__dataclass_fields__}, **changes}), tmp_path)
 
 

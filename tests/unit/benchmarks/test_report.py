@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from mapt.benchmarks.errors import InvalidStudy
 from mapt.benchmarks.evaluate import predict, split_replay
 from mapt.benchmarks.job import network_of
 from mapt.benchmarks.recorded_dataset import Replay, episodes_path
@@ -23,10 +22,10 @@ from mapt.benchmarks.reward_analysis import (
 )
 from mapt.cli.benchmarks import load_models
 from mapt.cli.main import main
+from mapt.errors import InvalidConfig, ModelMismatch
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.storage import SegmentWriter
 from mapt.rewards.checkpoints import save_reward_model
-from mapt.rewards.errors import ModelMismatch
 from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
 
@@ -102,7 +101,7 @@ def test_agents_of_our_tasks_have_names(replay):
 def test_the_command_reads_checkpoints_and_names_them(tmp_path, replay, monkeypatch):
     save_reward_model(model_of("MAPT-TPA", replay), {}).write(tmp_path / "a=b")
     assert list(load_models([str(tmp_path / "a=b")])) == ["a=b"]
-    with pytest.raises(InvalidStudy, match="NAME=FOLDER"):
+    with pytest.raises(InvalidConfig, match="NAME=FOLDER"):
         load_models([str(tmp_path / "a=b"), str(tmp_path / "a=b")])
     arguments = ["--replay", replay.path, "--output", tmp_path / "report", "--pairs", 40]
     monkeypatch.setattr(sys, "argv", ["mapt", "report", f"MAPT-TPA={tmp_path / 'a=b'}", *map(str, arguments)])

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapt.benchmarks.errors import InvalidStudy
 from mapt.benchmarks.evaluate import Examination
 from mapt.benchmarks.figures import draw_table
 from mapt.benchmarks.job import Cell, CellSettings, TablePlan
 from mapt.benchmarks.tables import markdown, summarise, write_cells, write_comparisons
+from mapt.errors import InvalidConfig
 
 PLAN = TablePlan("Tiny", ("MA-MLP", "MAPT"), ("oracle", "phase"), (100, 500), (0, 1, 2), "small", 10, "cpu", "MA-MLP")
 PAIRS = np.arange(20).reshape(10, 2)
@@ -117,5 +117,5 @@ def test_the_plot_is_drawn_of_whatever_is_there(tmp_path, cells):
     "changes", [{"models": ()}, {"seeds": (0, 0)}, {"labels": (1,)}, {"baseline": "MA-LSTM"}, {"test_pairs": 0}]
 )
 def test_a_plan_that_makes_no_sense_is_refused(changes):
-    with pytest.raises(InvalidStudy):
+    with pytest.raises(InvalidConfig):
         replace(PLAN, **changes)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mapt.benchmarks.errors import InvalidStudy
 from mapt.benchmarks.specification import numbers, words
+from mapt.errors import InvalidConfig
 from mapt.training.run_folder import RunFolder
 from support.short_tasks import SHORTEST_NAME
 from support.waiting import until
@@ -108,7 +108,7 @@ def test_lists_are_read_with_commas():
 
 @pytest.mark.parametrize("text", ["", "0,,1", "0,0", "1,-1", "a"])
 def test_lists_that_make_no_sense_are_refused(text):
-    with pytest.raises(InvalidStudy, match="--seeds"):
+    with pytest.raises(InvalidConfig, match="--seeds"):
         numbers("--seeds", text, 0)
 
 

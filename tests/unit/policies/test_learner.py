@@ -8,7 +8,8 @@ import torch
 from numpy.typing import NDArray
 
 from learning.identity_task import IdentityTask
-from mapt.policies import InvalidConfig, InvalidRewards, Learner, PolicyConfig, true_reward
+from mapt.errors import InvalidConfig, InvalidRollout
+from mapt.policies import Learner, PolicyConfig, true_reward
 from mapt.policies.device import torch_threads
 from mapt.tasks import TaskStep
 
@@ -134,7 +135,7 @@ def test_the_learning_rate_falls_to_a_tenth_and_stays() -> None:
 def test_rewards_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
     trained = learner()
     rollout = trained.collect()
-    with pytest.raises(InvalidRewards, match=r"\(16, 16\) or \(16, 16, 3\)"):
+    with pytest.raises(InvalidRollout, match=r"\(16, 16\) or \(16, 16, 3\)"):
         trained.update(rollout, np.zeros(shape))
 
 
@@ -144,7 +145,7 @@ def test_rewards_that_are_no_numbers_are_refused_and_change_nothing() -> None:
     before = trained.state_dict()
     rewards = rollout.rewards.copy()
     rewards[3, 3] = np.nan
-    with pytest.raises(InvalidRewards, match="finite"):
+    with pytest.raises(InvalidRollout, match="finite"):
         trained.update(rollout, rewards)
     for name, tensor in trained.state_dict().items():
         assert torch.equal(tensor, before[name]), name

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from learning.identity_task import IdentityTask
-from mapt.policies import InvalidCheckpoint, Learner, PolicyConfig
+from mapt.errors import CheckpointMismatch, DamagedCheckpoint, NewerCheckpoint
+from mapt.policies import Learner, PolicyConfig
 from mapt.policies.checkpoint import pack
 from mapt.tasks import make_task
 
@@ -56,18 +57,18 @@ def test_a_state_dict_does_not_change_with_the_learner(learner: Learner) -> None
 
 @pytest.mark.parametrize("n_bytes", [0, 4, 100, -1])
 def test_a_torn_file_is_refused(learner: Learner, n_bytes: int) -> None:
-    with pytest.raises(InvalidCheckpoint, match="damaged"):
+    with pytest.raises(DamagedCheckpoint):
         Learner.from_bytes(learner.to_bytes()[:n_bytes], IdentityTask(4))
 
 
 def test_a_checkpoint_of_another_task_is_refused(learner: Learner) -> None:
-    with pytest.raises(InvalidCheckpoint, match="of Identity, not of HalfCheetah-6x1"):
+    with pytest.raises(CheckpointMismatch, match="of Identity, not of HalfCheetah-6x1"):
         Learner.from_bytes(learner.to_bytes(), make_task("HalfCheetah-6x1", 4))
 
 
 def test_a_checkpoint_of_a_later_format_is_refused(learner: Learner) -> None:
     later = pack(learner.state_dict(), {"format": 2, "task": "Identity", "config": CONFIG.to_dict()})
-    with pytest.raises(InvalidCheckpoint, match="format 2"):
+    with pytest.raises(NewerCheckpoint):
         Learner.from_bytes(later, IdentityTask(4))
 
 
@@ -75,5 +76,5 @@ def test_a_checkpoint_of_a_later_format_is_refused(learner: Learner) -> None:
 def test_tensors_of_another_configuration_are_refused(learner: Learner, change: dict) -> None:
     config = replace(CONFIG, **change)
     other = Learner(IdentityTask(config.n_envs), config)
-    with pytest.raises(InvalidCheckpoint, match="does not fit"):
+    with pytest.raises(CheckpointMismatch, match="does not fit"):
         other.load_state_dict(learner.state_dict())

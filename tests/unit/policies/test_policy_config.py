@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from mapt.policies import InvalidConfig, PolicyConfig
+from mapt.errors import InvalidConfig
+from mapt.policies import PolicyConfig
 
 
 def test_a_configuration_survives_json() -> None:

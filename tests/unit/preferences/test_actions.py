@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from mapt.errors import InvalidAction, ShapeError
 from mapt.preferences.actions import one_hot_actions
 from mapt.preferences.dataset import SegmentArrays
-from mapt.preferences.errors import InvalidAction, PreferenceError, ShapeError
 
 S, T, N, A = 2, 4, 3, 5
 
@@ -72,7 +72,3 @@ def test_arrays_of_another_shape_are_refused():
         one_hot_actions(numbers(), A, np.ones((S, T, A), dtype=bool))
     with pytest.raises(ShapeError, match="actions"):
         one_hot_actions(np.array([["up"]]), A)
-
-
-def test_one_root_holds_its_errors():
-    assert issubclass(InvalidAction, PreferenceError)

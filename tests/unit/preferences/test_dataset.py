@@ -3,15 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mapt.errors import InvalidLabel, InvalidMask, InvalidPair, NotEnoughPairs, NotFinite, ShapeError
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.preferences.errors import (
-    InvalidLabel,
-    InvalidMask,
-    InvalidPair,
-    NotEnoughPairs,
-    NotFinite,
-    ShapeError,
-)
 
 
 def segments(n_segments=4, n_steps=3, n_agents=2, observation_dim=5, action_dim=1):

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from mapt.preferences.errors import InvalidMask, NotFinite, ShapeError
-from mapt.preferences.teachers import Evidence, EvidenceMissing
+from mapt.errors import InvalidMask, MissingEvidence, NotFinite, ShapeError
+from mapt.preferences.teachers import Evidence
 
 
 def segment(n_steps, seed=0, **changes):
@@ -24,7 +24,7 @@ def test_segments_of_different_lengths_are_padded_after_their_steps():
 def test_what_one_segment_lacks_none_has():
     evidence = Evidence.stack([segment(2), {"rewards": np.zeros(2)}])
     assert evidence.observations is None
-    with pytest.raises(EvidenceMissing, match="observations"):
+    with pytest.raises(MissingEvidence, match="observations"):
         evidence.seen("observations")
 
 
@@ -33,7 +33,7 @@ def test_arrays_besides_are_no_evidence():
 
 
 def test_segments_without_rewards_are_refused():
-    with pytest.raises(EvidenceMissing, match="rewards"):
+    with pytest.raises(MissingEvidence, match="rewards"):
         Evidence.stack([{"actions": np.zeros((2, 1, 1))}])
 
 
@@ -83,5 +83,5 @@ def test_columns_are_zero_in_padding():
 
 @pytest.mark.parametrize(("columns", "agents"), [((4,), None), ((-1,), None), ((0,), (2,)), ((0,), (-1,))])
 def test_columns_and_agents_that_are_not_there_are_named(columns, agents):
-    with pytest.raises(EvidenceMissing, match=r"of [24] in observations"):
+    with pytest.raises(MissingEvidence, match=r"of [24] in observations"):
         Evidence.stack([segment(2)]).columns(columns, agents)

@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapt.preferences.errors import ShapeError
+from mapt.errors import ShapeError
 from mapt.preferences.loss import preference_loss, preference_losses
 
 finite = st.floats(-50, 50, width=32)

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mapt.errors import UnknownSelector
 from mapt.preferences.selection import (
     SegmentView,
     SelectorName,
     UniformSelector,
-    UnknownSelector,
     make_selector,
     needs_ensemble,
     needs_features,

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mapt.errors import InvalidConfig
 from mapt.preferences.selection import ControlledSelector, SegmentView, UniformSelector, control_count, make_selector
-from mapt.preferences.selection.errors import InvalidShare
 
 VIEW = SegmentView(scores=np.random.default_rng(0).normal(size=(3, 30)))
 
@@ -68,5 +68,5 @@ def test_all_or_none_may_be_control(share, name):
 
 @pytest.mark.parametrize("share", [-0.1, 1.1, float("nan")])
 def test_a_share_that_is_none_is_refused(share):
-    with pytest.raises(InvalidShare):
+    with pytest.raises(InvalidConfig):
         controlled(share).choose(range(30), [], 3, VIEW)

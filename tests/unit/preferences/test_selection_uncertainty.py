@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapt.preferences.errors import NotFinite, ShapeError
-from mapt.preferences.selection import MissingView, SegmentView, make_selector
+from mapt.errors import MissingView, NotFinite, ShapeError
+from mapt.preferences.selection import SegmentView, make_selector
 from mapt.preferences.selection.narrowing import CANDIDATES_PER_QUERY
 from mapt.preferences.selection.uncertainty import disagreement, entropy
 

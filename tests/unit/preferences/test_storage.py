@@ -11,17 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapt.preferences.dataset import PreferenceDataset, SegmentArrays, in_batches
-from mapt.preferences.errors import (
-    AlreadyThere,
+from mapt.errors import (
+    AlreadyExists,
+    InvalidFile,
     MissingPart,
+    NewerFile,
     NotFinite,
     NotOneHot,
-    NotReadable,
-    SchemaTooNew,
     ShapeError,
-    Truncated,
+    TruncatedFile,
 )
+from mapt.preferences.dataset import PreferenceDataset, SegmentArrays, in_batches
 from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
 
 LAYOUT = SegmentLayout(n_steps=5, n_agents=2, observation_dim=3, action_dim=4)
@@ -166,10 +166,10 @@ def test_what_the_segments_are_is_kept_with_them(tmp_path):
 
 def test_a_folder_with_something_in_it_is_not_written_over(tmp_path):
     written(tmp_path / "segments")
-    with pytest.raises(AlreadyThere):
+    with pytest.raises(AlreadyExists):
         SegmentWriter.create(tmp_path / "segments", LAYOUT)
     (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(AlreadyThere):
+    with pytest.raises(AlreadyExists):
         SegmentWriter.create(tmp_path, LAYOUT)
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
 
@@ -247,7 +247,7 @@ def test_a_file_that_was_cut_is_refused(tmp_path):
     written(tmp_path / "segments")
     os.truncate(tmp_path / "segments" / "actions.bin", 100)
     for opened in (SegmentFolder.open, SegmentWriter.resume):
-        with pytest.raises(Truncated, match=r"actions\.bin"):
+        with pytest.raises(TruncatedFile, match=r"actions\.bin"):
             opened(tmp_path / "segments")
 
 
@@ -255,7 +255,7 @@ def test_a_file_cut_behind_its_readers_back_is_noticed(tmp_path):
     written(tmp_path / "segments")
     folder = SegmentFolder.open(tmp_path / "segments")
     os.truncate(tmp_path / "segments" / "observations.bin", 100)
-    with pytest.raises(Truncated, match=r"observations\.bin"):
+    with pytest.raises(TruncatedFile, match=r"observations\.bin"):
         folder.take([3])
 
 
@@ -274,7 +274,7 @@ def change_manifest(folder, **changes):
 def test_a_newer_schema_is_refused_by_its_number(tmp_path):
     written(tmp_path / "segments")
     change_manifest(tmp_path / "segments", schema_version=2)
-    with pytest.raises(SchemaTooNew, match="version 2"):
+    with pytest.raises(NewerFile, match="version 2"):
         SegmentFolder.open(tmp_path / "segments")
 
 
@@ -295,21 +295,21 @@ def test_a_newer_schema_is_refused_by_its_number(tmp_path):
 def test_a_manifest_that_makes_no_sense_is_refused(tmp_path, changes):
     written(tmp_path / "segments")
     change_manifest(tmp_path / "segments", **changes)
-    with pytest.raises(NotReadable, match=r"manifest\.json"):
+    with pytest.raises(InvalidFile, match=r"manifest\.json"):
         SegmentFolder.open(tmp_path / "segments")
 
 
 def test_a_manifest_that_is_no_json_is_refused(tmp_path):
     written(tmp_path / "segments")
     (tmp_path / "segments" / "manifest.json").write_bytes(b"\xff{")
-    with pytest.raises(NotReadable, match=r"manifest\.json"):
+    with pytest.raises(InvalidFile, match=r"manifest\.json"):
         SegmentFolder.open(tmp_path / "segments")
 
 
 def test_lengths_beyond_the_layout_are_refused(tmp_path):
     written(tmp_path / "segments")
     (tmp_path / "segments" / "lengths.bin").write_bytes(np.array([5, 3, 9, 5], dtype="<i4").tobytes())
-    with pytest.raises(NotReadable, match="length"):
+    with pytest.raises(InvalidFile, match="length"):
         SegmentFolder.open(tmp_path / "segments")
 
 

@@ -7,13 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mapt.errors import InvalidTeacher, MissingEvidence
 from mapt.preferences.teachers import (
     RULES,
     BestSecond,
     Evidence,
-    EvidenceMissing,
     FindsPhase,
-    InvalidTeacher,
     Never,
     NobodyIdle,
     Phase,
@@ -181,7 +180,7 @@ def test_rules_read_what_they_say_and_no_more(rule):
     np.testing.assert_array_equal(rule.scores(Evidence(rewards, made.mask, **shown)), rule.scores(made))
     for name in shown:
         rest = {other: array for other, array in shown.items() if other != name}
-        with pytest.raises(EvidenceMissing):
+        with pytest.raises(MissingEvidence):
             rule.scores(Evidence(rewards, made.mask, **rest))
 
 

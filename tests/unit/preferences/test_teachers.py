@@ -8,18 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapt.preferences.errors import ShapeError
+from mapt.errors import InvalidTeacher, ShapeError, UnknownTeacher
 from mapt.preferences.teachers import (
     PRESETS,
     RULES,
     Evidence,
     Habits,
-    InvalidTeacher,
     OracleTeacher,
     Phase,
     Return,
     ScriptedTeacher,
-    UnknownTeacher,
     make_teacher,
     teacher_names,
 )

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import nn
 
+from mapt.errors import DamagedCheckpoint, InvalidConfig, ModelMismatch, NewerCheckpoint, NotEnoughPairs
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.preferences.errors import NotEnoughPairs
 from mapt.preferences.loss import preference_loss
 from mapt.rewards.config import MODEL_NAMES, RewardConfig, TrainConfig
 from mapt.rewards.data import PairTensors, segment_reader
@@ -15,7 +15,6 @@ from mapt.rewards.ensemble import RewardEnsemble, train_reward_ensemble
 from mapt.rewards.ensemble_fitting import ensemble_step
 from mapt.rewards.ensemble_scorers import whole_stack_scorer
 from mapt.rewards.ensemble_storage import FORMAT, load_reward_ensemble, save_reward_ensemble
-from mapt.rewards.errors import DamagedCheckpoint, InvalidConfig, ModelMismatch, NewerCheckpoint
 from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.schedule import StageSettings

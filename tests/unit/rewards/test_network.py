@@ -3,7 +3,7 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mapt.preferences.errors import ShapeError
+from mapt.errors import ShapeError
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.mapt import MAPT
 

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from mapt.rewards.errors import InvalidConfig
+from mapt.errors import InvalidConfig
 from mapt.rewards.kernels import multiplies_bfloat16, products_in, resolve_precision
 
 CPU = torch.device("cpu")

@@ -4,7 +4,7 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mapt.rewards.errors import InvalidConfig, InvalidRollout, ModelMismatch
+from mapt.errors import InvalidConfig, InvalidRollout, ModelMismatch
 from mapt.rewards.relabelling import RolloutRelabeller
 
 N_ENVS, N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 3, 4, 2

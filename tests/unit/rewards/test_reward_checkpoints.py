@@ -3,8 +3,8 @@ import json
 import pytest
 import torch
 
+from mapt.errors import DamagedCheckpoint, NewerCheckpoint
 from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model, save_reward_model
-from mapt.rewards.errors import DamagedCheckpoint, NewerCheckpoint
 
 METRICS = {"holdout_loss": 0.25, "labels": 20.0}
 

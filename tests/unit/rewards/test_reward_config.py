@@ -1,7 +1,7 @@
 import pytest
 
+from mapt.errors import InvalidConfig
 from mapt.rewards.config import RewardConfig, TrainConfig
-from mapt.rewards.errors import InvalidConfig
 
 DIMENSIONS = {"observation_dim": 9, "action_dim": 1, "n_agents": 6}
 

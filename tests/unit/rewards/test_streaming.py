@@ -4,8 +4,8 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from mapt.errors import InvalidConfig, InvalidRollout
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.errors import InvalidConfig, InvalidRollout
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.relabelling import RewardStream, RolloutRelabeller
 

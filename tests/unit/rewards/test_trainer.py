@@ -5,15 +5,14 @@ import numpy as np
 import pytest
 import torch
 
+from mapt.errors import InvalidConfig, ModelMismatch, NotEnoughPairs
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.preferences.errors import NotEnoughPairs
 from mapt.preferences.loss import preference_losses
 from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
 from mapt.preferences.teachers import Evidence, OracleTeacher
 from mapt.rewards import data as reward_data
 from mapt.rewards.config import MODEL_NAMES, RewardConfig, TrainConfig
 from mapt.rewards.data import PairTensors, markov_scorer, segment_reader, whole_scorer
-from mapt.rewards.errors import InvalidConfig, ModelMismatch
 from mapt.rewards.mapt import MAPT
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.schedule import StageSettings

@@ -6,7 +6,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium_robotics import mamujoco_v1
 
-from mapt.rewards.errors import InvalidRollout
+from mapt.errors import InvalidRollout
 from mapt.rewards.relabelling import RolloutRelabeller
 from mapt.rewards.wrappers.gymnasium import LearnedReward, LearnedVectorReward
 from mapt.rewards.wrappers.pettingzoo import LearnedParallelReward

@@ -9,9 +9,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mapt.errors import InvalidConfig
 from mapt.rewards.checkpoints import load_reward_model, save_reward_model
 from mapt.rewards.config import MODEL_NAMES, RewardConfig
-from mapt.rewards.errors import InvalidConfig
 from mapt.rewards.model import PolicyReward, RewardModel
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.relabelling import RewardStream, RolloutRelabeller

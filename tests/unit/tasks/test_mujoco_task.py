@@ -3,19 +3,8 @@
 import numpy as np
 import pytest
 
-from mapt.tasks import (
-    InvalidAction,
-    InvalidSnapshot,
-    InvalidTaskOption,
-    Task,
-    TaskStep,
-    UnknownTask,
-    agent_geoms,
-    load_model,
-    make_task,
-    task_names,
-    task_spec,
-)
+from mapt.errors import InvalidAction, InvalidConfig, InvalidSnapshot, UnknownTask
+from mapt.tasks import Task, TaskStep, agent_geoms, load_model, make_task, task_names, task_spec
 
 NAME = "HalfCheetah-6x1"
 
@@ -176,7 +165,7 @@ def test_an_unknown_task_is_answered_with_the_known_ones() -> None:
 
 @pytest.mark.parametrize(("n_envs", "n_threads", "agent_obsk"), [(0, 0, 0), (1, -1, 0), (1, 0, -1)])
 def test_options_out_of_range_are_refused(n_envs: int, n_threads: int, agent_obsk: int) -> None:
-    with pytest.raises(InvalidTaskOption, match="or more"):
+    with pytest.raises(InvalidConfig, match="or more"):
         make_task(NAME, n_envs, n_threads=n_threads, agent_obsk=agent_obsk)
 
 

@@ -8,7 +8,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from mapt.tasks import RenderableTask, TaskFileFailed, UnknownTask, agent_geoms, make_task, task_names, task_spec
+from mapt.errors import TaskImportFailed, UnknownTask
+from mapt.tasks import RenderableTask, agent_geoms, make_task, task_names, task_spec
 from support import buttons
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "tasks.md"
@@ -59,5 +60,5 @@ def test_the_documented_pettingzoo_environment_is_a_task_that_draws_itself(
 
 def test_a_file_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MAPT_TASKS", "no/such_file.py")
-    with pytest.raises(TaskFileFailed, match=r"no/such_file.py"):
+    with pytest.raises(TaskImportFailed, match=r"no/such_file.py"):
         task_names()

@@ -9,7 +9,8 @@ from gymnasium import spaces
 from gymnasium_robotics import mamujoco_v1
 from pettingzoo import ParallelEnv
 
-from mapt.tasks import MaskingTask, NoPicture, RenderableTask, Task, TaskExists, make_task, register_task, task_names
+from mapt.errors import NotRenderable, TaskExists
+from mapt.tasks import MaskingTask, RenderableTask, Task, make_task, register_task, task_names
 from mapt.tasks.pettingzoo_task import PettingZooDefinition
 
 
@@ -125,7 +126,7 @@ def test_a_task_that_cannot_draw_says_how_it_could() -> None:
     task = levers(1)
     assert isinstance(task, RenderableTask)
     task.reset(0)
-    with pytest.raises(NoPicture, match="rgb_array"):
+    with pytest.raises(NotRenderable, match="rgb_array"):
         task.render(0)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from mapt.training.errors import DamagedRun
+from mapt.errors import DamagedRun
 from mapt.training.metrics import EventFile, Metrics, MetricsFile, read_metrics, tag
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mapt.errors import DamagedRun, RunNotFound
 from mapt.training.curves import draw_curves
-from mapt.training.errors import DamagedRun, RunNotFound
 from mapt.training.evaluation import Evaluation, interquartile_mean
 from mapt.training.metrics import MetricsFile
 from mapt.training.results import RunResult, find_runs, grouped, markdown, seed_curves

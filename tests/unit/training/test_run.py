@@ -4,9 +4,9 @@ import json
 
 import pytest
 
+from mapt.errors import DamagedCheckpoint, ModelMismatch
 from mapt.policies import Learner
 from mapt.policies.checkpoint import unpack
-from mapt.rewards.errors import DamagedCheckpoint, ModelMismatch
 from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import TIMINGS, read_metrics
 from mapt.training.run import Run, Watch, complete_run

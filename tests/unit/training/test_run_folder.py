@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from mapt.policies import InvalidCheckpoint, Learner
+from mapt.errors import CheckpointError, CheckpointMismatch, RunNotFound
+from mapt.policies import Learner
 from mapt.tasks import make_task
-from mapt.training.errors import RunNotFound
 from mapt.training.run_folder import PolicyCheckpoint, load_policy
 from support.short_tasks import SHORTEST_NAME
 from unit.training.conftest import STEPS_PER_ITERATION
@@ -49,7 +49,7 @@ def test_a_checkpoint_is_read_as_it_was_written(learner):
 
 def test_other_observations_than_the_policys_are_refused(learner, tmp_path):
     learner.save(tmp_path / "policy.safetensors")
-    with pytest.raises(InvalidCheckpoint, match="does not fit"):
+    with pytest.raises(CheckpointMismatch, match="does not fit"):
         load_policy(tmp_path / "policy.safetensors", "cpu", agent_obsk=0)
 
 
@@ -58,7 +58,7 @@ def test_what_is_no_policy_is_refused(learner, tmp_path):
     whole = (tmp_path / "policy.safetensors").read_bytes()
     for content in (b"", b"nothing", whole[:-8], whole[:100]):
         (tmp_path / "broken").write_bytes(content)
-        with pytest.raises(InvalidCheckpoint):
+        with pytest.raises(CheckpointError):
             load_policy(tmp_path / "broken", "cpu")
     for path in (tmp_path, tmp_path / "missing"):
         with pytest.raises(RunNotFound):

@@ -4,8 +4,7 @@ import dataclasses
 
 import pytest
 
-from mapt.policies import InvalidConfig
-from mapt.training.errors import InvalidRun, OtherRun, RunBusy
+from mapt.errors import InvalidConfig, RunBusy, RunMismatch
 from mapt.training.run_folder import RunFolder
 from mapt.training.settings import LearnedRewardSettings, RunSettings
 
@@ -22,7 +21,7 @@ def test_settings_survive_storage(settings, tmp_path):
 def test_a_folder_with_another_run_is_left_alone(settings, tmp_path):
     folder = RunFolder(tmp_path)
     folder.claim(settings())
-    with pytest.raises(OtherRun, match=r"policy\.learning_rate: 0\.002, not 0\.001"):
+    with pytest.raises(RunMismatch, match=r"policy\.learning_rate: 0\.002, not 0\.001"):
         folder.claim(settings(policy_learning_rate=1e-3))
     assert folder.settings() == settings()
 
@@ -55,7 +54,7 @@ def test_two_processes_cannot_train_in_one_folder(tmp_path):
     ],
 )
 def test_settings_that_make_no_sense_are_refused(settings, changes, message):
-    with pytest.raises(InvalidRun, match=message):
+    with pytest.raises(InvalidConfig, match=message):
         RunSettings.from_dict({**settings().to_dict(), **changes})
 
 

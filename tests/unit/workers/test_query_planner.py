@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from accord.domain.experiment import ExperimentConfig
 from accord.workers.query_planner import choose_pairs
-from mapt.preferences.selection import SegmentView, UnknownSelector, selector_names
+from mapt.errors import UnknownSelector
+from mapt.preferences.selection import SegmentView, selector_names
 
 
 def config(**changes) -> ExperimentConfig:

@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.errors import InvalidAction, InvalidFile
 from mapt.preferences.actions import one_hot_actions
 from mapt.preferences.dataset import FloatArray
-from mapt.preferences.errors import InvalidAction, NotReadable
 
 
 def as_array(path: Path | str, where: str, values: object) -> NDArray[Any]:
-    """Raises NotReadable for lists that are no array."""
+    """Raises InvalidFile for lists that are no array."""
     try:
         return np.asarray(values)
     except ValueError as error:
-        raise NotReadable(path, f"{where} is no array ({error})") from error
+        raise InvalidFile(path, f"{where} is no array ({error})") from error
 
 
 def numbers(path: Path | str, where: str, values: object, n_dims: int) -> NDArray[Any]:
@@ -26,13 +26,13 @@ def numbers(path: Path | str, where: str, values: object, n_dims: int) -> NDArra
         where: what it is called in an error.
 
     Raises:
-        NotReadable: if it is not.
+        InvalidFile: if it is not.
     """
     array = as_array(path, where, values)
     if array.dtype.kind not in "biuf":
-        raise NotReadable(path, f"{where} holds {array.dtype}, not numbers")
+        raise InvalidFile(path, f"{where} holds {array.dtype}, not numbers")
     if array.ndim != n_dims or 0 in array.shape:
-        raise NotReadable(path, f"{where} has shape {array.shape}, not {n_dims} dimensions")
+        raise InvalidFile(path, f"{where} has shape {array.shape}, not {n_dims} dimensions")
     return array
 
 
@@ -42,7 +42,7 @@ def finite_floats(path: Path | str, where: str, values: object, n_dims: int) -> 
     with np.errstate(over="ignore"):
         floats = array.astype(np.float32)
     if not np.isfinite(floats).all():
-        raise NotReadable(path, f"{where} holds NaN, infinity or a number beyond float32")
+        raise InvalidFile(path, f"{where} holds NaN, infinity or a number beyond float32")
     return floats
 
 
@@ -50,7 +50,7 @@ def finite_doubles(path: Path | str, where: str, values: object, n_dims: int) ->
     """As `finite_floats`, in float64."""
     doubles = numbers(path, where, values, n_dims).astype(np.float64)
     if not np.isfinite(doubles).all():
-        raise NotReadable(path, f"{where} holds NaN or infinity")
+        raise InvalidFile(path, f"{where} holds NaN or infinity")
     return doubles
 
 
@@ -58,14 +58,14 @@ def numbered_actions(path: Path | str, where: str, values: object, n_actions: in
     """Discrete actions (T, N) or (T, N, 1), one-hot (T, N, A).
 
     Raises:
-        NotReadable: if one is not in [0, `n_actions`).
+        InvalidFile: if one is not in [0, `n_actions`).
     """
     array = as_array(path, where, values)
     array = numbers(path, where, array[..., 0] if array.ndim == 3 and array.shape[2] == 1 else array, 2)
     chosen = array.astype(np.int64)
     if (chosen != array).any():
-        raise NotReadable(path, f"{where} holds an action that is no whole number")
+        raise InvalidFile(path, f"{where} holds an action that is no whole number")
     try:
         return one_hot_actions(chosen, n_actions)
     except InvalidAction as error:
-        raise NotReadable(path, f"{where}: {error}") from error
+        raise InvalidFile(path, f"{where}: {error}") from error

@@ -14,9 +14,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.errors import AlreadyExists, InvalidFile, MissingPart, ShapeError
 from mapt.io import atomic_path
 from mapt.preferences.dataset import FloatArray
-from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError
 from mapt.preferences.formats.arrays import finite_doubles, finite_floats
 from mapt.preferences.formats.episodes import AgentIndices, Episode
 from mapt.preferences.formats.hdf5 import MAX_BYTES, Hdf5File, open_hdf5, rows
@@ -37,7 +37,7 @@ def read_d4rl(
 
     Raises:
         MissingPart: if an array is not there; `timeouts` may be missing where `horizon` is given.
-        NotReadable: if the file is cut, or its arrays disagree in length or hold what are no numbers.
+        InvalidFile: if the file is cut, or its arrays disagree in length or hold what are no numbers.
     """
     path = Path(path)
     with open_hdf5(path, max_bytes) as file:
@@ -50,7 +50,7 @@ class D4rlSteps:
     """The steps of an open file, read by their places.
 
     Raises:
-        MissingPart, NotReadable, TooLarge: see `read_d4rl`.
+        MissingPart, InvalidFile, FileTooLarge: see `read_d4rl`.
     """
 
     def __init__(self, file: Hdf5File, agents: AgentIndices | None) -> None:
@@ -65,9 +65,9 @@ class D4rlSteps:
             raise MissingPart(file.path, "array 'terminals'")
         for data in (self._actions, *self._extras.values(), *self._flags.values()):
             if len(data) != len(self):
-                raise NotReadable(file.path, f"{data.name} has {len(data)} steps and observations have {len(self)}")
+                raise InvalidFile(file.path, f"{data.name} has {len(data)} steps and observations have {len(self)}")
         if not len(self):
-            raise NotReadable(file.path, "holds no steps")
+            raise InvalidFile(file.path, "holds no steps")
 
     def __len__(self) -> int:
         return len(self._observations)
@@ -93,7 +93,7 @@ class D4rlSteps:
             return self._agents.split(self._path, observations, actions)
         for name, flat in (("observations", observations), ("actions", actions)):
             if flat.shape[1] % self._n_agents:
-                raise NotReadable(
+                raise InvalidFile(
                     self._path, f"{name} of {flat.shape[1]} numbers do not fall to {self._n_agents} agents"
                 )
         shape = (len(observations), self._n_agents, -1)
@@ -121,12 +121,12 @@ def write_d4rl(path: Path | str, episodes: Iterable[Episode]) -> None:
     Several agents are written one after the other, C numbers each, which `read_d4rl` undoes.
 
     Raises:
-        AlreadyThere: if there is a file.
+        AlreadyExists: if there is a file.
         ShapeError: if there is no episode, or one is not like the first. No file is left then.
     """
     path = Path(path)
     if path.exists():
-        raise AlreadyThere(path)
+        raise AlreadyExists(path)
     with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
         n_episodes = 0
         for episode in episodes:
@@ -166,5 +166,5 @@ def _n_agents(file: Hdf5File) -> int:
     if found is None:
         return 1
     if not isinstance(found, int | np.integer) or found < 1:
-        raise NotReadable(file.path, f"has {_AGENTS} {found!r}")
+        raise InvalidFile(file.path, f"has {_AGENTS} {found!r}")
     return int(found)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mapt.errors import InvalidFile, ShapeError
 from mapt.preferences.dataset import FloatArray, SegmentArrays
-from mapt.preferences.errors import NotReadable, ShapeError
 from mapt.preferences.formats.records import SegmentRecords
 
 #: Segments that are cut before they are handed on.
@@ -58,11 +58,11 @@ class AgentIndices:
     actions: ArrayLike
 
     def split(self, path: Path, observations: FloatArray, actions: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(L, D) and (L, K) as (L, N, C) and (L, N, A). Raises NotReadable if there are too few numbers."""
+        """(L, D) and (L, K) as (L, N, C) and (L, N, A). Raises InvalidFile if there are too few numbers."""
         try:
             return observations[:, np.asarray(self.observations)], actions[:, np.asarray(self.actions)]
         except IndexError as error:
-            raise NotReadable(path, f"has fewer numbers than the agents' indices need ({error})") from error
+            raise InvalidFile(path, f"has fewer numbers than the agents' indices need ({error})") from error
 
 
 def cut_segments(

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.preferences.errors import MissingPart, NotReadable, TooLarge
+from mapt.errors import FileTooLarge, InvalidFile, MissingPart
 
 #: What the arrays of one file may declare together.
 MAX_BYTES = 16 << 30
@@ -38,23 +38,23 @@ class Hdf5File:
 
         Raises:
             MissingPart: if it is not there.
-            NotReadable: if it holds no numbers, has other dimensions, or lies in another file.
-            TooLarge: if it, and those asked for before, declare more than is wanted.
+            InvalidFile: if it holds no numbers, has other dimensions, or lies in another file.
+            FileTooLarge: if it, and those asked for before, declare more than is wanted.
         """
         found = self._find(name)
         if not isinstance(found, h5py.Dataset):
             raise MissingPart(self.path, f"array {name!r}")
         if found.is_virtual or found.external:
-            raise NotReadable(self.path, f"{name} lies in another file")
+            raise InvalidFile(self.path, f"{name} lies in another file")
         if found.dtype.kind not in "biuf":
-            raise NotReadable(self.path, f"{name} holds {found.dtype}, not numbers")
+            raise InvalidFile(self.path, f"{name} holds {found.dtype}, not numbers")
         if found.ndim != n_dims:
-            raise NotReadable(self.path, f"{name} has shape {found.shape}, not {n_dims} dimensions")
+            raise InvalidFile(self.path, f"{name} has shape {found.shape}, not {n_dims} dimensions")
         # As what it becomes: a few bytes on disk can stand for any number of zeros.
         declared = int(np.prod(found.shape, dtype=object)) * max(8, found.dtype.itemsize)
         self._left -= declared
         if self._left < 0:
-            raise TooLarge(self.path, f"{name} of shape {found.shape}", self._limit)
+            raise FileTooLarge(self.path, f"{name} of shape {found.shape}", self._limit)
         return found
 
     def _find(self, name: str) -> object:
@@ -64,7 +64,7 @@ class Hdf5File:
             if not isinstance(found, h5py.Group) or part not in found:
                 return None
             if not isinstance(found.get(part, getlink=True), h5py.HardLink):
-                raise NotReadable(self.path, f"{name} is a link to another place")
+                raise InvalidFile(self.path, f"{name} is a link to another place")
             found = found[part]
         return found
 
@@ -73,15 +73,15 @@ class Hdf5File:
 def open_hdf5(path: Path, max_bytes: int = MAX_BYTES) -> Generator[Hdf5File]:
     """
     Raises:
-        NotReadable: if it is no HDF5 file, or one that is cut or damaged, also when that shows in the block.
+        InvalidFile: if it is no HDF5 file, or one that is cut or damaged, also when that shows in the block.
     """
     try:
         with h5py.File(path, "r") as file:
             yield Hdf5File(path, file, max_bytes)
     except FileNotFoundError as error:
-        raise NotReadable(path, "is not there") from error
+        raise InvalidFile(path, "is not there") from error
     except (OSError, RuntimeError, KeyError, MemoryError) as error:
-        raise NotReadable(path, f"is no whole HDF5 file ({error})") from error
+        raise InvalidFile(path, f"is no whole HDF5 file ({error})") from error
 
 
 def rows(data: h5py.Dataset, first: int, last: int) -> NDArray[np.generic]:

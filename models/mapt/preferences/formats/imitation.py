@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mapt.preferences.errors import MissingPart, NotReadable, UnknownLabel
+from mapt.errors import InvalidFile, MissingPart, UnknownLabel
 from mapt.preferences.formats.arrays import as_array, finite_doubles, finite_floats, numbered_actions, numbers
 from mapt.preferences.formats.episodes import Episode, cut_segments, episodes_of
 from mapt.preferences.formats.pickle_writer import write_pickle
@@ -32,14 +32,14 @@ def read_imitation(path: Path | str, *, n_actions: int | None = None, max_bytes:
         n_actions: of a task with discrete actions: their numbers become one-hot.
 
     Raises:
-        NotReadable: with the first fragment that is not of this format; see also `load_pickle`.
+        InvalidFile: with the first fragment that is not of this format; see also `load_pickle`.
         UnknownLabel: for a preference that is no probability.
         ShapeError: if the fragments differ in agents or dimensions.
     """
     path = Path(path)
     found = load_pickle(path, (_DATASET, _FRAGMENT), max_bytes=max_bytes)
     if not isinstance(found, Record) or found.name != _DATASET:
-        raise NotReadable(path, "is no PreferenceDataset of imitation")
+        raise InvalidFile(path, "is no PreferenceDataset of imitation")
     labels = numbers(path, "preferences", _part(path, "dataset", found, "preferences"), 1).astype(np.float32)
     for index, label in enumerate(labels.tolist()):
         if not 0 <= label <= 1:
@@ -55,7 +55,7 @@ def write_imitation(path: Path | str, comparisons: Comparisons) -> None:
     known are 0.
 
     Raises:
-        AlreadyThere: if there is a file.
+        AlreadyExists: if there is a file.
     """
     said = ~np.isnan(comparisons.labels)
     pairs = comparisons.pairs[said]
@@ -84,7 +84,7 @@ def _fragment(episode: Episode) -> Record:
 def _side(path: Path, dataset: Record, name: str, n_pairs: int, n_actions: int | None) -> SegmentRecords:
     fragments = _part(path, "dataset", dataset, name)
     if not isinstance(fragments, list) or len(fragments) != n_pairs or not fragments:
-        raise NotReadable(path, f"{name} are not as many as its preferences, {n_pairs}")
+        raise InvalidFile(path, f"{name} are not as many as its preferences, {n_pairs}")
     episodes = [_episode(path, f"{name}[{index}]", each, n_actions) for index, each in enumerate(fragments)]
     longest = max(len(episode) for episode in episodes)
     return concatenate(list(cut_segments(episodes, longest, keep_short=True)))
@@ -92,7 +92,7 @@ def _side(path: Path, dataset: Record, name: str, n_pairs: int, n_actions: int |
 
 def _episode(path: Path, where: str, fragment: object, n_actions: int | None) -> Episode:
     if not isinstance(fragment, Record) or fragment.name != _FRAGMENT:
-        raise NotReadable(path, f"{where} is no TrajectoryWithRew")
+        raise InvalidFile(path, f"{where} is no TrajectoryWithRew")
     observed, acted = (_part(path, where, fragment, name) for name in ("obs", "acts"))
     observations = finite_floats(path, f"obs of {where}", _of_agents(path, where, observed, 2), 3)
     if n_actions is None:
@@ -102,9 +102,9 @@ def _episode(path: Path, where: str, fragment: object, n_actions: int | None) ->
     rewards = finite_doubles(path, f"rews of {where}", _part(path, where, fragment, "rews"), 1)
     n_steps = len(actions)
     if len(observations) != n_steps + 1 or len(rewards) != n_steps:
-        raise NotReadable(path, f"{where} has {len(observations)} obs, {n_steps} acts and {len(rewards)} rews")
+        raise InvalidFile(path, f"{where} has {len(observations)} obs, {n_steps} acts and {len(rewards)} rews")
     if observations.shape[1] != actions.shape[1]:
-        raise NotReadable(path, f"{where} has obs of {observations.shape[1]} agents and acts of {actions.shape[1]}")
+        raise InvalidFile(path, f"{where} has obs of {observations.shape[1]} agents and acts of {actions.shape[1]}")
     return Episode(observations[:-1], actions, rewards)
 
 

@@ -18,8 +18,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from mapt.errors import AlreadyExists, FileTooLarge, InvalidFile, MissingPart, ShapeError, TruncatedFile
 from mapt.io import atomic_write
-from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError, TooLarge, Truncated
 from mapt.preferences.formats.arrays import finite_doubles, finite_floats, numbered_actions
 from mapt.preferences.formats.episodes import Episode
 
@@ -41,12 +41,12 @@ def read_imitation_trajectories(
 
     Raises:
         MissingPart: if a file or a column is not there.
-        NotReadable: if a file is cut, or a trajectory is not of this format.
+        InvalidFile: if a file is cut, or a trajectory is not of this format.
     """
     folder = Path(path)
     for file in _data_files(folder):
         if file.stat().st_size > max_bytes:
-            raise TooLarge(file, f"{file.stat().st_size} bytes", max_bytes)
+            raise FileTooLarge(file, f"{file.stat().st_size} bytes", max_bytes)
         for batch in _batches(file):
             for name in ("obs", "acts"):
                 if name not in batch.schema.names:
@@ -61,12 +61,12 @@ def write_imitation_trajectories(path: Path | str, episodes: Iterable[Episode]) 
     What was seen after the last action is not known: the last observation is there twice.
 
     Raises:
-        AlreadyThere: if there is something at `path`.
+        AlreadyExists: if there is something at `path`.
         ShapeError: if there is no episode, or rewards are known of some and not of others. Nothing is left then.
     """
     folder = Path(path)
     if folder.exists():
-        raise AlreadyThere(folder)
+        raise AlreadyExists(folder)
     folder.mkdir(parents=True)
     try:
         _write(folder, episodes)
@@ -141,9 +141,9 @@ def _data_files(folder: Path) -> list[Path]:
     try:
         names = [each["filename"] for each in json.loads(path.read_bytes())["_data_files"]]
     except (ValueError, TypeError, KeyError) as error:
-        raise NotReadable(path, f"does not say where its data is ({error!r})") from error
+        raise InvalidFile(path, f"does not say where its data is ({error!r})") from error
     if not names or not all(isinstance(name, str) and Path(name).name == name for name in names):
-        raise NotReadable(path, f"names {names!r}, not files beside it")
+        raise InvalidFile(path, f"names {names!r}, not files beside it")
     for name in names:
         if not (folder / name).is_file():
             raise MissingPart(folder, name)
@@ -155,14 +155,14 @@ def _batches(path: Path) -> Iterator[pa.RecordBatch]:
         file.seek(-min(len(_END), path.stat().st_size), os.SEEK_END)
         if file.read() != _END:
             # A stream that ends between two of its messages would be taken for a whole one.
-            raise Truncated(path)
+            raise TruncatedFile(path)
     try:
         with pa.memory_map(str(path)) as file, pa.ipc.open_stream(file) as stream:
             for batch in stream:
                 batch.validate(full=True)
                 yield batch
     except (pa.ArrowException, OSError, MemoryError) as error:
-        raise NotReadable(path, f"is no whole Arrow stream ({error})") from error
+        raise InvalidFile(path, f"is no whole Arrow stream ({error})") from error
 
 
 def _episode(path: Path, batch: pa.RecordBatch, index: int, n_actions: int | None) -> Episode:
@@ -177,9 +177,9 @@ def _episode(path: Path, batch: pa.RecordBatch, index: int, n_actions: int | Non
     if "rews" in batch.schema.names:
         extras["rewards"] = finite_doubles(path, f"rews {where}", _cell(path, batch, "rews", index), 1)
     if len(observations) != len(actions) + 1 or any(len(values) != len(actions) for values in extras.values()):
-        raise NotReadable(path, f"obs, acts and rews {where} do not have T + 1, T and T steps")
+        raise InvalidFile(path, f"obs, acts and rews {where} do not have T + 1, T and T steps")
     if observations.shape[1] != actions.shape[1]:
-        raise NotReadable(path, f"obs and acts {where} are not of as many agents")
+        raise InvalidFile(path, f"obs and acts {where} are not of as many agents")
     return Episode(observations[:-1], actions, **extras)
 
 
@@ -191,16 +191,16 @@ def _cell(path: Path, batch: pa.RecordBatch, name: str, index: int) -> NDArray[A
     """A nested list as an array: its inner lists must have one length each."""
     values: Any = batch.column(name)[index].values if pa.types.is_list(batch.schema.field(name).type) else None
     if values is None:
-        raise NotReadable(path, f"has no array in {name} of trajectory {index}")
+        raise InvalidFile(path, f"has no array in {name} of trajectory {index}")
     shape = [len(values)]
     while pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type):
         inner = values.flatten()
         length, rest = divmod(len(inner), max(1, len(values)))
         sizes = set(values.value_lengths().to_pylist())
         if rest or sizes - {length}:
-            raise NotReadable(path, f"has lists of unequal length in {name} of trajectory {index}")
+            raise InvalidFile(path, f"has lists of unequal length in {name} of trajectory {index}")
         shape.append(length)
         values = inner
     if values.null_count:
-        raise NotReadable(path, f"lacks a number in {name} of trajectory {index}")
+        raise InvalidFile(path, f"lacks a number in {name} of trajectory {index}")
     return values.to_numpy(zero_copy_only=False).reshape(shape)

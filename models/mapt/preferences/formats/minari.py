@@ -17,9 +17,9 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mapt.errors import AlreadyExists, InvalidFile, MissingPart, ShapeError
 from mapt.io import atomic_write
 from mapt.preferences.dataset import FloatArray
-from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError
 from mapt.preferences.formats.arrays import finite_doubles, finite_floats, numbered_actions
 from mapt.preferences.formats.episodes import Episode
 from mapt.preferences.formats.hdf5 import MAX_BYTES, Hdf5File, open_hdf5
@@ -38,7 +38,7 @@ def read_minari(path: Path | str, *, n_actions: int | None = None, max_bytes: in
 
     Raises:
         MissingPart: if the dataset, an episode or an array of one is not there.
-        NotReadable: if the file is cut, if arrays disagree in length, or if the agents differ in dimensions or are not
+        InvalidFile: if the file is cut, if arrays disagree in length, or if the agents differ in dimensions or are not
             the same in observations and actions.
     """
     folder = Path(path)
@@ -65,12 +65,12 @@ def write_minari(path: Path | str, episodes: Iterable[Episode], *, dataset_id: s
         dataset_id: as Minari asks for, for example "half-cheetah-6x1/replay-v0".
 
     Raises:
-        AlreadyThere: if there is something at `path`.
+        AlreadyExists: if there is something at `path`.
         ShapeError: if there is no episode, or one is not like the first. Nothing is left then.
     """
     path = Path(path)
     if path.exists():
-        raise AlreadyThere(path)
+        raise AlreadyExists(path)
     data = path / "data"
     data.mkdir(parents=True)
     try:
@@ -135,11 +135,11 @@ def _n_episodes(folder: Path) -> int:
         metadata = json.loads(path.read_bytes())
         found, form = metadata["total_episodes"], metadata["data_format"]
     except (ValueError, TypeError, KeyError) as error:
-        raise NotReadable(path, f"is no metadata of Minari ({error!r})") from error
+        raise InvalidFile(path, f"is no metadata of Minari ({error!r})") from error
     if form != "hdf5":
-        raise NotReadable(path, f'keeps its data as {form!r}; only "hdf5" is read')
+        raise InvalidFile(path, f'keeps its data as {form!r}; only "hdf5" is read')
     if not isinstance(found, int) or found < 1:
-        raise NotReadable(path, f"has {found!r} episodes")
+        raise InvalidFile(path, f"has {found!r} episodes")
     return found
 
 
@@ -161,7 +161,7 @@ def _episode(file: Hdf5File, group: str, n_actions: int | None) -> Episode:
     actions = [_actions(file, f"{group}/actions{agent}", n_actions) for agent in agents]
     for name, parts in (("observations", observations), ("actions", actions)):
         if {part.shape for part in parts} != {(len(rewards), parts[0].shape[1])}:
-            raise NotReadable(
+            raise InvalidFile(
                 file.path, f"{group}/{name} differ in steps or dimensions from agent to agent, or from rewards"
             )
     return Episode(np.stack(observations, axis=1), np.stack(actions, axis=1), **extras)
@@ -171,7 +171,7 @@ def _first(path: Path, where: str, values: Any, rewards: Any) -> Any:
     if len(values) not in (len(rewards), len(rewards) + 1) or (
         "/observations" in where and len(values) == len(rewards)
     ):
-        raise NotReadable(path, f"{where} has {len(values)} rows for {len(rewards)} rewards")
+        raise InvalidFile(path, f"{where} has {len(values)} rows for {len(rewards)} rewards")
     return values[: len(rewards)]
 
 
@@ -187,7 +187,7 @@ def _agents(file: Hdf5File, group: str) -> list[str]:
         return [""]
     found = [file.names(f"{group}/{name}") for name in ("observations", "actions")]
     if not found[0] or found[0] != found[1]:
-        raise NotReadable(file.path, f"{group}: observations of {found[0] or 'one'} and actions of {found[1] or 'one'}")
+        raise InvalidFile(file.path, f"{group}: observations of {found[0] or 'one'} and actions of {found[1] or 'one'}")
     return [f"/{name}" for name in sorted(found[0], key=_natural)]
 
 

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.errors import AlreadyExists, InvalidFile, MissingPart, NotRepresentable, UnknownLabel
 from mapt.preferences.dataset import FloatArray, IntArray
-from mapt.preferences.errors import AlreadyThere, MissingPart, NotExpressible, NotReadable, UnknownLabel
 from mapt.preferences.formats.arrays import numbers
 from mapt.preferences.formats.d4rl import D4rlSteps, episode_bounds, write_d4rl
 from mapt.preferences.formats.episodes import AgentIndices, Episode, cut_segments, episodes_of
@@ -47,7 +47,7 @@ class LabelFiles:
         """By their names: one with "label" in it, one with "indices_2", and one more with "indices".
 
         Raises:
-            MissingPart: if one is not there. NotReadable: if several could be meant.
+            MissingPart: if one is not there. InvalidFile: if several could be meant.
         """
         folder = Path(folder)
         names = {file.name for file in folder.iterdir() if file.is_file()} if folder.is_dir() else set[str]()
@@ -59,7 +59,7 @@ class LabelFiles:
             if not found:
                 raise MissingPart(folder, f"file of {what}")
             if len(found) > 1:
-                raise NotReadable(folder, f"has several files of {what}: {', '.join(sorted(found))}. Name one")
+                raise InvalidFile(folder, f"has several files of {what}: {', '.join(sorted(found))}. Name one")
         return cls(folder / labels.pop(), folder / first.pop(), folder / second.pop())
 
 
@@ -80,7 +80,7 @@ def read_offline_labels(
 
     Raises:
         UnknownLabel: for a label of another polarity.
-        NotReadable: if a segment would begin or end outside of the file, or cross the end of an episode; if labels
+        InvalidFile: if a segment would begin or end outside of the file, or cross the end of an episode; if labels
             and places are not as many; see also `read_d4rl` and `load_pickle`.
     """
     labels = _labels(files.labels)
@@ -105,20 +105,20 @@ def write_offline_labels(folder: Path | str, comparisons: Comparisons) -> LabelF
     Each segment becomes an episode, with its last step twice, since the last one of an episode is not counted.
 
     Raises:
-        AlreadyThere: if there is something at `folder`.
-        NotExpressible: if a label is not 1, 0 or 0.5, or the segments differ in length. Nothing is left then.
+        AlreadyExists: if there is something at `folder`.
+        NotRepresentable: if a label is not 1, 0 or 0.5, or the segments differ in length. Nothing is left then.
     """
     folder = Path(folder)
     if folder.exists():
-        raise AlreadyThere(folder)
+        raise AlreadyExists(folder)
     words = {ours: theirs for theirs, ours in _LABELS.items()}
     said = ~np.isnan(comparisons.labels)
     unknown = sorted(set(comparisons.labels[said].tolist()) - words.keys())
     if unknown:
-        raise NotExpressible(folder, f"a label of {unknown[0]} has no place in this format, only 1, 0 and 0.5")
+        raise NotRepresentable(folder, f"a label of {unknown[0]} has no place in this format, only 1, 0 and 0.5")
     n_steps = comparisons.records.segments.n_steps
     if (comparisons.records.lengths != n_steps).any():
-        raise NotExpressible(folder, "segments of unequal length have no place in this format")
+        raise NotRepresentable(folder, "segments of unequal length have no place in this format")
     pairs = comparisons.pairs[said]
     ends = f"num{len(pairs)}_q{n_steps}"
     files = LabelFiles(folder / "label_human", folder / f"indices_{ends}", folder / f"indices_2_{ends}")
@@ -163,9 +163,9 @@ def _places(path: Path, n_labels: int) -> IntArray:
     found = numbers(path, "indices", load_pickle(path), 1)
     places = found.astype(np.int64)
     if (places != found).any() or (places < 0).any():
-        raise NotReadable(path, "holds a place that is no row")
+        raise InvalidFile(path, "holds a place that is no row")
     if len(places) != n_labels:
-        raise NotReadable(path, f"holds {len(places)} places for {n_labels} labels")
+        raise InvalidFile(path, f"holds {len(places)} places for {n_labels} labels")
     return places
 
 
@@ -186,14 +186,14 @@ def _checked_rows(
     outside = places + n_steps > len(row)
     if outside.any():
         index = int(outside.argmax())
-        raise NotReadable(
+        raise InvalidFile(
             path, f"pair {index} begins at {places[index]}, and {n_steps} steps from there is beyond {len(row)}"
         )
     first, last = row[places], row[places + n_steps - 1]
     crossing = episode_of_row[first] != episode_of_row[last]
     if crossing.any():
         index = int(crossing.argmax())
-        raise NotReadable(
+        raise InvalidFile(
             path, f"pair {index} crosses the end of an episode: is this the file, and T = {n_steps}, that was labelled?"
         )
     return first

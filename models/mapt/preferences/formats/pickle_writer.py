@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.errors import AlreadyExists
 from mapt.io import atomic_path
-from mapt.preferences.errors import AlreadyThere
 from mapt.preferences.formats.pickles import Record
 
 
@@ -26,11 +26,11 @@ def write_pickle(path: Path, value: object) -> None:
     An iterator is written as a list while it is drawn from.
 
     Raises:
-        AlreadyThere: if there is a file.
+        AlreadyExists: if there is a file.
         TypeError: for a value of another type. No file is left then.
     """
     if path.exists():
-        raise AlreadyThere(path)
+        raise AlreadyExists(path)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write(pickle.PROTO + b"\x04")
         for piece in _pieces(value):

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.preferences.errors import NotReadable, TooLarge, Truncated, UnsafePickle
+from mapt.errors import FileTooLarge, InvalidFile, TruncatedFile, UnsafePickle
 
 #: The largest pickle that is read: all of it lies in memory at once.
 MAX_BYTES = 8 << 30
@@ -38,31 +38,31 @@ def load_pickle(path: Path | str, classes: tuple[str, ...] = (), *, max_bytes: i
 
     Raises:
         UnsafePickle: if it asks for anything else.
-        TooLarge: if the file has more than `max_bytes`.
-        Truncated: if it ends too early.
-        NotReadable: if it is no pickle, or an array in it is not what it says.
+        FileTooLarge: if the file has more than `max_bytes`.
+        TruncatedFile: if it ends too early.
+        InvalidFile: if it is no pickle, or an array in it is not what it says.
     """
     path = Path(path)
     try:
         size = path.stat().st_size
         if size > max_bytes:
-            raise TooLarge(path, f"{size} bytes", max_bytes)
+            raise FileTooLarge(path, f"{size} bytes", max_bytes)
         with path.open("rb") as file:
             return _Resolving().resolve(_Unpickler(file, path, classes).load())
     except OSError as error:
-        raise NotReadable(path, f"cannot be read ({error.strerror})") from error
+        raise InvalidFile(path, f"cannot be read ({error.strerror})") from error
     except EOFError as error:
-        raise Truncated(path) from error
+        raise TruncatedFile(path) from error
     except pickle.UnpicklingError as error:
         if "truncated" in str(error):
-            raise Truncated(path) from error
-        raise NotReadable(path, f"is no pickle of data ({error})") from error
-    except NotReadable:
+            raise TruncatedFile(path) from error
+        raise InvalidFile(path, f"is no pickle of data ({error})") from error
+    except InvalidFile:
         raise
     except RecursionError as error:
-        raise NotReadable(path, "is nested too deeply") from error
+        raise InvalidFile(path, "is nested too deeply") from error
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, MemoryError) as error:
-        raise NotReadable(path, f"is no pickle of data ({type(error).__name__}: {error})") from error
+        raise InvalidFile(path, f"is no pickle of data ({type(error).__name__}: {error})") from error
 
 
 class _Allowed:

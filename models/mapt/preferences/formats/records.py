@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mapt.errors import ShapeError
 from mapt.preferences.dataset import FloatArray, IntArray, PreferenceDataset, SegmentArrays, SegmentSource
-from mapt.preferences.errors import ShapeError
 from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
 
 #: P(segment 0 preferred), as every file of ours says it
@@ -163,7 +163,7 @@ def save_records(
         n_steps: the most steps of a segment; those of the first batch when not given.
 
     Raises:
-        AlreadyThere: if there is something at `path`.
+        AlreadyExists: if there is something at `path`.
         ShapeError: if there is no batch, or one is not like the first. No folder is left then.
     """
     parts = iter(batches)

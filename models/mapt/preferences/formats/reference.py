@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.errors import InvalidFile, MissingPart, NotRepresentable, UnknownLabel
 from mapt.preferences.actions import action_numbers
 from mapt.preferences.dataset import FloatArray, PreferenceDataset, SegmentArrays
-from mapt.preferences.errors import MissingPart, NotExpressible, NotReadable, UnknownLabel
 from mapt.preferences.formats.arrays import finite_floats, numbered_actions
 from mapt.preferences.formats.pickle_writer import write_pickle
 from mapt.preferences.formats.pickles import MAX_BYTES, load_pickle
@@ -36,14 +36,14 @@ def read_reference(
             It also takes 2, 0.7 or a label of the wrong polarity so; therefore it has to be asked for.
 
     Raises:
-        NotReadable: with the first pair that is not of this format; see also `load_pickle`.
+        InvalidFile: with the first pair that is not of this format; see also `load_pickle`.
         UnknownLabel: for a label other than 1, -1 and 0.
         ShapeError, NotFinite: if the trajectories differ in dimensions, or hold NaN.
     """
     path = Path(path)
     items = load_pickle(path, max_bytes=max_bytes)
     if not isinstance(items, list) or not items:
-        raise NotReadable(path, "is not a list of pairs, as the MAPT reference writes")
+        raise InvalidFile(path, "is not a list of pairs, as the MAPT reference writes")
     sides: list[tuple[list[FloatArray], list[FloatArray]]] = [([], []), ([], [])]
     labels: list[float] = []
     for index, item in enumerate(items):
@@ -69,9 +69,9 @@ def write_reference(path: Path | str, dataset: PreferenceDataset, *, discrete: b
         discrete: actions are one-hot; they are written as their numbers, (T, N, 1).
 
     Raises:
-        AlreadyThere: if there is a file.
+        AlreadyExists: if there is a file.
         NotOneHot: if discrete actions are not one-hot.
-        NotExpressible: if a label is not 1, 0 or 0.5, or the segments differ in length.
+        NotRepresentable: if a label is not 1, 0 or 0.5, or the segments differ in length.
     """
     write_pickle(Path(path), _items(Path(path), dataset, discrete))
 
@@ -80,11 +80,11 @@ def _items(path: Path, dataset: PreferenceDataset, discrete: bool) -> Iterator[d
     words = {ours: theirs for theirs, ours in _LABELS.items()}
     for pair, label in zip(dataset.pairs, dataset.labels.tolist(), strict=True):
         if label not in words:
-            raise NotExpressible(path, f"a label of {label} has no place in this format, only 1, 0 and 0.5")
+            raise NotRepresentable(path, f"a label of {label} has no place in this format, only 1, 0 and 0.5")
         segments = dataset.segments.take(pair)
         if not segments.mask.all():
             # The reference cuts each trajectory to the length of the last: shorter ones would crash it.
-            raise NotExpressible(path, "segments of unequal length have no place in this format")
+            raise NotRepresentable(path, "segments of unequal length have no place in this format")
         actions: NDArray[Any] = action_numbers(segments)[..., None] if discrete else segments.actions
         first, second = (
             {"obs": observed, "actions": acted} for observed, acted in zip(segments.observations, actions, strict=True)
@@ -94,7 +94,7 @@ def _items(path: Path, dataset: PreferenceDataset, discrete: bool) -> Iterator[d
 
 def _entry(path: Path, index: int, item: object, name: str) -> Any:
     if not isinstance(item, dict):
-        raise NotReadable(path, f"pair {index} is {type(item).__name__}, not a dict")
+        raise InvalidFile(path, f"pair {index} is {type(item).__name__}, not a dict")
     if name not in item:
         raise MissingPart(path, f"{name!r} in pair {index}")
     return item[name]

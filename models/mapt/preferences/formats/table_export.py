@@ -17,7 +17,7 @@ def write_tables(path: Path | str, comparisons: Comparisons, *, about: Mapping[s
     """Write comparisons that come from elsewhere as our tables.
 
     Raises:
-        AlreadyThere: if there is something at `path`.
+        AlreadyExists: if there is something at `path`.
     """
     layout = comparisons.records.layout()
     with TableWriter(path, layout, about=about) as tables:
@@ -28,7 +28,7 @@ def write_dataset(path: Path | str, dataset: PreferenceDataset, *, about: Mappin
     """Write a dataset as our tables, in the memory of some hundred segments where they lie on disk.
 
     Raises:
-        AlreadyThere: if there is something at `path`.
+        AlreadyExists: if there is something at `path`.
     """
     source = dataset.segments
     layout = (

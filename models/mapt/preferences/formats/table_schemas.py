@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from mapt.preferences.errors import MissingPart, NotReadable, SchemaTooNew
+from mapt.errors import InvalidFile, MissingPart, NewerFile
 from mapt.preferences.formats.records import POLARITY
 from mapt.preferences.storage import SegmentLayout
 
@@ -91,8 +91,8 @@ class TableMetadata:
         """
         Raises:
             MissingPart: if there is no word of ours in it: another program's table.
-            SchemaTooNew: if a newer version wrote it.
-            NotReadable: if it is of another table or another polarity, or makes no sense.
+            NewerFile: if a newer version wrote it.
+            InvalidFile: if it is of another table or another polarity, or makes no sense.
         """
         if metadata is None or _KEY not in metadata:
             raise MissingPart(path, f"metadata {_KEY.decode()!r}: it is no table of an Accord export")
@@ -100,15 +100,15 @@ class TableMetadata:
             document = json.loads(metadata[_KEY])
             version = document["schema_version"]
             if not isinstance(version, int) or version > SCHEMA_VERSION:
-                raise SchemaTooNew(path, version, SCHEMA_VERSION)
+                raise NewerFile(path, version, SCHEMA_VERSION)
             for name, wanted in (("format", FORMAT), ("table", table), ("polarity", POLARITY)):
                 if document[name] != wanted:
-                    raise NotReadable(path, f"has {name} {document[name]!r}, not {wanted!r}")
+                    raise InvalidFile(path, f"has {name} {document[name]!r}, not {wanted!r}")
             return cls(SegmentLayout(**document["layout"]), dict(document["about"]))
-        except NotReadable:
+        except InvalidFile:
             raise
         except (ValueError, TypeError, KeyError) as error:
-            raise NotReadable(path, f"has metadata that makes no sense ({error!r})") from error
+            raise InvalidFile(path, f"has metadata that makes no sense ({error!r})") from error
 
 
 def schema_of(table: str, metadata: TableMetadata) -> pa.Schema:

@@ -14,9 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from mapt.errors import AlreadyExists, ShapeError
 from mapt.io import sync_folder
 from mapt.preferences.actions import action_numbers
-from mapt.preferences.errors import AlreadyThere, ShapeError
 from mapt.preferences.formats.records import SegmentRecords
 from mapt.preferences.formats.table_schemas import (
     LABELS,
@@ -50,13 +50,13 @@ class TableWriter:
         layout: which arrays the segments have; `n_steps` is the longest.
 
     Raises:
-        AlreadyThere: if there is something at `path`.
+        AlreadyExists: if there is something at `path`.
     """
 
     def __init__(self, path: Path | str, layout: SegmentLayout, *, about: Mapping[str, Any] | None = None) -> None:
         self._path, self._layout = Path(path), layout
         if self._path.exists():
-            raise AlreadyThere(self._path)
+            raise AlreadyExists(self._path)
         self._metadata = TableMetadata(layout, about or {})
         #: segments that fill a row group: fewer at a time make smaller ones
         self.rows_per_group = max(1, ROW_GROUP_BYTES // replace(layout, discrete=False).segment_bytes)

@@ -17,8 +17,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from mapt.errors import AlreadyExists, FileTooLarge, InvalidFile, MissingPart, NotEnoughPairs, UnknownLabel
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.preferences.errors import AlreadyThere, MissingPart, NotEnoughPairs, NotReadable, TooLarge, UnknownLabel
 from mapt.preferences.formats.records import SegmentRecords, save_records
 from mapt.preferences.formats.table_schemas import (
     LABELS,
@@ -56,8 +56,8 @@ class PreferenceTables:
         """
         Raises:
             MissingPart: if a table or a column is not there.
-            SchemaTooNew: if a newer version wrote it.
-            NotReadable: if a file is cut, is no Parquet, or is of another table, type or polarity.
+            NewerFile: if a newer version wrote it.
+            InvalidFile: if a file is cut, is no Parquet, or is of another table, type or polarity.
         """
         path = Path(path)
         metadata: list[TableMetadata] = []
@@ -71,11 +71,11 @@ class PreferenceTables:
         return cls(path, metadata[0].layout, metadata[0].about, n_segments, max_row_group_bytes)
 
     def queries(self) -> list[QueryRow]:
-        """Raises NotReadable."""
+        """Raises InvalidFile."""
         return [QueryRow(**row) for row in self._rows(QUERIES)]
 
     def labels(self) -> list[LabelRow]:
-        """Raises NotReadable; UnknownLabel for a label that is not 1, 0 or 0.5, or a state that is not ours."""
+        """Raises InvalidFile; UnknownLabel for a label that is not 1, 0 or 0.5, or a state that is not ours."""
         labels: list[LabelRow] = []
         path = _name(self.path, LABELS)
         for index, row in enumerate(self._rows(LABELS)):
@@ -89,8 +89,8 @@ class PreferenceTables:
         """All segments, a row group at a time.
 
         Raises:
-            TooLarge: if a row group would take more than `max_row_group_bytes`.
-            NotReadable: if an array has not the size that its length and the layout say.
+            FileTooLarge: if a row group would take more than `max_row_group_bytes`.
+            InvalidFile: if an array has not the size that its length and the layout say.
         """
         path = _name(self.path, SEGMENTS)
         names = [field.name for field in fields(SegmentRow)]
@@ -107,21 +107,21 @@ class PreferenceTables:
         group, and of the labels.
 
         Raises:
-            AlreadyThere: if there is something at `folder`.
-            NotReadable: as above, or if a label or query names what is not there. No folder is left then.
+            AlreadyExists: if there is something at `folder`.
+            InvalidFile: as above, or if a label or query names what is not there. No folder is left then.
             NotEnoughPairs: if nothing is labelled.
         """
         place: dict[str, int] = {}
         if Path(folder).exists():
-            raise AlreadyThere(folder)
+            raise AlreadyExists(folder)
         queries = {query.query_id: query for query in self.queries()}
         said = [label for label in self.labels() if label.label is not None]
         for label in said:
             if label.query_id not in queries:
-                raise NotReadable(_name(self.path, LABELS), f"labels query {label.query_id!r}, which is not there")
+                raise InvalidFile(_name(self.path, LABELS), f"labels query {label.query_id!r}, which is not there")
         for query in queries.values():
             if query.segment_0_id == query.segment_1_id:
-                raise NotReadable(_name(self.path, QUERIES), f"compares {query.segment_0_id!r} with itself")
+                raise InvalidFile(_name(self.path, QUERIES), f"compares {query.segment_0_id!r} with itself")
         if not said:
             raise NotEnoughPairs(0, 1)
 
@@ -130,11 +130,11 @@ class PreferenceTables:
                 place.update({row.segment_id: len(place) + index for index, row in enumerate(rows)})
                 yield records
             if len(place) != self.n_segments:
-                raise NotReadable(_name(self.path, SEGMENTS), "names a segment twice")
+                raise InvalidFile(_name(self.path, SEGMENTS), "names a segment twice")
             for query in queries.values():
                 missing = {query.segment_0_id, query.segment_1_id} - place.keys()
                 if missing:
-                    raise NotReadable(_name(self.path, QUERIES), f"asks about {min(missing)!r}, which is not there")
+                    raise InvalidFile(_name(self.path, QUERIES), f"asks about {min(missing)!r}, which is not there")
 
         kept = save_records(
             folder, counted(), n_steps=self.layout.n_steps, discrete=self.layout.discrete, about=self.about
@@ -156,7 +156,7 @@ class PreferenceTables:
                 group = _read_group(path, file, index)
                 for field in schema_of(table, TableMetadata(self.layout, {})):
                     if not field.nullable and group.column(field.name).null_count:
-                        raise NotReadable(path, f"has a row without {field.name}")
+                        raise InvalidFile(path, f"has a row without {field.name}")
                 yield group
 
 
@@ -170,8 +170,8 @@ def _file(path: Path, table: str) -> pq.ParquetFile:
         raise MissingPart(path, file.name)
     try:
         return pq.ParquetFile(file)
-    except (pa.ArrowException, OSError) as error:
-        raise NotReadable(file, f"is no whole Parquet file ({error})") from error
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise InvalidFile(file, f"is no whole Parquet file ({error})") from error
 
 
 def _read_group(path: Path, file: pq.ParquetFile, index: int) -> pa.Table:
@@ -179,7 +179,7 @@ def _read_group(path: Path, file: pq.ParquetFile, index: int) -> pa.Table:
         table = file.read_row_group(index)
         table.validate(full=True)
     except (pa.ArrowException, OSError, MemoryError) as error:
-        raise NotReadable(path, f"is damaged ({error})") from error
+        raise InvalidFile(path, f"is damaged ({error})") from error
     return table
 
 
@@ -191,7 +191,7 @@ def _check_columns(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:
         same_lists = pa.types.is_list(column) and pa.types.is_list(field.type)
         # What another program calls the elements of a list, and whether it lets them be null, is its own.
         if column != field.type and not (same_lists and column.value_type == field.type.value_type):
-            raise NotReadable(path, f"has column {field.name!r} of {column}, not of {field.type}")
+            raise InvalidFile(path, f"has column {field.name!r} of {column}, not of {field.type}")
 
 
 def _check_size(path: Path, group: Any, limit: int) -> None:
@@ -201,36 +201,36 @@ def _check_size(path: Path, group: Any, limit: int) -> None:
         for column in (group.column(index) for index in range(group.num_columns))
     )
     if declared > limit:
-        raise TooLarge(path, f"a row group of {declared} bytes", limit)
+        raise FileTooLarge(path, f"a row group of {declared} bytes", limit)
 
 
 def _check_memory(path: Path, n_segments: int, layout: SegmentLayout, limit: int) -> None:
     # Padding and one-hot actions take memory that is nowhere in the file.
     padded = n_segments * replace(layout, discrete=False).segment_bytes
     if padded > limit:
-        raise TooLarge(path, f"{n_segments} segments of {padded} bytes together", limit)
+        raise FileTooLarge(path, f"{n_segments} segments of {padded} bytes together", limit)
 
 
 def _teacher(path: Path, index: int, text: str) -> dict[str, Any]:
     try:
         teacher = json.loads(text)
     except ValueError as error:
-        raise NotReadable(path, f"has a teacher in row {index} that is no JSON") from error
+        raise InvalidFile(path, f"has a teacher in row {index} that is no JSON") from error
     if not isinstance(teacher, dict):
-        raise NotReadable(path, f"has a teacher in row {index} that is no JSON object")
+        raise InvalidFile(path, f"has a teacher in row {index} that is no JSON object")
     return teacher
 
 
 def _records(path: Path, table: pa.Table, layout: SegmentLayout) -> SegmentRecords:
     lengths = table.column("length_steps").to_numpy().astype(np.int64)
     if ((lengths < 1) | (lengths > layout.n_steps)).any():
-        raise NotReadable(path, f"has a length_steps that is not within 1 to {layout.n_steps}")
+        raise InvalidFile(path, f"has a length_steps that is not within 1 to {layout.n_steps}")
     mask = np.arange(lengths.max()) < lengths[:, None]
     arrays = {name: _array(path, table, name, shape, mask) for name, shape in array_shapes(layout).items()}
     if layout.discrete:
         codes = arrays["actions"]
         if codes.max(initial=0) >= layout.action_dim:
-            raise NotReadable(path, f"has an action that is none of {layout.action_dim}")
+            raise InvalidFile(path, f"has an action that is none of {layout.action_dim}")
         actions = np.eye(layout.action_dim, dtype=np.float32)[codes]
         actions[~mask] = 0
         arrays["actions"] = actions
@@ -242,13 +242,13 @@ def _array(path: Path, table: pa.Table, name: str, shape: tuple[int, ...], mask:
     column = table.column(name).combine_chunks()
     lists = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
     if lists.flatten().null_count:
-        raise NotReadable(path, f"has a number that is missing in {name}")
+        raise InvalidFile(path, f"has a number that is missing in {name}")
     sizes = np.diff(lists.offsets.to_numpy())
     if (sizes != mask.sum(axis=1) * int(np.prod(shape, dtype=np.int64))).any():
-        raise NotReadable(path, f"has {name} of another size than length_steps and the layout say")
+        raise InvalidFile(path, f"has {name} of another size than length_steps and the layout say")
     flat = lists.flatten().to_numpy()
     if not np.isfinite(flat).all():
-        raise NotReadable(path, f"has NaN or infinity in {name}")
+        raise InvalidFile(path, f"has NaN or infinity in {name}")
     array = np.zeros((*mask.shape, *shape), dtype=flat.dtype)
     array[mask] = flat.reshape(-1, *shape)
     return array

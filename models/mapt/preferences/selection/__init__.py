@@ -4,7 +4,6 @@
 """
 
 from mapt.preferences.selection.control import ChosenPair, ControlledSelector, control_count
-from mapt.preferences.selection.errors import MissingView, UnknownSelector
 from mapt.preferences.selection.features import segment_features
 from mapt.preferences.selection.protocol import QuerySelector, SegmentView, SelectorName
 from mapt.preferences.selection.registry import make_selector, needs_ensemble, needs_features, selector_names
@@ -13,12 +12,10 @@ from mapt.preferences.selection.uniform import UniformSelector
 __all__ = [
     "ChosenPair",
     "ControlledSelector",
-    "MissingView",
     "QuerySelector",
     "SegmentView",
     "SelectorName",
     "UniformSelector",
-    "UnknownSelector",
     "control_count",
     "make_selector",
     "needs_ensemble",

@@ -7,7 +7,7 @@ from typing import Generic
 
 import numpy as np
 
-from mapt.preferences.selection.errors import InvalidShare
+from mapt.errors import InvalidConfig
 from mapt.preferences.selection.pairs import FreePairs, places_of
 from mapt.preferences.selection.protocol import QuerySelector, SegmentId, SegmentView, SelectorName
 
@@ -24,10 +24,10 @@ def control_count(k: int, share: float, rng: np.random.Generator) -> int:
     """How many of k pairs are control ones: k * share on average, and never off by one or more.
 
     Raises:
-        InvalidShare: unless the share lies in [0, 1].
+        InvalidConfig: unless the share lies in [0, 1].
     """
     if not 0.0 <= share <= 1.0:
-        raise InvalidShare(share)
+        raise InvalidConfig(f"the control share is {share}; it must lie in [0, 1]", "share")
     return min(k, floor(k * share + rng.random()))
 
 
@@ -64,7 +64,7 @@ class ControlledSelector:
             The control's pairs first, then the informed ones.
 
         Raises:
-            InvalidShare: unless the control share lies in [0, 1].
+            InvalidConfig: unless the control share lies in [0, 1].
         """
         # The control goes first and is drawn from all pairs that are free: what the other takes does not skew it.
         k = min(k, len(FreePairs(len(segment_ids), places_of(segment_ids, paired))))

@@ -4,8 +4,8 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
+from mapt.errors import MissingView
 from mapt.preferences.selection.coverage import k_center, scaled
-from mapt.preferences.selection.errors import MissingView
 from mapt.preferences.selection.pairs import places_of
 from mapt.preferences.selection.protocol import (
     FloatArray,

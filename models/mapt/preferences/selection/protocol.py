@@ -7,7 +7,7 @@ from typing import Literal, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.preferences.errors import NotFinite, ShapeError
+from mapt.errors import NotFinite, ShapeError
 
 #: B-Pref's samplers (Lee et al. 2021); *_k_center narrows by uncertainty first, then spreads out
 SelectorName = Literal["uniform", "disagreement", "entropy", "k_center", "disagreement_k_center", "entropy_k_center"]

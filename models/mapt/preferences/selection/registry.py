@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mapt.preferences.selection.errors import UnknownSelector
+from mapt.errors import UnknownSelector
 from mapt.preferences.selection.narrowing import NarrowingSelector, Stage, farthest, most_uncertain
 from mapt.preferences.selection.protocol import QuerySelector, SelectorName
 from mapt.preferences.selection.uncertainty import disagreement, entropy

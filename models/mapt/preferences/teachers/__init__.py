@@ -4,7 +4,6 @@
 """
 
 from mapt.preferences.teachers.cooperation import FindsPhase, NobodyIdle, Phase, SharedLoad
-from mapt.preferences.teachers.errors import EvidenceMissing, InvalidTeacher, UnknownTeacher
 from mapt.preferences.teachers.evidence import Evidence
 from mapt.preferences.teachers.history import BestSecond, Never, Recency, Return, Smoothness, WorstSecond
 from mapt.preferences.teachers.protocol import Teacher
@@ -17,10 +16,8 @@ __all__ = [
     "RULES",
     "BestSecond",
     "Evidence",
-    "EvidenceMissing",
     "FindsPhase",
     "Habits",
-    "InvalidTeacher",
     "Never",
     "NobodyIdle",
     "OracleTeacher",
@@ -32,7 +29,6 @@ __all__ = [
     "SharedLoad",
     "Smoothness",
     "Teacher",
-    "UnknownTeacher",
     "WorstSecond",
     "make_teacher",
     "teacher_names",

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from mapt.preferences.teachers.errors import EvidenceMissing
+from mapt.errors import MissingEvidence
 from mapt.preferences.teachers.evidence import Evidence, Float64s
 from mapt.preferences.teachers.history import SECOND_STEPS
 from mapt.preferences.teachers.rule import Rule
@@ -123,6 +123,6 @@ def _efforts(evidence: Evidence, effort: Effort) -> Float64s:
         return np.abs(actions).sum(axis=3)
     n_joints = actions.shape[3]
     if evidence.seen("observations").shape[3] < 2 * n_joints:
-        raise EvidenceMissing(f"the velocities of {n_joints} joints")
+        raise MissingEvidence(f"the velocities of {n_joints} joints")
     velocities = evidence.columns(range(1, 2 * n_joints, 2))
     return np.abs(velocities if effort == "speed" else actions * velocities).sum(axis=3)

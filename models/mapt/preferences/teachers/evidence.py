@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.preferences.errors import InvalidMask, NotFinite, ShapeError
-from mapt.preferences.teachers.errors import EvidenceMissing
+from mapt.errors import InvalidMask, MissingEvidence, NotFinite, ShapeError
 
 FloatArray = NDArray[np.floating[Any]]
 BoolArray = NDArray[np.bool_]
@@ -67,12 +66,12 @@ class Evidence:
 
         Raises:
             ShapeError: if there is no segment, or arrays that belong together differ in shape.
-            EvidenceMissing: if a segment has no rewards.
+            MissingEvidence: if a segment has no rewards.
         """
         if not segments:
             raise ShapeError("segments", (0,), "at least one")
         if any("rewards" not in segment for segment in segments):
-            raise EvidenceMissing("rewards")
+            raise MissingEvidence("rewards")
         names = {field.name for field in fields(cls)} - {"mask"}
         for segment in segments:
             names &= segment.keys()
@@ -103,25 +102,25 @@ class Evidence:
         """The array with this name.
 
         Raises:
-            EvidenceMissing: if it was not given.
+            MissingEvidence: if it was not given.
         """
         array = getattr(self, name)
         if array is None:
-            raise EvidenceMissing(name)
+            raise MissingEvidence(name)
         return array
 
     def columns(self, columns: Sequence[int], agents: Sequence[int] | None = None) -> Float64s:
         """These columns of what these agents, or all, observe: float64 (B, T, agents, columns); padding reads 0.
 
         Raises:
-            EvidenceMissing: if there are no observations, or no such agent or column.
+            MissingEvidence: if there are no observations, or no such agent or column.
         """
         observations = self.seen("observations")
         n_agents, n_columns = observations.shape[2:]
         chosen = range(n_agents) if agents is None else agents
         for what, wanted, there in (("agent", chosen, n_agents), ("column", columns, n_columns)):
             if any(not 0 <= index < there for index in wanted):
-                raise EvidenceMissing(f"{what} {max(wanted)} of {there} in observations")
+                raise MissingEvidence(f"{what} {max(wanted)} of {there} in observations")
         found = observations[:, :, list(chosen)][..., list(columns)].astype(np.float64)
         return np.where(self.mask[:, :, None, None], found, 0.0)
 

@@ -22,7 +22,7 @@ class Teacher(Protocol):
 
         Raises:
             ShapeError: if the sides hold different numbers of segments.
-            EvidenceMissing: if they lack what this teacher judges by.
+            MissingEvidence: if they lack what this teacher judges by.
         """
         ...
 

@@ -6,8 +6,8 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from mapt.errors import InvalidTeacher, UnknownTeacher
 from mapt.preferences.teachers.cooperation import FindsPhase, NobodyIdle, Phase, SharedLoad
-from mapt.preferences.teachers.errors import InvalidTeacher, UnknownTeacher
 from mapt.preferences.teachers.history import BestSecond, Never, Recency, Return, Smoothness, WorstSecond
 from mapt.preferences.teachers.rule import Rule
 from mapt.preferences.teachers.scripted import Habits, ScriptedTeacher

@@ -25,7 +25,7 @@ class Rule(ABC):
         """Score of each segment, float64 (B,): the larger, the better. Padding does not change it.
 
         Raises:
-            EvidenceMissing: if the evidence lacks what the rule reads.
+            MissingEvidence: if the evidence lacks what the rule reads.
         """
 
 

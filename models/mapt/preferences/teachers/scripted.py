@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.preferences.errors import ShapeError
-from mapt.preferences.teachers.errors import InvalidTeacher
+from mapt.errors import InvalidTeacher, ShapeError
 from mapt.preferences.teachers.evidence import Evidence, Float64s
 from mapt.preferences.teachers.history import Return
 from mapt.preferences.teachers.rule import Rule
@@ -105,7 +104,7 @@ class ScriptedTeacher:
         """What it judges segments by, faded, without doubt or mistakes: float64 (B,).
 
         Raises:
-            EvidenceMissing: if the evidence lacks what the rule reads.
+            MissingEvidence: if the evidence lacks what the rule reads.
         """
         if self.habits.gamma == 1:
             return self.rule.scores(evidence)

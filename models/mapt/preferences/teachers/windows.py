@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mapt.preferences.teachers.errors import InvalidTeacher
+from mapt.errors import InvalidTeacher
 from mapt.preferences.teachers.evidence import BoolArray, Float64s
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import ArrayLike, NDArray
 
+from mapt.errors import InvalidRollout
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.errors import InvalidRollout
 from mapt.rewards.model import PolicyReward, RewardModel
 from mapt.rewards.relabelling import RewardStream
 

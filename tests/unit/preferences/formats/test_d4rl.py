@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError, TooLarge
+from mapt.errors import AlreadyExists, FileTooLarge, InvalidFile, MissingPart, ShapeError
 from mapt.preferences.formats.d4rl import read_d4rl, write_d4rl
 from mapt.preferences.formats.episodes import AgentIndices
 from support.comparing import assert_same_episodes, everything_in, made_episodes
@@ -65,7 +65,7 @@ def test_numbers_fall_to_the_agents_that_indices_name(tmp_path):
 
 
 def test_indices_beyond_the_numbers_are_refused(tmp_path):
-    with pytest.raises(NotReadable, match="indices"):
+    with pytest.raises(InvalidFile, match="indices"):
         list(read_d4rl(write(tmp_path), agents=AgentIndices([[6]], [[0]])))
 
 
@@ -117,7 +117,7 @@ def test_episodes_that_differ_leave_no_file(tmp_path):
 def test_a_file_that_is_there_is_not_written_over(tmp_path):
     path = write(tmp_path)
     before = everything_in(tmp_path)
-    with pytest.raises(AlreadyThere):
+    with pytest.raises(AlreadyExists):
         write_d4rl(path, made_episodes([2]))
     assert everything_in(tmp_path) == before
 
@@ -146,7 +146,7 @@ def test_a_missing_array_is_named(tmp_path, name):
 def test_an_array_of_another_shape_is_refused_and_nothing_changes(tmp_path, name, values):
     path = write(tmp_path, **{name: values})
     before = everything_in(tmp_path)
-    with pytest.raises(NotReadable, match=r"d4rl\.hdf5"):
+    with pytest.raises(InvalidFile, match=r"d4rl\.hdf5"):
         list(read_d4rl(path))
     assert everything_in(tmp_path) == before
 
@@ -155,12 +155,12 @@ def test_an_array_of_another_shape_is_refused_and_nothing_changes(tmp_path, name
 def test_a_file_that_was_cut_is_refused(tmp_path, share):
     path = write(tmp_path)
     os.truncate(path, int(path.stat().st_size * share))
-    with pytest.raises(NotReadable):
+    with pytest.raises(InvalidFile):
         list(read_d4rl(path))
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(NotReadable, match="nowhere"):
+    with pytest.raises(InvalidFile, match="nowhere"):
         list(read_d4rl(tmp_path / "nowhere.hdf5"))
 
 
@@ -169,7 +169,7 @@ def test_an_array_of_nothing_that_declares_a_terabyte_is_not_read(tmp_path):
     with h5py.File(path, "a") as file:
         file.create_dataset("observations", shape=(1 << 34, 8), dtype="f8", chunks=(1 << 10, 8))
     assert path.stat().st_size < 100_000
-    with pytest.raises(TooLarge, match="observations"):
+    with pytest.raises(FileTooLarge, match="observations"):
         list(read_d4rl(path))
 
 
@@ -192,7 +192,7 @@ def test_an_array_that_lies_in_another_file_is_not_read(tmp_path):
                 layout = h5py.VirtualLayout(shape=(9, 6), dtype="f8")
                 layout[:] = h5py.VirtualSource(str(tmp_path / "other.hdf5"), "observations", shape=(9, 6))
                 file.create_virtual_dataset("observations", layout)
-        with pytest.raises(NotReadable, match="another"):
+        with pytest.raises(InvalidFile, match="another"):
             list(read_d4rl(path))
 
 
@@ -201,5 +201,5 @@ def test_a_number_of_agents_that_makes_no_sense_is_refused(tmp_path, n_agents):
     path = write(tmp_path)
     with h5py.File(path, "a") as file:
         file.attrs["mapt_n_agents"] = n_agents
-    with pytest.raises(NotReadable, match="agents"):
+    with pytest.raises(InvalidFile, match="agents"):
         list(read_d4rl(path))

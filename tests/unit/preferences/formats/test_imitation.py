@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapt.preferences.errors import (
-    AlreadyThere,
+from mapt.errors import (
+    AlreadyExists,
     FileError,
+    InvalidFile,
     MissingPart,
-    NotReadable,
     ShapeError,
-    Truncated,
+    TruncatedFile,
     UnknownLabel,
     UnsafePickle,
 )
@@ -49,7 +49,7 @@ def test_a_file_of_one_agent_with_numbered_actions_is_read():
     assert found.labels.tolist() == [0.25, 1.0]
     assert found.records.segments.observations.shape == (4, 4, 1, 3)
     assert found.records.segments.actions[0].argmax(axis=-1)[:, 0].tolist() == [0, 1, 2, 0]
-    with pytest.raises(NotReadable, match="action"):
+    with pytest.raises(InvalidFile, match="action"):
         read_imitation(FIXTURES / "imitation_numbered.pkl", n_actions=2)
 
 
@@ -136,16 +136,16 @@ def test_a_label_of_another_polarity_is_refused(tmp_path, label):
     [
         (without("obs"), MissingPart),
         (without("rews"), MissingPart),
-        (fragment(obs=np.zeros((3, 2, 3))), NotReadable),
-        (fragment(obs=np.zeros((4, 3, 3))), NotReadable),
-        (fragment(obs=np.zeros((4, 2, 2, 3))), NotReadable),
-        (fragment(obs=np.full((4, 2, 3), np.nan)), NotReadable),
-        (fragment(obs={"image": np.zeros((4, 3))}), NotReadable),
-        (fragment(rews=np.zeros((3, 1))), NotReadable),
-        (fragment(acts=np.zeros((0, 2, 1))), NotReadable),
+        (fragment(obs=np.zeros((3, 2, 3))), InvalidFile),
+        (fragment(obs=np.zeros((4, 3, 3))), InvalidFile),
+        (fragment(obs=np.zeros((4, 2, 2, 3))), InvalidFile),
+        (fragment(obs=np.full((4, 2, 3), np.nan)), InvalidFile),
+        (fragment(obs={"image": np.zeros((4, 3))}), InvalidFile),
+        (fragment(rews=np.zeros((3, 1))), InvalidFile),
+        (fragment(acts=np.zeros((0, 2, 1))), InvalidFile),
         (fragment(obs=np.zeros((4, 2, 5))), ShapeError),
-        (Record(DATASET, {}), NotReadable),
-        ("fragment", NotReadable),
+        (Record(DATASET, {}), InvalidFile),
+        ("fragment", InvalidFile),
     ],
 )
 def test_a_file_of_another_shape_is_refused_and_nothing_changes(tmp_path, first, problem):
@@ -161,14 +161,14 @@ def test_datasets_that_are_none_are_refused(tmp_path):
         with pytest.raises(FileError):
             read_imitation(write(tmp_path, **changes))
     (tmp_path / "preferences.pkl").write_bytes(pickle.dumps([1, 2]))
-    with pytest.raises(NotReadable, match="PreferenceDataset"):
+    with pytest.raises(InvalidFile, match="PreferenceDataset"):
         read_imitation(tmp_path / "preferences.pkl")
 
 
 def test_a_file_that_was_cut_is_refused(tmp_path):
     path = tmp_path / "preferences.pkl"
     path.write_bytes((FIXTURES / "imitation_preferences.pkl").read_bytes()[:2000])
-    with pytest.raises(Truncated):
+    with pytest.raises(TruncatedFile):
         read_imitation(path)
 
 
@@ -191,6 +191,6 @@ def test_another_class_of_imitations_is_refused(tmp_path):
 
 def test_a_file_that_is_there_is_not_written_over(tmp_path):
     (tmp_path / "preferences.pkl").write_bytes(b"mine")
-    with pytest.raises(AlreadyThere):
+    with pytest.raises(AlreadyExists):
         write_imitation(tmp_path / "preferences.pkl", made_comparisons([1.0]))
     assert everything_in(tmp_path) == {"preferences.pkl": b"mine"}

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError, TooLarge
+from mapt.errors import AlreadyExists, FileTooLarge, InvalidFile, MissingPart, ShapeError
 from mapt.preferences.formats.imitation_trajectories import read_imitation_trajectories, write_imitation_trajectories
 from support.comparing import assert_same_episodes, everything_in, made_episodes
 
@@ -71,18 +71,18 @@ GOOD = {"obs": [[[0.0], [1.0], [2.0]]], "acts": [[[0.0], [0.0]]], "rews": [[1.0,
     [
         ({"obs": None}, MissingPart),
         ({"acts": None}, MissingPart),
-        ({"obs": [[[0.0], [1.0]]]}, NotReadable),
-        ({"obs": [[[0.0], [1.0, 2.0], [3.0]]]}, NotReadable),
-        ({"obs": [[[0.0], [1.0], [None]]]}, NotReadable),
-        ({"obs": [[[0.0], None, [1.0]]]}, NotReadable),
-        ({"obs": [[[0.0], [1.0], [float("nan")]]]}, NotReadable),
-        ({"obs": [[["a"], ["b"], ["c"]]]}, NotReadable),
-        ({"obs": [1.0]}, NotReadable),
-        ({"obs": [None]}, NotReadable),
-        ({"obs": [[]]}, NotReadable),
-        ({"rews": [[1.0]]}, NotReadable),
-        ({"rews": [[[1.0], [2.0]]]}, NotReadable),
-        ({"acts": [[[[0.0]], [[0.0]]]], "obs": [[[[0.0], [1.0]]] * 3]}, NotReadable),
+        ({"obs": [[[0.0], [1.0]]]}, InvalidFile),
+        ({"obs": [[[0.0], [1.0, 2.0], [3.0]]]}, InvalidFile),
+        ({"obs": [[[0.0], [1.0], [None]]]}, InvalidFile),
+        ({"obs": [[[0.0], None, [1.0]]]}, InvalidFile),
+        ({"obs": [[[0.0], [1.0], [float("nan")]]]}, InvalidFile),
+        ({"obs": [[["a"], ["b"], ["c"]]]}, InvalidFile),
+        ({"obs": [1.0]}, InvalidFile),
+        ({"obs": [None]}, InvalidFile),
+        ({"obs": [[]]}, InvalidFile),
+        ({"rews": [[1.0]]}, InvalidFile),
+        ({"rews": [[[1.0], [2.0]]]}, InvalidFile),
+        ({"acts": [[[[0.0]], [[0.0]]]], "obs": [[[[0.0], [1.0]]] * 3]}, InvalidFile),
     ],
 )
 def test_a_folder_of_another_shape_is_refused_and_nothing_changes(tmp_path, changes, problem):
@@ -102,7 +102,7 @@ def test_a_file_that_was_cut_anywhere_is_refused(tmp_path_factory, data):
     size = path.stat().st_size
     # Two places where one message ends and the next begins, or any other.
     os.truncate(path, data.draw(st.sampled_from([1232, size - 8]) | st.integers(0, size - 1)))
-    with pytest.raises(NotReadable):
+    with pytest.raises(InvalidFile):
         list(read_imitation_trajectories(folder))
 
 
@@ -112,7 +112,7 @@ def test_a_file_that_was_cut_anywhere_is_refused(tmp_path_factory, data):
 def test_a_state_that_makes_no_sense_or_leads_elsewhere_is_refused(tmp_path, state):
     shutil.copytree(FIXTURE, tmp_path / "copy")
     (tmp_path / "copy" / "state.json").write_text(json.dumps(state))
-    with pytest.raises(NotReadable, match=r"state\.json"):
+    with pytest.raises(InvalidFile, match=r"state\.json"):
         list(read_imitation_trajectories(tmp_path / "copy"))
 
 
@@ -126,7 +126,7 @@ def test_files_that_are_missing_are_named(tmp_path):
 
 
 def test_more_than_is_wanted_is_not_read():
-    with pytest.raises(TooLarge):
+    with pytest.raises(FileTooLarge):
         list(read_imitation_trajectories(FIXTURE, max_bytes=100))
 
 
@@ -139,6 +139,6 @@ def test_episodes_that_differ_leave_nothing(tmp_path):
 
 def test_a_folder_that_is_there_is_not_written_over(tmp_path):
     (tmp_path / "mine").touch()
-    with pytest.raises(AlreadyThere):
+    with pytest.raises(AlreadyExists):
         write_imitation_trajectories(tmp_path, made_episodes([2]))
     assert everything_in(tmp_path) == {"mine": b""}

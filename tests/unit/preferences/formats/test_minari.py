@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from minari.data_collector import EpisodeBuffer
 
-from mapt.preferences.errors import AlreadyThere, MissingPart, NotReadable, ShapeError, TooLarge
+from mapt.errors import AlreadyExists, FileTooLarge, InvalidFile, MissingPart, ShapeError
 from mapt.preferences.formats.episodes import cut_segments
 from mapt.preferences.formats.minari import read_minari, write_minari
 from support.comparing import assert_same_episodes, everything_in, made_episodes
@@ -91,7 +91,7 @@ def test_numbered_actions_become_one_hot(tmp_path, monkeypatch):
     first = next(read_minari(path, n_actions=4))
     assert first.actions.shape == (4, 2, 4)
     np.testing.assert_array_equal(first.actions.argmax(axis=-1)[:, 0], buffers[0].actions["agent_2"])
-    with pytest.raises(NotReadable, match="actions"):
+    with pytest.raises(InvalidFile, match="actions"):
         next(read_minari(path))
 
 
@@ -136,7 +136,7 @@ def test_episodes_that_differ_leave_nothing(tmp_path):
 
 def test_a_folder_that_is_there_is_not_written_over(tmp_path):
     (tmp_path / "mine").touch()
-    with pytest.raises(AlreadyThere):
+    with pytest.raises(AlreadyExists):
         write_minari(tmp_path, made_episodes([2]), dataset_id="replay-v0")
     assert everything_in(tmp_path) == {"mine": b""}
 
@@ -159,19 +159,19 @@ def change(dataset, name, values):
     [
         ("episode_1", None, MissingPart),
         ("episode_0/rewards", None, MissingPart),
-        ("episode_0/rewards", np.zeros(3), NotReadable),
-        ("episode_0/rewards", np.full(4, np.nan), NotReadable),
-        ("episode_0/observations", None, NotReadable),
-        ("episode_0/observations/agent_1", None, NotReadable),
-        ("episode_0/actions/agent_1", None, NotReadable),
-        ("episode_0/observations/agent_1", np.zeros((4, 3)), NotReadable),
-        ("episode_0/observations/agent_1", np.zeros((5, 4)), NotReadable),
-        ("episode_0/observations/agent_1", np.full((5, 3), np.inf), NotReadable),
-        ("episode_0/observations/agent_1", np.zeros((5, 2, 2)), NotReadable),
-        ("episode_0/observations/agent_1", np.full((5, 3), b"x"), NotReadable),
-        ("episode_0/actions/agent_0", np.zeros((3, 2)), NotReadable),
-        ("episode_0/actions", np.zeros((4, 2)), NotReadable),
-        ("episode_1/infos/qpos", np.zeros((1, 5)), NotReadable),
+        ("episode_0/rewards", np.zeros(3), InvalidFile),
+        ("episode_0/rewards", np.full(4, np.nan), InvalidFile),
+        ("episode_0/observations", None, InvalidFile),
+        ("episode_0/observations/agent_1", None, InvalidFile),
+        ("episode_0/actions/agent_1", None, InvalidFile),
+        ("episode_0/observations/agent_1", np.zeros((4, 3)), InvalidFile),
+        ("episode_0/observations/agent_1", np.zeros((5, 4)), InvalidFile),
+        ("episode_0/observations/agent_1", np.full((5, 3), np.inf), InvalidFile),
+        ("episode_0/observations/agent_1", np.zeros((5, 2, 2)), InvalidFile),
+        ("episode_0/observations/agent_1", np.full((5, 3), b"x"), InvalidFile),
+        ("episode_0/actions/agent_0", np.zeros((3, 2)), InvalidFile),
+        ("episode_0/actions", np.zeros((4, 2)), InvalidFile),
+        ("episode_1/infos/qpos", np.zeros((1, 5)), InvalidFile),
     ],
 )
 def test_a_dataset_of_another_shape_is_refused_and_nothing_changes(dataset, name, values, problem):
@@ -186,7 +186,7 @@ def test_a_dataset_of_another_shape_is_refused_and_nothing_changes(dataset, name
 def test_a_file_that_was_cut_is_refused(dataset, share):
     path = dataset / "data" / "main_data.hdf5"
     os.truncate(path, int(path.stat().st_size * share))
-    with pytest.raises(NotReadable):
+    with pytest.raises(InvalidFile):
         list(read_minari(dataset))
 
 
@@ -197,7 +197,7 @@ def test_a_file_that_was_cut_is_refused(dataset, share):
 def test_metadata_that_makes_no_sense_is_refused(dataset, changes):
     path = dataset / "data" / "metadata.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | changes))
-    with pytest.raises(NotReadable, match=r"metadata\.json"):
+    with pytest.raises(InvalidFile, match=r"metadata\.json"):
         list(read_minari(dataset))
 
 
@@ -205,7 +205,7 @@ def test_metadata_that_is_none_is_refused(dataset):
     path = dataset / "data" / "metadata.json"
     for content in (b"{", b"\xff", b"[]", b"{}"):
         path.write_bytes(content)
-        with pytest.raises(NotReadable):
+        with pytest.raises(InvalidFile):
             list(read_minari(dataset))
     path.unlink()
     with pytest.raises(MissingPart, match="metadata"):
@@ -213,5 +213,5 @@ def test_metadata_that_is_none_is_refused(dataset):
 
 
 def test_more_than_is_wanted_is_not_read(dataset):
-    with pytest.raises(TooLarge, match="limit of 100"):
+    with pytest.raises(FileTooLarge, match="limit of 100"):
         list(read_minari(dataset, max_bytes=100))

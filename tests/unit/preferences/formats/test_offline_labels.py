@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapt.preferences.errors import (
-    AlreadyThere,
+from mapt.errors import (
+    AlreadyExists,
+    InvalidFile,
     MissingPart,
-    NotExpressible,
-    NotReadable,
-    Truncated,
+    NotRepresentable,
+    TruncatedFile,
     UnknownLabel,
     UnsafePickle,
 )
@@ -82,7 +82,7 @@ def test_each_label_keeps_its_meaning(tmp_path, theirs, ours):
     "labels", [[0, 2], [0.5, 0], [[1, 1], [0, 1]], [[0.7, 0.3], [1, 0]], ["first", "second"], [None, 0]]
 )
 def test_a_label_of_another_polarity_is_refused(tmp_path, labels):
-    with pytest.raises(NotReadable, match="label"):
+    with pytest.raises(InvalidFile, match="label"):
         read(tmp_path, np.array(labels), [0, 0], [6, 6])
 
 
@@ -121,13 +121,13 @@ def test_first_and_second_are_segments_0_and_1(tmp_path):
     ("first", "problem"), [(4, "end of an episode"), (9, "end of an episode"), (100, "beyond"), (16, "beyond")]
 )
 def test_a_segment_outside_of_its_episode_is_refused(tmp_path, first, problem):
-    with pytest.raises(NotReadable, match=problem):
+    with pytest.raises(InvalidFile, match=problem):
         read(tmp_path, [0], [first], [0])
 
 
 @pytest.mark.parametrize("first", [[0], [0, 0, 0], [-1, 0], [0.5, 0], [[0], [0]], "ab", {"a": 1}])
 def test_places_that_are_none_are_refused(tmp_path, first):
-    with pytest.raises(NotReadable, match="indices_num2"):
+    with pytest.raises(InvalidFile, match="indices_num2"):
         read(tmp_path, [0, 1], first, [0, 0])
 
 
@@ -138,7 +138,7 @@ def test_files_that_are_cut_or_run_a_program_are_refused(tmp_path, name):
             return os.system, (f"touch {tmp_path / 'ran'}",)
 
     trajectories, files = write_trajectories(tmp_path), write_labels(tmp_path, np.zeros(2), np.zeros(2), np.zeros(2))
-    for content, problem in ((pickle.dumps(np.zeros(2))[:-20], Truncated), (pickle.dumps(Runs()), UnsafePickle)):
+    for content, problem in ((pickle.dumps(np.zeros(2))[:-20], TruncatedFile), (pickle.dumps(Runs()), UnsafePickle)):
         (tmp_path / name).write_bytes(content)
         before = everything_in(tmp_path)
         with pytest.raises(problem):
@@ -166,7 +166,7 @@ def test_files_that_are_missing_or_many_are_named(tmp_path):
         (tmp_path / name).touch()
     assert LabelFiles.find(tmp_path).labels.name == "label_human"
     (tmp_path / "labels_of_ada").touch()
-    with pytest.raises(NotReadable, match="label_human, labels_of_ada"):
+    with pytest.raises(InvalidFile, match="label_human, labels_of_ada"):
         LabelFiles.find(tmp_path)
     (tmp_path / "labels_of_ada").unlink()
     (tmp_path / "indices_num1").unlink()
@@ -201,10 +201,10 @@ def test_what_is_written_means_the_same_to_them(tmp_path, ours):
 
 def test_what_the_format_cannot_say_is_not_written(tmp_path):
     for made in (made_comparisons([0.7]), made_comparisons([1.0], lengths=[2, 4])):
-        with pytest.raises(NotExpressible):
+        with pytest.raises(NotRepresentable):
             write_offline_labels(tmp_path / "out", made)
     assert list(tmp_path.iterdir()) == []
     write_offline_labels(tmp_path / "out", made_comparisons([1.0, float("nan")]))
     assert len(read_offline_labels(tmp_path / "out" / "trajectories.hdf5", LabelFiles.find(tmp_path / "out"), 4)) == 1
-    with pytest.raises(AlreadyThere):
+    with pytest.raises(AlreadyExists):
         write_offline_labels(tmp_path / "out", made_comparisons([1.0]))

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from mapt.preferences.errors import AlreadyThere
+from mapt.errors import AlreadyExists
 from mapt.preferences.formats.pickle_writer import write_pickle
 from mapt.preferences.formats.pickles import Record, load_pickle
 from support.comparing import everything_in
@@ -76,6 +76,6 @@ def test_what_has_no_place_leaves_no_file(tmp_path, value):
 
 def test_a_file_that_is_there_is_not_written_over(tmp_path):
     (tmp_path / "file.pkl").write_bytes(b"mine")
-    with pytest.raises(AlreadyThere):
+    with pytest.raises(AlreadyExists):
         write_pickle(tmp_path / "file.pkl", 1)
     assert everything_in(tmp_path) == {"file.pkl": b"mine"}

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from mapt.preferences.errors import FileError, NotReadable, TooLarge, Truncated, UnsafePickle
+from mapt.errors import FileError, FileTooLarge, InvalidFile, TruncatedFile, UnsafePickle
 from mapt.preferences.formats.pickles import Record, load_pickle
 
 
@@ -115,7 +115,7 @@ def test_a_pickle_that_runs_a_program_is_refused_and_runs_nothing(tmp_path, prot
     ],
 )
 def test_any_other_callable_or_class_is_refused(tmp_path, value):
-    with pytest.raises(NotReadable):
+    with pytest.raises(InvalidFile):
         load_pickle(write(tmp_path, pickle.dumps(value)))
 
 
@@ -129,7 +129,7 @@ def test_an_allowed_function_cannot_be_changed(tmp_path):
     # BUILD on a function would write into its attributes.
     content = b"\x80\x02cnumpy\ndtype\n}X\x05\x00\x00\x00_callNsb."
     pickletools.dis(content, out=io.StringIO())
-    with pytest.raises(NotReadable, match="changed"):
+    with pytest.raises(InvalidFile, match="changed"):
         load_pickle(write(tmp_path, content))
     np.testing.assert_array_equal(load_pickle(write(tmp_path, pickle.dumps(np.arange(2)))), [0, 1])
 
@@ -174,7 +174,7 @@ def test_an_array_made_by_hand_is_read(tmp_path):
     ],
 )
 def test_an_array_that_is_not_what_it_says_is_refused(tmp_path, content):
-    with pytest.raises(NotReadable):
+    with pytest.raises(InvalidFile):
         load_pickle(write(tmp_path, content))
 
 
@@ -183,22 +183,22 @@ def test_a_shape_of_many_elements_in_the_constructor_takes_no_memory(tmp_path):
         def __reduce__(self):
             return np.arange(2).__reduce__()[0], (np.ndarray, (1 << 36,), b"d")
 
-    with pytest.raises(NotReadable):
+    with pytest.raises(InvalidFile):
         load_pickle(write(tmp_path, pickle.dumps(Huge(), 2)))
 
 
 def test_a_bytearray_of_a_size_takes_no_memory(tmp_path):
-    with pytest.raises(NotReadable):
+    with pytest.raises(InvalidFile):
         load_pickle(write(tmp_path, pickle.dumps(Runs(bytearray, 1 << 40))))
 
 
 def test_a_memo_of_a_billion_places_is_refused(tmp_path):
-    with pytest.raises(NotReadable):
+    with pytest.raises(InvalidFile):
         load_pickle(write(tmp_path, b"\x80\x02]r\xff\xff\xff\xff."))
 
 
 def test_a_pickle_that_is_nested_too_deeply_is_refused(tmp_path):
-    with pytest.raises(NotReadable):
+    with pytest.raises(InvalidFile):
         load_pickle(write(tmp_path, b"\x80\x02" + b"]" * 100_000 + b"a" * 99_999 + b"."))
 
 
@@ -213,13 +213,13 @@ def test_lists_of_lists_that_share_everything_are_read_once(tmp_path):
 def test_a_pickle_cut_anywhere_is_refused(tmp_path_factory, data):
     content = pickle.dumps([{"obs": np.arange(40.0), "label": 1}] * 3)
     end = data.draw(st.integers(0, len(content) - 1))
-    with pytest.raises(NotReadable):
+    with pytest.raises(InvalidFile):
         load_pickle(write(tmp_path_factory.mktemp("cut"), content[:end]))
 
 
 def test_a_pickle_cut_in_an_array_is_called_truncated(tmp_path):
     content = pickle.dumps(np.arange(1000.0))
-    with pytest.raises(Truncated):
+    with pytest.raises(TruncatedFile):
         load_pickle(write(tmp_path, content[:500]))
 
 
@@ -239,12 +239,12 @@ def test_a_pickle_with_a_byte_changed_ends_in_an_error_or_in_data(tmp_path_facto
 
 def test_a_file_that_is_larger_than_wanted_is_not_read(tmp_path):
     path = write(tmp_path, pickle.dumps(np.arange(1000)))
-    with pytest.raises(TooLarge, match="limit of 100"):
+    with pytest.raises(FileTooLarge, match="limit of 100"):
         load_pickle(path, max_bytes=100)
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(NotReadable, match="nowhere"):
+    with pytest.raises(InvalidFile, match="nowhere"):
         load_pickle(tmp_path / "nowhere.pkl")
 
 
@@ -272,5 +272,5 @@ def test_an_instance_of_a_named_class_comes_as_its_fields(tmp_path):
 def test_a_named_class_is_neither_called_nor_read_as_data(tmp_path):
     name = f"{Foreign.__module__}.Foreign"
     for value in (Runs(Foreign), Foreign):
-        with pytest.raises(NotReadable):
+        with pytest.raises(InvalidFile):
             load_pickle(write(tmp_path, pickle.dumps(value)), (name,))

@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapt.preferences.errors import (
-    AlreadyThere,
+from mapt.errors import (
+    AlreadyExists,
     FileError,
+    InvalidFile,
     MissingPart,
-    NotExpressible,
-    NotReadable,
+    NotRepresentable,
     PreferenceError,
-    Truncated,
+    TruncatedFile,
     UnknownLabel,
     UnsafePickle,
 )
@@ -77,7 +77,7 @@ def test_numbered_actions_become_one_hot(tmp_path):
         item[name]["actions"] = np.array([[[2], [0]]] * 3)
     found = read_reference(write(tmp_path, [item]), n_actions=4)
     assert found.records.segments.actions[0, 0].tolist() == [[0, 0, 1, 0], [1, 0, 0, 0]]
-    with pytest.raises(NotReadable, match="is not one of 0 to 1"):
+    with pytest.raises(InvalidFile, match="is not one of 0 to 1"):
         read_reference(write(tmp_path, [item]), n_actions=2)
 
 
@@ -108,14 +108,14 @@ def test_skipped_pairs_are_not_written(tmp_path):
 
 def test_what_the_format_cannot_say_is_not_written(tmp_path):
     for made in (made_comparisons([0.7]), made_comparisons([1.0], lengths=[2, 4])):
-        with pytest.raises(NotExpressible):
+        with pytest.raises(NotRepresentable):
             write_reference(tmp_path / "reference.pkl", made.dataset())
     assert everything_in(tmp_path) == {}
 
 
 def test_a_file_that_is_there_is_not_written_over(tmp_path):
     (tmp_path / "reference.pkl").write_bytes(b"mine")
-    with pytest.raises(AlreadyThere):
+    with pytest.raises(AlreadyExists):
         write_reference(tmp_path / "reference.pkl", made_comparisons([1.0]).dataset())
     assert everything_in(tmp_path) == {"reference.pkl": b"mine"}
 
@@ -135,17 +135,17 @@ def changed(trajectory, **arrays):
 @pytest.mark.parametrize(
     ("items", "problem"),
     [
-        ([], NotReadable),
-        ({"traj0": 1}, NotReadable),
-        (["pair"], NotReadable),
+        ([], InvalidFile),
+        ({"traj0": 1}, InvalidFile),
+        (["pair"], InvalidFile),
         ([without("label")], MissingPart),
         ([without("traj1")], MissingPart),
-        ([changed("traj0", obs=np.zeros((3, 5)))], NotReadable),
-        ([changed("traj0", obs=np.zeros((0, 2, 5)))], NotReadable),
-        ([changed("traj0", obs=np.full((3, 2, 5), np.nan))], NotReadable),
-        ([changed("traj0", obs=np.full((3, 2, 5), 1e300))], NotReadable),
-        ([changed("traj0", obs=np.full((3, 2, 5), "x"))], NotReadable),
-        ([changed("traj0", obs=[[1, 2], [3]])], NotReadable),
+        ([changed("traj0", obs=np.zeros((3, 5)))], InvalidFile),
+        ([changed("traj0", obs=np.zeros((0, 2, 5)))], InvalidFile),
+        ([changed("traj0", obs=np.full((3, 2, 5), np.nan))], InvalidFile),
+        ([changed("traj0", obs=np.full((3, 2, 5), 1e300))], InvalidFile),
+        ([changed("traj0", obs=np.full((3, 2, 5), "x"))], InvalidFile),
+        ([changed("traj0", obs=[[1, 2], [3]])], InvalidFile),
         ([changed("traj0", obs=np.zeros((3, 3, 5)), actions=np.zeros((3, 3, 1)))], PreferenceError),
         ([changed("traj1", actions=np.zeros((2, 2, 1)))], PreferenceError),
         ([pair(1), changed("traj1", obs=np.zeros((3, 2, 6)))], PreferenceError),
@@ -162,7 +162,7 @@ def test_a_file_of_another_shape_is_refused_and_nothing_changes(tmp_path, items,
 def test_a_file_that_was_cut_is_refused(tmp_path):
     path = write(tmp_path, [pair(1)])
     os.truncate(path, path.stat().st_size - 100)
-    with pytest.raises(Truncated):
+    with pytest.raises(TruncatedFile):
         read_reference(path)
 
 

@@ -10,18 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapt.preferences.dataset import PreferenceDataset
-from mapt.preferences.errors import (
-    AlreadyThere,
+from mapt.errors import (
+    AlreadyExists,
+    FileTooLarge,
+    InvalidFile,
     MissingPart,
+    NewerFile,
     NotEnoughPairs,
     NotOneHot,
-    NotReadable,
-    SchemaTooNew,
     ShapeError,
-    TooLarge,
     UnknownLabel,
 )
+from mapt.preferences.dataset import PreferenceDataset
 from mapt.preferences.formats.records import save_records
 from mapt.preferences.formats.table_export import write_dataset, write_tables
 from mapt.preferences.formats.tables import (
@@ -168,7 +168,7 @@ def test_an_export_is_there_whole_or_not_at_all(tmp_path):
 def test_an_export_that_is_there_is_not_written_over(tmp_path):
     (tmp_path / "export").mkdir()
     (tmp_path / "export" / "mine").write_bytes(b"")
-    with pytest.raises(AlreadyThere):
+    with pytest.raises(AlreadyExists):
         write(tmp_path / "export")
     assert everything_in(tmp_path) == {"export/mine": b""}
 
@@ -199,7 +199,7 @@ def change_metadata(path, **changes):
 def test_a_newer_schema_is_refused_by_its_number(tmp_path, table):
     write(tmp_path / "export")
     change_metadata(tmp_path / "export" / f"{table}.parquet", schema_version=2)
-    with pytest.raises(SchemaTooNew, match="version 2"):
+    with pytest.raises(NewerFile, match="version 2"):
         PreferenceTables.open(tmp_path / "export")
 
 
@@ -217,7 +217,7 @@ def test_a_newer_schema_is_refused_by_its_number(tmp_path, table):
 def test_metadata_of_another_meaning_is_refused(tmp_path, changes):
     write(tmp_path / "export")
     change_metadata(tmp_path / "export" / "segments.parquet", **changes)
-    with pytest.raises(NotReadable, match=r"segments\.parquet"):
+    with pytest.raises(InvalidFile, match=r"segments\.parquet"):
         PreferenceTables.open(tmp_path / "export")
 
 
@@ -253,7 +253,7 @@ def test_a_file_that_was_cut_is_refused_and_loads_nothing(tmp_path, table, share
     path = tmp_path / "export" / f"{table}.parquet"
     os.truncate(path, int(path.stat().st_size * share))
     before = everything_in(tmp_path)
-    with pytest.raises(NotReadable):
+    with pytest.raises(InvalidFile):
         PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
     assert everything_in(tmp_path) == before
     assert not (tmp_path / "segments").exists()
@@ -270,7 +270,7 @@ def test_a_damaged_file_ends_in_an_error_or_in_data_and_leaves_no_half(tmp_path_
     path.write_bytes(content)
     try:
         PreferenceTables.open(folder / "export").load(folder / "segments")
-    except (NotReadable, ShapeError):
+    except (InvalidFile, ShapeError):
         assert not (folder / "segments").exists()
 
 
@@ -319,7 +319,7 @@ def test_rows_that_contradict_each_other_are_refused_and_load_nothing(tmp_path, 
     write(tmp_path / "export")
     change_table(tmp_path / "export" / f"{table}.parquet", lambda whole: replaced(whole, column, values))
     before = everything_in(tmp_path)
-    with pytest.raises(NotReadable, match=table):
+    with pytest.raises(InvalidFile, match=table):
         PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
     assert everything_in(tmp_path) == before
 
@@ -331,7 +331,7 @@ def test_an_action_beyond_the_tasks_is_refused(tmp_path):
         tmp_path / "export" / "segments.parquet",
         lambda whole: replaced(whole, "actions", [[5] * size for size in sizes]),
     )
-    with pytest.raises(NotReadable, match="action"):
+    with pytest.raises(InvalidFile, match="action"):
         list(PreferenceTables.open(tmp_path / "export").segments())
 
 
@@ -339,7 +339,7 @@ def test_a_column_of_another_type_is_refused(tmp_path):
     write(tmp_path / "export")
     path = tmp_path / "export" / "labels.parquet"
     change_table(path, lambda whole: whole.set_column(3, "label", pa.array(["1", "0.5", "0", None])))
-    with pytest.raises(NotReadable, match="label"):
+    with pytest.raises(InvalidFile, match="label"):
         PreferenceTables.open(tmp_path / "export")
 
 
@@ -349,7 +349,7 @@ def test_a_few_bytes_that_stand_for_billions_of_numbers_are_not_decoded(tmp_path
     change_table(path, lambda whole: replaced(whole, "rewards", [[0.0] * 2_000_000, *([[0.0]] * 3)]))
     assert path.stat().st_size < 100_000
     tables = PreferenceTables.open(tmp_path / "export", max_row_group_bytes=1_000_000)
-    with pytest.raises(TooLarge):
+    with pytest.raises(FileTooLarge):
         list(tables.segments())
 
 
@@ -357,12 +357,12 @@ def test_padding_that_would_fill_the_memory_is_refused(tmp_path):
     write(tmp_path / "export")
     layout = {"n_steps": 1 << 40, "n_agents": 2, "observation_dim": 3, "action_dim": 2}
     change_metadata(tmp_path / "export" / "segments.parquet", layout=layout)
-    with pytest.raises(TooLarge):
+    with pytest.raises(FileTooLarge):
         PreferenceTables.open(tmp_path / "export")
 
 
 def test_a_folder_that_is_there_is_not_loaded_over(tmp_path):
     write(tmp_path / "export")
     (tmp_path / "segments").mkdir()
-    with pytest.raises(AlreadyThere):
+    with pytest.raises(AlreadyExists):
         PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
