@@ -5,7 +5,7 @@ could run one of its own, and the service's workers would train beside every tes
 """
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from accord.api.pages import FOLDER
+from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS
 from browser.service import SMALL, Service
 
@@ -25,9 +26,6 @@ _FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
-
-NewExperiment = Callable[..., str]
-SignIn = Callable[..., Page]
 
 
 @pytest.fixture(scope="module")

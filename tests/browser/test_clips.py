@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 from playwright.sync_api import Page, expect
 
-from browser.conftest import NewExperiment, SignIn
+from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS, Labeller
 from browser.service import SMALL, Service
 

@@ -4,7 +4,7 @@ import time
 
 from playwright.sync_api import expect
 
-from browser.conftest import NewExperiment, SignIn
+from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS, Labeller, Pair
 from browser.service import Service
 

@@ -1,4 +1,4 @@
-"""pytest fixtures over `support.stores`; a conftest.py imports those that its tests use."""
+"""Fixtures for stores; a conftest.py re-exports those that its tests use."""
 
 import secrets
 from collections.abc import Generator
@@ -6,13 +6,19 @@ from pathlib import Path
 
 import pytest
 
+from support.ci import IN_CI
 from support.stores import Stores, empty_postgres_database, missing_for_postgres, postgres, stores
 
 
 @pytest.fixture(scope="session")
 def postgres_server() -> Generator[str]:
-    """The URL of a Postgres server, one for the whole run."""
+    """The URL of a PostgreSQL server, started once per test process.
+
+    Without PostgreSQL, tests skip and say what is missing; in CI (`CI=true`) they fail.
+    """
     missing = missing_for_postgres()
+    if missing and IN_CI:
+        pytest.fail(missing)
     if missing:
         pytest.skip(missing)
     with postgres() as url:
@@ -21,7 +27,7 @@ def postgres_server() -> Generator[str]:
 
 @pytest.fixture(params=["sqlite", "postgres"])
 def both(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[Stores]:
-    """Stores on SQLite, and then on Postgres."""
+    """Stores on SQLite and on PostgreSQL: the test runs once with each."""
     if request.param == "sqlite":
         with stores(tmp_path) as made:
             yield made
@@ -33,6 +39,6 @@ def both(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[Stores]:
 
 @pytest.fixture
 def sqlite(tmp_path: Path) -> Generator[Stores]:
-    """Stores on SQLite alone."""
+    """Stores on SQLite only."""
     with stores(tmp_path) as made:
         yield made

@@ -1,4 +1,4 @@
-"""Migrated databases and blobs for tests: SQLite in a folder, and a Postgres of our own where one is installed."""
+"""Migrated databases and blob stores for tests, on SQLite and on a PostgreSQL server that the tests start."""
 
 import os
 import pwd
@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from sqlalchemy import create_engine, text
@@ -16,7 +17,8 @@ from accord.store.blobs import BlobStore, open_blobs
 from accord.store.database import Database
 from support.ports import free_port
 
-POSTGRES_BIN = Path("/usr/lib/postgresql/15/bin")
+#: where Debian and Ubuntu install a major version's server programs, which are not in PATH
+POSTGRES_VERSIONS = Path("/usr/lib/postgresql")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +33,7 @@ class Stores:
 
 @contextmanager
 def stores(home: Path, database_url: str = "") -> Generator[Stores]:
-    """Stores in a folder; SQLite unless another database is given."""
+    """Migrated stores in a folder: SQLite unless `database_url` names another database."""
     url = database_url or f"sqlite:///{home / 'accord.db'}"
     blob_url = f"file://{home / 'blobs'}"
     database = Database.open(url)
@@ -42,25 +44,37 @@ def stores(home: Path, database_url: str = "") -> Generator[Stores]:
         database.close()
 
 
+def postgres_programs() -> Path | None:
+    """The folder of `initdb` and `pg_ctl`: Debian's newest version, else that of PATH, else None."""
+    versions = [folder for folder in POSTGRES_VERSIONS.glob("*/bin") if (folder / "initdb").is_file()]
+    if versions:
+        return max(versions, key=lambda folder: float(folder.parent.name))
+    found = shutil.which("initdb")
+    return Path(found).resolve().parent if found else None
+
+
 def missing_for_postgres() -> str:
-    """What keeps a Postgres from being started here; empty when nothing does."""
-    if not (POSTGRES_BIN / "initdb").exists():
-        return f"no PostgreSQL 15 in {POSTGRES_BIN}"
-    try:
-        import psycopg  # noqa: F401
-    except ImportError:
+    """What this machine lacks to start a PostgreSQL server, in a sentence; empty if it lacks nothing."""
+    if postgres_programs() is None:
+        return (
+            f"PostgreSQL is not installed: no initdb in {POSTGRES_VERSIONS}/*/bin or PATH. "
+            "Run .ci/system-packages test, or apt-get install postgresql"
+        )
+    if find_spec("psycopg") is None:
         return "psycopg is not installed: pip install 'accord[postgres]'"
     if os.getuid() == 0:
         try:
             pwd.getpwnam("postgres")
         except KeyError:
-            return "there is no user postgres, and Postgres does not run as root"
+            return "There is no user postgres, and PostgreSQL refuses to run as root"
     return ""
 
 
 @contextmanager
 def postgres() -> Generator[str]:
-    """The URL of a fresh Postgres server of our own, stopped and removed with the block."""
+    """Start a PostgreSQL server with an empty cluster and yield its URL; stop and remove it afterwards."""
+    programs = postgres_programs()
+    assert programs is not None
     folder = Path(tempfile.mkdtemp(prefix="accord-postgres-", dir="/tmp"))
     identity: dict[str, str] = {}
     if os.getuid() == 0:
@@ -69,9 +83,7 @@ def postgres() -> Generator[str]:
     data = folder / "data"
 
     def run(program: str, *arguments: str) -> None:
-        subprocess.run(
-            [POSTGRES_BIN / program, *arguments], check=True, stdout=subprocess.DEVNULL, cwd=folder, **identity
-        )
+        subprocess.run([programs / program, *arguments], check=True, stdout=subprocess.DEVNULL, cwd=folder, **identity)
 
     port = free_port()
     try:
@@ -88,7 +100,7 @@ def postgres() -> Generator[str]:
 
 @contextmanager
 def empty_postgres_database(server_url: str, name: str) -> Generator[str]:
-    """A database of its own on a running server."""
+    """Create a database on a running server, yield its URL and drop it afterwards."""
     engine = create_engine(server_url, isolation_level="AUTOCOMMIT")
     try:
         with engine.connect() as connection:

@@ -12,8 +12,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from mapt.training.metrics import EVENTS, TIMINGS, Metrics, read_metrics
 from mapt.training.run_folder import RunFolder
 from support import short_tasks
+from support.training_runs import reward_model, write_reward
 from support.waiting import until
-from unit.training.conftest import reward_model, write_reward
 
 pytestmark = pytest.mark.usefixtures("short_episodes")
 

@@ -13,8 +13,8 @@ from integration.training.test_killed_run import ENVIRONMENT, ITERATIONS, comman
 from mapt.errors import RunBusy
 from mapt.training.metrics import read_metrics
 from mapt.training.run_folder import RunFolder
+from support.training_runs import reward_model, write_reward
 from support.waiting import until
-from unit.training.conftest import reward_model, write_reward
 
 SEEDS = (3, 4)
 

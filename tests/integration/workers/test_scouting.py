@@ -17,6 +17,7 @@ from mapt.rewards.config import RewardConfig
 from mapt.rewards.members import RewardEnsemble
 from mapt.rewards.registry import build_reward_model
 from support.scenes import ACTION, AGENTS, OBSERVATION, STEPS, segment
+from support.tolerance import assert_float32_close
 
 CONFIG = RewardConfig(OBSERVATION, ACTION, AGENTS, hidden_dim=8, heads=2)
 
@@ -73,9 +74,9 @@ def test_scores_and_features_are_those_of_the_segments_in_their_order(blobs: Cou
     wanted = [keys[place] for place in order]
     scout, ensemble = Scout(blobs), make_ensemble()
     scores = scout.scores("rwv_1", ensemble, wanted, "cpu")
-    np.testing.assert_allclose(scores, ensemble.scores(segments)[:, order], rtol=1e-4, atol=1e-5)
+    assert_float32_close(scores, ensemble.scores(segments)[:, order])
     assert scores.std() > 0.01
-    np.testing.assert_allclose(scout.features(wanted), segment_features(segments)[order], rtol=1e-5)
+    assert_float32_close(scout.features(wanted), segment_features(segments)[order])
 
 
 def test_a_segment_is_read_once_for_a_version_and_once_for_its_features(blobs: CountedBlobs):

@@ -11,9 +11,9 @@ from mapt.benchmarks.specification import numbers, words
 from mapt.errors import InvalidConfig
 from mapt.training.run_folder import RunFolder
 from support.short_tasks import SHORTEST_NAME
+from support.training_runs import STEPS_PER_ITERATION, reward_model, write_reward
 from support.waiting import until
 from unit.benchmarks.tiny_replay import TASK, write_replay
-from unit.training.conftest import STEPS_PER_ITERATION, reward_model, write_reward
 
 MODELS = "MA-MLP:hidden_dim=8:train.markov_epochs=1,MAPT:hidden_dim=8:train.markov_epochs=1:train.max_epochs=1"
 

@@ -14,7 +14,7 @@ from mapt.training.metrics import MetricsFile
 from mapt.training.results import RunResult, find_runs, grouped, markdown, seed_curves
 from mapt.training.run_folder import RunFolder
 from mapt.training.settings import LearnedRewardSettings, RunSettings
-from unit.training.conftest import STEPS_PER_ITERATION
+from support.training_runs import STEPS_PER_ITERATION
 
 
 def write_run(

@@ -13,7 +13,7 @@ from mapt.training.run import Run, Watch, complete_run
 from mapt.training.run_folder import PolicyCheckpoint, RunFolder, load_policy
 from mapt.training.settings import LearnedRewardSettings
 from support.short_tasks import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
-from unit.training.conftest import STEPS_PER_ITERATION, reward_model, write_reward
+from support.training_runs import STEPS_PER_ITERATION, reward_model, write_reward
 
 
 def lines(folder: RunFolder) -> list[dict[str, float | str]]:

@@ -8,7 +8,7 @@ from mapt.policies import Learner
 from mapt.tasks import make_task
 from mapt.training.run_folder import PolicyCheckpoint, load_policy
 from support.short_tasks import SHORTEST_NAME
-from unit.training.conftest import STEPS_PER_ITERATION
+from support.training_runs import STEPS_PER_ITERATION
 
 
 @pytest.fixture
