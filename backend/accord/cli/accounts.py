@@ -1,5 +1,7 @@
-"""accord link, accord user add: who may come in."""
+"""accord link and accord user: who may sign in."""
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from typing import Annotated
 
 import typer
@@ -11,6 +13,8 @@ from accord.services import accounts
 from accord.settings import Settings
 from accord.store.database import Database
 
+Name = Annotated[str, typer.Argument(help="Name of a user; `accord user list` shows them.")]
+
 user = typer.Typer(help="People and programs that may sign in.", no_args_is_help=True)
 
 
@@ -20,13 +24,11 @@ def users() -> None:
 
 
 def link(home: Home = None) -> None:
-    """Print a new sign-in link for the admin. It works once."""
+    """Print a new sign-in link for the admin. It works once. For another user: `accord user link NAME`."""
     settings = load_settings(home)
-    database = open_migrated(settings)
-    with database.transaction() as session:
+    with migrated(settings) as database, database.transaction() as session:
         token = accounts.make_link(session, accounts.ensure_admin(session).id, settings.link_minutes)
     say(sign_in_url(settings, token))
-    database.close()
 
 
 @user.command("add")
@@ -43,25 +45,69 @@ def add(
 ) -> None:
     """Add a user. Prints the bearer token, for programs, and a sign-in link, for a browser."""
     settings = load_settings(home)
-    database = open_migrated(settings)
-    with database.transaction() as session:
+    with migrated(settings) as database, database.transaction() as session:
         row, token = accounts.create_user(session, name, role)
         link_token = accounts.make_link(session, row.id, settings.link_minutes)
     # Plain lines: a script reads them.
     out.print(f"token {token}", markup=False)
     out.print(f"link  {sign_in_url(settings, link_token)}", markup=False)
-    database.close()
 
 
-def open_migrated(settings: Settings) -> Database:
-    """The database of this home, with all its tables.
+@user.command("link")
+def user_link(name: Name, home: Home = None) -> None:
+    """Print a new sign-in link for a user, for example after they signed out. It works once."""
+    settings = load_settings(home)
+    with migrated(settings) as database, database.transaction() as session:
+        token = accounts.make_link(session, accounts.by_name(session, name).id, settings.link_minutes)
+    out.print(sign_in_url(settings, token), markup=False)
+
+
+@user.command("list")
+def list_users(home: Home = None) -> None:
+    """List every user: role, labels, browsers that are signed in, bearer tokens, and the day they were added."""
+    with migrated(load_settings(home)) as database, database.reading() as session:
+        found = accounts.summaries(session)
+    rows = [("user", "role", "labels", "browsers", "tokens", "added")]
+    rows += [
+        (
+            each.name,
+            each.role,
+            str(each.labels),
+            str(each.browsers),
+            str(each.bearer_tokens),
+            f"{each.created_at:%Y-%m-%d}",
+        )
+        for each in found
+    ]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    for row in rows:
+        out.print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip(), markup=False)
+
+
+@user.command("remove")
+def remove(name: Name, home: Home = None) -> None:
+    """Take a user's access away: sign their browsers out, and make their tokens and links invalid. Labels are kept."""
+    with migrated(load_settings(home)) as database, database.transaction() as session:
+        deleted = accounts.remove(session, accounts.by_name(session, name))
+    if deleted:
+        out.print(f"{name} was deleted.", markup=False)
+    else:
+        out.print(f"{name} can no longer sign in. Their labels and experiments are kept under this name.", markup=False)
+
+
+@contextmanager
+def migrated(settings: Settings) -> Generator[Database]:
+    """The database of this home with all its tables, closed with the block.
 
     Raises:
         DatabaseTooNew, DatabaseUnreachable: with what to do about it.
     """
     database = Database.open(settings.resolved_database_url)
-    database.migrate()
-    return database
+    try:
+        database.migrate()
+        yield database
+    finally:
+        database.close()
 
 
 def sign_in_url(settings: Settings, link_token: str) -> str:

@@ -92,7 +92,10 @@ class LabelNotFound(NotFound):
 
 class UserNotFound(NotFound):
     code = "user_not_found"
-    thing = "user"
+
+    def __init__(self, name: str) -> None:
+        AccordError.__init__(self, f"There is no user {name!r}. `accord user list` shows every user.")
+        self.id = name
 
 
 class WrongState(AccordError):

@@ -6,6 +6,7 @@ Tokens are 256 random bits, so that a plain hash is enough: there is nothing to 
 
 import hashlib
 import secrets
+import shlex
 from datetime import timedelta
 from typing import Protocol
 
@@ -16,7 +17,7 @@ from accord.domain.errors import NameTaken, Unauthenticated, UserNotFound
 from accord.domain.ids import new_id
 from accord.services.texts import check_line
 from accord.store import accounts
-from accord.store.accounts import User
+from accord.store.accounts import User, UserSummary
 from accord.store.tables import TokenRow, UserRow, utc_now
 
 _ADMIN_NAME = "admin"
@@ -41,7 +42,10 @@ def create_user(session: Session, name: str, role: Role) -> tuple[UserRow, str]:
     """
     line = check_line(name, "name of a user", 100)
     if accounts.user_by_name(session, line) is not None:
-        raise NameTaken(f"There is a user {line!r} already. Choose another name.")
+        raise NameTaken(
+            f"A user {line!r} exists already. Choose another name; or, for a new sign-in link for {line!r}, run "
+            f"`accord user link {shlex.quote(line)}` where Accord runs."
+        )
     user = UserRow(id=new_id("usr"), name=line, role=role.value)
     session.add(user)
     session.flush()
@@ -59,6 +63,37 @@ def ensure_admin(session: Session) -> UserRow:
     session.add(admin)
     session.flush()
     return admin
+
+
+def by_name(session: Session, name: str) -> UserRow:
+    """The user with this name.
+
+    Raises:
+        UserNotFound: if there is none.
+    """
+    user = accounts.user_by_name(session, name.strip())
+    if user is None:
+        raise UserNotFound(name)
+    return user
+
+
+def summaries(session: Session) -> list[UserSummary]:
+    """Every user by name, with their labels and sign-ins."""
+    return accounts.summaries(session, utc_now())
+
+
+def remove(session: Session, user: UserRow) -> bool:
+    """Takes a user's access away: signs their browsers out and makes their tokens and links invalid.
+
+    Returns:
+        Whether the user was deleted too. One with labels or experiments stays on record as their author; a new link
+        lets them in again.
+    """
+    accounts.revoke(session, user.id)
+    if accounts.has_history(session, user.id):
+        return False
+    accounts.delete_user(session, user.id)
+    return True
 
 
 def new_bearer(session: Session, user_id: str) -> str:
@@ -105,8 +140,8 @@ def redeem_link(session: Session, token: str, session_days: float) -> tuple[User
     user = None if user_id is None else accounts.user(session, user_id)
     if user is None:
         raise Unauthenticated(
-            "This sign-in link was used before or has expired: each works once. Ask for a new one; "
-            "`accord up` prints one when it starts."
+            "This sign-in link has been used or has expired; each link works once. Ask whoever runs Accord for a new "
+            "one: `accord user link NAME`, or `accord link` for the administrator."
         )
     return user, _new_token(session, user.id, "session", timedelta(days=session_days))
 

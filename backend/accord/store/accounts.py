@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import bindparam, delete, or_, select, update
+from sqlalchemy import ScalarSelect, bindparam, delete, exists, func, or_, select, update
 from sqlalchemy.orm import Session
 
-from accord.store.tables import TokenRow, UserRow
+from accord.store.tables import ExperimentRow, LabelRow, PresentationRow, QueryRow, TokenRow, UserRow
 
 #: built once: it is run with every request
 _SIGNED_IN = (
@@ -35,6 +35,56 @@ def user(session: Session, user_id: str) -> UserRow | None:
 
 def user_by_name(session: Session, name: str) -> UserRow | None:
     return session.scalar(select(UserRow).where(UserRow.name == name))
+
+
+@dataclass(frozen=True, slots=True)
+class UserSummary:
+    """A user, with what they have done and whether they can sign in."""
+
+    name: str
+    role: str
+    #: state `label` in any experiment; skips do not count
+    labels: int
+    #: browsers that are signed in
+    browsers: int
+    bearer_tokens: int
+    created_at: datetime
+
+
+def summaries(session: Session, now: datetime) -> list[UserSummary]:
+    """Every user by name."""
+
+    def tokens(kind: str) -> ScalarSelect[int]:
+        valid = or_(TokenRow.expires_at.is_(None), TokenRow.expires_at > now)
+        return (
+            select(func.count()).where(TokenRow.user_id == UserRow.id, TokenRow.kind == kind, valid).scalar_subquery()
+        )
+
+    labels = select(func.count()).where(LabelRow.user_id == UserRow.id, LabelRow.state == "label").scalar_subquery()
+    rows = session.execute(
+        select(UserRow.name, UserRow.role, labels, tokens("session"), tokens("bearer"), UserRow.created_at).order_by(
+            UserRow.name
+        )
+    )
+    return [UserSummary(*row) for row in rows]
+
+
+def has_history(session: Session, user_id: str) -> bool:
+    """Whether a label or an experiment names this user as its author."""
+    label, experiment = exists().where(LabelRow.user_id == user_id), exists().where(ExperimentRow.owner_id == user_id)
+    return bool(session.scalar(select(or_(label, experiment))))
+
+
+def revoke(session: Session, user_id: str) -> None:
+    """Deletes a user's tokens, browser sessions and links, and ends their leases."""
+    session.execute(delete(TokenRow).where(TokenRow.user_id == user_id))
+    session.execute(update(QueryRow).where(QueryRow.leased_by == user_id).values(leased_by=None, leased_until=None))
+
+
+def delete_user(session: Session, user_id: str) -> None:
+    """Deletes a user without history, who has been revoked."""
+    session.execute(delete(PresentationRow).where(PresentationRow.user_id == user_id))
+    session.execute(delete(UserRow).where(UserRow.id == user_id))
 
 
 def first_with_role(session: Session, role: str) -> UserRow | None:

@@ -9,8 +9,9 @@ from sqlalchemy import select as sql_select
 from accord.domain.enums import Role
 from accord.domain.errors import Invalid, NameTaken, Unauthenticated, UserNotFound
 from accord.domain.ids import new_id
-from accord.services import accounts
+from accord.services import accounts, label, offer
 from accord.store.tables import TokenRow
+from support.scenes import scene
 from support.stores import Stores
 
 
@@ -52,7 +53,7 @@ def test_a_link_signs_in_once(both: Stores) -> None:
         user, token = accounts.redeem_link(session, link, 30)
         assert user.id == ada.id
         assert accounts.authenticate(session, token).id == ada.id
-        with pytest.raises(Unauthenticated, match="once"):
+        with pytest.raises(Unauthenticated):
             accounts.redeem_link(session, link, 30)
         with pytest.raises(Unauthenticated):
             # a link is no token for the API
@@ -118,5 +119,57 @@ def test_links_are_for_users_that_exist(both: Stores) -> None:
     absent = new_id("usr")
     with both.database.transaction() as session:
         for make in (lambda: accounts.make_link(session, absent, 5), lambda: accounts.new_bearer(session, absent)):
-            with pytest.raises(UserNotFound, match=absent):
+            with pytest.raises(UserNotFound) as caught:
                 make()
+            assert caught.value.id == absent
+
+
+def test_a_removed_user_cannot_sign_in_and_is_deleted(both: Stores) -> None:
+    with both.database.transaction() as session:
+        ada, bearer = accounts.create_user(session, "Ada", Role.LABELLER)
+        _, browser = accounts.redeem_link(session, accounts.make_link(session, ada.id, 5), 30)
+        link = accounts.make_link(session, ada.id, 5)
+    with both.database.transaction() as session:
+        assert accounts.remove(session, accounts.by_name(session, "Ada"))
+    with both.database.transaction() as session:
+        for token in (bearer, browser):
+            with pytest.raises(Unauthenticated):
+                accounts.authenticate(session, token)
+        with pytest.raises(Unauthenticated):
+            accounts.redeem_link(session, link, 30)
+        with pytest.raises(UserNotFound):
+            accounts.by_name(session, "Ada")
+        accounts.create_user(session, "Ada", Role.LABELLER)
+
+
+def test_a_removed_user_with_labels_stays_on_record_and_a_new_link_lets_them_in(both: Stores) -> None:
+    made = scene(both.database, both.blobs)
+    with both.database.transaction() as session:
+        ada, bearer = accounts.create_user(session, "Ada", Role.LABELLER)
+        first = offer.next_queries(session, ada, made.experiment.id, 2, 60.0).items[0]
+        label.put_label(session, ada, first.id, 1.0)
+        assert accounts.by_name(session, "Ada").id == ada.id
+    with both.database.transaction() as session:
+        assert not accounts.remove(session, accounts.by_name(session, "Ada"))
+    with both.database.transaction() as session:
+        with pytest.raises(Unauthenticated):
+            accounts.authenticate(session, bearer)
+        [summary] = [each for each in accounts.summaries(session) if each.name == "Ada"]
+        assert (summary.labels, summary.browsers, summary.bearer_tokens) == (1, 0, 0)
+        # the other query that was leased to Ada is free at once
+        other, _ = accounts.create_user(session, "Grace", Role.LABELLER)
+        assert len(offer.next_queries(session, other, made.experiment.id, 3, 60.0).items) == 3
+        link = accounts.make_link(session, ada.id, 5)
+        assert accounts.redeem_link(session, link, 30)[0].id == ada.id
+
+
+def test_users_are_listed_by_name_with_their_sign_ins(both: Stores) -> None:
+    with both.database.transaction() as session:
+        grace, _ = accounts.create_user(session, "Grace", Role.TEACHER)
+        ada, _ = accounts.create_user(session, "Ada", Role.LABELLER)
+        for days in (30, -1):
+            accounts.redeem_link(session, accounts.make_link(session, ada.id, 5), days)
+        accounts.new_bearer(session, grace.id)
+    with both.database.reading() as session:
+        found = [(each.name, each.role, each.browsers, each.bearer_tokens) for each in accounts.summaries(session)]
+    assert found == [("Ada", "labeller", 1, 1), ("Grace", "teacher", 0, 2)]

@@ -24,6 +24,9 @@ def test_the_commands_are_those_of_the_documents():
         "accord export",
         "accord tasks",
         "accord user add",
+        "accord user link",
+        "accord user list",
+        "accord user remove",
     }
 
 

@@ -10,12 +10,16 @@ export function SignedOut() {
       <p>Accord has no passwords. A one-time link signs you in, and this browser stays signed in.</p>
       <ol>
         <li>
-          If Accord runs on this machine, type this in its terminal and open the link that it prints:
+          If you run Accord on this machine, run this command in a terminal and open the link that it prints. It signs
+          you in as the administrator:
           <CommandLine />
         </li>
-        <li>If a colleague runs it, ask them for a link. They make it with the same command.</li>
+        <li>
+          If a colleague runs Accord, ask them for a sign-in link. They create it with{" "}
+          <code>accord user link NAME</code>, or with <code>accord user add NAME</code> if you are new.
+        </li>
       </ol>
-      <p className="quiet">A link that was used or is old no longer works; a new one is made in a second.</p>
+      <p className="quiet">Each link works once, and only for a limited time.</p>
     </Message>
   );
 }
