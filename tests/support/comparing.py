@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from mapt.preferences.dataset import SegmentArrays, SegmentSource
-from mapt.preferences.formats.episodes import Episode, episodes_of
-from mapt.preferences.formats.records import Comparisons, SegmentRecords
+from mapt.preferences.formats.records import Comparisons, Episode, SegmentRecords, episodes_of
 
 
 def made_records(

@@ -29,7 +29,7 @@ from accord.workers.replayed_clips import Redrawing, draws_itself
 from accord.workers.reward_source import RewardSource, make_reward_source
 from accord.workers.runner import Context
 from mapt.policies import Learner, Rollout, evaluate
-from mapt.preferences.cutting import Stretch, cut
+from mapt.preferences.segments import Stretch, cut
 from mapt.tasks import Task, TaskStep, WrappedTask, make_task
 from mapt.training.evaluation import EPISODES, SEED_OF_STARTS
 from mapt.training.metrics import iteration_metrics

@@ -16,7 +16,7 @@ from accord.services.collect import drawn_blob_key
 from accord.store.blobs import BlobStore
 from mapt.errors import NoSimulator, UnusableEnvironment
 from mapt.policies import Rollout
-from mapt.preferences.cutting import Stretch
+from mapt.preferences.segments import Stretch
 from mapt.rendering.encode import open_clip
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import RenderableTask, Task, make_task

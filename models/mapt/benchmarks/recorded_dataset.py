@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from mapt.errors import InvalidConfig, NoTrueRewards, RecordingStopped, ReplayNotFound
 from mapt.policies import Learner, Policy, PolicyConfig, Rollout, train, true_reward
 from mapt.policies.rollout import Collector
-from mapt.preferences.cutting import Stretch, cut
 from mapt.preferences.dataset import SegmentArrays, SegmentSource
-from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
-from mapt.preferences.storage_layout import MANIFEST, column_path
+from mapt.preferences.segments import Stretch, cut
+from mapt.preferences.storage import MANIFEST, SegmentFolder, SegmentLayout, SegmentWriter, column_path
 from mapt.processes import Desk
 from mapt.tasks import TaskSpec, make_task
 

@@ -1,27 +1,154 @@
-"""Segments on disk, read by index in the memory of what is asked for.
+"""How segments lie on disk: one file of equal rows per array, and a manifest that counts the rows."""
 
-    with SegmentWriter.create(path, SegmentLayout(n_steps=100, n_agents=6, observation_dim=24, action_dim=1)) as writer:
-        writer.append(segments)
-    folder = SegmentFolder.open(path)
-    dataset = PreferenceDataset(folder, pairs, labels)
-
-Read, not mapped: a mapped file counts its touched pages as the process's own memory, which a pass over all the
-segments makes the whole file. What is read lies in the system's page cache and goes when memory is wanted.
-"""
-
+import json
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, BinaryIO
+from types import TracebackType
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.errors import InvalidFile, MissingPart, TruncatedFile
+from mapt.errors import AlreadyExists, InvalidFile, MissingPart, NewerFile, NotFinite, ShapeError, TruncatedFile
+from mapt.io import atomic_write
 from mapt.preferences.dataset import FloatArray, IntArray, SegmentArrays
-from mapt.preferences.storage_layout import Column, Manifest, SegmentLayout, column_path
-from mapt.preferences.storage_writer import SegmentWriter
+from mapt.preferences.segments import action_numbers
+
+FORMAT = "mapt segments"
+SCHEMA_VERSION = 1
+MANIFEST = "manifest.json"
+#: The most actions that a stored index can tell apart.
+MAX_DISCRETE_ACTIONS = 65_536
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentLayout:
+    """Which arrays a folder of segments keeps, and their dimensions."""
+
+    #: T, the most steps of a segment; shorter ones are padded
+    n_steps: int
+    #: N
+    n_agents: int
+    #: C
+    observation_dim: int
+    #: A
+    action_dim: int
+    #: actions are one-hot; stored as an index each
+    discrete: bool = False
+    #: true rewards, one a step
+    rewards: bool = False
+    #: numbers in a simulator state; 0 keeps none
+    qpos_dim: int = 0
+    qvel_dim: int = 0
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value, least = getattr(self, each.name), 0 if each.name in ("qpos_dim", "qvel_dim") else 1
+            if type(value) is not each.type:
+                raise ValueError(f"{each.name} is {value!r}")
+            if each.type is int and value < least:
+                raise ValueError(f"{each.name} is {value}, it must be at least {least}")
+        if self.discrete and self.action_dim > MAX_DISCRETE_ACTIONS:
+            raise ValueError(f"action_dim must be at most {MAX_DISCRETE_ACTIONS} where actions are discrete")
+
+    @property
+    def columns(self) -> dict[str, "Column"]:
+        """Every array that is kept, by name."""
+        steps = (self.n_steps, self.n_agents)
+        actions = Column("<u2", steps) if self.discrete else Column("<f4", (*steps, self.action_dim))
+        columns = {
+            "lengths": Column("<i4", ()),
+            "observations": Column("<f4", (*steps, self.observation_dim)),
+            "actions": actions,
+        }
+        if self.rewards:
+            columns["rewards"] = Column("<f8", (self.n_steps,))
+        if self.qpos_dim:
+            columns["qpos"] = Column("<f8", (self.n_steps, self.qpos_dim))
+        if self.qvel_dim:
+            columns["qvel"] = Column("<f8", (self.n_steps, self.qvel_dim))
+        return columns
+
+    def with_steps(self, n_steps: int) -> "SegmentLayout":
+        """The same for segments of at most `n_steps`."""
+        return replace(self, n_steps=n_steps)
+
+    @property
+    def segment_bytes(self) -> int:
+        """What one segment takes on disk."""
+        return sum(column.row_bytes for column in self.columns.values())
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One array of a folder: rows of this shape, one a segment, without anything between."""
+
+    dtype: str
+    #: of one row
+    shape: tuple[int, ...]
+
+    @property
+    def row_bytes(self) -> int:
+        return np.dtype(self.dtype).itemsize * int(np.prod(self.shape, dtype=np.int64))
+
+
+def column_path(folder: Path, name: str) -> Path:
+    return folder / f"{name}.bin"
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """What a folder holds. Rows beyond `n_segments` are the rest of a write that never ended."""
+
+    layout: SegmentLayout
+    n_segments: int
+    #: where the segments come from: task, versions, seeds; anything JSON can say
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    def write(self, folder: Path) -> None:
+        """Replace the manifest, whole or not at all, and be sure of it."""
+        document = {
+            "format": FORMAT,
+            "schema_version": SCHEMA_VERSION,
+            "n_segments": self.n_segments,
+            "layout": asdict(self.layout),
+            "about": dict(self.about),
+        }
+        atomic_write(folder / MANIFEST, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+
+    @classmethod
+    def read(cls, folder: Path) -> "Manifest":
+        """
+        Raises:
+            MissingPart: if there is no manifest: no folder of segments, or a write that never got so far.
+            NewerFile, InvalidFile: if it is a newer one, or none of ours.
+        """
+        path = folder / MANIFEST
+        if not path.is_file():
+            raise MissingPart(folder, f"{MANIFEST}: it is no folder of segments, or its writing never ended")
+        try:
+            document = json.loads(path.read_bytes())
+            if document["format"] != FORMAT:
+                raise InvalidFile(path, f"is of {document['format']!r}, not of {FORMAT!r}")
+            if document["schema_version"] > SCHEMA_VERSION:
+                raise NewerFile(path, document["schema_version"], SCHEMA_VERSION)
+            layout = SegmentLayout(**document["layout"])
+            return cls(layout, _count(document["n_segments"]), dict(document["about"]))
+        except InvalidFile:
+            raise
+        except (ValueError, TypeError, KeyError) as error:
+            raise InvalidFile(path, f"is no manifest of segments ({error})") from error
+
+
+def _count(value: object) -> int:
+    if not isinstance(value, int) or value < 0:
+        raise ValueError(f"n_segments is {value!r}")
+    return value
+
 
 __all__ = ["SegmentFolder", "SegmentLayout", "SegmentWriter"]
 
@@ -156,3 +283,166 @@ def _one_hot(codes: NDArray[np.uint16], n_actions: int, mask: NDArray[np.bool_])
     np.put_along_axis(actions, codes[..., None].astype(np.int64), 1.0, axis=-1)
     actions[~mask] = 0
     return actions
+
+
+class SegmentWriter:
+    """One writer of a folder of segments; make it with `create` or `resume`, end it with the block or `close`.
+
+    A block that raises leaves the folder with what was committed before, and a folder that never had any as if
+    it had not been made.
+    """
+
+    def __init__(self, path: Path, manifest: Manifest) -> None:
+        """Use `create` or `resume`."""
+        self.path, self.layout = path, manifest.layout
+        self._about = manifest.about
+        self._committed = self._count = manifest.n_segments
+        self._stack = ExitStack()
+        self._files = {name: self._opened(name, column) for name, column in self.layout.columns.items()}
+
+    @classmethod
+    def create(cls, path: Path | str, layout: SegmentLayout, *, about: Mapping[str, Any] | None = None) -> Self:
+        """A new folder.
+
+        Args:
+            about: where the segments come from (task, versions, seeds); kept in the manifest as JSON.
+
+        Raises:
+            AlreadyExists: if the folder holds segments, or anything that is not the rest of a write that crashed.
+        """
+        path = Path(path)
+        names = {column_path(path, name).name for name in layout.columns}
+        if path.exists() and not (path.is_dir() and {each.name for each in path.iterdir()} <= names):
+            raise AlreadyExists(path)
+        path.mkdir(parents=True, exist_ok=True)
+        return cls(path, Manifest(layout, 0, about or {}))
+
+    @classmethod
+    def resume(cls, path: Path | str) -> Self:
+        """Go on after the last committed segment of a folder.
+
+        Raises:
+            MissingPart, NewerFile, InvalidFile: see `SegmentFolder.open`.
+            TruncatedFile: if a file holds fewer segments than were committed.
+        """
+        return cls(Path(path), Manifest.read(Path(path)))
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abandon()
+
+    def append(
+        self,
+        segments: SegmentArrays,
+        *,
+        rewards: ArrayLike | None = None,
+        qpos: ArrayLike | None = None,
+        qvel: ArrayLike | None = None,
+    ) -> IntArray:
+        """Add B segments behind those that are there.
+
+        Args:
+            segments: of at most the layout's T steps; what they lack is padded.
+            rewards: (B, T'), qpos: (B, T', nq), qvel: (B, T', nv), T' the steps of `segments`; each is given
+                where the layout has it, and not otherwise. What lies in the padding is set to 0.
+
+        Returns:
+            int64 (B,): the indices they have got.
+
+        Raises:
+            ShapeError, NotFinite, NotOneHot: if an array is not the layout's; nothing is added then.
+        """
+        given = {"rewards": rewards, "qpos": qpos, "qvel": qvel}
+        columns = {
+            "lengths": segments.mask.sum(axis=1),
+            "observations": self._checked("observations", segments.observations, segments.mask),
+            "actions": self._actions(segments),
+        }
+        for name, values in given.items():
+            if (values is None) != (name not in self.layout.columns):
+                raise ShapeError(
+                    name, () if values is None else np.shape(values), "an array exactly where the layout keeps one"
+                )
+            if values is not None:
+                columns[name] = self._checked(name, np.asarray(values), segments.mask)
+        for name, values in columns.items():
+            column = self.layout.columns[name]
+            # To its place, not merely behind the last byte: a write that failed half-way is then written over.
+            self._files[name].seek(self._count * column.row_bytes)
+            self._files[name].write(_padded(values, column, segments.mask).data)
+        first, self._count = self._count, self._count + len(segments)
+        return np.arange(first, self._count)
+
+    def commit(self) -> None:
+        """Make every segment so far survive a crash and be seen by those who open the folder from now on."""
+        for file in self._files.values():
+            file.flush()
+            os.fsync(file.fileno())
+        Manifest(self.layout, self._count, self._about).write(self.path)
+        self._committed = self._count
+
+    def close(self) -> None:
+        """Commit, and let go of the files."""
+        with self._stack:
+            self.commit()
+
+    def abandon(self) -> None:
+        """Let go of the files without committing; a folder that was never committed is removed."""
+        self._stack.close()
+        if (self.path / MANIFEST).exists():
+            for name, column in self.layout.columns.items():
+                os.truncate(column_path(self.path, name), self._committed * column.row_bytes)
+            return
+        for name in self.layout.columns:
+            column_path(self.path, name).unlink(missing_ok=True)
+        self.path.rmdir()
+
+    def _opened(self, name: str, column: Column) -> BinaryIO:
+        path = column_path(self.path, name)
+        try:
+            if self._committed and path.stat().st_size < self._committed * column.row_bytes:
+                raise TruncatedFile(path, f"holds fewer than {self._committed} segments")
+            file = self._stack.enter_context(path.open("r+b" if self._committed else "wb"))
+        except BaseException:
+            self._stack.close()
+            raise
+        # What lies behind the committed rows is the rest of a write that never ended.
+        file.truncate(self._committed * column.row_bytes)
+        return file
+
+    def _actions(self, segments: SegmentArrays) -> NDArray[Any]:
+        layout, actions = self.layout, segments.actions
+        if actions.shape[2:] != (layout.n_agents, layout.action_dim):
+            raise ShapeError("actions", actions.shape, f"(B, T, {layout.n_agents}, {layout.action_dim})")
+        return action_numbers(segments) if layout.discrete else actions
+
+    def _checked(self, name: str, values: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[Any]:
+        """`values`, if they have the layout's dimensions, at most its steps, and no NaN where the step is real."""
+        row = self.layout.columns[name].shape
+        if values.shape[:2] != mask.shape or values.shape[1] > row[0] or values.shape[2:] != row[1:]:
+            raise ShapeError(name, values.shape, f"({', '.join(map(str, (*mask.shape, *row[1:])))}), T <= {row[0]}")
+        finite = np.isfinite(values).all(axis=tuple(range(2, values.ndim)))
+        broken = (~finite & mask).any(axis=1)
+        if broken.any():
+            raise NotFinite(name, int(broken.argmax()))
+        return values
+
+
+def _padded(values: NDArray[Any], column: Column, mask: NDArray[np.bool_]) -> NDArray[Any]:
+    """(B, T', ...) as the column's (B, T, ...), with zeros where the mask (B, T') is false and beyond it."""
+    rows = np.zeros((len(values), *column.shape), dtype=column.dtype)
+    if not column.shape:
+        rows[:] = values
+    else:
+        rows[:, : mask.shape[1]][mask] = values[mask]
+    return rows

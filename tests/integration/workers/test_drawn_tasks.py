@@ -16,7 +16,7 @@ from accord.workers.replayed_clips import Redrawing, even
 from accord.workers.reward_worker import RewardWorker
 from integration.workers.workplace import Workplace
 from mapt.policies import Learner, PolicyConfig
-from mapt.preferences.cutting import Stretch
+from mapt.preferences.segments import Stretch
 from mapt.tasks import make_task
 from support import buttons
 

@@ -16,7 +16,7 @@ from mapt.benchmarks.recorded_dataset import (
 )
 from mapt.errors import AlreadyExists, FileError, InvalidConfig, NoTrueRewards, ReplayNotFound, UnknownTask
 from mapt.policies import Rollout
-from mapt.preferences.cutting import SHORTEST_SHARE
+from mapt.preferences.segments import SHORTEST_SHARE
 from mapt.preferences.storage import SegmentLayout, SegmentWriter
 from mapt.processes import run_jobs
 from mapt.tasks import make_task

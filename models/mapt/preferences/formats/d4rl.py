@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from mapt.errors import AlreadyExists, InvalidFile, MissingPart, ShapeError
 from mapt.io import atomic_path
 from mapt.preferences.dataset import FloatArray
-from mapt.preferences.formats.arrays import finite_doubles, finite_floats
-from mapt.preferences.formats.episodes import AgentIndices, Episode
-from mapt.preferences.formats.hdf5 import MAX_BYTES, Hdf5File, open_hdf5, rows
+from mapt.preferences.formats.arrays import MAX_BYTES, Hdf5File, finite_doubles, finite_floats, open_hdf5, rows
+from mapt.preferences.formats.records import AgentIndices, Episode
 
 #: Our own addition: how many agents the flat arrays hold, one after the other.
 _AGENTS = "mapt_n_agents"

@@ -20,9 +20,15 @@ import numpy as np
 from mapt.errors import AlreadyExists, InvalidFile, MissingPart, ShapeError
 from mapt.io import atomic_write
 from mapt.preferences.dataset import FloatArray
-from mapt.preferences.formats.arrays import finite_doubles, finite_floats, numbered_actions
-from mapt.preferences.formats.episodes import Episode
-from mapt.preferences.formats.hdf5 import MAX_BYTES, Hdf5File, open_hdf5
+from mapt.preferences.formats.arrays import (
+    MAX_BYTES,
+    Hdf5File,
+    finite_doubles,
+    finite_floats,
+    numbered_actions,
+    open_hdf5,
+)
+from mapt.preferences.formats.records import Episode
 
 _MAIN, _METADATA = "main_data.hdf5", "metadata.json"
 #: The version whose layout is written.

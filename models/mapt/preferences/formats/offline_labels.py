@@ -20,13 +20,19 @@ from numpy.typing import NDArray
 
 from mapt.errors import AlreadyExists, InvalidFile, MissingPart, NotRepresentable, UnknownLabel
 from mapt.preferences.dataset import FloatArray, IntArray
-from mapt.preferences.formats.arrays import numbers
+from mapt.preferences.formats.arrays import MAX_BYTES, numbers, open_hdf5
 from mapt.preferences.formats.d4rl import D4rlSteps, episode_bounds, write_d4rl
-from mapt.preferences.formats.episodes import AgentIndices, Episode, cut_segments, episodes_of
-from mapt.preferences.formats.hdf5 import MAX_BYTES, open_hdf5
 from mapt.preferences.formats.pickle_writer import write_pickle
 from mapt.preferences.formats.pickles import load_pickle
-from mapt.preferences.formats.records import Comparisons, SegmentRecords, concatenate
+from mapt.preferences.formats.records import (
+    AgentIndices,
+    Comparisons,
+    Episode,
+    SegmentRecords,
+    concatenate,
+    cut_segments,
+    episodes_of,
+)
 
 _LABELS = {0: 1.0, 1: 0.0, -1: 0.5}
 _KNOWN = "0 (first better), 1 (second better) and -1 (equal), or rows (1, 0), (0, 1) and (0.5, 0.5)"

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.errors import InvalidFile, MissingPart, NotRepresentable, UnknownLabel
-from mapt.preferences.actions import action_numbers
 from mapt.preferences.dataset import FloatArray, PreferenceDataset, SegmentArrays
 from mapt.preferences.formats.arrays import finite_floats, numbered_actions
 from mapt.preferences.formats.pickle_writer import write_pickle
 from mapt.preferences.formats.pickles import MAX_BYTES, load_pickle
 from mapt.preferences.formats.records import Comparisons, SegmentRecords
+from mapt.preferences.segments import action_numbers
 
 _LABELS = {1: 1.0, -1: 0.0, 0: 0.5}
 _KNOWN = "1 (first better), -1 (second better) and 0 (equal)"

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from mapt.errors import AlreadyExists, ShapeError
 from mapt.io import sync_folder
-from mapt.preferences.actions import action_numbers
-from mapt.preferences.formats.records import SegmentRecords
+from mapt.preferences.dataset import FloatArray, IntArray, PreferenceDataset
+from mapt.preferences.formats.records import Comparisons, SegmentRecords, records_in_batches
 from mapt.preferences.formats.table_schemas import (
     LABELS,
     QUERIES,
@@ -29,7 +29,8 @@ from mapt.preferences.formats.table_schemas import (
     array_shapes,
     schema_of,
 )
-from mapt.preferences.storage import SegmentLayout
+from mapt.preferences.segments import action_numbers
+from mapt.preferences.storage import SegmentFolder, SegmentLayout
 
 #: A row group is what writer and reader hold at once.
 ROW_GROUP_BYTES = 32 << 20
@@ -158,3 +159,47 @@ def _array_columns(records: SegmentRecords, layout: SegmentLayout) -> dict[str, 
         element = pa.field("element", pa.from_numpy_dtype(flat.dtype), nullable=False)
         columns[name] = pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(flat), type=pa.list_(element))
     return columns
+
+
+def write_tables(path: Path | str, comparisons: Comparisons, *, about: Mapping[str, Any] | None = None) -> None:
+    """Write comparisons that come from elsewhere as our tables.
+
+    Raises:
+        AlreadyExists: if there is something at `path`.
+    """
+    layout = comparisons.records.layout()
+    with TableWriter(path, layout, about=about) as tables:
+        _write(tables, [comparisons.records], comparisons.pairs, comparisons.labels)
+
+
+def write_dataset(path: Path | str, dataset: PreferenceDataset, *, about: Mapping[str, Any] | None = None) -> None:
+    """Write a dataset as our tables, in the memory of some hundred segments where they lie on disk.
+
+    Raises:
+        AlreadyExists: if there is something at `path`.
+    """
+    source = dataset.segments
+    layout = (
+        source.layout
+        if isinstance(source, SegmentFolder)
+        else SegmentLayout(source.n_steps, source.n_agents, source.observation_dim, source.action_dim)
+    )
+    with TableWriter(path, layout, about=about) as tables:
+        _write(tables, records_in_batches(source), dataset.pairs, dataset.labels)
+
+
+def _write(tables: TableWriter, batches: Iterable[SegmentRecords], pairs: IntArray, labels: FloatArray) -> None:
+    written = 0
+    for records in batches:
+        tables.add_segments([SegmentRow(f"segment-{written + index}") for index in range(len(records))], records)
+        written += len(records)
+    tables.add_queries(
+        QueryRow(f"query-{index}", f"segment-{first}", f"segment-{second}")
+        for index, (first, second) in enumerate(pairs.tolist())
+    )
+    tables.add_labels(
+        LabelRow(f"query-{index}", "imported", "skip", None)
+        if np.isnan(label)
+        else LabelRow(f"query-{index}", "imported", "label", label)
+        for index, label in enumerate(labels.tolist())
+    )

@@ -3,11 +3,18 @@
 `make_selector(name, rng)` gives a selector by name; `ControlledSelector` holds out a uniform share beside it.
 """
 
-from mapt.preferences.selection.control import ChosenPair, ControlledSelector, control_count
-from mapt.preferences.selection.features import segment_features
+from mapt.preferences.selection.criteria import segment_features
 from mapt.preferences.selection.protocol import QuerySelector, SegmentView, SelectorName
-from mapt.preferences.selection.registry import make_selector, needs_ensemble, needs_features, selector_names
-from mapt.preferences.selection.uniform import UniformSelector
+from mapt.preferences.selection.selectors import (
+    ChosenPair,
+    ControlledSelector,
+    UniformSelector,
+    control_count,
+    make_selector,
+    needs_ensemble,
+    needs_features,
+    selector_names,
+)
 
 __all__ = [
     "ChosenPair",

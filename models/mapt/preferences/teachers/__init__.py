@@ -3,13 +3,30 @@
 `make_teacher("phase+mistake", seed=0, mistake=0.05).judge(first, second)` labels pairs of `Evidence`.
 """
 
-from mapt.preferences.teachers.cooperation import FindsPhase, NobodyIdle, Phase, SharedLoad
 from mapt.preferences.teachers.evidence import Evidence
-from mapt.preferences.teachers.history import BestSecond, Never, Recency, Return, Smoothness, WorstSecond
-from mapt.preferences.teachers.protocol import Teacher
-from mapt.preferences.teachers.registry import PRESETS, RULES, make_teacher, teacher_names
-from mapt.preferences.teachers.rule import Rule
-from mapt.preferences.teachers.scripted import Habits, OracleTeacher, ScriptedTeacher
+from mapt.preferences.teachers.rules import (
+    BestSecond,
+    FindsPhase,
+    Never,
+    NobodyIdle,
+    Phase,
+    Recency,
+    Return,
+    Rule,
+    SharedLoad,
+    Smoothness,
+    WorstSecond,
+)
+from mapt.preferences.teachers.scripted import (
+    PRESETS,
+    RULES,
+    Habits,
+    OracleTeacher,
+    ScriptedTeacher,
+    Teacher,
+    make_teacher,
+    teacher_names,
+)
 
 __all__ = [
     "PRESETS",

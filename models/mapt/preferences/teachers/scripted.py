@@ -1,16 +1,85 @@
-"""A scripted teacher: a rule, and the habits with which people depart from their rules (B-Pref, Lee et al. 2021)."""
+"""The seam between teachers and everyone who asks them."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+import math
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, Literal, Protocol, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.errors import InvalidTeacher, ShapeError
+from mapt.errors import InvalidTeacher, ShapeError, UnknownTeacher
 from mapt.preferences.teachers.evidence import Evidence, Float64s
-from mapt.preferences.teachers.history import Return
-from mapt.preferences.teachers.rule import Rule
-from mapt.preferences.teachers.scale import RunningScale
+from mapt.preferences.teachers.rules import (
+    BestSecond,
+    FindsPhase,
+    Never,
+    NobodyIdle,
+    Phase,
+    Recency,
+    Return,
+    Rule,
+    SharedLoad,
+    Smoothness,
+    WorstSecond,
+)
+
+
+class Teacher(Protocol):
+    """Judges pairs of segments."""
+
+    def judge(self, first: Evidence, second: Evidence) -> NDArray[np.float32]:
+        """Label B pairs.
+
+        Args:
+            first, second: segments 0 and segments 1, B each; the two sides may differ in T.
+
+        Returns:
+            float32 (B,): P(segment 0 preferred); NaN where the teacher skips the pair.
+
+        Raises:
+            ShapeError: if the sides hold different numbers of segments.
+            MissingEvidence: if they lack what this teacher judges by.
+        """
+        ...
+
+    def parameters(self) -> dict[str, Any]:
+        """Its name and every parameter, fit for JSON: what a label's record says of its teacher."""
+        ...
+
+
+#: Pairs that a running mean reaches back over.
+WINDOW_PAIRS = 500
+
+
+class RunningScale:
+    """Running mean, spread and length of the segments of the last `WINDOW_PAIRS` pairs.
+
+    Pair i is measured by the pairs up to and including itself, so that labels do not depend on how pairs come in
+    batches.
+    """
+
+    def __init__(self) -> None:
+        #: of the pairs in reach: sum of both scores, of their squares, and of both lengths; (pairs, 3)
+        self._recent: Float64s = np.zeros((0, 3))
+
+    def see(self, scores: Float64s, lengths: NDArray[np.int64]) -> tuple[Float64s, Float64s, Float64s]:
+        """Take in B more pairs.
+
+        Args:
+            scores, lengths: of both segments, (B, 2).
+
+        Returns:
+            (B,) each: mean score, standard deviation of scores, and mean length, in steps.
+        """
+        n_new = len(scores)
+        new = np.stack((scores.sum(1), np.square(scores).sum(1), lengths.sum(1)), axis=1)
+        known = np.concatenate((self._recent, new))
+        sums = np.concatenate((np.zeros((1, 3)), known.cumsum(axis=0)))
+        ends = np.arange(len(known) - n_new, len(known)) + 1
+        firsts = np.maximum(ends - WINDOW_PAIRS, 0)
+        mean, square, length = ((sums[ends] - sums[firsts]) / (2 * (ends - firsts))[:, None]).T
+        self._recent = known[len(known) - min(len(known), WINDOW_PAIRS - 1) :]
+        return mean, np.sqrt(np.maximum(square - np.square(mean), 0.0)), length
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,3 +239,102 @@ class OracleTeacher(ScriptedTeacher):
 
 def _fields(of: Any) -> dict[str, Any]:
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(of).items()}
+
+
+Settings = TypeVar("Settings", Habits, Rule)
+
+#: B-Pref's teachers (Lee et al. 2021, table 1).
+PRESETS = {
+    "oracle": Habits(),
+    "stochastic": Habits(beta=1.0),
+    "mistake": Habits(mistake=0.1),
+    "skip": Habits(skip=0.1),
+    "myopic": Habits(gamma=0.9),
+    "equal": Habits(equal=0.1),
+}
+
+#: Rules with the parameters they have when nobody says. Columns are those of HalfCheetah-6x1 with its neighbours in
+#: sight: 4 is the height of the torso over its rest, in metres, 5 its pitch, in radians.
+RULES: dict[str, Rule] = {
+    "return": Return(),
+    "best-second": BestSecond(),
+    "worst-second": WorstSecond(),
+    "recency": Recency(),
+    "smoothness": Smoothness(),
+    "never-falls": Never(column=4, limit=-0.18, side="below"),
+    "never-tips": Never(column=5, limit=0.3, side="beyond"),
+    "phase": Phase(),
+    "finds-phase": FindsPhase(),
+    "shared-load": SharedLoad(),
+    "nobody-idle": NobodyIdle(),
+}
+
+
+def teacher_names() -> tuple[str, ...]:
+    """Names of the presets, then of the rules. One of each may be joined by a plus: `phase+mistake`."""
+    return (*PRESETS, *(name for name in RULES if name != "return"))
+
+
+def make_teacher(name: str, /, *, seed: int = 0, **parameters: Any) -> ScriptedTeacher:
+    """The teacher with this name.
+
+    Args:
+        name: a preset, which judges by true return; a rule, which it follows without fail; or `rule+preset`.
+        seed: of its chance, also for teachers that leave nothing to chance.
+        parameters: fields of `Habits` and of the rule, in place of the name's own.
+
+    Raises:
+        UnknownTeacher: if no teacher has this name.
+        InvalidTeacher: if it has no such parameter, or not with this value.
+    """
+    rule_name, preset_name = _parts(name)
+    seed = _typed(name, "seed", int, seed)
+    if seed < 0:
+        raise InvalidTeacher(f"seed must be 0 or more, got {seed}")
+    habits, rule = PRESETS[preset_name], RULES[rule_name]
+    of_habits = {field.name for field in fields(Habits)}
+    habits = _changed(habits, {key: value for key, value in parameters.items() if key in of_habits}, name)
+    rule = _changed(rule, {key: value for key, value in parameters.items() if key not in of_habits}, name)
+    record = {"name": name, "rule": rule_name, "seed": seed}
+    return ScriptedTeacher(rule, habits, np.random.default_rng(seed), record)
+
+
+def _parts(name: str) -> tuple[str, str]:
+    """Rule and preset of a teacher's name."""
+    first, plus, second = name.partition("+")
+    if plus:
+        if first in RULES and second in PRESETS:
+            return first, second
+    elif first in PRESETS:
+        return "return", first
+    elif first in RULES:
+        return first, "oracle"
+    raise UnknownTeacher(name, teacher_names())
+
+
+def _changed(settings: Settings, changes: dict[str, Any], name: str) -> Settings:
+    """These settings with some fields changed, each to a value of its type."""
+    hints = get_type_hints(type(settings))
+    known = [field.name for field in fields(settings)]
+    if unknown := changes.keys() - set(known):
+        there = f"beside {', '.join(field.name for field in fields(Habits))} it has {', '.join(known) or 'none'}"
+        raise InvalidTeacher(f"{name} has no parameter {', '.join(sorted(unknown))}; {there}")
+    return replace(settings, **{key: _typed(name, key, hints[key], value) for key, value in changes.items()})
+
+
+def _typed(name: str, key: str, hint: Any, value: Any) -> Any:
+    """This value as the type that the field asks for."""
+    choices = get_args(hint) if get_origin(hint) is Literal else ()
+    number = isinstance(value, int | float | np.integer) and not isinstance(value, bool) and math.isfinite(value)
+    if hint == (float | None) and value is None:
+        return None
+    if hint in (float, float | None) and number:
+        return float(value)
+    if (hint is int and number and value == int(value)) or value in choices:
+        return int(value) if hint is int else value
+    if hint == tuple[int, ...] and isinstance(value, list | tuple) and all(isinstance(item, int) for item in value):
+        return tuple(value)
+    wanted = " or ".join(map(repr, choices)) or {int: "a whole number", tuple[int, ...]: "a list of whole numbers"}.get(
+        hint, "a number"
+    )
+    raise InvalidTeacher(f"{key} of {name} must be {wanted}, got {value!r}")

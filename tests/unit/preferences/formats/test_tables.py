@@ -23,7 +23,7 @@ from mapt.errors import (
 )
 from mapt.preferences.dataset import PreferenceDataset
 from mapt.preferences.formats.records import save_records
-from mapt.preferences.formats.table_export import write_dataset, write_tables
+from mapt.preferences.formats.table_writer import write_dataset, write_tables
 from mapt.preferences.formats.tables import (
     LabelRow,
     PreferenceTables,

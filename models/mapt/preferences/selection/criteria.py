@@ -1,8 +1,38 @@
-"""k-center: pairs far from every pair asked about, and from each other."""
+"""How unsure an ensemble is of pairs: two measures of the same probabilities."""
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.selection.protocol import FloatArray, IntArray
+
+
+def disagreement(scores: FloatArray, pairs: IntArray) -> FloatArray:
+    """Standard deviation over the M members of P(first preferred) for pairs (K, 2) of scored segments (M, S); (K,).
+
+    High where members learned different things from the same labels: what a label can settle (Christiano et al. 2017).
+    """
+    return _probabilities(_logits(scores, pairs)).std(axis=0)
+
+
+def entropy(scores: FloatArray, pairs: IntArray) -> FloatArray:
+    """Mean over the M members of the entropy of P(first preferred), nats; (K,).
+
+    High where members agree that the two are alike, too: a label there may be a toss-up (B-Pref's entropy sampling).
+    """
+    logits = _logits(scores, pairs)
+    # H(sigmoid(x)) without the logarithm of a probability, which may be 0
+    return (np.logaddexp(0.0, logits) - logits * _probabilities(logits)).mean(axis=0)
+
+
+def _logits(scores: FloatArray, pairs: IntArray) -> FloatArray:
+    scores = scores.astype(np.float64)
+    return scores[:, pairs[:, 0]] - scores[:, pairs[:, 1]]
+
+
+def _probabilities(logits: FloatArray) -> FloatArray:
+    return 0.5 * (1.0 + np.tanh(0.5 * logits))
+
 
 #: asked pairs compared at once: bounds the memory at (candidates, so many) numbers
 _CHUNK_PAIRS = 1024
@@ -54,3 +84,17 @@ def _squared_distances(pairs: FloatArray, others: FloatArray) -> FloatArray:
     straight = distances[..., 0, 0] + distances[..., 1, 1]
     crossed = distances[..., 0, 1] + distances[..., 1, 0]
     return np.minimum(straight, crossed)
+
+
+def segment_features(segments: SegmentArrays) -> NDArray[np.float32]:
+    """Mean and deviation over a segment's real steps of everything its agents see and do: (S, 2 * N * (C + A)).
+
+    B-Pref compares whole flattened segments, by which a gait and the same gait half a stride later are strangers. These
+    say where a team is and how much it moves, whatever the phase, with 1/T of the numbers.
+    """
+    steps = np.concatenate((segments.observations, segments.actions), axis=3)
+    steps = steps.reshape(*steps.shape[:2], -1)
+    weights = segments.mask / segments.mask.sum(axis=1, keepdims=True)
+    mean = np.einsum("st,stf->sf", weights, steps)
+    variance = np.einsum("st,stf->sf", weights, (steps - mean[:, None]) ** 2)
+    return np.concatenate((mean, np.sqrt(variance)), axis=1).astype(np.float32)

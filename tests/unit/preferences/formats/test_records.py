@@ -4,8 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapt.errors import ShapeError
-from mapt.preferences.formats.episodes import Episode, cut_segments, episodes_of
-from mapt.preferences.formats.records import concatenate, save_records
+from mapt.preferences.formats.records import Episode, concatenate, cut_segments, episodes_of, save_records
 from support.comparing import assert_same_episodes, assert_same_segments, everything_in, made_episodes, made_records
 
 
