@@ -214,4 +214,4 @@ def test_a_folder_of_another_run_is_refused(mapt, tmp_path):
 def test_a_folder_without_a_run_is_told(mapt, tmp_path, command):
     ended = mapt(*command, tmp_path)
     assert ended.status == 2
-    assert "holds no run" in ended.errors
+    assert "is neither the folder of a run" in ended.errors
