@@ -1,10 +1,10 @@
-"""External forces on bodies as `mj_rnePostConstraint` gives them after a Runge-Kutta step, for a whole batch.
+"""External contact forces `cfrc_ext` after a Runge-Kutta step, for a whole batch.
 
-gymnasium calls that function after each step, so its Ant and Humanoid see `cfrc_ext` as it was at the integrator's
-last stage. `mujoco.batch` does not call it. The stage can be recovered from what the step leaves: positions and
-velocities of the driven joints from their actuators, those of a floating body from its pose and spatial velocity. One
-more forward pass there, from the same warm start and with a sensor that asks for forces, gives the same numbers: a
-twentieth of the cost of five steps of four stages.
+gymnasium calls `mj_rnePostConstraint` after each step, so its Ant and Humanoid observe `cfrc_ext` of the integrator's
+last stage. `mujoco.batch` does not call it. This module reconstructs that stage from what the step leaves in MjData:
+positions and velocities of driven joints from their actuators, those of a floating body from its pose and spatial
+velocity. One forward pass there, with the same warm start and a sensor that requests forces, gives the same numbers. It
+costs a twentieth of five steps of four stages.
 """
 
 # mujoco is compiled and ships no stubs.
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mapt.errors import TaskError
 from mapt.tasks.mujoco_definition import Robot
 
-_READ = ("actuator_length", "actuator_velocity", "xpos", "xquat", "xmat", "cvel", "subtree_com")
+_STAGE_FIELDS = ("actuator_length", "actuator_velocity", "xpos", "xquat", "xmat", "cvel", "subtree_com")
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 
 
@@ -26,58 +26,61 @@ class ContactForces:
     """`cfrc_ext` (E, nbody, 6) of the last stage of each simulation's last step.
 
     Args:
-        robot: integrated by RK4, every joint either free and a root, or driven by one actuator.
+        robot: uses the RK4 integrator, and each of its joints is either free and a root, or driven by one actuator.
         physics: the batch whose steps are followed.
 
     Raises:
-        TaskError: if the robot is another.
+        TaskError: if the robot is of another kind.
     """
 
     def __init__(self, robot: Robot, physics: Batch, n_threads: int) -> None:
-        spec = robot.describe()
+        spec = robot.make_spec()
         body = spec.worldbody.first_body()
+        # The sensor makes the forward pass compute cfrc_ext.
         spec.add_sensor(
             name="forces", type=mujoco.mjtSensor.mjSENS_FRAMELINACC, objtype=mujoco.mjtObj.mjOBJ_BODY, objname=body.name
         )
         model = robot.compile(spec)
         self._free, self._hinges = _joints(model)
         self._gear = model.actuator_gear[:, 0].copy()
-        self._stage = {name: physics.bind(name) for name in _READ}
+        self._stage = {name: physics.bind(name) for name in _STAGE_FIELDS}
         self._ctrl, self._warm_start = physics.bind("ctrl"), physics.bind("qacc_warmstart")
         self._batch = Batch(model, physics.nsim, nthread=n_threads)
         self._rows = {name: self._batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qacc_warmstart")}
         self._forces = self._batch.bind("cfrc_ext")
 
     def before_last_step(self) -> None:
-        """Remember from where the solver will start."""
+        """Store the warm start of the last physics step."""
         np.copyto(self._rows["qacc_warmstart"], self._warm_start)
 
     def after_last_step(self) -> NDArray[np.float64]:
+        """Reconstruct the last stage of the last physics step and return its forces."""
         qpos, qvel, stage = self._rows["qpos"], self._rows["qvel"], self._stage
         np.copyto(self._rows["ctrl"], self._ctrl)
         joint_qpos, joint_qvel = self._hinges
         qpos[:, joint_qpos] = stage["actuator_length"] / self._gear
         qvel[:, joint_qvel] = stage["actuator_velocity"] / self._gear
         for start, dof, body in self._free:
-            spin, drift = stage["cvel"][:, body, :3], stage["cvel"][:, body, 3:]
-            arm = stage["xpos"][:, body] - stage["subtree_com"][:, body]
-            turn = stage["xmat"][:, body].reshape(-1, 3, 3)
+            angular, linear = stage["cvel"][:, body, :3], stage["cvel"][:, body, 3:]
+            offset = stage["xpos"][:, body] - stage["subtree_com"][:, body]
+            rotation = stage["xmat"][:, body].reshape(-1, 3, 3)
             qpos[:, start : start + 3] = stage["xpos"][:, body]
             qpos[:, start + 3 : start + 7] = stage["xquat"][:, body]
-            # Spatial velocity is measured at the centre of mass; a free joint's at the body's frame, its spin within.
-            qvel[:, dof : dof + 3] = drift + cross(spin, arm)
-            qvel[:, dof + 3 : dof + 6] = np.einsum("eij,ei->ej", turn, spin)
+            # cvel is measured at the centre of mass. A free joint's qvel is measured at the body's frame, and its
+            # angular part is in that frame.
+            qvel[:, dof : dof + 3] = linear + cross(angular, offset)
+            qvel[:, dof + 3 : dof + 6] = np.einsum("eij,ei->ej", rotation, angular)
         self._batch.forward()
         return self._forces
 
 
 def cross(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cross products (E, 3): half the time of numpy's on so few."""
+    """Cross products (E, 3). Takes half the time of `np.cross` for this few."""
     return left[:, _NEXT] * right[:, _AFTER] - left[:, _AFTER] * right[:, _NEXT]
 
 
 def _joints(model: mujoco.MjModel) -> tuple[list[tuple[int, int, int]], tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """(qpos, qvel, body) of every free joint; qpos and qvel of the joint of every actuator."""
+    """(first qpos, first qvel, body) of each free joint; qpos and qvel of each actuator's joint."""
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     driven = model.actuator_trnid[:, 0]
     known = np.sort(np.concatenate([free, driven]))

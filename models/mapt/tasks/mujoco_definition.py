@@ -1,4 +1,4 @@
-"""A MuJoCo body and the agents that drive it: the model, and which geoms belong to whom."""
+"""The two parts that define a MuJoCo task: a robot with its partition among agents, and a Markov decision process."""
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
@@ -15,34 +15,41 @@ from numpy.typing import NDArray
 from mapt.errors import TaskError
 from mapt.tasks.partition import FeatureColumn, FeatureLayout, Partition, Shapes
 
+FloatArray = NDArray[np.float64]
+#: Arrays (E, ...) by feature name: `qpos`, `qvel`, the MDP's `fields` of MjData and its computed `features`.
+Features = Mapping[str, FloatArray]
+#: (generator, n) -> qpos (n, nq) and qvel (n, nv) of n initial states.
+StartSampler = Callable[[np.random.Generator, int], tuple[FloatArray, FloatArray]]
+
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """A model and its partition among agents. The sizes are stated, so that a spec needs no compiler."""
+    """A MuJoCo model and the partition of its joints among agents.
 
-    #: Makes a description of the model, for the compiler; `gymnasium_asset` is one such.
-    describe: Callable[[], mujoco.MjSpec]
+    `nq` and `nv` are given, so that a `TaskSpec` can be made without compiling the model.
+    """
+
+    #: Makes the uncompiled model, for example `gymnasium_asset("ant.xml")`.
+    make_spec: Callable[[], mujoco.MjSpec]
     nq: int
     nv: int
-    #: Simulated time of one step of the physics.
+    #: Simulated time of one physics step.
     physics_step_seconds: float
     partition: Partition
-    #: Mass to which the whole body is scaled.
+    #: Total mass to which the model is scaled; None leaves it.
     total_mass_kg: float | None = None
 
     def load_model(self) -> mujoco.MjModel:
         """Compile the model.
 
-        MuJoCo 4 deprecates the attribute `settotalmass` and prints so on every load. Scaling after the compiler
-        gives the same bits in every field, in silence.
-
         Raises:
             TaskError: if gymnasium's file is missing.
         """
-        return self.compile(self.describe())
+        return self.compile(self.make_spec())
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """The model of `describe`'s description, or of one that was changed since."""
+        """Compile `make_spec`'s result, possibly with additions, and scale its mass."""
+        # MuJoCo 4 warns about the attribute `settotalmass` at each load. Scaling after compilation gives equal bits.
         spec.compiler.settotalmass = -1
         model = spec.compile()
         if self.total_mass_kg is not None:
@@ -51,98 +58,94 @@ class Robot:
         return model
 
     def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
-        """Per agent, the ids of the geoms that its joints move directly, with those of bodies fixed to these.
+        """Per agent, the ids of the geoms on bodies that its joints move directly, or that are welded to these.
 
-        A body that joints of several agents move is in the list of each.
+        A body moved by several agents' joints is listed for each of them.
         """
         model = self.load_model()
         moved = [
             {int(model.body_weldid[model.joint(name).bodyid[0]]) for name in names} for names in self.partition.agents
         ]
-        carrier = model.body_weldid[model.geom_bodyid]
-        return tuple(tuple(geom for geom in range(model.ngeom) if int(carrier[geom]) in bodies) for bodies in moved)
+        welded_to = model.body_weldid[model.geom_bodyid]
+        return tuple(tuple(geom for geom in range(model.ngeom) if int(welded_to[geom]) in bodies) for bodies in moved)
 
 
 def gymnasium_asset(name: str) -> Callable[[], mujoco.MjSpec]:
-    """Reads a model of gymnasium's, when it is called."""
+    """Return a function that reads one of gymnasium's MuJoCo models."""
     return lambda: mujoco.MjSpec.from_file(str(asset_path(name)))
 
 
 def asset_path(name: str) -> Path:
-    """A file of gymnasium's MuJoCo assets, found without importing gymnasium and its registry.
+    """The path of one of gymnasium's MuJoCo files. Does not import gymnasium.
 
     Raises:
-        TaskError: if gymnasium is not installed or does not have it.
+        TaskError: if gymnasium is not installed or lacks the file.
     """
     package = find_spec("gymnasium")
     if package is None or package.origin is None:
-        raise TaskError("gymnasium is not installed; its assets hold the bodies of the tasks.")
+        raise TaskError("gymnasium is not installed. The robots' models are among its assets.")
     path = Path(package.origin).parent / "envs" / "mujoco" / "assets" / name
     if not path.is_file():
-        raise TaskError(f"{path} is missing; reinstall gymnasium.")
+        raise TaskError(f"{path} is missing. Reinstall gymnasium.")
     return path
 
 
-FloatArray = NDArray[np.float64]
-#: Every feature by name, each (E, ...): qpos, qvel, the fields that the mdp name, and what they compute.
-Features = Mapping[str, FloatArray]
+def no_features(_features: Features) -> None:
+    """Compute nothing: the default of `MujocoMdp.compute`."""
 
 
-def no_features(_frame: Features) -> None:
-    """Nothing is computed beyond positions, velocities and fields."""
-
-
-def never_terminated(frame: Features) -> NDArray[np.bool_]:
-    """(E,) bool: no state is without a future."""
-    return np.zeros(len(frame["qpos"]), dtype=bool)
+def never_terminated(features: Features) -> NDArray[np.bool_]:
+    """False for every environment, (E,): the default of `MujocoMdp.terminated`."""
+    return np.zeros(len(features["qpos"]), dtype=bool)
 
 
 @dataclass(frozen=True, slots=True)
 class MujocoMdp:
-    """The mdp of a task on MuJoCo."""
+    """The Markov decision process of a MuJoCo task. Its functions work on all E environments at once."""
 
-    #: Physics steps per step of the task.
+    #: Physics steps per environment step.
     frame_skip: int
-    #: (generator, n) -> qpos (n, nq), qvel (n, nv) of n fresh episodes.
-    sample_start: Callable[[np.random.Generator, int], tuple[FloatArray, FloatArray]]
-    #: (frame before, frame after, controls (E, nu)) -> reward (E,). The frame before holds `before` alone.
+    #: Samples initial states.
+    sample_start: StartSampler
+    #: (features before, features after, controls (E, nu)) -> reward (E,). Before the step, only `previous` are known.
     reward: Callable[[Features, Features, FloatArray], FloatArray]
-    #: What the state is made of.
+    #: The columns that make up the state.
     state: tuple[FeatureColumn, ...]
-    #: frame after -> terminated (E,) bool.
+    #: features after -> terminated (E,) bool.
     terminated: Callable[[Features], NDArray[np.bool_]] = never_terminated
-    #: Features that the reward reads from the frame before the step.
-    before: tuple[str, ...] = ("qpos",)
-    #: Fields of MjData that are read, with their shapes. As after `mj_step`, they describe the last stage of the
-    #: integrator, not the state that it reached.
+    #: Names of the features that `reward` reads from before the step.
+    previous: tuple[str, ...] = ("qpos",)
+    #: Shapes by name of the fields of MjData to read. As after `mj_step`, their values are those of the integrator's
+    #: last stage, not of the final state.
     fields: Shapes = field(default_factory=dict)
-    #: Shapes of what `compute` writes.
+    #: Shapes by name of the features that `compute` writes.
     features: Shapes = field(default_factory=dict)
-    #: Writes every one of `features` into the frame, in place.
+    #: Writes every one of `features`, in place.
     compute: Callable[[Features], None] = no_features
 
     def layout(self, nq: int, nv: int) -> FeatureLayout:
+        """The layout of all features in one row per environment."""
         return FeatureLayout({"qpos": (nq,), "qvel": (nv,), **self.fields, **self.features})
 
 
 def uniform_start(
     qpos: FloatArray, n_velocities: int, scale: float, *, normal_velocities: bool = False
-) -> Callable[[np.random.Generator, int], tuple[FloatArray, FloatArray]]:
-    """Starts about a pose at rest: uniform noise within plus and minus `scale` on each position.
+) -> StartSampler:
+    """Initial states around a pose: positions with uniform noise in [-scale, scale].
 
-    Velocities are as wide, or normal with this deviation.
+    Velocities are uniform in the same range, or normal with standard deviation `scale`.
     """
 
-    def draw(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
+    def sample(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
         positions = qpos + rng.uniform(-scale, scale, size=(n, qpos.size))
         if normal_velocities:
             return positions, scale * rng.standard_normal((n, n_velocities))
         return positions, rng.uniform(-scale, scale, size=(n, n_velocities))
 
-    return draw
+    return sample
 
 
 def sum_of_squares(numbers: FloatArray) -> FloatArray:
-    """Sum of squares of each environment, (E,)."""
+    """(E, ...) -> (E,)."""
     flat = numbers.reshape(len(numbers), -1)
     return np.vecdot(flat, flat)

@@ -1,4 +1,4 @@
-"""A partition as indices: which numbers each agent sees, and which actuators it drives."""
+"""MuJoCo tasks: E copies of one robot, stepped on threads by `mujoco.batch`."""
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
@@ -10,32 +10,32 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from mapt.errors import InvalidAction, InvalidConfig, InvalidSnapshot
+from mapt.errors import InvalidAction, InvalidConfig
 from mapt.tasks.contact_forces import ContactForces
 from mapt.tasks.mujoco_definition import FloatArray, MujocoMdp, Robot
 from mapt.tasks.partition import actuator_index, as_slice, observation_index
 from mapt.tasks.protocol import Task, TaskSpec, TaskStep
-from mapt.tasks.snapshot import generator_from_array, generator_to_array
+from mapt.tasks.snapshot import load_snapshot, take_snapshot
 
-#: Name of the one agent that sees the whole state and drives every joint.
+#: Name of the single agent that observes the state and drives every joint.
 WHOLE_TEAM = "whole team"
 
 
 @dataclass(frozen=True, slots=True)
 class AgentIndices:
-    """N agents on one body."""
+    """A partition as index arrays."""
 
-    #: (N, C): columns of the row, see `FeatureLayout`.
+    #: (N, C): the column of the feature row behind each entry of each observation, see `FeatureLayout`.
     observed: NDArray[np.intp]
-    #: (N, A): actuators, -1 where an agent drives fewer than others.
+    #: (N, A): the actuator of each entry of each action; -1 is padding.
     actuators: NDArray[np.intp]
 
     @classmethod
     def of(cls, robot: Robot, mdp: MujocoMdp, agent_obsk: int | None) -> "AgentIndices":
-        """The team that the robot's partition makes.
+        """The indices of a robot's partition.
 
         Args:
-            agent_obsk: neighbours up to this many edges away are seen. None is MaMuJoCo's single agent: it sees the
+            agent_obsk: observe joints up to this many edges away. None is MaMuJoCo's single agent, which observes the
                 state and drives every joint, in the order of ctrl.
 
         Raises:
@@ -49,11 +49,11 @@ class AgentIndices:
 
     @property
     def action_dims(self) -> tuple[int, ...]:
-        """Numbers of each agent's action that drive something; those after them are ignored."""
+        """Per agent, how many entries of its action are used; the rest is padding."""
         return tuple(int(driven) for driven in (self.actuators >= 0).sum(axis=1))
 
     def with_agent_index(self, zero: int, one: int) -> NDArray[np.intp]:
-        """(N, C + N): what is observed, then a one-hot index of the agent out of these two columns."""
+        """(N, C + N): the observed columns, then a one-hot agent index made of the columns `zero` and `one`."""
         index = np.where(np.eye(len(self.observed), dtype=bool), one, zero)
         return np.concatenate([self.observed, index], axis=1)
 
@@ -61,19 +61,19 @@ class AgentIndices:
 class MujocoTask:
     """A `Task` on `mujoco.batch`.
 
-    A simulation is one row of integration state (time, qpos, qvel, warm start, controls), so a snapshot of the rows is
-    the whole of the physics and a restored task goes on bit for bit.
+    Time, qpos, qvel, warm start and controls are the whole integration state of a simulation, so a restored snapshot
+    continues bit for bit.
 
     Args:
         spec, robot, mdp: the task.
-        team: who drives what and sees what.
-        n_envs: environments, E.
+        agents: what each agent observes and drives.
+        n_envs: number of environments, E.
         n_threads: threads that step them; 0 for one per core.
         agent_index: append the agent's one-hot index to its observation.
-        dtype: of observations and state. float64 is for comparisons with other simulators.
+        dtype: of observations and state. float64 allows comparisons with other simulators.
 
     Raises:
-        InvalidConfig: if a number is out of its range.
+        InvalidConfig: if `n_envs` or `n_threads` is out of range.
     """
 
     def __init__(
@@ -81,15 +81,17 @@ class MujocoTask:
         spec: TaskSpec,
         robot: Robot,
         mdp: MujocoMdp,
-        team: AgentIndices,
+        agents: AgentIndices,
         *,
         n_envs: int,
         n_threads: int,
         agent_index: bool,
         dtype: type[np.floating],
     ) -> None:
-        if n_envs < 1 or n_threads < 0:
-            raise InvalidConfig(f"n_envs must be 1 or more and n_threads 0 or more, got {n_envs} and {n_threads}.")
+        if n_envs < 1:
+            raise InvalidConfig(f"n_envs must be 1 or more, got {n_envs}.", "n_envs")
+        if n_threads < 0:
+            raise InvalidConfig(f"n_threads must be 0 or more, got {n_threads}.", "n_threads")
         model = robot.load_model()
         self._spec = spec
         self._n_envs = n_envs
@@ -100,17 +102,18 @@ class MujocoTask:
         self._forces = ContactForces(robot, self._batch, n_threads) if "cfrc_ext" in mdp.fields else None
 
         layout = mdp.layout(model.nq, model.nv)
-        #: (E, R): every feature, then the 0 that stands for what an agent lacks, and last a 1.
+        #: (E, R): all features, then a 0 that pads observations, then a 1 for the one-hot index.
         self._row = np.zeros((n_envs, layout.width + 1))
         self._row[:, -1] = 1.0
-        self._frame = layout.views(self._row)
-        self._before = {name: np.empty_like(self._frame[name]) for name in mdp.before}
+        #: views into the row
+        self._features = layout.views(self._row)
+        self._previous = {name: np.empty_like(self._features[name]) for name in mdp.previous}
         self._state_columns = as_slice(np.array(layout.columns(mdp.state)))
-        self._columns = team.with_agent_index(layout.zero, layout.width) if agent_index else team.observed
-        # In the order of ctrl: where every agent drives all that it could, both are unbroken runs.
-        driven = np.flatnonzero(team.actuators >= 0)
-        driven = driven[np.argsort(team.actuators.flat[driven])]
-        self._driven, self._actuators = as_slice(driven), as_slice(team.actuators.flat[driven])
+        self._observed = agents.with_agent_index(layout.zero, layout.width) if agent_index else agents.observed
+        # Sorted by actuator, both indices are contiguous if no action is padded.
+        driven = np.flatnonzero(agents.actuators >= 0)
+        driven = driven[np.argsort(agents.actuators.flat[driven])]
+        self._driven, self._actuators = as_slice(driven), as_slice(agents.actuators.flat[driven])
         self._dtype = dtype
         self._controls = np.zeros((n_envs, model.nu))
         self._elapsed_steps = np.zeros(n_envs, dtype=np.int64)
@@ -130,14 +133,14 @@ class MujocoTask:
         return self._observe(slice(None))
 
     def step(self, actions: NDArray[np.floating]) -> TaskStep:
-        self._apply(actions)
-        for name, feature in self._before.items():
-            np.copyto(feature, self._frame[name])
-        self._advance()
+        self._set_controls(actions)
+        for name, feature in self._previous.items():
+            np.copyto(feature, self._features[name])
+        self._step_physics()
         self._elapsed_steps += 1
 
-        reward = self._mdp.reward(self._before, self._frame, self._controls)
-        terminated = self._mdp.terminated(self._frame)
+        reward = self._mdp.reward(self._previous, self._features, self._controls)
+        terminated = self._mdp.terminated(self._features)
         truncated = (self._elapsed_steps >= self._spec.horizon_steps) & ~terminated
         final_observations, final_state = observations, state = self._observe(slice(None))
         ended = np.flatnonzero(terminated | truncated)
@@ -151,56 +154,44 @@ class MujocoTask:
         return self._physics["qpos"].copy(), self._physics["qvel"].copy()
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        return {name: field.copy() for name, field in self._kept().items()} | {
-            "random_state": generator_to_array(self._rng)
-        }
+        return take_snapshot(self._snapshot_arrays(), self._rng)
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        kept = self._kept()
-        shapes = {**{name: field.shape for name, field in kept.items()}, "random_state": (6,)}
-        given = {name: np.shape(field) for name, field in snapshot.items()}
-        if given != shapes:
-            raise InvalidSnapshot(f"The snapshot holds {given}, but {self._spec.name} here needs {shapes}.")
-        for name, field in kept.items():
-            field[...] = snapshot[name]
-        self._rng = generator_from_array(snapshot["random_state"])
-        self._refresh()
+        self._rng = load_snapshot(snapshot, self._snapshot_arrays(), self._spec.name)
+        self._update_features()
         return self._observe(slice(None))
 
     def close(self) -> None:
-        """Nothing is held beyond this object: the threads end with its batch."""
+        """Does nothing: the threads end with the batch."""
 
-    def _kept(self) -> dict[str, np.ndarray]:
-        """What a snapshot holds beside the generator, to be read and written.
-
-        Fields follow from the step that was, not from the state that it reached, so they are kept too.
-        """
-        fields = {f"field.{name}": self._frame[name] for name in self._mdp.fields}
+    def _snapshot_arrays(self) -> dict[str, np.ndarray]:
+        # Fields of MjData belong to the last step's last stage and cannot be recomputed from the state.
+        fields = {f"field.{name}": self._features[name] for name in self._mdp.fields}
         return {**self._physics, **fields, "elapsed_steps": self._elapsed_steps}
 
-    def _apply(self, actions: NDArray[np.floating]) -> None:
+    def _set_controls(self, actions: NDArray[np.floating]) -> None:
         expected = (self._n_envs, self._spec.n_agents, self._spec.action_dim)
         if actions.shape != expected:
-            raise InvalidAction(f"Actions must have the shape {expected}, got {actions.shape}.")
+            raise InvalidAction(f"Actions must have shape {expected}, got {actions.shape}.")
         self._controls[:, self._actuators] = actions.reshape(self._n_envs, -1)[:, self._driven]
-        # A sum is finite only if every term is, and costs one pass.
+        # A sum is finite only if every term is; this takes one pass.
         if not np.isfinite(self._controls.sum()):
-            raise InvalidAction("Actions must be finite numbers.")
+            raise InvalidAction("Actions must be finite.")
         self._physics["ctrl"][:] = self._controls
 
-    def _advance(self) -> None:
+    def _step_physics(self) -> None:
         if self._forces is None:
             self._batch.step(nstep=self._mdp.frame_skip)
         else:
             self._batch.step(nstep=self._mdp.frame_skip - 1)
             self._forces.before_last_step()
             self._batch.step(nstep=1)
-            np.copyto(self._frame["cfrc_ext"], self._forces.after_last_step())
+            np.copyto(self._features["cfrc_ext"], self._forces.after_last_step())
         self._read_fields(slice(None))
-        self._refresh()
+        self._update_features()
 
     def _start_episodes(self, envs: NDArray[np.intp]) -> None:
-        # What Batch.reset would do to a row, without its pass over everything else that a simulation holds.
+        # Equivalent to Batch.reset, which would also write every other array of the simulations.
         for field in self._physics.values():
             field[envs] = 0.0
         self._physics["qpos"][envs], self._physics["qvel"][envs] = self._mdp.sample_start(self._rng, len(envs))
@@ -209,48 +200,48 @@ class MujocoTask:
         self._elapsed_steps[envs] = 0
         self._read_fields(envs)
         if self._forces is not None:
-            self._frame["cfrc_ext"][envs] = 0.0
-        self._refresh()
+            self._features["cfrc_ext"][envs] = 0.0
+        self._update_features()
 
     def _read_fields(self, envs: NDArray[np.intp] | slice) -> None:
         for name, field in self._fields.items():
-            self._frame[name][envs] = field[envs]
+            self._features[name][envs] = field[envs]
 
-    def _refresh(self) -> None:
-        """Bring the row up to the physics and the fields that it holds."""
-        self._frame["qpos"][:] = self._physics["qpos"]
-        self._frame["qvel"][:] = self._physics["qvel"]
-        self._mdp.compute(self._frame)
+    def _update_features(self) -> None:
+        """Copy positions and velocities into the row and compute the other features."""
+        self._features["qpos"][:] = self._physics["qpos"]
+        self._features["qvel"][:] = self._physics["qvel"]
+        self._mdp.compute(self._features)
 
     def _observe(self, envs: NDArray[np.intp] | slice) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Observations and state of these environments."""
-        seen = self._row[envs].astype(self._dtype)
-        observations = seen.take(self._columns.ravel(), axis=1).reshape(-1, *self._columns.shape)
-        state = seen[:, self._state_columns]
-        # A slice is a view of what is let go here; an index has made its own.
+        row = self._row[envs].astype(self._dtype)
+        observations = row.take(self._observed.ravel(), axis=1).reshape(-1, *self._observed.shape)
+        state = row[:, self._state_columns]
+        # A slice gives a view, which would keep the whole row alive; an index array gives a copy.
         return observations, state.copy() if isinstance(self._state_columns, slice) else state
 
 
 @dataclass(frozen=True, slots=True)
 class MujocoDefinition:
-    """A task on MuJoCo: a body, its agents, and its mdp."""
+    """A `TaskDefinition` of a robot, its agents and its Markov decision process."""
 
     name: str
     robot: Robot
     mdp: MujocoMdp
-    #: One per agent, in the order of the partition.
+    #: One name per agent, in the order of the partition.
     agent_names: tuple[str, ...]
-    #: What the team should achieve, in plain words for a labeller.
+    #: The team's goal, in plain words for a labeller.
     instructions: str
-    #: Steps after which an episode is cut.
+    #: Steps after which an episode is truncated.
     horizon_steps: int = 1000
-    #: Actions are meant to lie within plus and minus this.
+    #: Actions should lie in [-action_limit, action_limit].
     action_limit: float = 1.0
 
     def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
-        team = AgentIndices.of(self.robot, self.mdp, agent_obsk)
-        n_agents, width = team.observed.shape
-        dims = team.action_dims
+        agents = AgentIndices.of(self.robot, self.mdp, agent_obsk)
+        n_agents, width = agents.observed.shape
+        dims = agents.action_dims
         return TaskSpec(
             name=self.name,
             n_agents=n_agents,

@@ -1,7 +1,7 @@
-"""PettingZoo's parallel environments as a `Task`: E of them, stepped one after the other in this process.
+"""PettingZoo's parallel environments as a `Task`: E environments, stepped one after the other in this process.
 
-Nothing here imports PettingZoo: what its `ParallelEnv` promises is enough. An environment's future must follow from its
-seed and its actions: a snapshot holds those of the episodes that run, and restoring plays them again.
+This module does not import PettingZoo; it uses the methods of `ParallelEnv` only. Environments must be deterministic
+given their seed and actions: a snapshot stores both for the running episodes, and restoring replays them.
 """
 
 # mujoco is compiled and ships no stubs.
@@ -16,17 +16,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.errors import InvalidAction, InvalidConfig, InvalidSnapshot, NoSimulator, NotRenderable, UnusableEnvironment
+from mapt.errors import InvalidAction, InvalidConfig, NoSimulator, NotRenderable, UnusableEnvironment
 from mapt.tasks.protocol import Task, TaskSpec, TaskStep
-from mapt.tasks.snapshot import generator_from_array, generator_to_array
+from mapt.tasks.snapshot import load_snapshot, take_snapshot
 
 _SEEDS = 2**31
-#: PettingZoo's convention for masks: an observation of these two parts.
+#: The two entries of an observation with an action mask, by PettingZoo's convention.
 _OBSERVATION, _MASK = "observation", "action_mask"
 
 
 class ParallelEnv(Protocol):
-    """What is used of `pettingzoo.ParallelEnv`."""
+    """The methods of `pettingzoo.ParallelEnv` that are used."""
 
     possible_agents: list[str]
     agents: list[str]
@@ -41,19 +41,19 @@ class ParallelEnv(Protocol):
 
 
 class PettingZooTask:
-    """A `Task`, a `MaskingTask` and a `RenderableTask` on PettingZoo environments.
+    """A `MaskingTask` and `RenderableTask` on PettingZoo environments.
 
-    An agent that has left, and what it lacks of the widest observation, is zeros; the team's reward is the mean over
-    all agents, so an environment that gives each the team's reward gives just that.
+    Observations are padded with zeros to the longest agent's; an agent that has left observes zeros. The team reward is
+    the mean over all agents.
 
     Args:
-        spec: what `PettingZooDefinition` found out.
+        spec: `PettingZooDefinition.spec`'s result.
         make_env: makes one environment.
         agent_index: append the agent's one-hot index to its observation.
         dtype: of observations and state.
 
     Raises:
-        InvalidConfig: if `n_envs` is below 1.
+        InvalidConfig: if `n_envs` is less than 1.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class PettingZooTask:
         dtype: type[np.floating],
     ) -> None:
         if n_envs < 1:
-            raise InvalidConfig(f"n_envs must be 1 or more, got {n_envs}.")
+            raise InvalidConfig(f"n_envs must be 1 or more, got {n_envs}.", "n_envs")
         self._spec, self._n_envs, self._dtype = spec, n_envs, dtype
         self._envs = [make_env() for _ in range(n_envs)]
         self._agents = tuple(self._envs[0].possible_agents)
@@ -77,7 +77,7 @@ class PettingZooTask:
         self._state = np.zeros((n_envs, spec.state_dim), dtype=dtype)
         self._available = np.ones((n_envs, spec.n_agents, spec.action_dim), dtype=bool)
         self._seeds = np.zeros(n_envs, dtype=np.int64)
-        #: (E, horizon, N, A): what was done since each episode began.
+        #: (E, horizon, N, A): the actions since the start of each episode.
         self._history = np.zeros((n_envs, spec.horizon_steps, spec.n_agents, spec.action_dim), dtype=np.float32)
         self._elapsed_steps = np.zeros(n_envs, dtype=np.int64)
         self._rng = np.random.default_rng(0)
@@ -98,11 +98,11 @@ class PettingZooTask:
     def step(self, actions: NDArray[np.floating]) -> TaskStep:
         expected = self._available.shape
         if actions.shape != expected or not np.isfinite(actions).all():
-            raise InvalidAction(f"Actions must be finite numbers of the shape {expected}, got {actions.shape}.")
+            raise InvalidAction(f"Actions must be finite and have shape {expected}, got {actions.shape}.")
         reward, terminated = np.zeros(self._n_envs), np.zeros(self._n_envs, dtype=bool)
         truncated = np.zeros_like(terminated)
         for index in range(self._n_envs):
-            reward[index], terminated[index], truncated[index] = self._step_one(index, actions[index])
+            reward[index], terminated[index], truncated[index] = self._step_env(index, actions[index])
         final_observations, final_state = self._observations.copy(), self._state.copy()
         observations, state = final_observations, final_state
         ended = np.flatnonzero(terminated | truncated)
@@ -116,62 +116,55 @@ class PettingZooTask:
 
     def render(self, env: int) -> NDArray[np.uint8]:
         try:
-            picture = self._envs[env].render()
+            image = self._envs[env].render()
         except NotImplementedError:
-            picture = None
-        if not isinstance(picture, np.ndarray) or picture.ndim != 3:
+            image = None
+        if not isinstance(image, np.ndarray) or image.ndim != 3:
             raise NotRenderable(
-                f"{self._spec.name} draws no picture; make its environments with render_mode='rgb_array'."
+                f"{self._spec.name} returns no images. Create its environments with render_mode='rgb_array'."
             )
-        return picture.astype(np.uint8)
+        return image.astype(np.uint8)
 
     def simulator_state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return np.zeros((self._n_envs, 0)), np.zeros((self._n_envs, 0))
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        kept = {name: value.copy() for name, value in self._kept().items()}
-        return {**kept, "random_state": generator_to_array(self._rng)}
+        return take_snapshot(self._snapshot_arrays(), self._rng)
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        kept = self._kept()
-        shapes = {**{name: value.shape for name, value in kept.items()}, "random_state": (6,)}
-        given = {name: np.shape(value) for name, value in snapshot.items()}
-        if given != shapes:
-            raise InvalidSnapshot(f"The snapshot holds {given}, but {self._spec.name} here needs {shapes}.")
-        for name, value in kept.items():
-            value[...] = snapshot[name]
+        rng = load_snapshot(snapshot, self._snapshot_arrays(), self._spec.name)
         for index, n_steps in enumerate(self._elapsed_steps.tolist()):
-            self._begin(index)
+            self._reset_env(index)
             for actions in self._history[index, :n_steps].copy():
-                self._step_one(index, actions)
-        self._rng = generator_from_array(snapshot["random_state"])
+                self._step_env(index, actions)
+        self._rng = rng
         return self._observations.copy(), self._state.copy()
 
     def close(self) -> None:
         for env in self._envs:
             env.close()
 
-    def _kept(self) -> dict[str, np.ndarray]:
+    def _snapshot_arrays(self) -> dict[str, np.ndarray]:
         return {"seeds": self._seeds, "history": self._history, "elapsed_steps": self._elapsed_steps}
 
     def _start_episodes(self, indices: Sequence[int]) -> None:
         for index in indices:
             self._seeds[index] = self._rng.integers(_SEEDS)
-            self._begin(index)
+            self._reset_env(index)
 
-    def _begin(self, index: int) -> None:
+    def _reset_env(self, index: int) -> None:
         observed, _ = self._envs[index].reset(seed=int(self._seeds[index]))
         self._elapsed_steps[index] = 0
         self._read(index, observed)
 
-    def _step_one(self, index: int, actions: NDArray[np.floating]) -> tuple[float, bool, bool]:
-        """(the team's reward, terminated, truncated) of one environment's step."""
+    def _step_env(self, index: int, actions: NDArray[np.floating]) -> tuple[float, bool, bool]:
+        """Step one environment: (team reward, terminated, truncated)."""
         env, step = self._envs[index], self._elapsed_steps[index]
-        # Played again from the history later, so the history's numbers are what is done now.
+        # Restoring replays the float32 history, so take the actions from it now too.
         self._history[index, step] = actions
         self._elapsed_steps[index] += 1
-        done = self._history[index, step]
-        chosen = {name: self._chosen(place, done[place]) for place, name in enumerate(self._agents)}
+        recorded = self._history[index, step]
+        chosen = {name: self._env_action(place, recorded[place]) for place, name in enumerate(self._agents)}
         present = tuple(env.agents)
         observed, rewards, terminations, truncations, _ = env.step({name: chosen[name] for name in present})
         self._read(index, observed)
@@ -181,7 +174,7 @@ class PettingZooTask:
         truncated = bool(not terminated and (over or step + 1 >= self._spec.horizon_steps))
         return float(sum(rewards.values())) / len(self._agents), terminated, truncated
 
-    def _chosen(self, agent: int, action: NDArray[np.floating]) -> Any:
+    def _env_action(self, agent: int, action: NDArray[np.floating]) -> Any:
         if self._spec.discrete_actions:
             return int(action.argmax())
         dims = self._spec.agent_action_dims
@@ -192,7 +185,7 @@ class PettingZooTask:
         own[:] = 0.0
         for place, name in enumerate(self._agents):
             if name in observed:
-                seen, mask = split(observed[name])
+                seen, mask = split_mask(observed[name])
                 flat = np.ravel(seen)
                 own[place, : flat.size] = flat
                 if mask is not None:
@@ -200,21 +193,21 @@ class PettingZooTask:
         self._state[index] = state_of(self._envs[index], own)
 
 
-def split(observed: Any) -> tuple[Any, Any]:
-    """(observation, mask or None) of what an agent was given."""
+def split_mask(observed: Any) -> tuple[Any, Any]:
+    """The observation and the action mask, or None, of one agent's PettingZoo observation."""
     if isinstance(observed, dict):
         return observed[_OBSERVATION], observed[_MASK]
     return observed, None
 
 
 def has_masks(env: ParallelEnv) -> bool:
-    """Whether agents are told which actions are available."""
+    """Whether observations contain action masks."""
     space = env.observation_space(env.possible_agents[0])
     return hasattr(space, "spaces") and _MASK in space.spaces
 
 
 def state_of(env: ParallelEnv, own: NDArray[np.floating]) -> NDArray[np.floating]:
-    """The environment's state where it has one, else all observations, one agent's after the other's."""
+    """The environment's state if it has one, else the concatenated observations."""
     try:
         return np.ravel(env.state())
     except (NotImplementedError, AttributeError):
@@ -223,33 +216,30 @@ def state_of(env: ParallelEnv, own: NDArray[np.floating]) -> NDArray[np.floating
 
 @dataclass(frozen=True)
 class PettingZooDefinition:
-    """A task made of any `pettingzoo.ParallelEnv`.
-
-    Agents see what their environment shows them: `agent_obsk` changes nothing.
-    """
+    """A `TaskDefinition` of any `pettingzoo.ParallelEnv`. It ignores `agent_obsk`."""
 
     name: str
-    #: Makes one environment; with render_mode="rgb_array" where it can draw.
+    #: Makes one environment, with render_mode="rgb_array" if it can render.
     make_env: Callable[[], ParallelEnv]
-    #: Steps after which an episode is cut, if it has not ended by itself.
+    #: Steps after which an episode is truncated.
     horizon_steps: int
     step_seconds: float
-    #: What the team should achieve, in plain words for a labeller.
+    #: The team's goal, in plain words for a labeller.
     instructions: str
 
     def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
-        """See `TaskDefinition.spec`. The first call makes an environment and looks.
+        """See `TaskDefinition.spec`. The first call makes an environment to find its dimensions.
 
         Raises:
-            UnusableEnvironment: if some agents' actions are discrete and others' not, or of different numbers.
+            UnusableEnvironment: if agents differ in kind or number of discrete actions.
         """
-        seen = self._seen
-        return TaskSpec(**{**seen, "observation_dim": seen["observation_dim"] + seen["n_agents"] * agent_index})
+        fields = self._spec_fields
+        return TaskSpec(**{**fields, "observation_dim": fields["observation_dim"] + fields["n_agents"] * agent_index})
 
     def make(
         self, n_envs: int, *, n_threads: int, agent_obsk: int | None, agent_index: bool, dtype: type[np.floating]
     ) -> Task:
-        """See `make_task`; environments are stepped in this thread."""
+        """See `make_task`. The environments are stepped in the calling thread."""
         spec = self.spec(agent_obsk=agent_obsk, agent_index=agent_index)
         return PettingZooTask(spec, self.make_env, n_envs=n_envs, agent_index=agent_index, dtype=dtype)
 
@@ -260,17 +250,17 @@ class PettingZooDefinition:
         raise NoSimulator(self.name)
 
     @cached_property
-    def _seen(self) -> dict[str, Any]:
+    def _spec_fields(self) -> dict[str, Any]:
         env = self.make_env()
         observed, _ = env.reset(seed=0)
         agents = tuple(env.possible_agents)
-        width = max(np.size(split(observed[agent])[0]) for agent in agents)
+        width = max(np.size(split_mask(observed[agent])[0]) for agent in agents)
         spaces = [env.action_space(agent) for agent in agents]
         discrete = [hasattr(space, "n") for space in spaces]
         sizes = tuple(int(space.n) if hasattr(space, "n") else int(np.prod(space.shape)) for space in spaces)
         if any(discrete) and (not all(discrete) or len(set(sizes)) > 1):
             raise UnusableEnvironment(
-                f"{self.name}: all agents must have as many discrete actions, or continuous ones."
+                f"{self.name}: all agents must have the same number of discrete actions, or continuous ones."
             )
         limit = (
             1.0 if discrete[0] else float(max(np.abs([space.low.max(), space.high.max()]).max() for space in spaces))

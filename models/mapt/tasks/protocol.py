@@ -1,4 +1,4 @@
-"""The seam between tasks and everything above them: E environments stepped at once.
+"""The interface of tasks: a batch of E environments that are stepped together.
 
 Dimension letters: E environments, N agents, C observation, A action, S state.
 """
@@ -16,56 +16,56 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class TaskSpec:
-    """What a task is, without an environment of it."""
+    """The dimensions and constants of a task."""
 
-    #: Name by which the registry knows the task.
+    #: The task's name in the registry.
     name: str
     #: Agents in the team, N.
     n_agents: int
-    #: Dimension of one agent's observation, C; agents that see less are padded with zeros.
+    #: Dimension of one agent's observation, C; shorter observations are padded with zeros.
     observation_dim: int
-    #: Dimension of one agent's action, A, or the number of actions when discrete.
+    #: Dimension of one agent's action, A; for discrete actions, their number.
     action_dim: int
-    #: Dimension of the state of the whole environment, S.
+    #: Dimension of the environment's state, S.
     state_dim: int
-    #: Steps after which an episode is cut.
+    #: Steps after which an episode is truncated.
     horizon_steps: int
     #: Simulated time of one step.
     step_seconds: float
     #: One name per agent, in the order of the agent axis.
     agent_names: tuple[str, ...]
-    #: Dimensions of the simulator's positions and velocities; 0 without a simulator state.
+    #: Dimensions of the simulator's positions and velocities; 0 without a simulator.
     nq: int
     nv: int
-    #: What the team should achieve, in plain words for a labeller.
+    #: The team's goal, in plain words for a labeller.
     instructions: str
-    #: True when an action is one of `action_dim` choices, given as one-hot.
+    #: True if an action is one of `action_dim` choices, one-hot encoded.
     discrete_actions: bool = False
-    #: Continuous actions are meant to lie within plus and minus this.
+    #: Continuous actions should lie in [-action_limit, action_limit].
     action_limit: float = 1.0
-    #: Per agent, how many of the `action_dim` numbers it uses, the first ones; empty when all use all.
+    #: Per agent, how many of the first `action_dim` entries it uses; empty if every agent uses all.
     agent_action_dims: tuple[int, ...] = ()
-    #: True when not every discrete action is available in every state: the task is a `MaskingTask`.
+    #: True if some discrete actions are unavailable in some states. The task is then a `MaskingTask`.
     masks_actions: bool = False
 
 
 @dataclass(slots=True)
 class TaskStep:
-    """What one step of E environments gave.
+    """The result of one step of E environments.
 
-    Environments that ended were reset: `observations` and `state` belong to their next episode, `final_observations`
-    and `final_state` to the end of the last one. For the others both are the same.
+    Environments whose episode ended are reset: `observations` and `state` are the first of their next episode,
+    `final_observations` and `final_state` the last of the ended one. For other environments both pairs are equal.
     """
 
     #: (E, N, C) float32.
     observations: NDArray[np.floating]
     #: (E, S) float32.
     state: NDArray[np.floating]
-    #: (E,) float64, the task's own reward of the team.
+    #: (E,) float64: the true team reward.
     reward: NDArray[np.float64]
-    #: (E,) bool: the episode ended in a state without a future.
+    #: (E,) bool: the episode reached a terminal state.
     terminated: NDArray[np.bool_]
-    #: (E,) bool: the episode was cut at the horizon; the state still had a future.
+    #: (E,) bool: the episode was cut off at the horizon in a non-terminal state.
     truncated: NDArray[np.bool_]
     #: (E, N, C) float32, before any reset.
     final_observations: NDArray[np.floating]
@@ -74,7 +74,7 @@ class TaskStep:
 
 
 class Task(Protocol):
-    """A batch of E environments of one task. Arrays handed out are never written to again."""
+    """A batch of E environments of one task. It never writes to an array after returning it."""
 
     @property
     def spec(self) -> TaskSpec: ...
@@ -83,7 +83,7 @@ class Task(Protocol):
     def n_envs(self) -> int: ...
 
     def reset(self, seed: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Start every environment anew; the seed decides all chance until the next reset.
+        """Start a new episode in every environment. All randomness until the next reset follows from the seed.
 
         Returns:
             observations (E, N, C) and state (E, S).
@@ -97,23 +97,23 @@ class Task(Protocol):
             actions: (E, N, A).
 
         Raises:
-            InvalidAction: if the shape is another or a number is not finite.
+            InvalidAction: if the shape is wrong or a number is not finite.
         """
         ...
 
     def simulator_state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Copies of qpos (E, nq) and qvel (E, nv) of the state that the newest observations describe."""
+        """Copies of qpos (E, nq) and qvel (E, nv) of the current states."""
         ...
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        """Everything that decides the future, physics, elapsed steps and chance, as copies."""
+        """Copies of everything that determines the future: physics, elapsed steps and random generator."""
         ...
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Continue exactly as the task that gave the snapshot would have.
+        """Restore a snapshot. The task then continues exactly as the one that it was taken from.
 
         Returns:
-            observations (E, N, C) and state (E, S) at that moment.
+            observations (E, N, C) and state (E, S) at the time of the snapshot.
 
         Raises:
             InvalidSnapshot: if it was taken from another task or another number of environments.
@@ -121,40 +121,40 @@ class Task(Protocol):
         ...
 
     def close(self) -> None:
-        """Free what the simulator holds. The task is not used afterwards."""
+        """Free the simulator's resources. The task cannot be used afterwards."""
         ...
 
 
 @runtime_checkable
 class MaskingTask(Task, Protocol):
-    """A task of discrete actions, not all of them available in every state: its spec says `masks_actions`."""
+    """A task of discrete actions that are not all available in every state. Its spec has `masks_actions` set."""
 
     def available_actions(self) -> NDArray[np.bool_]:
-        """(E, N, A) bool: what may be chosen in the state that the newest observations describe."""
+        """(E, N, A) bool: the actions available in the current states."""
         ...
 
 
 @runtime_checkable
 class RenderableTask(Task, Protocol):
-    """A task that draws itself, for one that no MuJoCo model can be drawn from."""
+    """A task that renders itself, because there is no MuJoCo model to render its states with."""
 
     def render(self, env: int) -> NDArray[np.uint8]:
-        """(height, width, 3): a picture of one environment as it is now.
+        """Render the current state of one environment, RGB (height, width, 3).
 
         Raises:
-            NotRenderable: if it does not draw itself.
+            NotRenderable: if the environment returns no image.
         """
         ...
 
 
 class TaskDefinition(Protocol):
-    """A task by name. `MujocoDefinition` and `PettingZooDefinition` are the two kinds that exist."""
+    """A task that the registry can make. The kinds are `MujocoDefinition` and `PettingZooDefinition`."""
 
     @property
     def name(self) -> str: ...
 
     def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
-        """What `make` with these options gives, cheaply.
+        """The spec of what `make` returns with these options. Does not compile a model.
 
         Raises:
             InvalidConfig: if `agent_obsk` is negative.
@@ -168,7 +168,7 @@ class TaskDefinition(Protocol):
         ...
 
     def load_model(self) -> mujoco.MjModel:
-        """The model that is simulated.
+        """Compile the task's MuJoCo model.
 
         Raises:
             NoSimulator: if the task has none.
@@ -176,7 +176,7 @@ class TaskDefinition(Protocol):
         ...
 
     def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
-        """Per agent, the ids of its geoms.
+        """Per agent, the ids of the geoms that it moves.
 
         Raises:
             NoSimulator: if the task has none.
@@ -185,10 +185,10 @@ class TaskDefinition(Protocol):
 
 
 class WrappedTask:
-    """Does what the task within does; a subclass overrides what it changes. It may stand for a `MaskingTask` too.
+    """Forwards everything to another task. A subclass overrides what it changes.
 
     Args:
-        task: what is wrapped; closed with this one.
+        task: the wrapped task, possibly a `MaskingTask`. Closed together with this one.
     """
 
     def __init__(self, task: Task) -> None:
@@ -212,7 +212,7 @@ class WrappedTask:
         return self._task.simulator_state()
 
     def available_actions(self) -> NDArray[np.bool_] | None:
-        """See `MaskingTask`; none if every action always is."""
+        """See `MaskingTask`; None if the wrapped task does not mask actions."""
         return self._task.available_actions() if isinstance(self._task, MaskingTask) else None
 
     def snapshot(self) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Tasks by name."""
+"""The registry of tasks by name: built-in tasks, and those of the files that MAPT_TASKS names."""
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
@@ -27,13 +27,14 @@ from mapt.tasks.robots import (
     walker2d,
 )
 
-#: How many joints away an agent sees when nobody says: gymnasium-robotics' 1, not the paper's 0. A joint that knows
-#: its neighbours' angles learned more in every pair of runs. True return on HalfCheetah-6x1 after 300,000 steps of
-#: MAPPO, seeds 0 and 1: 5,199 and 4,838 against 4,227 and 1,855 with actors of their own, 1,855 and 1,964 against
-#: 1,636 and 1,321 with a shared one.
+#: Default distance in edges up to which an agent observes other joints: gymnasium-robotics' 1, not the paper's 0. With
+#: 1, true returns were higher in every pair of runs. HalfCheetah-6x1 after 300,000 steps of MAPPO, seeds 0 and 1: 5,199
+#: and 4,838 against 4,227 and 1,855 with separate actors, 1,855 and 1,964 against 1,636 and 1,321 with a shared actor.
 DEFAULT_AGENT_OBSK = 1
+#: Python files or modules that register tasks, separated as in PATH. Processes that are started inherit it.
+TASK_FILES_VARIABLE = "MAPT_TASKS"
 
-_BODIES = (
+_ROBOTS = (
     half_cheetah,
     ant,
     hopper,
@@ -46,12 +47,13 @@ _BODIES = (
     many_segments,
 )
 _DEFINITIONS: dict[str, TaskDefinition] = {
-    definition.name: definition for definition in chain.from_iterable(body.TASKS for body in _BODIES)
+    definition.name: definition for definition in chain.from_iterable(robot.TASKS for robot in _ROBOTS)
 }
+_imported: set[str] = set()
 
 
 def register_task(definition: TaskDefinition) -> None:
-    """Make a task known by its name to this process. See docs/tasks.md.
+    """Add a task to this process's registry. See docs/tasks.md.
 
     Raises:
         TaskExists: if the name is taken.
@@ -62,13 +64,17 @@ def register_task(definition: TaskDefinition) -> None:
 
 
 def task_names() -> tuple[str, ...]:
-    """Names of all tasks, sorted. Many-segment bodies come in any size; those of common sizes are listed."""
-    load_task_files()
+    """Names of all tasks, sorted. Of the many-segment robots, which exist in any size, only a few sizes are listed.
+
+    Raises:
+        TaskImportFailed: if a file or module that MAPT_TASKS names cannot be imported.
+    """
+    import_task_files()
     return tuple(sorted(_DEFINITIONS))
 
 
 def task_spec(name: str, *, agent_obsk: int | None = DEFAULT_AGENT_OBSK, agent_index: bool = True) -> TaskSpec:
-    """What `make_task` with these options would give, without making it.
+    """The spec of the task that `make_task` returns with the same options.
 
     Raises:
         UnknownTask: if no task has this name.
@@ -86,19 +92,19 @@ def make_task(
     agent_index: bool = True,
     dtype: type[np.floating] = np.float32,
 ) -> Task:
-    """A batch of environments of the task with this name; reset it before the first step.
+    """Make a batch of environments. Call `reset` before the first `step`.
 
     Args:
-        n_envs: environments, E.
+        n_envs: number of environments, E.
         n_threads: threads that step them; 0 for one per core.
-        agent_obsk: how many edges away an agent sees its neighbours' positions; None for one agent that sees the
-            state and drives every joint.
+        agent_obsk: agents observe the positions of joints up to this many edges away. None makes one agent that
+            observes the state and drives every joint.
         agent_index: append the agent's one-hot index to its observation.
         dtype: of observations and state.
 
     Raises:
         UnknownTask: if no task has this name.
-        InvalidConfig: if a number is out of its range.
+        InvalidConfig: if an option is out of range.
     """
     return find_definition(name).make(
         n_envs, n_threads=n_threads, agent_obsk=agent_obsk, agent_index=agent_index, dtype=dtype
@@ -106,69 +112,63 @@ def make_task(
 
 
 def load_model(task_name: str) -> mujoco.MjModel:
-    """The model that the task simulates, compiled anew, for a renderer to alter as it likes.
+    """Compile a new copy of the task's MuJoCo model, which the caller may change.
 
     Raises:
         UnknownTask: if no task has this name.
-        NoSimulator: if the task is not simulated by MuJoCo here.
+        NoSimulator: if the task does not run on MuJoCo.
     """
     return find_definition(task_name).load_model()
 
 
 def agent_geoms(task_name: str) -> tuple[tuple[int, ...], ...]:
-    """Per agent, ids of the geoms it moves directly: what a renderer colours to tell the agents apart.
+    """Per agent, the ids of the geoms that it moves directly, which a renderer gives the agent's colour.
 
     Raises:
         UnknownTask: if no task has this name.
-        NoSimulator: if the task is not simulated by MuJoCo here.
+        NoSimulator: if the task does not run on MuJoCo.
     """
     return find_definition(task_name).agent_geoms()
 
 
 def find_definition(name: str) -> TaskDefinition:
-    """The definition behind a name.
+    """The definition with this name.
 
     Raises:
         UnknownTask: if no task has this name.
+        TaskImportFailed: if a file or module that MAPT_TASKS names cannot be imported.
     """
-    load_task_files()
+    import_task_files()
     definition = _DEFINITIONS.get(name) or many_segments.definition(name)
     if definition is None:
         raise UnknownTask(name, task_names())
     return definition
 
 
-TASK_FILES_VARIABLE = "MAPT_TASKS"
-_loaded: set[str] = set()
-
-
-def load_task_files() -> None:
-    """Run every file or module that MAPT_TASKS names and that has not run yet in this process.
-
-    They stand in it as in PATH: paths of Python files, or names of modules, with colons between (semicolons on
-    Windows). Each calls `mapt.tasks.register_task`.
+def import_task_files() -> None:
+    """Import the files and modules that MAPT_TASKS names, each once per process. They call `register_task`.
 
     Raises:
-        TaskImportFailed: if one is not there, or fails.
+        TaskImportFailed: if one is missing or raises an error.
     """
     for name in filter(None, os.environ.get(TASK_FILES_VARIABLE, "").split(os.pathsep)):
-        if name not in _loaded:
-            _loaded.add(name)
+        if name not in _imported:
+            _imported.add(name)
             try:
-                _run(name)
+                _import_file_or_module(name)
             except Exception as error:
-                _loaded.discard(name)
+                _imported.discard(name)
                 raise TaskImportFailed(TASK_FILES_VARIABLE, name, error) from error
 
 
-def _run(name: str) -> None:
+def _import_file_or_module(name: str) -> None:
     path = Path(name)
     if path.suffix != ".py":
         import_module(name)
         return
     spec = spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
-        raise ImportError(f"{path} is no Python file")
+        raise ImportError(f"{path} is not a Python file")
     spec.loader.exec_module(module_from_spec(spec))
 
 
@@ -176,13 +176,13 @@ _HEADINGS = ("task", "N", "C", "A", "horizon", "state", "step, s")
 
 
 def task_listing(agent_obsk: int) -> str:
-    """One line per task under a line of headings; an agent that drives less than others shows how much it drives.
+    """A table of all tasks as text. Where agents drive different numbers of joints, column A shows the range.
 
     Args:
-        agent_obsk: as of `make_task`; observations grow with it.
+        agent_obsk: see `make_task`; observations grow with it.
 
     Raises:
-        TaskImportFailed: if a file that MAPT_TASKS names is not there, or fails.
+        TaskImportFailed: if a file or module that MAPT_TASKS names cannot be imported.
     """
     rows = [_HEADINGS, *(_row(name, agent_obsk) for name in task_names())]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -40,17 +40,17 @@ INSTRUCTIONS = (
 )
 
 
-def healthy(frame: Features) -> NDArray[np.bool_]:
+def healthy(features: Features) -> NDArray[np.bool_]:
     """(E,) bool: every number is finite, and the torso neither lies nor flies."""
     # A sum is finite only if every term is.
-    finite = np.isfinite(frame["qpos"].sum(axis=1) + frame["qvel"].sum(axis=1))
+    finite = np.isfinite(features["qpos"].sum(axis=1) + features["qvel"].sum(axis=1))
     low, high = HEALTHY_HEIGHT_METRES
-    height = frame["qpos"][:, 2]
+    height = features["qpos"][:, 2]
     return finite & (low <= height) & (height <= high)
 
 
-def terminated(frame: Features) -> NDArray[np.bool_]:
-    return ~healthy(frame)
+def terminated(features: Features) -> NDArray[np.bool_]:
+    return ~healthy(features)
 
 
 def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
@@ -62,8 +62,8 @@ def reward(before: Features, after: Features, controls: FloatArray) -> FloatArra
     return speed + HEALTHY_REWARD * healthy(after) - costs
 
 
-def clip_contact_forces(frame: Features) -> None:
-    np.clip(frame["cfrc_ext"], -1.0, 1.0, out=frame["contact_forces"])
+def clip_contact_forces(features: Features) -> None:
+    np.clip(features["cfrc_ext"], -1.0, 1.0, out=features["contact_forces"])
 
 
 def mdp(n_joints: int, n_bodies: int, height_metres: float) -> MujocoMdp:
@@ -76,7 +76,7 @@ def mdp(n_joints: int, n_bodies: int, height_metres: float) -> MujocoMdp:
         sample_start=uniform_start(pose, nv, 0.1, normal_velocities=True),
         reward=reward,
         terminated=terminated,
-        before=("xpos",),
+        previous=("xpos",),
         fields={"xpos": (n_bodies, 3), "cfrc_ext": (n_bodies, N_FORCES)},
         features={"contact_forces": (n_bodies, N_FORCES)},
         compute=clip_contact_forces,

@@ -30,15 +30,15 @@ SEEN_SPEED = 10.0
 NQ = NV = 6
 
 
-def healthy(frame: Features) -> NDArray[np.bool_]:
+def healthy(features: Features) -> NDArray[np.bool_]:
     """(E,) bool: upright above the ground, with no number out of all bounds."""
-    qpos, qvel = frame["qpos"], frame["qvel"]
+    qpos, qvel = features["qpos"], features["qvel"]
     bounded = (np.abs(qpos[:, 2:]) < HEALTHY_STATE).all(axis=1) & (np.abs(qvel) < HEALTHY_STATE).all(axis=1)
     return bounded & (qpos[:, 1] > HEALTHY_HEIGHT_METRES) & (np.abs(qpos[:, 2]) < HEALTHY_ANGLE_RADIANS)
 
 
-def terminated(frame: Features) -> NDArray[np.bool_]:
-    return ~healthy(frame)
+def terminated(features: Features) -> NDArray[np.bool_]:
+    return ~healthy(features)
 
 
 def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
@@ -47,8 +47,8 @@ def reward(before: Features, after: Features, controls: FloatArray) -> FloatArra
     return speed + HEALTHY_REWARD * healthy(after) - CONTROL_COST_WEIGHT * sum_of_squares(controls)
 
 
-def clip_speeds(frame: Features) -> None:
-    np.clip(frame["qvel"], -SEEN_SPEED, SEEN_SPEED, out=frame["seen_qvel"])
+def clip_speeds(features: Features) -> None:
+    np.clip(features["qvel"], -SEEN_SPEED, SEEN_SPEED, out=features["seen_qvel"])
 
 
 MDP = MujocoMdp(

@@ -93,15 +93,15 @@ def _joint(actuator: int, name: str, from_end: int, bodies: tuple[int, ...]) -> 
     return Joint(name, actuator, own, near=(("qpos", qpos),))
 
 
-def fallen(frame: Features) -> NDArray[np.bool_]:
+def fallen(features: Features) -> NDArray[np.bool_]:
     """(E,) bool: the torso is as low as in a fall, or in the air."""
     low, high = HEALTHY_HEIGHT_METRES
-    height = frame["qpos"][:, 2]
+    height = features["qpos"][:, 2]
     return ~((low < height) & (height < high))
 
 
-def contact_cost(frame: Features) -> FloatArray:
-    return np.minimum(CONTACT_COST_WEIGHT * sum_of_squares(frame["cfrc_ext"]), CONTACT_COST_LIMIT)
+def contact_cost(features: Features) -> FloatArray:
+    return np.minimum(CONTACT_COST_WEIGHT * sum_of_squares(features["cfrc_ext"]), CONTACT_COST_LIMIT)
 
 
 def walking_reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
@@ -142,7 +142,7 @@ WALKING = MujocoMdp(
     sample_start=uniform_start(_pose(1.4, (1.0, 0.0, 0.0, 0.0)), NV, START_NOISE),
     reward=walking_reward,
     terminated=fallen,
-    before=("subtree_com",),
+    previous=("subtree_com",),
     fields=_FIELDS,
     state=_STATE,
 )
@@ -151,7 +151,7 @@ STANDING = MujocoMdp(
     sample_start=uniform_start(_pose(0.105, (1.0, 0.0, 0.0, 0.0)), NV, START_NOISE),
     reward=standing_reward,
     terminated=never_terminated,
-    before=(),
+    previous=(),
     fields=_FIELDS,
     state=_STATE,
 )

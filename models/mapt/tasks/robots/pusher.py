@@ -75,7 +75,7 @@ TASKS = (
             frame_skip=5,
             sample_start=sample_start,
             reward=reward,
-            before=(),
+            previous=(),
             fields={"xpos": (N_BODIES, 3)},
             state=columns("qpos", 0, N_ARM) + columns("qvel", 0, N_ARM) + _TARGETS,
         ),

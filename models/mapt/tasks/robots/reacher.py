@@ -31,12 +31,12 @@ def _targets(rng: np.random.Generator, n: int) -> FloatArray:
     return targets
 
 
-def measure(frame: Features) -> None:
+def measure(features: Features) -> None:
     """Sines and cosines of the arm's angles, and the way from the target to the fingertip."""
-    angles = frame["qpos"][:, :2]
-    np.sin(angles, out=frame["sine"])
-    np.cos(angles, out=frame["cosine"])
-    np.subtract(frame["xpos"][:, FINGERTIP], frame["xpos"][:, TARGET], out=frame["miss"])
+    angles = features["qpos"][:, :2]
+    np.sin(angles, out=features["sine"])
+    np.cos(angles, out=features["cosine"])
+    np.subtract(features["xpos"][:, FINGERTIP], features["xpos"][:, TARGET], out=features["miss"])
 
 
 def reward(_before: Features, after: Features, controls: FloatArray) -> FloatArray:
@@ -66,7 +66,7 @@ TASKS = (
             frame_skip=2,
             sample_start=sample_start,
             reward=reward,
-            before=(),
+            previous=(),
             fields={"xpos": (5, 3)},
             features={"sine": (2,), "cosine": (2,), "miss": (3,)},
             compute=measure,

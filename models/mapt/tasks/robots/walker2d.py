@@ -43,15 +43,15 @@ EDGES = (
 INSTRUCTIONS = "The walker should walk or run to the right as fast as it can, upright and without falling over."
 
 
-def healthy(frame: Features) -> NDArray[np.bool_]:
+def healthy(features: Features) -> NDArray[np.bool_]:
     """(E,) bool: upright, neither fallen nor in the air."""
     low, high = HEALTHY_HEIGHT_METRES
-    height, angle = frame["qpos"][:, 1], frame["qpos"][:, 2]
+    height, angle = features["qpos"][:, 1], features["qpos"][:, 2]
     return (low < height) & (height < high) & (np.abs(angle) < HEALTHY_ANGLE_RADIANS)
 
 
-def terminated(frame: Features) -> NDArray[np.bool_]:
-    return ~healthy(frame)
+def terminated(features: Features) -> NDArray[np.bool_]:
+    return ~healthy(features)
 
 
 def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
@@ -60,8 +60,8 @@ def reward(before: Features, after: Features, controls: FloatArray) -> FloatArra
     return speed + HEALTHY_REWARD * healthy(after) - CONTROL_COST_WEIGHT * sum_of_squares(controls)
 
 
-def clip_speeds(frame: Features) -> None:
-    np.clip(frame["qvel"], -STATE_SPEED, STATE_SPEED, out=frame["state_qvel"])
+def clip_speeds(features: Features) -> None:
+    np.clip(features["qvel"], -STATE_SPEED, STATE_SPEED, out=features["state_qvel"])
 
 
 MDP = MujocoMdp(
