@@ -1,7 +1,7 @@
-"""Ant run by a team: a leg each, two legs each, or a joint each.
+"""Ant with one agent per leg, per pair of legs, or per joint.
 
-Physics, reward and starts are gymnasium's Ant-v5; the partitions are gymnasium-robotics' MaMuJoCo's, and one agent per
-joint beside them.
+Physics, reward and initial states are those of gymnasium's Ant-v5. The partitions are those of gymnasium-robotics'
+MaMuJoCo, which has none with one agent per joint.
 """
 
 from collections.abc import Sequence
@@ -29,10 +29,10 @@ CONTACT_COST_WEIGHT = 5e-4
 HEALTHY_REWARD = 1.0
 HEALTHY_HEIGHT_METRES = (0.2, 1.0)
 TORSO = 1
-#: A force or torque on a body, six numbers, is seen as -1 to 1.
+#: Force and torque on a body, observed as six numbers clipped to [-1, 1].
 N_FORCES = 6
 
-#: The torso's height and pose, and its speeds; not how far it has walked.
+#: Height, orientation and velocities of the torso, without its horizontal position.
 SHARED = columns("qpos", 2, 7) + columns("qvel", 0, 6)
 INSTRUCTIONS = (
     "The ant should walk to the right as fast as it can, on its feet. "
@@ -41,7 +41,7 @@ INSTRUCTIONS = (
 
 
 def healthy(features: Features) -> NDArray[np.bool_]:
-    """(E,) bool: every number is finite, and the torso neither lies nor flies."""
+    """(E,) bool: all numbers are finite and the torso's height is in range."""
     # A sum is finite only if every term is.
     finite = np.isfinite(features["qpos"].sum(axis=1) + features["qvel"].sum(axis=1))
     low, high = HEALTHY_HEIGHT_METRES
@@ -54,7 +54,7 @@ def terminated(features: Features) -> NDArray[np.bool_]:
 
 
 def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Forward speed of the torso and one for every healthy step, less the costs of controls and of contacts."""
+    """Forward speed of the torso, plus 1 per healthy step, minus the costs of controls and contacts."""
     speed = (after["xpos"][:, TORSO, 0] - before["xpos"][:, TORSO, 0]) / STEP_SECONDS
     costs = CONTROL_COST_WEIGHT * sum_of_squares(controls) + CONTACT_COST_WEIGHT * sum_of_squares(
         after["contact_forces"]
@@ -67,7 +67,7 @@ def clip_contact_forces(features: Features) -> None:
 
 
 def mdp(n_joints: int, n_bodies: int, height_metres: float) -> MujocoMdp:
-    """The mdp for an ant of this many joints and bodies (the world is one) that starts at this height."""
+    """The MDP of an ant with this many joints and bodies (including the world) and this initial height."""
     nq, nv = 7 + n_joints, 6 + n_joints
     pose = np.zeros(nq)
     pose[2:4] = height_metres, 1.0
@@ -80,7 +80,7 @@ def mdp(n_joints: int, n_bodies: int, height_metres: float) -> MujocoMdp:
         fields={"xpos": (n_bodies, 3), "cfrc_ext": (n_bodies, N_FORCES)},
         features={"contact_forces": (n_bodies, N_FORCES)},
         compute=clip_contact_forces,
-        # The world, body 0, is left out.
+        # without the world, body 0
         state=columns("qpos", 2, nq)
         + columns("qvel", 0, nv)
         + columns("contact_forces", N_FORCES, N_FORCES * n_bodies),
@@ -88,7 +88,7 @@ def mdp(n_joints: int, n_bodies: int, height_metres: float) -> MujocoMdp:
 
 
 def leg_joint(name: str, qpos: int, qvel: int, actuator: int, bodies: Sequence[int]) -> Joint:
-    """A joint that shows its agent its angle, its speed and the forces on these bodies, and others its angle."""
+    """A joint of which its agent observes angle, speed and the forces on these bodies, and neighbours the angle."""
     forces: tuple[FeatureColumn, ...] = ()
     for body in bodies:
         forces += columns("contact_forces", N_FORCES * body, N_FORCES * (body + 1))
@@ -97,7 +97,7 @@ def leg_joint(name: str, qpos: int, qvel: int, actuator: int, bodies: Sequence[i
 
 def _leg(number: int) -> tuple[Joint, Joint]:
     hip = 2 * (number - 1)
-    # Motors begin with the fourth leg.
+    # The motors are numbered from the fourth leg.
     motor = (hip + 2) % 8
     thigh = 3 * number - 1
     return (

@@ -1,6 +1,6 @@
-"""Two half cheetahs side by side, tied by an elastic tendon: gymnasium-robotics' CoupledHalfCheetah, an agent each.
+"""Two half cheetahs joined by an elastic tendon, with one agent per cheetah: gymnasium-robotics' CoupledHalfCheetah.
 
-The body is put together from gymnasium's half_cheetah.xml.
+The model is assembled from gymnasium's half_cheetah.xml.
 """
 
 # mujoco is compiled and ships no stubs.
@@ -26,13 +26,13 @@ CHEETAHS = ("first", "second")
 SIDES_METRES = (-1.0, 1.0)
 TENDON_RANGE_METRES = (1.5, 3.5)
 TENDON_STIFFNESS = 0.1
-#: Nine of each cheetah.
+#: nine per cheetah
 NQ = NV = 18
 SECOND = 9
 
 
-def describe() -> mujoco.MjSpec:
-    """Two cheetahs, their parts' names after first_ and second_, and a tendon between their torsos."""
+def make_spec() -> mujoco.MjSpec:
+    """Two cheetahs, whose parts are prefixed first_ and second_, with a tendon between their torsos."""
     read = gymnasium_asset("half_cheetah.xml")
     spec = read()
     spec.modelname = "coupled_cheetah"
@@ -57,13 +57,13 @@ def describe() -> mujoco.MjSpec:
 
 
 def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Mean over the cheetahs of forward speed less the cost of the controls."""
-    way = after["qpos"][:, (0, SECOND)] - before["qpos"][:, (0, SECOND)]
-    speed = (way / half_cheetah.STEP_SECONDS).mean(axis=1)
+    """Mean over the cheetahs of forward speed minus the control cost."""
+    distance = after["qpos"][:, (0, SECOND)] - before["qpos"][:, (0, SECOND)]
+    speed = (distance / half_cheetah.STEP_SECONDS).mean(axis=1)
     return speed - half_cheetah.CONTROL_COST_WEIGHT * sum_of_squares(controls) / 2.0
 
 
-#: The tendon's six moments are about the three root joints of each cheetah; those about x and z are shown.
+#: The tendon has a moment about each of the three root joints of each cheetah; agents observe those about x and z.
 _TENDON = (
     ("ten_J", 0),
     ("ten_J", 1),
@@ -75,7 +75,7 @@ _TENDON = (
 
 
 def _joints(number: int, cheetah: str) -> tuple[Joint, ...]:
-    """A cheetah's joints. MaMuJoCo shows both agents the angles of the second."""
+    """A cheetah's joints. As in MaMuJoCo, both agents observe the second cheetah's angles."""
     names = [f"{cheetah}_{joint.name}" for joint in half_cheetah.JOINTS]
     first, *rest = (hinge(name, 12 + i, 12 + i, actuator=6 * number + i) for i, name in enumerate(names))
     return Joint(first.name, first.actuator, (*first.own, *_TENDON), first.near), *rest
@@ -95,7 +95,7 @@ _PARTITION = Partition(
 TASKS = (
     MujocoDefinition(
         name="CoupledHalfCheetah-1p1",
-        robot=Robot(describe, NQ, NV, half_cheetah.PHYSICS_STEP_SECONDS, _PARTITION, total_mass_kg=14.0),
+        robot=Robot(make_spec, NQ, NV, half_cheetah.PHYSICS_STEP_SECONDS, _PARTITION, total_mass_kg=14.0),
         mdp=MujocoMdp(
             frame_skip=half_cheetah.FRAME_SKIP,
             sample_start=uniform_start(np.zeros(NQ), NV, 0.1, normal_velocities=True),

@@ -1,6 +1,7 @@
-"""HalfCheetah run by a team: six agents of one joint each, or a back leg and a front leg.
+"""HalfCheetah with one agent per joint or per leg.
 
-Physics, reward and starts are gymnasium's HalfCheetah-v5; the partition is gymnasium-robotics' MaMuJoCo's.
+Physics, reward and initial states are those of gymnasium's HalfCheetah-v5, the partitions those of gymnasium-robotics'
+MaMuJoCo.
 """
 
 import numpy as np
@@ -36,7 +37,7 @@ INSTRUCTIONS = (
 
 
 def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Forward speed in metres per second less the cost of the controls as given, before MuJoCo clamps them."""
+    """Forward speed in m/s, minus the cost of the controls before MuJoCo clamps them."""
     speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
     return speed - CONTROL_COST_WEIGHT * sum_of_squares(controls)
 
@@ -50,7 +51,7 @@ MDP = MujocoMdp(
 
 
 def _definition(conf: str, agents: tuple[tuple[str, ...], ...], names: tuple[str, ...]) -> MujocoDefinition:
-    # Nobody sees how far the cheetah has run, root x.
+    # without root x, the distance covered
     shared = columns("qpos", 1, 3) + columns("qvel", 0, 3)
     partition = Partition(JOINTS, EDGES, agents, shared)
     robot = Robot(gymnasium_asset("half_cheetah.xml"), NQ, NV, PHYSICS_STEP_SECONDS, partition, total_mass_kg=14.0)

@@ -1,4 +1,4 @@
-"""Hopper run by three agents of one joint each: gymnasium's Hopper-v5, with MaMuJoCo's partition."""
+"""Hopper with one agent per joint: gymnasium's Hopper-v5 with MaMuJoCo's partition."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +24,14 @@ HEALTHY_STATE = 100.0
 HEALTHY_HEIGHT_METRES = 0.7
 HEALTHY_ANGLE_RADIANS = 0.2
 START_NOISE = 0.005
-#: Speeds are seen as -10 to 10.
-SEEN_SPEED = 10.0
+#: Observed speeds are clipped to [-10, 10].
+SPEED_LIMIT = 10.0
 #: Root x, root z, pitch and three joints.
 NQ = NV = 6
 
 
 def healthy(features: Features) -> NDArray[np.bool_]:
-    """(E,) bool: upright above the ground, with no number out of all bounds."""
+    """(E,) bool: upright, high enough and with all numbers in range."""
     qpos, qvel = features["qpos"], features["qvel"]
     bounded = (np.abs(qpos[:, 2:]) < HEALTHY_STATE).all(axis=1) & (np.abs(qvel) < HEALTHY_STATE).all(axis=1)
     return bounded & (qpos[:, 1] > HEALTHY_HEIGHT_METRES) & (np.abs(qpos[:, 2]) < HEALTHY_ANGLE_RADIANS)
@@ -42,13 +42,13 @@ def terminated(features: Features) -> NDArray[np.bool_]:
 
 
 def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Forward speed and one for every healthy step, less the cost of the controls."""
+    """Forward speed, plus 1 per healthy step, minus the cost of the controls."""
     speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
     return speed + HEALTHY_REWARD * healthy(after) - CONTROL_COST_WEIGHT * sum_of_squares(controls)
 
 
 def clip_speeds(features: Features) -> None:
-    np.clip(features["qvel"], -SEEN_SPEED, SEEN_SPEED, out=features["seen_qvel"])
+    np.clip(features["qvel"], -SPEED_LIMIT, SPEED_LIMIT, out=features["clipped_qvel"])
 
 
 MDP = MujocoMdp(
@@ -56,15 +56,15 @@ MDP = MujocoMdp(
     sample_start=uniform_start(np.array([0.0, 1.25, 0.0, 0.0, 0.0, 0.0]), NV, START_NOISE),
     reward=reward,
     terminated=terminated,
-    features={"seen_qvel": (NV,)},
+    features={"clipped_qvel": (NV,)},
     compute=clip_speeds,
-    state=columns("qpos", 1, NQ) + columns("seen_qvel", 0, NV),
+    state=columns("qpos", 1, NQ) + columns("clipped_qvel", 0, NV),
 )
 
 
 def _joint(name: str, actuator: int) -> Joint:
     place = 3 + actuator
-    return Joint(name, actuator, own=(("qpos", place), ("seen_qvel", place)), near=(("qpos", place),))
+    return Joint(name, actuator, own=(("qpos", place), ("clipped_qvel", place)), near=(("qpos", place),))
 
 
 _NAMES = ("thigh_joint", "leg_joint", "foot_joint")
@@ -72,7 +72,7 @@ _PARTITION = Partition(
     joints=tuple(_joint(name, actuator) for actuator, name in enumerate(_NAMES)),
     edges=(("foot_joint", "leg_joint"), ("leg_joint", "thigh_joint")),
     agents=tuple((name,) for name in _NAMES),
-    shared=columns("qpos", 1, 3) + columns("seen_qvel", 0, 3),
+    shared=columns("qpos", 1, 3) + columns("clipped_qvel", 0, 3),
 )
 
 TASKS = (

@@ -1,6 +1,7 @@
-"""Humanoid and HumanoidStandup run by a team: upper and lower body, or a joint each.
+"""Humanoid and HumanoidStandup with one agent each for the upper and the lower body, or one per joint.
 
-Physics, rewards and starts are gymnasium's Humanoid-v5 and HumanoidStandup-v5; the partition in two is MaMuJoCo's.
+Physics, rewards and initial states are those of gymnasium's Humanoid-v5 and HumanoidStandup-v5. The partition in two
+is that of MaMuJoCo.
 """
 
 import numpy as np
@@ -31,12 +32,12 @@ HEALTHY_HEIGHT_METRES = (1.0, 2.0)
 START_NOISE = 0.01
 ACTION_LIMIT = 0.4
 NQ, NV, N_BODIES = 24, 23, 14
-#: Numbers about each body: mass and inertia about the centre of mass, spatial velocity, external force.
+#: Fields per body and their sizes: inertia and mass, spatial velocity, external force.
 BODY_FIELDS = {"cinert": 10, "cvel": 6, "cfrc_ext": 6}
 
 _TRUNK, _RIGHT_ARM, _LEFT_ARM = (1, 2, 3), (1, 10, 11), (1, 12, 13)
-#: Joints in the order of their motors: name, place from the end of qpos and qvel, bodies whose numbers it shows.
-#: MaMuJoCo takes the first two for each other: what it calls abdomen_y shows the angle of abdomen_z.
+#: Joints in the order of their motors: name, index from the end of qpos and qvel, bodies observed with it. MaMuJoCo
+#: swaps the first two: with what it calls abdomen_y, agents observe the angle of abdomen_z.
 _JOINTS = (
     ("abdomen_y", 17, _TRUNK),
     ("abdomen_z", 16, _TRUNK),
@@ -94,7 +95,7 @@ def _joint(actuator: int, name: str, from_end: int, bodies: tuple[int, ...]) -> 
 
 
 def fallen(features: Features) -> NDArray[np.bool_]:
-    """(E,) bool: the torso is as low as in a fall, or in the air."""
+    """(E,) bool: the torso's height is out of range."""
     low, high = HEALTHY_HEIGHT_METRES
     height = features["qpos"][:, 2]
     return ~((low < height) & (height < high))
@@ -105,7 +106,7 @@ def contact_cost(features: Features) -> FloatArray:
 
 
 def walking_reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Forward speed of the centre of mass and five for every step on its feet, less the costs."""
+    """Forward speed of the centre of mass, plus 5 per step without a fall, minus the costs."""
     whole = 0
     speed = (after["subtree_com"][:, whole, 0] - before["subtree_com"][:, whole, 0]) / STEP_SECONDS
     costs = CONTROL_COST_WEIGHT * sum_of_squares(controls) + contact_cost(after)
@@ -113,7 +114,7 @@ def walking_reward(before: Features, after: Features, controls: FloatArray) -> F
 
 
 def standing_reward(_before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Height of the torso in metres per step of the physics in seconds, and one, less the costs."""
+    """Height of the torso divided by the physics step, plus 1, minus the costs."""
     height = after["qpos"][:, 2] / PHYSICS_STEP_SECONDS
     return height - CONTROL_COST_WEIGHT * sum_of_squares(controls) - contact_cost(after) + 1.0
 

@@ -1,7 +1,7 @@
-"""Bodies of any number of segments: MaMuJoCo's ManySegmentSwimmer and ManySegmentAnt, N agents of M segments each.
+"""Robots with any number of segments: MaMuJoCo's ManySegmentSwimmer and ManySegmentAnt, N agents of M segments each.
 
-Rules are those of gymnasium's Swimmer-v5 and Ant-v5. The bodies are put together here; their surroundings are those of
-gymnasium's swimmer.xml and ant.xml.
+Rewards and terminations are those of gymnasium's Swimmer-v5 and Ant-v5. The models are assembled here within the
+scenes of gymnasium's swimmer.xml and ant.xml.
 """
 
 # mujoco is compiled and ships no stubs.
@@ -26,7 +26,7 @@ _MOTOR_GEAR = 150.0
 
 
 def definition(name: str) -> MujocoDefinition | None:
-    """The task that a name such as ManySegmentAnt-2x3 asks for, or None if it asks for none of these."""
+    """The task with a name such as ManySegmentAnt-2x3, or None if the name is of another form."""
     match = re.fullmatch(r"(ManySegmentSwimmer|ManySegmentAnt)-([1-9]\d?)x([1-9]\d?)", name)
     if match is None or int(match[2]) * int(match[3]) < 2:
         return None
@@ -42,7 +42,7 @@ def _swimmer(n_agents: int, per_agent: int) -> MujocoDefinition:
         agents=tuple(tuple(names[first : first + per_agent]) for first in range(0, n, per_agent)),
         shared=(),
     )
-    robot = Robot(partial(describe_swimmer, n), 3 + n, 3 + n, swimmer.PHYSICS_STEP_SECONDS, partition)
+    robot = Robot(partial(swimmer_spec, n), 3 + n, 3 + n, swimmer.PHYSICS_STEP_SECONDS, partition)
     return MujocoDefinition(
         name=f"ManySegmentSwimmer-{n_agents}x{per_agent}",
         robot=robot,
@@ -52,34 +52,34 @@ def _swimmer(n_agents: int, per_agent: int) -> MujocoDefinition:
     )
 
 
-def describe_swimmer(n_joints: int) -> mujoco.MjSpec:
-    """A chain of this many driven joints behind a torso that slides and turns."""
+def swimmer_spec(n_joints: int) -> mujoco.MjSpec:
+    """A chain of this many driven joints behind a torso that slides and rotates."""
     spec = gymnasium_asset("swimmer.xml")()
-    _clear(spec, "mid")
+    _delete_parts(spec, "mid")
     spec.joint("free_body_rot").name = "rot"
     body = spec.body("torso")
     for index in range(n_joints):
         last = index == n_joints - 1
         body = body.add_body(name="back" if last else f"mid{index}", pos=[0.5 if index == 0 else -1.0, 0.0, 0.0])
         body.add_geom(type=_CAPSULE, fromto=[0, 0, 0, -1, 0, 0], size=[0.1, 0, 0], density=1000.0)
-        # The first and the last turn one way, those between by turns.
+        # The first and last axes point up; those between alternate.
         axis = 1.0 if index == 0 or last else (-1.0) ** (index + 1)
         body.add_joint(name=f"rot{index}", type=_HINGE, axis=[0, 0, axis], limited=_LIMITED, range=[-100, 100])
-    _drive(spec, [f"rot{index}" for index in range(n_joints)])
+    _add_motors(spec, [f"rot{index}" for index in range(n_joints)])
     return spec
 
 
-#: Legs of a segment: x and y along which the leg lies, the ankle's axis and its range in degrees.
+#: x and y of the leg's direction, the ankle's axis and its range in degrees.
 _Leg = tuple[float, float, list[float], list[float]]
 _FRONT_LEGS: tuple[_Leg, _Leg] = ((0.2, 0.2, [-1, 1, 0], [30, 70]), (0.2, -0.2, [1, 1, 0], [30, 70]))
 _OTHER_LEGS: tuple[_Leg, _Leg] = ((-0.2, 0.2, [1, 1, 0], [-70, -30]), (-0.2, -0.2, [-1, 1, 0], [-70, -30]))
 _ANT_JOINTS = ("hip1", "ankle1", "hip2", "ankle2")
 
 
-def describe_ant(n_segments: int) -> mujoco.MjSpec:
-    """Pairs of legs, one behind the other, along a stiff spine."""
+def ant_spec(n_segments: int) -> mujoco.MjSpec:
+    """Pairs of legs, one behind the other, along a rigid spine."""
     spec = gymnasium_asset("ant.xml")()
-    _clear(spec, "front_left_leg", "front_right_leg", "back_leg", "right_back_leg")
+    _delete_parts(spec, "front_left_leg", "front_right_leg", "back_leg", "right_back_leg")
     spec.delete(spec.geom("torso_geom"))
     torso = spec.body("torso")
     torso.name = "torso_0"
@@ -88,9 +88,9 @@ def describe_ant(n_segments: int) -> mujoco.MjSpec:
             torso = torso.add_body(name=f"torso_{segment}", pos=[-1, 0, 0])
             torso.add_geom(type=_CAPSULE, fromto=[1, 0, 0, 0, 0, 0], size=[0.1, 0, 0], density=100.0)
         for number, leg in enumerate(_OTHER_LEGS if segment else _FRONT_LEGS, start=1):
-            # Behind the first pair, a leg leaves the spine at a right angle.
+            # Behind the first pair, legs leave the spine at a right angle.
             _add_leg(torso, f"{number}_{segment}", 0.0 if segment else leg[0], leg)
-    _drive(spec, [f"{joint}_{segment}" for segment in range(n_segments) for joint in _ANT_JOINTS])
+    _add_motors(spec, [f"{joint}_{segment}" for segment in range(n_segments) for joint in _ANT_JOINTS])
     return spec
 
 
@@ -110,15 +110,15 @@ def _add_limb(body: mujoco.MjsBody, x: float, y: float) -> None:
     body.add_geom(type=_CAPSULE, fromto=[0, 0, 0, x, y, 0], size=[0.08, 0, 0])
 
 
-def _clear(spec: mujoco.MjSpec, *bodies: str) -> None:
-    """Take the motors and these bodies away."""
+def _delete_parts(spec: mujoco.MjSpec, *bodies: str) -> None:
+    """Delete the motors and these bodies."""
     for motor in tuple(spec.actuators):
         spec.delete(motor)
     for body in bodies:
         spec.delete(spec.body(body))
 
 
-def _drive(spec: mujoco.MjSpec, joints: list[str]) -> None:
+def _add_motors(spec: mujoco.MjSpec, joints: list[str]) -> None:
     for joint in joints:
         spec.add_actuator(
             trntype=mujoco.mjtTrn.mjTRN_JOINT,
@@ -132,8 +132,9 @@ def _drive(spec: mujoco.MjSpec, joints: list[str]) -> None:
 def _ant(n_agents: int, per_agent: int) -> MujocoDefinition:
     n = n_agents * per_agent
     segments = [_segment(index, n) for index in range(n)]
-    # A segment sees the hips in front of it, which MaMuJoCo's graph holds twice, and is not seen by them.
-    ghosts = [_ghost(joint) for joints in segments[:-1] for joint in joints if joint.name.startswith("hip")]
+    # In MaMuJoCo's graph, a segment neighbours copies of the hips in front of it. The hips themselves do not neighbour
+    # the segment.
+    copies = [_copy(joint) for joints in segments[:-1] for joint in joints if joint.name.startswith("hip")]
     edges: list[tuple[str, ...]] = []
     for index in range(n):
         hips = (f"hip1_{index}", f"hip2_{index}")
@@ -142,13 +143,13 @@ def _ant(n_agents: int, per_agent: int) -> MujocoDefinition:
             edges.append((f"hip1_{index - 1}'", f"hip2_{index - 1}'", *hips))
     groups = [segments[first : first + per_agent] for first in range(0, n, per_agent)]
     partition = Partition(
-        joints=(*(joint for joints in segments for joint in joints), *ghosts),
+        joints=(*(joint for joints in segments for joint in joints), *copies),
         edges=tuple(edges),
         agents=tuple(tuple(joint.name for joints in group for joint in joints) for group in groups),
         shared=ant.SHARED,
         seen_once=frozenset({"contact_forces"}),
     )
-    robot = Robot(partial(describe_ant, n), 7 + 4 * n, 6 + 4 * n, ant.PHYSICS_STEP_SECONDS, partition)
+    robot = Robot(partial(ant_spec, n), 7 + 4 * n, 6 + 4 * n, ant.PHYSICS_STEP_SECONDS, partition)
     return MujocoDefinition(
         name=f"ManySegmentAnt-{n_agents}x{per_agent}",
         robot=robot,
@@ -159,10 +160,10 @@ def _ant(n_agents: int, per_agent: int) -> MujocoDefinition:
 
 
 def _segment(index: int, n: int) -> tuple[Joint, ...]:
-    """Four joints of a segment, as MaMuJoCo numbers them.
+    """The four joints of a segment, with MaMuJoCo's indices.
 
-    It counts places from the end for the last segment and from the start, which is the torso's, for the others; and a
-    segment's motors from its second leg.
+    MaMuJoCo counts the last segment's indices from the end of qpos and qvel, and the others' from the start, where the
+    torso is. It numbers a segment's motors from its second leg.
     """
     place = 4 * (n - 1 - index)
     qpos, qvel = (place + 3 + 4 * n, place + 2 + 4 * n) if index == n - 1 else (place - 4, place - 4)
@@ -180,7 +181,7 @@ def _segment(index: int, n: int) -> tuple[Joint, ...]:
     )
 
 
-def _ghost(joint: Joint) -> Joint:
+def _copy(joint: Joint) -> Joint:
     return Joint(f"{joint.name}'", joint.actuator, joint.own, joint.near)
 
 
@@ -190,5 +191,5 @@ def _numbered(n_agents: int) -> tuple[str, ...]:
 
 _FAMILIES: dict[str, Callable[[int, int], MujocoDefinition]] = {"ManySegmentSwimmer": _swimmer, "ManySegmentAnt": _ant}
 
-#: Sizes that are listed: those of the paper that made these bodies (FACMAC), and one agent per segment.
+#: The listed sizes: those of the paper that introduced these robots (FACMAC), and one agent per segment.
 TASKS = (_swimmer(10, 2), _swimmer(6, 1), _ant(2, 3), _ant(3, 1))

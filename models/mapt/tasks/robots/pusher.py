@@ -1,4 +1,4 @@
-"""Pusher run by shoulder, elbow and wrist: gymnasium's Pusher-v5, with MaMuJoCo's partition."""
+"""Pusher with one agent each for shoulder, elbow and wrist: gymnasium's Pusher-v5 with MaMuJoCo's partition."""
 
 from itertools import pairwise
 
@@ -11,7 +11,7 @@ from mapt.tasks.partition import Joint, Partition, columns, hinge
 NEAR_WEIGHT = 0.5
 CONTROL_COST_WEIGHT = 0.1
 SPEED_NOISE = 0.005
-#: The object starts in this rectangle, in metres, and at least this far from the goal, which is at the origin of both.
+#: The object starts in this rectangle, in metres relative to the goal, and at least this far from the goal.
 OBJECT_LOW, OBJECT_HIGH = (-0.3, -0.2), (0.0, 0.2)
 OBJECT_CLEARANCE_METRES = 0.17
 #: Seven joints of the arm, the object's two slides and the goal's two.
@@ -22,7 +22,7 @@ TIP, OBJECT, GOAL = 10, 11, 12
 
 
 def sample_start(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
-    """The arm at zero and nearly at rest, the object anywhere but at the goal."""
+    """The arm at zero and nearly at rest, the object anywhere but near the goal."""
     qpos = np.zeros((n, NQ))
     qpos[:, 7:9] = _objects(rng, n)
     qvel = rng.uniform(-SPEED_NOISE, SPEED_NOISE, size=(n, NV))
@@ -31,7 +31,7 @@ def sample_start(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArr
 
 
 def _objects(rng: np.random.Generator, n: int) -> FloatArray:
-    """(n, 2): drawn anew until none is too near the goal."""
+    """(n, 2): uniform on the rectangle, by rejection sampling."""
     places = np.zeros((n, 2))
     while (near := np.flatnonzero(np.linalg.norm(places, axis=1) <= OBJECT_CLEARANCE_METRES)).size:
         places[near] = rng.uniform(OBJECT_LOW, OBJECT_HIGH, size=(near.size, 2))
@@ -39,7 +39,7 @@ def _objects(rng: np.random.Generator, n: int) -> FloatArray:
 
 
 def reward(_before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Distances in metres of the object from the goal and, half as much, from the tip, and the controls, as costs."""
+    """Minus the object's distance from the goal and half that from the tip in metres, minus the control cost."""
     places = after["xpos"]
     to_goal = np.linalg.norm(places[:, OBJECT] - places[:, GOAL], axis=1)
     to_tip = np.linalg.norm(places[:, OBJECT] - places[:, TIP], axis=1)
@@ -50,13 +50,13 @@ SHOULDER = ("r_shoulder_pan_joint", "r_shoulder_lift_joint", "r_upper_arm_roll_j
 ELBOW = ("r_elbow_flex_joint",)
 WRIST = ("r_forearm_roll_joint", "r_wrist_flex_joint", "r_wrist_roll_joint")
 _CHAIN = (*SHOULDER, *ELBOW, *WRIST)
-#: MaMuJoCo labels the first two joints as it does the last, and leaves their order to chance; here it is the arm's.
+#: MaMuJoCo gives the first two joints the label of the last, and their order varies; here it is the arm's order.
 _LABELS: dict[str, str] = dict.fromkeys(SHOULDER[:2], WRIST[-1])
 
 
 def _joint(name: str, index: int) -> Joint:
-    shown = hinge(name, index, index, actuator=index)
-    return Joint(name, index, shown.own, shown.near, _LABELS.get(name, ""))
+    joint = hinge(name, index, index, actuator=index)
+    return Joint(name, index, joint.own, joint.near, _LABELS.get(name, ""))
 
 
 _TARGETS = columns("xpos", 3 * TIP, 3 * (GOAL + 1))

@@ -1,4 +1,4 @@
-"""Reacher run by two agents of one joint each: gymnasium's Reacher-v5, with MaMuJoCo's partition."""
+"""Reacher with one agent per joint: gymnasium's Reacher-v5 with MaMuJoCo's partition."""
 
 import numpy as np
 
@@ -9,13 +9,13 @@ from mapt.tasks.partition import Joint, Partition, columns
 ANGLE_NOISE = 0.1
 SPEED_NOISE = 0.005
 TARGET_RADIUS_METRES = 0.2
-#: Two angles of the arm and the target's place.
+#: Two angles of the arm and the target's x and y.
 NQ = NV = 4
 FINGERTIP, TARGET = 3, 4
 
 
 def sample_start(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
-    """An arm nearly straight and nearly at rest, and a target anywhere within its reach."""
+    """The arm nearly straight and at rest, the target anywhere within reach."""
     qpos = rng.uniform(-ANGLE_NOISE, ANGLE_NOISE, size=(n, NQ))
     qpos[:, 2:] = _targets(rng, n)
     qvel = rng.uniform(-SPEED_NOISE, SPEED_NOISE, size=(n, NV))
@@ -24,31 +24,31 @@ def sample_start(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArr
 
 
 def _targets(rng: np.random.Generator, n: int) -> FloatArray:
-    """(n, 2): even over a disc, by drawing from the square about it until all lie within."""
+    """(n, 2): uniform on a disc, by rejection sampling from the square around it."""
     targets = np.full((n, 2), np.inf)
     while (outside := np.flatnonzero(np.linalg.norm(targets, axis=1) >= TARGET_RADIUS_METRES)).size:
         targets[outside] = rng.uniform(-TARGET_RADIUS_METRES, TARGET_RADIUS_METRES, size=(outside.size, 2))
     return targets
 
 
-def measure(features: Features) -> None:
-    """Sines and cosines of the arm's angles, and the way from the target to the fingertip."""
+def compute_features(features: Features) -> None:
+    """Sines and cosines of the arm's angles, and the vector from the target to the fingertip."""
     angles = features["qpos"][:, :2]
     np.sin(angles, out=features["sine"])
     np.cos(angles, out=features["cosine"])
-    np.subtract(features["xpos"][:, FINGERTIP], features["xpos"][:, TARGET], out=features["miss"])
+    np.subtract(features["xpos"][:, FINGERTIP], features["xpos"][:, TARGET], out=features["offset"])
 
 
 def reward(_before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """The fingertip's distance from the target in metres, and the sum_of_squares controls, both as costs."""
-    return -np.linalg.norm(after["miss"], axis=1) - sum_of_squares(controls)
+    """Minus the fingertip's distance from the target in metres, minus the squared controls."""
+    return -np.linalg.norm(after["offset"], axis=1) - sum_of_squares(controls)
 
 
 _SHOULDER = Joint("joint0", 0, own=(("sine", 0), ("cosine", 0), ("qvel", 0)), near=(("sine", 0), ("cosine", 0)))
 _ELBOW = Joint(
     "joint1",
     1,
-    own=(("sine", 1), ("cosine", 1), ("qvel", 1), *columns("miss", 0, 3)),
+    own=(("sine", 1), ("cosine", 1), ("qvel", 1), *columns("offset", 0, 3)),
     near=(("sine", 1), ("cosine", 1)),
 )
 _PARTITION = Partition(
@@ -68,13 +68,13 @@ TASKS = (
             reward=reward,
             previous=(),
             fields={"xpos": (5, 3)},
-            features={"sine": (2,), "cosine": (2,), "miss": (3,)},
-            compute=measure,
+            features={"sine": (2,), "cosine": (2,), "offset": (3,)},
+            compute=compute_features,
             state=columns("cosine", 0, 2)
             + columns("sine", 0, 2)
             + columns("qpos", 2, 4)
             + columns("qvel", 0, 2)
-            + columns("miss", 0, 2),
+            + columns("offset", 0, 2),
         ),
         agent_names=("upper arm", "lower arm"),
         instructions="The arm should bring its tip to the target quickly, without swinging past it, and hold it there.",

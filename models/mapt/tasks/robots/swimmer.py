@@ -1,4 +1,4 @@
-"""Swimmer run by two agents of one joint each: gymnasium's Swimmer-v5, with MaMuJoCo's partition."""
+"""Swimmer with one agent per joint: gymnasium's Swimmer-v5 with MaMuJoCo's partition."""
 
 import numpy as np
 
@@ -23,13 +23,13 @@ INSTRUCTIONS = "The swimmer should swim to the right as fast as it can, in even 
 
 
 def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Forward speed less the cost of the controls."""
+    """Forward speed, minus the cost of the controls."""
     speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
     return speed - CONTROL_COST_WEIGHT * sum_of_squares(controls)
 
 
 def mdp(n_joints: int) -> MujocoMdp:
-    """The mdp for a swimmer of this many driven joints, after x, y and heading."""
+    """The MDP of a swimmer with this many driven joints, which follow x, y and heading in qpos."""
     size = 3 + n_joints
     return MujocoMdp(
         frame_skip=FRAME_SKIP,
@@ -39,7 +39,7 @@ def mdp(n_joints: int) -> MujocoMdp:
     )
 
 
-#: MaMuJoCo shows each agent two speeds: of the front tip along one axis, and of its joint.
+#: With MaMuJoCo, each agent observes two velocities: the front tip's along one axis, and its joint's.
 _FRONT = Joint("motor1_rot", 0, own=(("qpos", 3), ("qvel", 0), ("qvel", 3)), near=(("qpos", 3),))
 _BACK = Joint("motor2_rot", 1, own=(("qpos", 4), ("qvel", 1), ("qvel", 4)), near=(("qpos", 4),))
 _PARTITION = Partition(

@@ -1,6 +1,6 @@
-"""Walker2d run by a team: a leg each, or a joint each.
+"""Walker2d with one agent per leg or per joint.
 
-Physics, reward and starts are gymnasium's Walker2d-v5; the partition into legs is MaMuJoCo's.
+Physics, reward and initial states are those of gymnasium's Walker2d-v5, the partition into legs that of MaMuJoCo.
 """
 
 import numpy as np
@@ -26,8 +26,8 @@ HEALTHY_REWARD = 1.0
 HEALTHY_HEIGHT_METRES = (0.8, 2.0)
 HEALTHY_ANGLE_RADIANS = 1.0
 START_NOISE = 0.005
-#: Speeds are -10 to 10 in the state, though not in what agents see.
-STATE_SPEED = 10.0
+#: Speeds are clipped to [-10, 10] in the state, but not in observations.
+STATE_SPEED_LIMIT = 10.0
 #: Root x, root z, pitch and six joints.
 NQ = NV = 9
 
@@ -44,7 +44,7 @@ INSTRUCTIONS = "The walker should walk or run to the right as fast as it can, up
 
 
 def healthy(features: Features) -> NDArray[np.bool_]:
-    """(E,) bool: upright, neither fallen nor in the air."""
+    """(E,) bool: upright and with the torso's height in range."""
     low, high = HEALTHY_HEIGHT_METRES
     height, angle = features["qpos"][:, 1], features["qpos"][:, 2]
     return (low < height) & (height < high) & (np.abs(angle) < HEALTHY_ANGLE_RADIANS)
@@ -55,13 +55,13 @@ def terminated(features: Features) -> NDArray[np.bool_]:
 
 
 def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Forward speed and one for every healthy step, less the cost of the controls."""
+    """Forward speed, plus 1 per healthy step, minus the cost of the controls."""
     speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
     return speed + HEALTHY_REWARD * healthy(after) - CONTROL_COST_WEIGHT * sum_of_squares(controls)
 
 
 def clip_speeds(features: Features) -> None:
-    np.clip(features["qvel"], -STATE_SPEED, STATE_SPEED, out=features["state_qvel"])
+    np.clip(features["qvel"], -STATE_SPEED_LIMIT, STATE_SPEED_LIMIT, out=features["state_qvel"])
 
 
 MDP = MujocoMdp(
