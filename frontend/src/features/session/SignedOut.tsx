@@ -10,8 +10,8 @@ export function SignedOut() {
       <p>Accord has no passwords. A one-time link signs you in, and this browser stays signed in.</p>
       <ol>
         <li>
-          If you run Accord on this machine, run this command in a terminal and open the link that it prints. It signs
-          you in as the administrator:
+          If you run Accord on this machine, run this command in a terminal and open the link that it prints.
+          It signs you in as the administrator:
           <CommandLine />
         </li>
         <li>
