@@ -7,8 +7,8 @@ import numpy as np
 from sqlalchemy.orm import Session
 
 from accord.domain.enums import Role
-from accord.domain.experiment import ExperimentConfig
 from accord.services import accounts, clips, collect, experiments, select
+from accord.services.experiment_config import ExperimentConfig
 from accord.store.blobs import BlobStore
 from accord.store.database import Database
 from accord.store.tables import ExperimentRow, UserRow

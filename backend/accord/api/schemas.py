@@ -6,7 +6,8 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from accord.domain.enums import ExperimentStatus, Phase, Role
-from accord.domain.experiment import (
+from accord.domain.schedule import LabelScheduleName
+from accord.services.experiment_config import (
     Credit,
     Pacing,
     PolicyReward,
@@ -15,7 +16,6 @@ from accord.domain.experiment import (
     RewardPreset,
     RewardSource,
 )
-from accord.domain.schedule import LabelScheduleName
 
 
 class Schema(BaseModel):
@@ -71,7 +71,7 @@ class TaskSchema(Schema):
 
 
 class NewExperiment(Schema):
-    """Settings of an experiment; what is left out has the default of `accord.domain.experiment`."""
+    """Settings of an experiment; what is left out has the default of `accord.services.experiment_config`."""
 
     name: str = Field(min_length=1, max_length=200, description="One line; no two experiments have the same.")
     task: str = Field(description="Name of a task, from GET /tasks.")

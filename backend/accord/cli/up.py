@@ -17,8 +17,8 @@ from accord.cli.options import Home, address_file, load_settings, url_of
 from accord.cli.output import note, on_terminal, out, say
 from accord.domain.enums import WorkerRole
 from accord.domain.errors import AccordError, NameTaken, Unavailable
-from accord.domain.experiment import ExperimentConfig
 from accord.services import accounts, experiments, workers
+from accord.services.experiment_config import ExperimentConfig
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database

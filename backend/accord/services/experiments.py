@@ -7,9 +7,8 @@ from sqlalchemy.orm import Session
 
 from accord.domain.enums import ExperimentStatus, Phase, QueryStatus
 from accord.domain.errors import ExperimentNotActive, ExperimentNotFound, NameTaken, UnknownTask
-from accord.domain.experiment import ExperimentConfig
 from accord.domain.ids import new_id
-from accord.services.policy_settings import policy_settings
+from accord.services.experiment_config import ExperimentConfig, policy_settings
 from accord.services.texts import check_line, check_lines
 from accord.store import experiments
 from accord.store.tables import ExperimentRow, utc_now

@@ -7,7 +7,7 @@ newest version was trained on too few, that same version is due to be replaced.
 from dataclasses import dataclass
 from math import ceil
 
-from accord.domain.experiment import ExperimentConfig
+from accord.services.experiment_config import ExperimentConfig
 
 
 def threshold(config: ExperimentConfig, labels: int) -> int:

@@ -15,10 +15,9 @@ from sqlalchemy.orm import Session
 
 from accord.domain.enums import ExperimentStatus, Phase
 from accord.domain.errors import InvalidExperiment
-from accord.domain.experiment import ExperimentConfig
 from accord.services import checkpoints, collect, experiments, metrics, publish, select
 from accord.services.collect import NewSegment
-from accord.services.policy_settings import policy_settings
+from accord.services.experiment_config import ExperimentConfig, policy_settings
 from accord.store.blobs import BlobStore
 from accord.store.database import Database
 from accord.store.tables import ExperimentRow, RewardVersionRow

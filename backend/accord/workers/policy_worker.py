@@ -6,8 +6,8 @@ import time
 
 from accord.domain.enums import WorkerRole
 from accord.domain.errors import Invalid
-from accord.domain.experiment import ExperimentConfig
 from accord.services import claims, experiments, publish
+from accord.services.experiment_config import ExperimentConfig
 from accord.workers.heartbeat import Claim, ClaimLost
 from accord.workers.pacing import waits_for
 from accord.workers.policy_run import Interrupted, PolicyRun, read_progress

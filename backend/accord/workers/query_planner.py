@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy.orm import Session
 
-from accord.domain.experiment import ExperimentConfig
 from accord.services import experiments, publish, select
 from accord.services.collect import load_arrays
+from accord.services.experiment_config import ExperimentConfig
 from accord.store.blobs import BlobStore
 from accord.store.tables import RewardVersionRow
 from accord.workers.heartbeat import Claim

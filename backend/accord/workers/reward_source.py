@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from accord.domain.experiment import ExperimentConfig
+from accord.services.experiment_config import ExperimentConfig
 from accord.store.blobs import BlobStore
 from accord.store.tables import RewardVersionRow
 from accord.workers.model_store import read_reward_model

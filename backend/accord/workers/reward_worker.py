@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accord.domain.enums import WorkerRole
-from accord.domain.experiment import ExperimentConfig
 from accord.services import experiments, metrics, publish, select
 from accord.services.collect import load_arrays
+from accord.services.experiment_config import ExperimentConfig
 from accord.services.publish import TrainingLabel
 from accord.store.blobs import BlobStore
 from accord.store.tables import ExperimentRow, RewardVersionRow

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from accord.domain.enums import Role, WorkerRole
-from accord.domain.experiment import ExperimentConfig
 from accord.services import accounts, experiments, label
+from accord.services.experiment_config import ExperimentConfig
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database

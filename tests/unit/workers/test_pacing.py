@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accord.domain.experiment import ExperimentConfig
+from accord.services.experiment_config import ExperimentConfig
 from accord.workers.pacing import Progress, cannot_begin, segments_to_hand_in, threshold, version_is_due, waits_for
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accord.domain.experiment import ExperimentConfig
+from accord.services.experiment_config import ExperimentConfig
 from accord.workers.query_planner import choose_pairs
 from mapt.errors import UnknownSelector
 from mapt.preferences.selection import SegmentView, selector_names

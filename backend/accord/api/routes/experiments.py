@@ -10,10 +10,10 @@ from sqlalchemy.orm import Session
 from accord.api import schemas, views
 from accord.api.parameters import ExperimentId
 from accord.api.visit import Visit, VisitDep
-from accord.domain.experiment import ExperimentConfig
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_run_experiments, require
 from accord.services import experiments, metrics, publish, workers
+from accord.services.experiment_config import ExperimentConfig
 from accord.store.tables import ExperimentRow
 
 router = APIRouter(tags=["experiments"])

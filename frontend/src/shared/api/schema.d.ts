@@ -825,7 +825,7 @@ export interface components {
         };
         /**
          * NewExperiment
-         * @description Settings of an experiment; what is left out has the default of `accord.domain.experiment`.
+         * @description Settings of an experiment; what is left out has the default of `accord.services.experiment_config`.
          */
         NewExperiment: {
             /**

@@ -5,6 +5,8 @@ from typing import Literal, get_args
 
 from accord.domain.errors import InvalidExperiment
 from accord.domain.schedule import LabelSchedule, LabelScheduleName
+from mapt.errors import InvalidConfig
+from mapt.policies.config import PolicyConfig
 
 Pacing = Literal["wait", "free"]
 RewardSource = Literal["preferences", "true"]
@@ -130,3 +132,23 @@ _KNOWN: dict[str, tuple[str, ...]] = {
     "label_schedule": get_args(LabelScheduleName),
     "query_selection": get_args(QuerySelection),
 }
+
+
+def policy_settings(config: ExperimentConfig, n_threads: int = 0) -> PolicyConfig:
+    """The learner's defaults, the experiment's seed and device, then what the researcher set.
+
+    Raises:
+        InvalidExperiment: if a setting is unknown or out of its range, or a rollout is too short for a segment.
+    """
+    try:
+        settings = PolicyConfig.from_dict(
+            {"seed": config.seed, "device": config.device, "n_threads": n_threads, **config.policy}
+        )
+    except InvalidConfig as error:
+        raise InvalidExperiment(f"policy: {error}") from error
+    if config.reward_source == "preferences" and settings.rollout_steps < config.segment_steps:
+        raise InvalidExperiment(
+            f"segment_steps is {config.segment_steps}, but a rollout has {settings.rollout_steps} steps of each "
+            f"environment, so no segment fits. Set policy.rollout_steps to {config.segment_steps} or more."
+        )
+    return settings

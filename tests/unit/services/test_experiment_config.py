@@ -3,7 +3,7 @@ from typing import get_args
 import pytest
 
 from accord.domain.errors import InvalidExperiment
-from accord.domain.experiment import (
+from accord.services.experiment_config import (
     Credit,
     ExperimentConfig,
     PolicyReward,
