@@ -6,6 +6,7 @@ MaptError
 ├── InvalidRollout
 ├── ModelMismatch
 ├── TrainingDiverged
+├── MemberTrainingFailed
 ├── CheckpointError
 │   ├── DamagedCheckpoint
 │   ├── NewerCheckpoint
@@ -107,6 +108,15 @@ class ModelMismatch(MaptError, ValueError):
 
 class TrainingDiverged(MaptError):
     """A gradient is not finite. The learner keeps the weights it had before the failed step."""
+
+
+class MemberTrainingFailed(MaptError):
+    """The process that trains a member of an ensemble failed."""
+
+    def __init__(self, member: int, reason: str) -> None:
+        super().__init__(f"The training of member {member} failed: {reason}")
+        self.member = member
+        self.reason = reason
 
 
 class CheckpointError(MaptError, ValueError):

@@ -9,8 +9,7 @@ from accord.store.blobs import BlobStore
 from accord.store.tables import RewardVersionRow
 from mapt.errors import DamagedCheckpoint
 from mapt.rewards.checkpoints import load_reward_model, save_reward_model
-from mapt.rewards.ensemble_storage import load_reward_ensemble, save_reward_ensemble
-from mapt.rewards.members import RewardEnsemble
+from mapt.rewards.ensemble import RewardEnsemble, load_reward_ensemble, save_reward_ensemble
 from mapt.rewards.model import RewardModel
 from mapt.training.run_folder import PolicyCheckpoint
 

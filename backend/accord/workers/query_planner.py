@@ -30,7 +30,7 @@ from mapt.preferences.selection import (
     selector_names,
 )
 from mapt.preferences.selection.protocol import SegmentId
-from mapt.rewards.members import RewardEnsemble
+from mapt.rewards.ensemble import RewardEnsemble
 
 #: the newest share of the pool counts as recent, at least so many segments
 RECENT_SHARE = 0.25

@@ -1,4 +1,4 @@
-"""Reward models on disk or in a blob store: weights as safetensors, everything else as JSON beside them."""
+"""Reward models on disk or in a blob store: weights as safetensors, everything else in a JSON card beside them."""
 
 import hashlib
 import json
@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
+from torch import Tensor
 
 from mapt.errors import DamagedCheckpoint, InvalidConfig, NewerCheckpoint
 from mapt.rewards.config import RewardConfig
@@ -19,19 +21,20 @@ FORMAT = "mapt.reward"
 FORMAT_VERSION = 2
 WEIGHTS_FILE = "reward.safetensors"
 CARD_FILE = "reward.json"
+POLARITY = "label is P(segment 0 preferred): 1 segment 0, 0 segment 1, 0.5 equal; P = sigmoid(score_0 - score_1)"
 
 
 @dataclass(frozen=True, slots=True)
 class SavedRewardModel:
     """A reward model as two blobs."""
 
-    #: safetensors: every parameter and buffer, input and reward statistics among them
+    #: safetensors: every parameter and buffer, among them the input and reward statistics
     weights: bytes
     #: JSON: format and version, polarity, settings, reward scale, metrics, SHA-256 of the weights
     card: bytes
 
     def write(self, folder: Path) -> None:
-        """Write both files into `folder`, made when missing; the card last, so that it vouches for both."""
+        """Write both files into `folder`, which is created if missing; the card last, since it marks them complete."""
         folder.mkdir(parents=True, exist_ok=True)
         (folder / WEIGHTS_FILE).write_bytes(self.weights)
         (folder / CARD_FILE).write_bytes(self.card)
@@ -43,7 +46,7 @@ class LoadedRewardModel:
 
     model: RewardModel
     metrics: dict[str, float]
-    #: T of the segments that it was trained on, if it was told
+    #: T of the segments it was trained on, if the card has it
     segment_steps: int | None
     #: SHA-256 of the weights
     sha256: str
@@ -52,10 +55,10 @@ class LoadedRewardModel:
 def save_reward_model(
     model: RewardModel, metrics: Mapping[str, float], *, segment_steps: int | None = None
 ) -> SavedRewardModel:
-    """Serialise a model; reading it back gives the same bits.
+    """Serialise a model; a round trip gives the same bits.
 
     Args:
-        segment_steps: T of the segments that it was trained on, for whoever relabels with it.
+        segment_steps: T of the segments it was trained on, the window for relabelling.
     """
     weights = save({name: tensor.contiguous().cpu() for name, tensor in model.state_dict().items()})
     card = {
@@ -77,36 +80,22 @@ def load_reward_model(weights: bytes | Path, card: bytes | Path) -> LoadedReward
 
     Raises:
         NewerCheckpoint: if a later version of this library wrote it.
-        DamagedCheckpoint: if it is no reward model, or not whole.
+        DamagedCheckpoint: if it is not a reward model, or is incomplete or altered.
     """
     weight_bytes, card_bytes = read_stored(weights), read_stored(card)
     try:
-        read = json.loads(card_bytes)
+        parsed = json.loads(card_bytes)
     except ValueError as error:
-        raise DamagedCheckpoint("its card is no JSON") from error
-    described = checked_card(read, FORMAT, FORMAT_VERSION)
+        raise DamagedCheckpoint("its card is not JSON") from error
+    checked = checked_card(parsed, FORMAT, FORMAT_VERSION)
     sha256 = hashlib.sha256(weight_bytes).hexdigest()
-    if described.get("weights_sha256") != sha256:
-        raise DamagedCheckpoint("weights and card do not belong together, or one was cut short")
-    segment_steps = described.get("segment_steps")
+    if checked.get("weights_sha256") != sha256:
+        raise DamagedCheckpoint("the weights do not match the checksum in its card")
+    segment_steps = checked.get("segment_steps")
     if segment_steps is not None and not (isinstance(segment_steps, int) and segment_steps >= 1):
         raise DamagedCheckpoint(f"its segment_steps is {segment_steps!r}")
-    return LoadedRewardModel(_build(described, weight_bytes), metrics_in(described), segment_steps, sha256)
-
-
-def _build(described: Mapping[str, object], weights: bytes) -> RewardModel:
-    config = config_in(described)
-    try:
-        model = build_reward_model(config)
-        model.load_state_dict(load(weights))
-    except (InvalidConfig, SafetensorError) as error:
-        raise DamagedCheckpoint(str(error)) from error
-    except RuntimeError as error:
-        raise DamagedCheckpoint("its weights do not fit its settings") from error
-    return model.eval()
-
-
-POLARITY = "label is P(segment 0 preferred): 1 segment 0, 0 segment 1, 0.5 equal; P = sigmoid(score_0 - score_1)"
+    model = model_with_weights(config_in(checked), load_tensors(weight_bytes))
+    return LoadedRewardModel(model, metrics_in(checked), segment_steps, sha256)
 
 
 def read_stored(source: bytes | Path) -> bytes:
@@ -123,12 +112,42 @@ def read_stored(source: bytes | Path) -> bytes:
         raise DamagedCheckpoint(f"{source.name} is missing") from error
 
 
+def load_tensors(stored: bytes) -> dict[str, Tensor]:
+    """The tensors of a safetensors file, by name.
+
+    Raises:
+        DamagedCheckpoint: if it is not one.
+    """
+    try:
+        return load(stored)
+    except SafetensorError as error:
+        raise DamagedCheckpoint(str(error)) from error
+
+
+def model_with_weights(config: RewardConfig, state: Mapping[str, Tensor]) -> RewardModel:
+    """The model of `config` with these weights, in evaluation mode on the CPU.
+
+    Raises:
+        DamagedCheckpoint: if names or shapes do not fit the config.
+    """
+    try:
+        # The initial weights are overwritten: drawing them must not advance the caller's generator.
+        with torch.random.fork_rng(devices=[]):
+            model = build_reward_model(config)
+        model.load_state_dict(dict(state))
+    except InvalidConfig as error:
+        raise DamagedCheckpoint(str(error)) from error
+    except RuntimeError as error:
+        raise DamagedCheckpoint("its weights do not fit its settings") from error
+    return model.eval()
+
+
 def checked_card(card: object, format_name: str, known_version: int) -> Mapping[str, object]:
-    """A card read from JSON, if it names this format in a version that is known.
+    """A card parsed from JSON, with its format and version checked.
 
     Raises:
         NewerCheckpoint: if a later version of this library wrote it.
-        DamagedCheckpoint: if it is no such card.
+        DamagedCheckpoint: if it is not a card of this format.
     """
     if not isinstance(card, dict) or card.get("format") != format_name:
         raise DamagedCheckpoint(f"its card does not name the format {format_name}")
@@ -141,7 +160,7 @@ def checked_card(card: object, format_name: str, known_version: int) -> Mapping[
 
 
 def config_in(card: Mapping[str, object]) -> RewardConfig:
-    """The settings of the network. Raises DamagedCheckpoint if there are none, or none that can be."""
+    """The network's settings. Raises DamagedCheckpoint if they are missing or invalid."""
     settings = card.get("config")
     if not isinstance(settings, dict):
         raise DamagedCheckpoint("its card holds no settings")
@@ -152,7 +171,7 @@ def config_in(card: Mapping[str, object]) -> RewardConfig:
 
 
 def metrics_in(card: Mapping[str, object]) -> dict[str, float]:
-    """Raises DamagedCheckpoint if there are none, or one is no number."""
+    """The training's metrics. Raises DamagedCheckpoint if they are missing or not numbers."""
     metrics = card.get("metrics")
     if not isinstance(metrics, dict) or not all(isinstance(value, int | float) for value in metrics.values()):
         raise DamagedCheckpoint("its card holds no metrics")

@@ -1,43 +1,106 @@
-"""Train an ensemble of reward models in one vectorised pass.
+"""Ensembles of reward models, whose disagreement guides the choice of queries.
 
-Members begin with weights of their own and see the pairs in an order of their own, or a draw of their own. Where labels
-settle the matter they agree; where they do not, the spread of their predictions says so.
+Every member is trained by `train_reward_model` on its own bootstrap sample of the labelled pairs. Where labels
+determine the reward, members agree; elsewhere the spread of their predictions measures the uncertainty.
 """
 
+import hashlib
+import json
 import math
+import struct
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
+from safetensors.torch import save
 from torch import Tensor
 
-from mapt.device import resolve_device, seeded
-from mapt.errors import ModelMismatch
-from mapt.preferences.dataset import PreferenceDataset, SegmentSource
+from mapt.device import resolve_device
+from mapt.errors import DamagedCheckpoint, InvalidConfig, MemberTrainingFailed, ModelMismatch
+from mapt.preferences.dataset import PreferenceDataset, SegmentSource, in_batches
+from mapt.processes import Desk, run_jobs
+from mapt.rewards.checkpoints import (
+    POLARITY,
+    SavedRewardModel,
+    checked_card,
+    config_in,
+    load_reward_model,
+    load_tensors,
+    metrics_in,
+    model_with_weights,
+    read_stored,
+    save_reward_model,
+)
 from mapt.rewards.config import RewardConfig, TrainConfig, check_positive_int
-from mapt.rewards.data import PairTensors, SegmentReader, check_fit, segment_reader, spread_sample
-from mapt.rewards.ensemble_fitting import (
-    EnsembleFitting,
-    EnsembleStage,
-    logit_losses,
-    mean_accuracy,
-    pair_logits,
-)
-from mapt.rewards.ensemble_scorers import (
-    markov_stack_scorer,
-    measure_reward_scales,
-    whole_stack_scorer,
-)
-from mapt.rewards.kernels import resolve_precision
-from mapt.rewards.members import RewardEnsemble
+from mapt.rewards.data import EVALUATION_SEGMENTS, PairTensors, SegmentTensors, check_fit, segment_reader, whole_scorer
 from mapt.rewards.model import RewardModel
-from mapt.rewards.registry import build_reward_model
-from mapt.rewards.schedule import Stages, StageSettings, plan_stages, state_to_begin_with
-from mapt.rewards.stacked import StackedModels
-from mapt.rewards.trainer import MOST_PAIRS_JUDGED, TrainProgress, is_reliable
+from mapt.rewards.trainer import TrainProgress, judge_logits, train_reward_model
 
-__all__ = ["RewardEnsemble", "train_reward_ensemble"]
+FORMAT = "mapt.reward_ensemble"
+FORMAT_VERSION = 1
+# A safetensors file begins with the length of its JSON header.
+_HEADER_LENGTH = struct.Struct("<Q")
+#: metrics of members that the ensemble's metrics average
+_AVERAGED_METRICS = ("loss", "accuracy", "holdout_loss", "holdout_accuracy")
+
+
+class RewardEnsemble:
+    """M reward models with the same config, in evaluation mode.
+
+    Args:
+        members: at least one model; the ensemble owns them.
+        metrics: of their training; see `train_reward_ensemble`.
+
+    Raises:
+        InvalidConfig: if `members` is empty.
+        ModelMismatch: if the members' configs differ.
+    """
+
+    def __init__(self, members: Sequence[RewardModel], metrics: Mapping[str, float] | None = None) -> None:
+        if not members:
+            raise InvalidConfig("an ensemble needs at least one member")
+        for model in members:
+            if model.config != members[0].config:
+                raise ModelMismatch("settings of an ensemble's member", members[0].config, model.config)
+        self.members = tuple(model.eval() for model in members)
+        self.metrics = dict(metrics or {})
+
+    @property
+    def config(self) -> RewardConfig:
+        """The config of every member."""
+        return self.members[0].config
+
+    def __len__(self) -> int:
+        """M."""
+        return len(self.members)
+
+    @torch.no_grad()
+    def scores(self, segments: SegmentSource, device: str = "cpu") -> NDArray[np.float32]:
+        """Score of each segment by each member, (M, S): its P(i preferred to j) is sigmoid(score_i - score_j).
+
+        Args:
+            device: as in `TrainConfig`; the members stay on it.
+
+        Raises:
+            ModelMismatch: if the segments have other dimensions.
+        """
+        check_fit(self.config, segments)
+        target = resolve_device(device)
+        scores = np.empty((len(self), len(segments)), dtype=np.float32)
+        for model in self.members:
+            model.to(target)
+        start = 0
+        for batch in in_batches(segments, EVALUATION_SEGMENTS):
+            inputs = SegmentTensors.of(batch, target).inputs
+            for row, model in zip(scores, self.members, strict=True):
+                row[start : start + len(batch)] = model(*inputs).score.cpu().numpy()
+            start += len(batch)
+        return scores
 
 
 def train_reward_ensemble(
@@ -48,129 +111,227 @@ def train_reward_ensemble(
     *,
     initial: RewardEnsemble | None = None,
     reference: SegmentSource | None = None,
-    resampled: bool = False,
+    workers: int = 1,
     progress: Callable[[TrainProgress], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> RewardEnsemble:
-    """Train M models at once; the same arguments give the same ensemble on the same machine.
+    """Train M models, each on a bootstrap sample of the training pairs; the same arguments give the same ensemble.
 
-    Stages, patience and what must convince the hold-out are those of `train_reward_model`; every member is judged
-    by itself, on the same hold-out.
+    Members share the hold-out of `train_reward_model` and differ in their sample, initial weights and batch order,
+    all drawn from `train_config.seed`.
 
     Args:
         dataset: at least two labelled pairs.
         config: of every member; its dimensions must be the dataset's.
         members: M, 1 or more.
-        initial: an ensemble of the same `config` and M to go on from; it is left as it is.
-        reference: segments over which each member's rewards are normalised; the dataset's own when not given.
-        resampled: each member learns from its own draw, with replacement, of the training pairs (a bootstrap). That
-            costs each a third of the pairs; without it, members differ by their initial weights and order.
-        progress: called after every epoch, with means over members.
-        stop: asked before every step; true ends the training with each member's best weights so far.
+        initial: an ensemble with the same `config` and M to continue from; it is not changed.
+        reference: segments over which each member's rewards are normalised; default: the dataset's own.
+        workers: processes that train members at the same time; 1 trains them one after the other in this process.
+        progress: called after every epoch of a member; epochs count over all members.
+        stop: called before every step; true ends the training with each member's best weights so far.
 
     Returns:
-        The ensemble. Its metrics are means over members: `loss` and `accuracy` (of the first 500 training pairs),
-        `holdout_loss`, `holdout_accuracy`; of the mean of the members' probabilities: `ensemble_holdout_loss`,
-        `ensemble_holdout_accuracy`; and `members`, `labels`, `holdout_labels`, `holdout_reliable`, `epochs`,
-        `seconds`, `stopped`. What cannot be measured is left out.
+        The ensemble. Its metrics are means over members: `loss`, `accuracy`, `holdout_loss`, `holdout_accuracy`; those
+        of the members' mean probability: `ensemble_holdout_loss`, `ensemble_holdout_accuracy`; sums: `epochs`; and
+        `members`, `labels`, `holdout_labels`, `holdout_reliable`, `stopped`, `seconds`. Undefined ones are left out.
 
     Raises:
-        InvalidConfig: if `members` is no positive whole number.
+        InvalidConfig: if `members` or `workers` is not a positive integer.
         NotEnoughPairs: with fewer than two pairs.
-        ModelMismatch: if dataset, config and `initial` do not fit each other.
+        ModelMismatch: if the dimensions of dataset, config and `initial` differ.
+        MemberTrainingFailed: if a worker process ends without a model.
     """
     check_positive_int("members", members)
+    check_positive_int("workers", workers)
     check_fit(config, dataset.segments)
-    _check_initial(initial, config, members)
-    started = time.perf_counter()
-    device = resolve_device(train_config.device)
-    segments = segment_reader(dataset.segments, device)
-    train, hold_out = (
-        PairTensors.of(part, device) for part in dataset.split(train_config.hold_out_fraction, train_config.seed)
-    )
-    with seeded(train_config.seed, device):
-        models = [build_reward_model(config) if initial is None else initial.member(i) for i in range(members)]
-        observed = segments.take(spread_sample(segments)).inputs
-        for model in models:
-            model.to(device).measure_inputs(*observed, keep_function=initial is not None)
-        stack = StackedModels(models)
-        stages = plan_stages(train_config, config, len(train), warm=initial is not None, reliable=is_reliable(hold_out))
-        fitting = EnsembleFitting(
-            stack,
-            train,
-            hold_out,
-            seed=train_config.seed,
-            max_epochs=stages.max_epochs,
-            resampled=resampled,
-            progress=progress,
-            stop=stop,
+    if initial is not None and (initial.config, len(initial)) != (config, members):
+        raise ModelMismatch(
+            "config and members of the initial ensemble", (config, members), (initial.config, len(initial))
         )
-        used = torch.as_tensor(np.unique(dataset.pairs), device=device)
-        products = resolve_precision(train_config.precision, config.hidden_dim, device)
-        _run_stages(fitting, stack, models, segments, stages, used=used, products=products)
-    judged = segments if reference is None else segment_reader(reference, device)
-    measure_reward_scales(stack, judged, spread_sample(judged))
+    started = time.perf_counter()
+    train, hold_out = dataset.split(train_config.hold_out_fraction, train_config.seed)
+    shared = _Shared(train, hold_out, config, train_config, reference)
+    jobs = [
+        _Job(i, int(seed), None if initial is None else save_reward_model(initial.members[i], {}))
+        for i, seed in enumerate(np.random.SeedSequence(train_config.seed).generate_state(members))
+    ]
+    report = _TotalProgress(progress, members)
+    if workers == 1 or members == 1:
+        trained = [_train_member(shared, job, report, stop) for job in jobs]
+    else:
+        trained = _train_in_processes(shared, jobs, workers, report, stop)
+    models = [load_reward_model(saved.weights, saved.card) for saved in trained]
     metrics = {
-        **_judged(stack, segments, train.first(MOST_PAIRS_JUDGED), hold_out, train_config.label_noise),
+        name: float(np.mean([each.metrics[name] for each in models]))
+        for name in _AVERAGED_METRICS
+        if all(name in each.metrics for each in models)
+    }
+    ensemble = RewardEnsemble([each.model for each in models])
+    ensemble.metrics = {
+        **metrics,
+        **_mean_probability_metrics(ensemble, hold_out, train_config),
         "members": float(members),
         "labels": float(len(dataset)),
         "holdout_labels": float(len(hold_out)),
-        "holdout_reliable": float(fitting.reliable),
-        "epochs": float(fitting.epochs),
-        "stopped": float(fitting.stopped),
+        "holdout_reliable": models[0].metrics["holdout_reliable"],
+        "epochs": float(sum(each.metrics["epochs"] for each in models)),
+        "stopped": max(each.metrics["stopped"] for each in models),
         "seconds": time.perf_counter() - started,
     }
-    stack.to(torch.device("cpu"))
-    return RewardEnsemble(stack, {name: value for name, value in metrics.items() if math.isfinite(value)})
+    return ensemble
 
 
-def _run_stages(
-    fitting: EnsembleFitting,
-    stack: StackedModels,
-    before: Sequence[RewardModel],
-    segments: SegmentReader,
-    stages: Stages,
-    *,
-    used: Tensor,
-    products: torch.dtype,
-) -> None:
-    names = list(stack.parameters)
-    markov = [name for name in names if name.startswith("markov.")]
-    first, second = _start(stages.markov, before, markov), _start(stages.whole, before, names)
-    if stages.markov is not None:
-        fitting.run(EnsembleStage(stages.markov, markov, markov_stack_scorer(stack, segments, used), start=first))
-    if stages.whole is not None and not fitting.stopped:
-        scorer = whole_stack_scorer(stack, segments, products)
-        start = fitting.early if second is None else second
-        fitting.run(EnsembleStage(stages.whole, names, scorer, start=start))
+@dataclass(frozen=True, slots=True)
+class _Shared:
+    """What all members are trained with."""
+
+    train: PreferenceDataset
+    hold_out: PreferenceDataset
+    config: RewardConfig
+    train_config: TrainConfig
+    reference: SegmentSource | None
 
 
-def _start(
-    stage: StageSettings | None, models: Sequence[RewardModel], names: Sequence[str]
-) -> dict[str, Tensor] | None:
-    """What `state_to_begin_with` says of these parameters of each member, stacked."""
-    states = [state for model in models if (state := state_to_begin_with(stage, model)) is not None]
-    return {name: torch.stack([state[name] for state in states]) for name in names} if states else None
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """One member's training."""
+
+    member: int
+    seed: int
+    initial: SavedRewardModel | None
 
 
-def _judged(
-    stack: StackedModels, segments: SegmentReader, train: PairTensors, hold_out: PairTensors, label_noise: float
+def _train_member(
+    shared: _Shared,
+    job: _Job,
+    progress: Callable[[TrainProgress], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> SavedRewardModel:
+    sample = np.random.default_rng(job.seed).integers(len(shared.train), size=len(shared.train))
+    trained = train_reward_model(
+        shared.train.take(sample),
+        shared.config,
+        replace(shared.train_config, seed=job.seed),
+        initial=None if job.initial is None else load_reward_model(job.initial.weights, job.initial.card).model,
+        hold_out=shared.hold_out,
+        reference=shared.reference,
+        progress=progress,
+        stop=stop,
+    )
+    return save_reward_model(trained.model, trained.metrics)
+
+
+def _train_in_processes(
+    shared: _Shared,
+    jobs: Sequence[_Job],
+    workers: int,
+    progress: Callable[[TrainProgress], None],
+    stop: Callable[[], bool] | None,
+) -> list[SavedRewardModel]:
+    trained: dict[int, SavedRewardModel] = {}
+    for done in run_jobs(
+        partial(_train_in_process, shared),
+        jobs,
+        workers,
+        told=lambda job, at: progress(at),
+        stopped=stop or (lambda: False),
+    ):
+        if done.result is None:
+            raise MemberTrainingFailed(done.job.member, done.failure or "")
+        trained[done.job.member] = done.result
+    # After a stop, members whose training never started keep the weights they would have started with.
+    return [trained.get(job.member) or _train_member(shared, job, stop=lambda: True) for job in jobs]
+
+
+def _train_in_process(shared: _Shared, job: _Job, desk: Desk) -> SavedRewardModel:
+    return _train_member(shared, job, desk.tell, desk.unwanted)
+
+
+class _TotalProgress:
+    """Forwards progress of members, with epochs counted over all of them."""
+
+    def __init__(self, progress: Callable[[TrainProgress], None] | None, members: int) -> None:
+        self._progress, self._members = progress, members
+        self._started = time.perf_counter()
+        self._epochs = 0
+
+    def __call__(self, at: TrainProgress) -> None:
+        self._epochs += 1
+        if self._progress is not None:
+            seconds = time.perf_counter() - self._started
+            total = replace(at, epoch=self._epochs, max_epochs=self._members * at.max_epochs, seconds=seconds)
+            self._progress(total)
+
+
+def _mean_probability_metrics(
+    ensemble: RewardEnsemble, hold_out: PreferenceDataset, train_config: TrainConfig
 ) -> dict[str, float]:
-    scorer = whole_stack_scorer(stack, segments)
-    logits, held_out = (pair_logits(part, scorer, len(stack)) for part in (train, hold_out))
-    together = held_out.sigmoid().mean(dim=0, keepdim=True).logit(eps=1e-6)
-    return {
-        "loss": logit_losses(logits, train.labels, label_noise).mean().item(),
-        "accuracy": mean_accuracy(logits, train.labels),
-        "holdout_loss": logit_losses(held_out, hold_out.labels, label_noise).mean().item(),
-        "holdout_accuracy": mean_accuracy(held_out, hold_out.labels),
-        "ensemble_holdout_loss": logit_losses(together, hold_out.labels, label_noise).mean().item(),
-        "ensemble_holdout_accuracy": mean_accuracy(together, hold_out.labels),
+    """Hold-out loss and accuracy of the mean of the members' probabilities; undefined ones are left out."""
+    device = resolve_device(train_config.device)
+    pairs, segments = PairTensors.of(hold_out, device), segment_reader(hold_out.segments, device)
+    probabilities = torch.zeros(len(pairs), device=device)
+    for model in ensemble.members:
+        probabilities += pairs.logits(whole_scorer(model.to(device), segments)).sigmoid() / len(ensemble)
+        model.cpu()
+    evaluation = judge_logits(probabilities.logit(eps=1e-6), pairs.labels, train_config.label_noise)
+    metrics = {"ensemble_holdout_loss": evaluation.loss, "ensemble_holdout_accuracy": evaluation.accuracy}
+    return {name: value for name, value in metrics.items() if math.isfinite(value)}
+
+
+def save_reward_ensemble(ensemble: RewardEnsemble) -> bytes:
+    """Serialise an ensemble as one safetensors file with its card in the header; a round trip gives the same bits.
+
+    Each tensor holds one parameter or buffer of all members, (M, ...).
+    """
+    states = [model.state_dict() for model in ensemble.members]
+    stacked = {name: torch.stack([state[name] for state in states]).cpu() for name in states[0]}
+    card = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "polarity": POLARITY,
+        "config": ensemble.config.to_dict(),
+        "metrics": ensemble.metrics,
+        "weights_sha256": _digest(stacked),
     }
+    return save(stacked, metadata={"card": json.dumps(card, sort_keys=True, allow_nan=False)})
 
 
-def _check_initial(initial: RewardEnsemble | None, config: RewardConfig, members: int) -> None:
-    if initial is not None and initial.config != config:
-        raise ModelMismatch("settings of the initial ensemble", config, initial.config)
-    if initial is not None and len(initial) != members:
-        raise ModelMismatch("members of the initial ensemble", members, len(initial))
+def load_reward_ensemble(source: bytes | Path) -> RewardEnsemble:
+    """Read an ensemble from its file, or the bytes of it.
+
+    Raises:
+        NewerCheckpoint: if a later version of this library wrote it.
+        DamagedCheckpoint: if it is not an ensemble, or is incomplete or altered.
+    """
+    stored = read_stored(source)
+    card = _card(stored)
+    stacked = load_tensors(stored)
+    if card.get("weights_sha256") != _digest(stacked):
+        raise DamagedCheckpoint("the weights do not match the checksum in its card")
+    config, metrics = config_in(card), metrics_in(card)
+    sizes = {len(tensor) if tensor.dim() else 0 for tensor in stacked.values()}
+    if len(sizes) != 1 or 0 in sizes:
+        raise DamagedCheckpoint("its tensors do not hold the same number of members")
+    members = [
+        model_with_weights(config, {name: tensor[i].clone() for name, tensor in stacked.items()})
+        for i in range(sizes.pop())
+    ]
+    return RewardEnsemble(members, metrics)
+
+
+def _card(stored: bytes) -> Mapping[str, object]:
+    try:
+        (length,) = _HEADER_LENGTH.unpack_from(stored)
+        header = json.loads(stored[_HEADER_LENGTH.size : _HEADER_LENGTH.size + length])
+        card = json.loads(header["__metadata__"]["card"])
+    except (struct.error, ValueError, KeyError, TypeError) as error:
+        raise DamagedCheckpoint("its header holds no card") from error
+    return checked_card(card, FORMAT, FORMAT_VERSION)
+
+
+def _digest(state: Mapping[str, Tensor]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(state):
+        digest.update(name.encode())
+        digest.update(state[name].numpy().tobytes())
+    return digest.hexdigest()

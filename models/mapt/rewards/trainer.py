@@ -328,6 +328,7 @@ def train_reward_model(
     train_config: TrainConfig,
     *,
     initial: RewardModel | None = None,
+    hold_out: PreferenceDataset | None = None,
     reference: SegmentSource | None = None,
     progress: Callable[[TrainProgress], None] | None = None,
     stop: Callable[[], bool] | None = None,
@@ -340,6 +341,7 @@ def train_reward_model(
         config: the network; its dimensions must be the dataset's.
         initial: a model of the same `config` to go on from, for `warm_markov_epochs` and `warm_epochs` at most;
             it is left as it is.
+        hold_out: pairs of the same segments to evaluate on; by default a fraction of `dataset` is held out.
         reference: segments over which rewards are normalised to mean 0 and deviation 1; the dataset's own
             when not given.
         progress: called after every epoch.
@@ -362,41 +364,44 @@ def train_reward_model(
     started = time.perf_counter()
     device = resolve_device(train_config.device)
     segments = segment_reader(dataset.segments, device)
-    train, hold_out = (
-        PairTensors.of(part, device) for part in dataset.split(train_config.hold_out_fraction, train_config.seed)
-    )
+    train, held_out = dataset, hold_out
+    if held_out is None:
+        train, held_out = dataset.split(train_config.hold_out_fraction, train_config.seed)
+    train_pairs, held_out_pairs = PairTensors.of(train, device), PairTensors.of(held_out, device)
     with seeded(train_config.seed, device):
         model = (build_reward_model(config) if initial is None else copy.deepcopy(initial)).to(device)
         sample = segments.take(spread_sample(segments))
         model.measure_inputs(*sample.inputs, keep_function=initial is not None)
-        stages = plan_stages(train_config, config, len(train), warm=initial is not None, reliable=is_reliable(hold_out))
+        stages = plan_stages(
+            train_config, config, len(train), warm=initial is not None, reliable=is_reliable(held_out_pairs)
+        )
         fitting = Fitting(
             model,
-            train,
-            hold_out,
+            train_pairs,
+            held_out_pairs,
             seed=train_config.seed,
             max_epochs=stages.max_epochs,
             progress=progress,
             stop=stop,
         )
         products = resolve_precision(train_config.precision, config.hidden_dim, device)
-        used = torch.as_tensor(np.unique(dataset.pairs), device=device)
+        used = torch.as_tensor(np.unique(np.concatenate((train.pairs, held_out.pairs))), device=device)
         _run_stages(fitting, model, segments, stages, used=used, products=products)
     judged = segments if reference is None else segment_reader(reference, device)
     rewards = step_rewards(model, judged, spread_sample(judged))
     model.set_reward_scale(float(rewards.mean()), float(rewards.std()))
     scorer, noise = whole_scorer(model, segments), train_config.label_noise
-    learned = judge_pairs(train.first(MOST_PAIRS_JUDGED), scorer, noise)
-    held_out = judge_pairs(hold_out, scorer, noise)
+    learned = judge_pairs(train_pairs.first(MOST_PAIRS_JUDGED), scorer, noise)
+    judged_hold_out = judge_pairs(held_out_pairs, scorer, noise)
     metrics = {
         "loss": learned.loss,
         "accuracy": learned.accuracy,
-        "holdout_loss": held_out.loss,
-        "holdout_accuracy": held_out.accuracy,
-        "ece": held_out.calibration_error,
+        "holdout_loss": judged_hold_out.loss,
+        "holdout_accuracy": judged_hold_out.accuracy,
+        "ece": judged_hold_out.calibration_error,
         "epochs": float(len(fitting.history)),
-        "labels": float(len(dataset)),
-        "holdout_labels": float(len(hold_out)),
+        "labels": float(len(train) + len(held_out)),
+        "holdout_labels": float(len(held_out)),
         "holdout_reliable": float(fitting.reliable),
         "stopped": float(fitting.stopped),
         "seconds": time.perf_counter() - started,

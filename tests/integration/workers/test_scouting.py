@@ -14,7 +14,7 @@ from accord.workers.query_planner import Scout
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.selection import segment_features
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.members import RewardEnsemble
+from mapt.rewards.ensemble import RewardEnsemble
 from mapt.rewards.registry import build_reward_model
 from support.scenes import ACTION, AGENTS, OBSERVATION, STEPS, segment
 from support.tolerance import assert_float32_close
@@ -59,7 +59,7 @@ def make_ensemble(seed: int = 0, members: int = 2) -> RewardEnsemble:
         # An untrained model gives every step the same reward.
         for parameter in model.parameters():
             torch.nn.init.normal_(parameter)
-    return RewardEnsemble.of(models)
+    return RewardEnsemble(models)
 
 
 @pytest.fixture(autouse=True)
