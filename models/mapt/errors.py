@@ -32,7 +32,6 @@ MaptError
 │   ├── NotOneHot
 │   ├── UnknownSelector
 │   ├── MissingView
-│   ├── MissingEvidence
 │   ├── InvalidTeacher
 │   │   └── UnknownTeacher
 │   └── FileError
@@ -283,18 +282,10 @@ class UnknownSelector(PreferenceError):
 
 
 class MissingView(PreferenceError):
-    """The `SegmentView` lacks what the selector chooses by."""
+    """A selector or teacher was not given an array of the segments that it chooses or judges by."""
 
     def __init__(self, what: str) -> None:
-        super().__init__(f"this selector needs {what} of the segments in its SegmentView")
-        self.what = what
-
-
-class MissingEvidence(PreferenceError):
-    """The segments lack the arrays that a teacher's rule reads."""
-
-    def __init__(self, what: str) -> None:
-        super().__init__(f"this teacher judges by {what}, which the segments do not have")
+        super().__init__(f"{what} of the segments is needed, but was not given")
         self.what = what
 
 

@@ -20,7 +20,7 @@ from accord.cli.output import out, say
 from accord.domain.errors import Invalid
 from accord.workers.runner import Stop
 from mapt.errors import PreferenceError
-from mapt.preferences.teachers import Evidence, ScriptedTeacher, make_teacher
+from mapt.preferences.teachers import ScriptedTeacher, TeacherView, make_teacher
 
 
 def teach(
@@ -163,10 +163,10 @@ class Sight:
         self.needs_arrays = teacher.rule.reads != ("rewards",)
         self._arrays = lru_cache(_KEPT_SEGMENTS)(lambda id: load(api.get_bytes(f"/segments/{id}/arrays")))
 
-    def of(self, queries: Sequence[dict[str, Any]]) -> tuple[Evidence, Evidence]:
+    def of(self, queries: Sequence[dict[str, Any]]) -> tuple[TeacherView, TeacherView]:
         """Segments 0 and segments 1 of these queries, whatever sides they were drawn on."""
         sides = [sorted((query["left"], query["right"]), key=lambda side: side["index"]) for query in queries]
-        first, second = (Evidence.stack([self._one(pair[index]) for pair in sides]) for index in (0, 1))
+        first, second = (TeacherView.stack([self._one(pair[index]) for pair in sides]) for index in (0, 1))
         return first, second
 
     def _one(self, side: dict[str, Any]) -> Mapping[str, NDArray[np.floating]]:
@@ -207,4 +207,4 @@ def _tell_of_episodes(api: Api, experiment_id: str, teacher: ScriptedTeacher, ho
     series = api.get(f"/experiments/{experiment_id}/metrics", names=["true_return"])["series"]
     points = [point["value"] for curve in series for point in curve["points"]][-_RETURN_POINTS:]
     if points:
-        teacher.see_episodes(float(np.mean(points)), horizon_steps)
+        teacher.set_episode_return(float(np.mean(points)), horizon_steps)

@@ -28,7 +28,7 @@ from accord.workers.replayed_clips import Redrawing, draws_itself
 from accord.workers.reward_source import RewardSource, make_reward_source
 from accord.workers.runner import Context
 from mapt.policies import Learner, Rollout, evaluate
-from mapt.preferences.segments import Stretch, cut
+from mapt.preferences.segments import StepRange, cut_rollout
 from mapt.tasks import Task, TaskStep, WrappedTask, make_task
 from mapt.training.evaluation import EPISODES, SEED_OF_STARTS
 from mapt.training.metrics import iteration_metrics
@@ -255,7 +255,7 @@ class PolicyRun:
         if newest and newest[0][1] >= training.steps:
             return  # handed in by a process that was killed after, before a checkpoint
         rng = np.random.default_rng([config.seed, _SEGMENT_STREAM, training.iteration])
-        places = cut(rollout.episode_start, rollout.terminated, config.segment_steps, rng)
+        places = cut_rollout(rollout.episode_start, rollout.terminated, config.segment_steps, rng)
         wanted = segments_to_hand_in(
             config,
             iteration=training.iteration,
@@ -276,7 +276,7 @@ class PolicyRun:
             self._claim.check_within(session)
             collect.collect(session, self._id, stored)
 
-    def _segment(self, rollout: Rollout, place: Stretch) -> NewSegment:
+    def _segment(self, rollout: Rollout, place: StepRange) -> NewSegment:
         at = slice(place.first, place.end), place.env
         return NewSegment(
             observations=rollout.observations[at],

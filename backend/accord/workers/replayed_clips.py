@@ -16,7 +16,7 @@ from accord.services.collect import drawn_blob_key
 from accord.store.blobs import BlobStore
 from mapt.errors import NoSimulator, UnusableEnvironment
 from mapt.policies import Rollout
-from mapt.preferences.segments import Stretch
+from mapt.preferences.segments import StepRange
 from mapt.rendering.encode import open_clip
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import RenderableTask, Task, make_task
@@ -46,7 +46,7 @@ class Redrawing:
         self._spec, self._n_envs = task.spec, task.n_envs
         self._before, self._rollout = dict(before), rollout
 
-    def store(self, blobs: BlobStore, places: Sequence[Stretch], segment_blob_keys: Sequence[str]) -> None:
+    def store(self, blobs: BlobStore, places: Sequence[StepRange], segment_blob_keys: Sequence[str]) -> None:
         """Put a clip beside each segment's blob.
 
         Args:
@@ -70,7 +70,7 @@ class Redrawing:
             for place, key in zip(places, segment_blob_keys, strict=True):
                 blobs.put(drawn_blob_key(key), paths[place].read_bytes())
 
-    def _draw(self, task: RenderableTask, paths: Mapping[Stretch, Path]) -> None:
+    def _draw(self, task: RenderableTask, paths: Mapping[StepRange, Path]) -> None:
         settings = self._settings(even(task.render(0)))
         with ExitStack() as unfinished:
             writing: dict[int, tuple[Callable[[NDArray[np.uint8]], None], ExitStack, int]] = {}

@@ -12,7 +12,7 @@ from mapt.benchmarks.recorded_dataset import Replay
 from mapt.benchmarks.specification import Written
 from mapt.errors import InvalidConfig, TooFewLabels
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.preferences.teachers import Evidence, ScriptedTeacher, make_teacher
+from mapt.preferences.teachers import ScriptedTeacher, TeacherView, make_teacher
 from mapt.rewards.data import EVALUATION_SEGMENTS
 from mapt.rewards.metrics import correlation, rank_correlation
 from mapt.rewards.model import RewardModel
@@ -101,7 +101,7 @@ class Judge:
         parts = np.array_split(indices, max(1, len(indices) // _SEGMENTS_AT_ONCE))
         return np.concatenate([self._teacher.scores(self._evidence(part)) for part in parts])
 
-    def _evidence(self, indices: IntArray) -> Evidence:
+    def _evidence(self, indices: IntArray) -> TeacherView:
         """These segments, as much of them as the teacher reads."""
         replay, reads = self._replay, self._teacher.rule.reads
         seen: dict[str, NDArray[np.floating]] = {}
@@ -111,7 +111,7 @@ class Judge:
         for name, read in (("qpos", replay.source.qpos), ("qvel", replay.source.qvel)):
             if name in reads:
                 seen[name] = read(indices)
-        return Evidence(replay.rewards[indices], replay.mask[indices], **seen)
+        return TeacherView(replay.rewards[indices], replay.mask[indices], **seen)
 
 
 def labelled_dataset(judge: Judge, replay: Replay, n_labels: int, seed: int) -> PreferenceDataset:

@@ -14,7 +14,7 @@ from mapt.errors import InvalidConfig, NoTrueRewards, RecordingStopped, ReplayNo
 from mapt.policies import Learner, Policy, PolicyConfig, Rollout, train, true_reward
 from mapt.policies.rollout import Collector
 from mapt.preferences.dataset import SegmentArrays, SegmentSource
-from mapt.preferences.segments import Stretch, cut
+from mapt.preferences.segments import StepRange, cut_rollout
 from mapt.preferences.storage import MANIFEST, SegmentFolder, SegmentLayout, SegmentWriter, column_path
 from mapt.processes import Desk
 from mapt.tasks import TaskSpec, make_task
@@ -231,13 +231,13 @@ def layout_of(spec: TaskSpec, n_steps: int) -> SegmentLayout:
     )
 
 
-def draw_places(rollout: Rollout, n_steps: int, count: int, rng: np.random.Generator) -> list[Stretch]:
+def draw_places(rollout: Rollout, n_steps: int, count: int, rng: np.random.Generator) -> list[StepRange]:
     """At most `count` segments drawn at random, in the order they were made; see `cut`."""
-    chosen = cut(rollout.episode_start, rollout.terminated, n_steps, rng)[: max(0, count)]
+    chosen = cut_rollout(rollout.episode_start, rollout.terminated, n_steps, rng)[: max(0, count)]
     return sorted(chosen, key=lambda place: (place.first, place.env))
 
 
-def append(writer: SegmentWriter, rollout: Rollout, chosen: Sequence[Stretch]) -> None:
+def append(writer: SegmentWriter, rollout: Rollout, chosen: Sequence[StepRange]) -> None:
     """Write these parts of a rollout, short ones padded with zeros."""
     if not chosen:
         return

@@ -339,7 +339,7 @@ class SegmentWriter:
         if kind is None:
             self.close()
         else:
-            self.abandon()
+            self.rollback()
 
     def append(
         self,
@@ -396,7 +396,7 @@ class SegmentWriter:
         with self._stack:
             self.commit()
 
-    def abandon(self) -> None:
+    def rollback(self) -> None:
         """Let go of the files without committing; a folder that was never committed is removed."""
         self._stack.close()
         if (self.path / MANIFEST).exists():

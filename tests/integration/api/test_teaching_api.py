@@ -14,7 +14,7 @@ from accord.domain.errors import Invalid
 from accord.services import collect, metrics, select
 from accord.services.collect import NewSegment, load_arrays
 from accord.store.tables import LabelRow, QueryRow, SegmentRow
-from mapt.preferences.teachers import RULES, Evidence, make_teacher, teacher_names
+from mapt.preferences.teachers import RULES, TeacherView, make_teacher, teacher_names
 from support.scenes import AGENTS, NQ, NV, OBSERVATION, STEPS, Scene, scene
 from support.served import Served
 
@@ -63,7 +63,7 @@ def teach(api: Api, made: Scene, name: str, *parameters: str, labels: int = N_LA
     return taught.labels
 
 
-def labelled(api: Served) -> list[tuple[LabelRow, Evidence, Evidence]]:
+def labelled(api: Served) -> list[tuple[LabelRow, TeacherView, TeacherView]]:
     """Labels in the order in which they were given, with what was seen of segments 0 and 1."""
     with api.stores.database.reading() as session:
         rows = session.execute(
@@ -71,8 +71,8 @@ def labelled(api: Served) -> list[tuple[LabelRow, Evidence, Evidence]]:
         ).all()
         keys = dict(session.execute(sql_select(SegmentRow.id, SegmentRow.blob_key)).all())
 
-    def seen(segment_id: str) -> Evidence:
-        return Evidence.stack([load_arrays(api.stores.blobs, keys[segment_id])])
+    def seen(segment_id: str) -> TeacherView:
+        return TeacherView.stack([load_arrays(api.stores.blobs, keys[segment_id])])
 
     return [(label, seen(query.segment_0_id), seen(query.segment_1_id)) for label, query in rows]
 

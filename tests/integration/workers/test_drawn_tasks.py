@@ -16,7 +16,7 @@ from accord.workers.replayed_clips import Redrawing, even
 from accord.workers.reward_worker import RewardWorker
 from integration.workers.workplace import Workplace
 from mapt.policies import Learner, PolicyConfig
-from mapt.preferences.segments import Stretch
+from mapt.preferences.segments import StepRange
 from mapt.tasks import make_task
 from support import buttons
 
@@ -79,7 +79,7 @@ def test_a_later_rollout_is_drawn_from_the_middle_of_its_episodes(place: Workpla
     rollout = learner.collect()
     assert not rollout.episode_start[0].any()
     places, keys = [(0, 0, 10), (1, 12, 22), (2, 43, 50)], [f"segments/{name}.safetensors" for name in "abc"]
-    Redrawing(task, before, rollout).store(place.context.blobs, [Stretch(*each) for each in places], keys)
+    Redrawing(task, before, rollout).store(place.context.blobs, [StepRange(*each) for each in places], keys)
     for (env, first, end), key in zip(places, keys, strict=True):
         levels = np.round(rollout.observations[first:end, env, 0, 0] * buttons.LEVELS).astype(int)
         assert_shows(place.context.blobs.read(drawn_blob_key(key)), levels)

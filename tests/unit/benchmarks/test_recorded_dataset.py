@@ -16,7 +16,7 @@ from mapt.benchmarks.recorded_dataset import (
 )
 from mapt.errors import AlreadyExists, FileError, InvalidConfig, NoTrueRewards, ReplayNotFound, UnknownTask
 from mapt.policies import Rollout
-from mapt.preferences.segments import SHORTEST_SHARE
+from mapt.preferences.segments import MIN_EPISODE_FRACTION
 from mapt.preferences.storage import SegmentLayout, SegmentWriter
 from mapt.processes import run_jobs
 from mapt.tasks import make_task
@@ -51,7 +51,7 @@ def test_falls_are_kept_as_shorter_segments(tmp_path):
     assert n_steps.max() == 20
     short = np.flatnonzero(n_steps < 20)
     assert len(short)
-    assert n_steps.min() >= SHORTEST_SHARE * 20
+    assert n_steps.min() >= MIN_EPISODE_FRACTION * 20
     arrays = replay.segments(short)
     for values in (replay.rewards[short], replay.source.qpos(short), arrays.observations, arrays.actions):
         assert not values[~replay.mask[short]].any()

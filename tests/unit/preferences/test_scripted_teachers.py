@@ -12,12 +12,12 @@ from mapt.errors import InvalidTeacher, ShapeError, UnknownTeacher
 from mapt.preferences.teachers import (
     PRESETS,
     RULES,
-    Evidence,
-    Habits,
+    BPrefParameters,
     OracleTeacher,
     Phase,
     Return,
     ScriptedTeacher,
+    TeacherView,
     make_teacher,
     teacher_names,
 )
@@ -26,7 +26,7 @@ MANY = 20_000
 
 
 def evidence(rewards, mask=None):
-    return Evidence(np.array(rewards, dtype=np.float64), None if mask is None else np.array(mask))
+    return TeacherView(np.array(rewards, dtype=np.float64), None if mask is None else np.array(mask))
 
 
 def many_pairs(gap, n_pairs=MANY, base=10.0):
@@ -118,7 +118,7 @@ def test_myopic_scores_are_a_slow_loops(rewards, gamma):
 
 def test_a_skip_needs_both_segments_to_show_nothing():
     teacher = make_teacher("skip", skip=0.1)
-    teacher.see_episodes(100.0, 20)
+    teacher.set_episode_return(100.0, 20)
     # T = 2 steps of 20: the threshold is 0.1 x 100 x 2 / 20 = 1.
     first = evidence([[0.5, 0.5], [0.5, 0.5], [0.0, 0.0]])
     second = evidence([[0.0, 0.0], [0.6, 0.5], [0.0, 1.0]])
@@ -127,42 +127,42 @@ def test_a_skip_needs_both_segments_to_show_nothing():
 
 def test_equal_is_said_below_the_threshold_alone():
     teacher = make_teacher("equal", equal=0.1)
-    teacher.see_episodes(100.0, 20)
+    teacher.set_episode_return(100.0, 20)
     first, second = evidence([[4.0, 0.9], [4.0, 1.0], [0.0, 0.0]]), evidence([[4.0, 0.0]] * 3)
     assert teacher.judge(first, second).tolist() == [0.5, 1.0, 0.0]
 
 
 def test_eps_enters_once():
     teacher = make_teacher("equal", equal=0.5)
-    teacher.see_episodes(8.0, 1)
+    teacher.set_episode_return(8.0, 1)
     assert teacher.judge(evidence([[13.9], [14.1]]), evidence([[10.0], [10.0]])).tolist() == [0.5, 1.0]
-    teacher.see_episodes(8.0, 1)
+    teacher.set_episode_return(8.0, 1)
     assert teacher.judge(evidence([[13.9], [14.1]]), evidence([[10.0], [10.0]])).tolist() == [0.5, 1.0]
 
 
 def test_equal_overrides_mistakes_and_skip_comes_before_all():
     teacher = make_teacher("equal", equal=0.1, mistake=1.0)
-    teacher.see_episodes(10.0, 1)
+    teacher.set_episode_return(10.0, 1)
     assert teacher.judge(evidence([[5.0], [5.0]]), evidence([[5.5], [7.0]])).tolist() == [0.5, 1.0]
     teacher = make_teacher("equal", equal=10.0, skip=0.1, mistake=1.0)
-    teacher.see_episodes(10.0, 1)
+    teacher.set_episode_return(10.0, 1)
     assert np.isnan(teacher.judge(evidence([[0.9]]), evidence([[1.0]]))).all()
 
 
 def test_skips_look_at_whole_returns_and_equal_at_faded_ones():
     early, late = evidence([[2.0, 0.0]]), evidence([[0.0, 0.1]])
     skipping = make_teacher("myopic", gamma=0.0, skip=1.0)
-    skipping.see_episodes(1.0, 2)
+    skipping.set_episode_return(1.0, 2)
     assert skipping.judge(early, late).tolist() == [0.0]
     equalling = make_teacher("myopic", gamma=0.0, equal=1.0)
-    equalling.see_episodes(1.0, 2)
+    equalling.set_episode_return(1.0, 2)
     assert equalling.judge(early, late).tolist() == [0.5]
 
 
 def test_without_word_of_episodes_the_segments_seen_are_the_measure():
     first, second = random_pairs(400)
     told, untold = make_teacher("equal", equal=0.02), make_teacher("equal", equal=0.02)
-    told.see_episodes(5.0, 1)
+    told.set_episode_return(5.0, 1)
     same = told.judge(first, second) == untold.judge(first, second)
     assert same.mean() > 0.98
     assert 0.05 < (untold.judge(first, second) == 0.5).mean() < 0.5
@@ -206,7 +206,7 @@ def test_labels_do_not_depend_on_how_pairs_come_in_batches(name):
     def made():
         shape = (700, 8)
         rewards, observations = rng.normal(1, 2, size=shape), rng.normal(size=(*shape, 6, 9))
-        return Evidence(rewards, None, observations, rng.normal(size=(*shape, 6, 1)))
+        return TeacherView(rewards, None, observations, rng.normal(size=(*shape, 6, 1)))
 
     first, second = made(), made()
     whole = make_teacher(name, seed=5).judge(first, second)
@@ -322,12 +322,14 @@ def test_whole_numbers_pass_for_either_kind():
 
 
 def test_a_teacher_may_be_put_together_by_hand():
-    teacher = ScriptedTeacher(Phase(column=0), Habits(mistake=1.0), np.random.default_rng(0))
+    teacher = ScriptedTeacher(Phase(column=0), BPrefParameters(mistake=1.0), np.random.default_rng(0))
     assert teacher.parameters()["mistake"] == 1.0
-    assert ScriptedTeacher(Return(), Habits(), np.random.default_rng(0)).judge(*many_pairs(1.0, 2)).tolist() == [1, 1]
+    assert ScriptedTeacher(Return(), BPrefParameters(), np.random.default_rng(0)).judge(
+        *many_pairs(1.0, 2)
+    ).tolist() == [1, 1]
 
 
 @pytest.mark.parametrize(("mean", "length"), [(math.nan, 10), (1.0, 0), (1.0, math.inf)])
 def test_episodes_that_cannot_be_are_refused(mean, length):
     with pytest.raises(InvalidTeacher):
-        make_teacher("skip").see_episodes(mean, length)
+        make_teacher("skip").set_episode_return(mean, length)

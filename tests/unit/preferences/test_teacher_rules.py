@@ -7,20 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapt.errors import InvalidTeacher, MissingEvidence
+from mapt.errors import InvalidTeacher, MissingView
 from mapt.preferences.teachers import (
     RULES,
-    BestSecond,
-    Evidence,
-    FindsPhase,
-    Never,
-    NobodyIdle,
+    BestWindow,
+    EffortBalance,
+    FinalWindow,
+    MinimumEffort,
+    NeverExceeds,
     Phase,
-    Recency,
+    PhaseImprovement,
     Return,
-    SharedLoad,
     Smoothness,
-    WorstSecond,
+    TeacherView,
+    WorstWindow,
     make_teacher,
 )
 
@@ -125,23 +125,23 @@ def slow_nobody_idle(rule, _rewards, observations, actions):
 
 CASES = [
     (Return(), slow_return),
-    (BestSecond(window_steps=3), slow_best),
-    (BestSecond(window_steps=5, above_mean=0.0), slow_best),
-    (WorstSecond(window_steps=3), slow_worst),
-    (WorstSecond(window_steps=1, above_mean=0.5), slow_worst),
-    (Recency(window_steps=4), slow_recency),
-    (Recency(window_steps=4, above_mean=0.0), slow_recency),
+    (BestWindow(window_steps=3), slow_best),
+    (BestWindow(window_steps=5, above_mean=0.0), slow_best),
+    (WorstWindow(window_steps=3), slow_worst),
+    (WorstWindow(window_steps=1, above_mean=0.5), slow_worst),
+    (FinalWindow(window_steps=4), slow_recency),
+    (FinalWindow(window_steps=4, above_mean=0.0), slow_recency),
     (Smoothness(), slow_smoothness),
     (Smoothness(columns=(1, 4)), slow_smoothness),
-    (Never(column=4, limit=0.5, side="above"), slow_never),
-    (Never(column=4, limit=-0.5, side="below"), slow_never),
-    (Never(column=0, limit=0.9, side="beyond"), slow_never),
-    (Never(column=0, limit=5.0, side="beyond"), slow_never),
+    (NeverExceeds(column=4, limit=0.5, side="above"), slow_never),
+    (NeverExceeds(column=4, limit=-0.5, side="below"), slow_never),
+    (NeverExceeds(column=0, limit=0.9, side="beyond"), slow_never),
+    (NeverExceeds(column=0, limit=5.0, side="beyond"), slow_never),
     (Phase(), slow_phase),
     (Phase(column=3, first_agent=1, second_agent=2, want="equal"), slow_phase),
-    (FindsPhase(window_steps=4), slow_finds_phase),
-    *((SharedLoad(effort), slow_shared_load) for effort in ("power", "action", "speed")),
-    *((NobodyIdle(effort, window_steps=3), slow_nobody_idle) for effort in ("power", "action", "speed")),
+    (PhaseImprovement(window_steps=4), slow_finds_phase),
+    *((EffortBalance(effort), slow_shared_load) for effort in ("power", "action", "speed")),
+    *((MinimumEffort(effort, window_steps=3), slow_nobody_idle) for effort in ("power", "action", "speed")),
 ]
 
 
@@ -149,12 +149,12 @@ CASES = [
 def test_scores_are_those_of_a_slow_loop(rule, slow):
     made = segments(60)
     expected = [slow(rule, each["rewards"], each["observations"], each["actions"]) for each in made]
-    np.testing.assert_allclose(rule.scores(Evidence.stack(made)), expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(rule.scores(TeacherView.stack(made)), expected, rtol=1e-9, atol=1e-9)
 
 
 @every_rule
 def test_padding_changes_no_score(rule):
-    made = Evidence.stack(segments(20))
+    made = TeacherView.stack(segments(20))
     wider = np.pad(made.mask, ((0, 0), (0, 5)))
     filled = {
         name: np.pad(getattr(made, name), ((0, 0), (0, 5), *[(0, 0)] * (getattr(made, name).ndim - 2)))
@@ -162,33 +162,35 @@ def test_padding_changes_no_score(rule):
     }
     for array in filled.values():
         array[~wider] = 1e3
-    np.testing.assert_allclose(rule.scores(Evidence(mask=wider, **filled)), rule.scores(made), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        rule.scores(TeacherView(mask=wider, **filled)), rule.scores(made), rtol=1e-12, atol=1e-12
+    )
 
 
 @every_rule
 def test_scores_of_a_segment_do_not_depend_on_the_others(rule):
     made = segments(20)
-    alone = [rule.scores(Evidence.stack([each]))[0] for each in made]
-    np.testing.assert_allclose(rule.scores(Evidence.stack(made)), alone, rtol=1e-9, atol=1e-12)
+    alone = [rule.scores(TeacherView.stack([each]))[0] for each in made]
+    np.testing.assert_allclose(rule.scores(TeacherView.stack(made)), alone, rtol=1e-9, atol=1e-12)
 
 
 @every_rule
 def test_rules_read_what_they_say_and_no_more(rule):
-    made = Evidence.stack(segments(10))
+    made = TeacherView.stack(segments(10))
     shown = {name: getattr(made, name) for name in ("observations", "actions") if name in rule.reads}
     rewards = made.rewards if "rewards" in rule.reads else np.zeros_like(made.rewards)
-    np.testing.assert_array_equal(rule.scores(Evidence(rewards, made.mask, **shown)), rule.scores(made))
+    np.testing.assert_array_equal(rule.scores(TeacherView(rewards, made.mask, **shown)), rule.scores(made))
     for name in shown:
         rest = {other: array for other, array in shown.items() if other != name}
-        with pytest.raises(MissingEvidence):
-            rule.scores(Evidence(rewards, made.mask, **rest))
+        with pytest.raises(MissingView):
+            rule.scores(TeacherView(rewards, made.mask, **rest))
 
 
 @every_rule
 @given(seed=st.integers(0, 10_000))
 def test_turning_a_pair_round_turns_the_label_round(rule, seed):
     name = next(name for name, each in RULES.items() if each is rule)
-    first, second = (Evidence.stack(segments(3, [seed, side])) for side in (0, 1))
+    first, second = (TeacherView.stack(segments(3, [seed, side])) for side in (0, 1))
     labels, turned = (
         make_teacher("oracle" if name == "return" else name).judge(*pair) for pair in ((first, second), (second, first))
     )
@@ -197,8 +199,8 @@ def test_turning_a_pair_round_turns_the_label_round(rule, seed):
 
 @every_rule
 def test_a_segment_of_one_step_and_a_team_at_rest_have_scores(rule):
-    one = Evidence.stack([segment(1, np.random.default_rng(0))])
-    rest = Evidence(
+    one = TeacherView.stack([segment(1, np.random.default_rng(0))])
+    rest = TeacherView(
         np.zeros((1, 5)),
         observations=np.zeros((1, 5, N_AGENTS, OBSERVATION_DIM)),
         actions=np.zeros((1, 5, N_AGENTS, 1)),
@@ -211,7 +213,7 @@ def test_no_sum_over_steps_knows_the_best_second():
     # The same rewards in another order: every sum over steps is the same.
     together, apart = [0, 0, 1, 1, 0, 0], [1, 0, 0, 0, 0, 1]
     judge = make_teacher("best-second", window_steps=2).judge
-    assert judge(Evidence(np.array([together])), Evidence(np.array([apart]))).tolist() == [1.0]
+    assert judge(TeacherView(np.array([together])), TeacherView(np.array([apart]))).tolist() == [1.0]
 
 
 def test_opposite_swings_are_in_phase_with_the_rule():
@@ -219,7 +221,7 @@ def test_opposite_swings_are_in_phase_with_the_rule():
     observations = np.zeros((2, 20, 2, 2))
     observations[:, :, 0, 1] = swing
     observations[0, :, 1, 1], observations[1, :, 1, 1] = -swing, swing
-    scores = Phase().scores(Evidence(np.zeros((2, 20)), observations=observations))
+    scores = Phase().scores(TeacherView(np.zeros((2, 20)), observations=observations))
     np.testing.assert_allclose(scores, [1, -1])
 
 
@@ -229,7 +231,7 @@ def test_agents_that_end_in_phase_have_found_it_and_a_step_alone_tells_nothing_o
     observations[:, :, 0, 1] = observations[:, :, 1, 1] = swing
     observations[0, 20:, 1, 1] *= -1
     observations[1, :20, 1, 1] *= -1
-    first, last = FindsPhase().scores(Evidence(np.zeros((2, 40)), observations=observations))
+    first, last = PhaseImprovement().scores(TeacherView(np.zeros((2, 40)), observations=observations))
     assert first > 0.9
     assert last < -0.9
     # The very same steps in another order: every sum over steps is the same.
@@ -239,12 +241,12 @@ def test_agents_that_end_in_phase_have_found_it_and_a_step_alone_tells_nothing_o
 
 def test_among_those_that_fall_the_later_then_the_fewer_then_the_less_deep_is_better():
     heights = np.array([[0, 0, -2, -2], [0, -2, 0, 0], [0, -2, 0, -2], [0, -9, 0, -2], [0, 0, 0, 0], [1, 1, 1, 1]])
-    evidence = Evidence(np.zeros((6, 4)), observations=heights[:, :, None, None].astype(float))
-    scores = Never(column=0, limit=-1.0, side="below").scores(evidence)
+    evidence = TeacherView(np.zeros((6, 4)), observations=heights[:, :, None, None].astype(float))
+    scores = NeverExceeds(column=0, limit=-1.0, side="below").scores(evidence)
     assert np.argsort(-scores).tolist() == [5, 4, 0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("rule", [BestSecond, WorstSecond, Recency, FindsPhase, NobodyIdle])
+@pytest.mark.parametrize("rule", [BestWindow, WorstWindow, FinalWindow, PhaseImprovement, MinimumEffort])
 def test_a_window_has_a_step_at_least(rule):
     with pytest.raises(InvalidTeacher):
         rule(window_steps=0)

@@ -9,7 +9,7 @@ from mapt.errors import InvalidConfig, ModelMismatch, NotEnoughPairs
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.loss import preference_losses
 from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
-from mapt.preferences.teachers import Evidence, OracleTeacher
+from mapt.preferences.teachers import OracleTeacher, TeacherView
 from mapt.rewards import data as reward_data
 from mapt.rewards.config import MODEL_NAMES, RewardConfig, TrainConfig
 from mapt.rewards.data import PairTensors, markov_scorer, segment_reader, whole_scorer
@@ -33,7 +33,7 @@ def preferences(n_pairs, n_steps=8, seed=0, labels=None):
     pairs = np.arange(2 * n_pairs).reshape(n_pairs, 2)
     rewards = observations[..., 0].mean(axis=2)
     if labels is None:
-        labels = OracleTeacher().judge(Evidence(rewards[pairs[:, 0]]), Evidence(rewards[pairs[:, 1]]))
+        labels = OracleTeacher().judge(TeacherView(rewards[pairs[:, 0]]), TeacherView(rewards[pairs[:, 1]]))
     return PreferenceDataset(segments, pairs, labels)
 
 

@@ -50,7 +50,7 @@ KEPT_SHARE = 0.5
 Stage = Callable[[SegmentView, IntArray, IntArray, int], IntArray]
 
 
-class NarrowingSelector:
+class CandidateSelector:
     """Candidates from another selector, narrowed by one stage after the other."""
 
     def __init__(self, name: SelectorName, propose: QuerySelector, stages: Sequence[Stage]) -> None:
@@ -93,7 +93,7 @@ def most_uncertain(measure: Callable[[FloatArray, IntArray], FloatArray]) -> Sta
 
     def keep(view: SegmentView, pairs: IntArray, asked: IntArray, k: int) -> IntArray:
         if view.scores is None:
-            raise MissingView("an ensemble's scores")
+            raise MissingView("scores")
         # stable: among equals, the candidate that was drawn first
         return np.argsort(-measure(view.scores, pairs), kind="stable")[:k]
 
@@ -205,7 +205,7 @@ def make_selector(
     """
     stages = _stages_of(name)
     propose = propose or UniformSelector(rng)
-    return NarrowingSelector(name, propose, stages) if stages else propose
+    return CandidateSelector(name, propose, stages) if stages else propose
 
 
 def needs_ensemble(name: SelectorName) -> bool:

@@ -1,52 +1,52 @@
 """Scripted teachers: they see what a person would, and more, and label by a rule.
 
-`make_teacher("phase+mistake", seed=0, mistake=0.05).judge(first, second)` labels pairs of `Evidence`.
+`make_teacher("phase+mistake", seed=0, mistake=0.05).judge(first, second)` labels pairs of `TeacherView`.
 """
 
-from mapt.preferences.teachers.evidence import Evidence
 from mapt.preferences.teachers.rules import (
-    BestSecond,
-    FindsPhase,
-    Never,
-    NobodyIdle,
+    BestWindow,
+    EffortBalance,
+    FinalWindow,
+    MinimumEffort,
+    NeverExceeds,
     Phase,
-    Recency,
+    PhaseImprovement,
     Return,
     Rule,
-    SharedLoad,
     Smoothness,
-    WorstSecond,
+    WorstWindow,
 )
 from mapt.preferences.teachers.scripted import (
     PRESETS,
     RULES,
-    Habits,
+    BPrefParameters,
     OracleTeacher,
     ScriptedTeacher,
     Teacher,
     make_teacher,
     teacher_names,
 )
+from mapt.preferences.teachers.view import TeacherView
 
 __all__ = [
     "PRESETS",
     "RULES",
-    "BestSecond",
-    "Evidence",
-    "FindsPhase",
-    "Habits",
-    "Never",
-    "NobodyIdle",
+    "BestWindow",
+    "TeacherView",
+    "PhaseImprovement",
+    "BPrefParameters",
+    "NeverExceeds",
+    "MinimumEffort",
     "OracleTeacher",
     "Phase",
-    "Recency",
+    "FinalWindow",
     "Return",
     "Rule",
     "ScriptedTeacher",
-    "SharedLoad",
+    "EffortBalance",
     "Smoothness",
     "Teacher",
-    "WorstSecond",
+    "WorstWindow",
     "make_teacher",
     "teacher_names",
 ]

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from mapt.errors import InvalidTeacher, MissingEvidence
-from mapt.preferences.teachers.evidence import BoolArray, Evidence, Float64s
+from mapt.errors import InvalidTeacher, MissingView
+from mapt.preferences.teachers.view import BoolArray, Float64s, TeacherView
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +17,7 @@ class Rule(ABC):
     @property
     @abstractmethod
     def reads(self) -> tuple[str, ...]:
-        """Fields of Evidence that it judges by."""
+        """Fields of TeacherView that it judges by."""
 
     @property
     def is_return(self) -> bool:
@@ -25,11 +25,11 @@ class Rule(ABC):
         return False
 
     @abstractmethod
-    def scores(self, evidence: Evidence) -> Float64s:
+    def scores(self, evidence: TeacherView) -> Float64s:
         """Score of each segment, float64 (B,): the larger, the better. Padding does not change it.
 
         Raises:
-            MissingEvidence: if the evidence lacks what the rule reads.
+            MissingView: if the evidence lacks what the rule reads.
         """
 
 
@@ -101,13 +101,13 @@ class Return(RewardRule):
     def is_return(self) -> bool:
         return True
 
-    def scores(self, evidence: Evidence) -> Float64s:
+    def scores(self, evidence: TeacherView) -> Float64s:
         """See `Rule.scores`."""
         return np.where(evidence.mask, evidence.rewards, 0.0).sum(axis=1)
 
 
 @dataclass(frozen=True, slots=True)
-class SecondRule(RewardRule):
+class WindowRule(RewardRule):
     """A rule about one window of the segment, measured by the mean of the whole."""
 
     window_steps: int = SECOND_STEPS
@@ -118,26 +118,26 @@ class SecondRule(RewardRule):
         check_window(self.window_steps)
 
     @abstractmethod
-    def window(self, evidence: Evidence) -> Float64s:
+    def window(self, evidence: TeacherView) -> Float64s:
         """Mean reward of the window that counts, float64 (B,)."""
 
-    def scores(self, evidence: Evidence) -> Float64s:
+    def scores(self, evidence: TeacherView) -> Float64s:
         """See `Rule.scores`."""
         return self.window(evidence) - self.above_mean * real_means(evidence.rewards, evidence.mask)
 
 
-class BestSecond(SecondRule):
+class BestWindow(WindowRule):
     """The segment whose best second is better: the largest mean reward of any window, whatever the rest was like."""
 
     __slots__ = ()
 
-    def window(self, evidence: Evidence) -> Float64s:
-        """See `SecondRule.window`."""
+    def window(self, evidence: TeacherView) -> Float64s:
+        """See `WindowRule.window`."""
         means, starts = window_means(evidence.rewards, evidence.mask, self.window_steps)
         return np.where(starts, means, -np.inf).max(axis=1)
 
 
-class WorstSecond(SecondRule):
+class WorstWindow(WindowRule):
     """The segment whose worst second is better: the smallest mean reward of any window, whatever the rest was like.
 
     With `above_mean` 1 that is the steadiest segment.
@@ -145,13 +145,13 @@ class WorstSecond(SecondRule):
 
     __slots__ = ()
 
-    def window(self, evidence: Evidence) -> Float64s:
-        """See `SecondRule.window`."""
+    def window(self, evidence: TeacherView) -> Float64s:
+        """See `WindowRule.window`."""
         means, starts = window_means(evidence.rewards, evidence.mask, self.window_steps)
         return np.where(starts, means, np.inf).min(axis=1)
 
 
-class Recency(SecondRule):
+class FinalWindow(WindowRule):
     """The segment that ends better: its last second counts, the rest serves as the measure of it.
 
     With `above_mean` 1 that is the segment that improves most.
@@ -159,8 +159,8 @@ class Recency(SecondRule):
 
     __slots__ = ()
 
-    def window(self, evidence: Evidence) -> Float64s:
-        """See `SecondRule.window`."""
+    def window(self, evidence: TeacherView) -> Float64s:
+        """See `WindowRule.window`."""
         return last_means(evidence.rewards, evidence.mask, self.window_steps)
 
 
@@ -179,7 +179,7 @@ class Smoothness(Rule):
     def reads(self) -> tuple[str, ...]:
         return ("observations",) if self.columns else ("actions",)
 
-    def scores(self, evidence: Evidence) -> Float64s:
+    def scores(self, evidence: TeacherView) -> Float64s:
         """See `Rule.scores`."""
         mask = evidence.mask[:, :, None, None]
         course = evidence.columns(self.columns) if self.columns else evidence.seen("actions").astype(np.float64)
@@ -191,7 +191,7 @@ class Smoothness(Rule):
 
 
 @dataclass(frozen=True, slots=True)
-class Never(Rule):
+class NeverExceeds(Rule):
     """The segment in which nobody does a thing that must not happen; else the one in which it happens later.
 
     Between two that did it at the same step, the one that did it in fewer steps, then the one that went less far;
@@ -208,7 +208,7 @@ class Never(Rule):
     #: what must not happen: a value above the limit, below it, or an amount beyond it in either direction
     side: Literal["above", "below", "beyond"]
 
-    def scores(self, evidence: Evidence) -> Float64s:
+    def scores(self, evidence: TeacherView) -> Float64s:
         """See `Rule.scores`."""
         values = evidence.columns((self.column,))[..., 0]
         excess = {"above": values, "below": -values, "beyond": np.abs(values)}[self.side]
@@ -243,11 +243,11 @@ class Phase(Rule):
     #: which is better: opposite or equal courses
     want: Literal["opposite", "equal"] = "opposite"
 
-    def scores(self, evidence: Evidence) -> Float64s:
+    def scores(self, evidence: TeacherView) -> Float64s:
         """See `Rule.scores`; between -1 and 1, and 0 where one of the two does not move."""
         return real_means(self.accord(evidence), evidence.mask)
 
-    def accord(self, evidence: Evidence) -> Float64s:
+    def accord(self, evidence: TeacherView) -> Float64s:
         """What each step adds to the correlation, turned so that more is better: float64 (B, T), 0 in padding."""
         half_a_team = self.first_agent + evidence.seen("observations").shape[2] // 2
         second = half_a_team if self.second_agent < 0 else self.second_agent
@@ -260,7 +260,7 @@ class Phase(Rule):
 
 
 @dataclass(frozen=True, slots=True)
-class FindsPhase(Phase):
+class PhaseImprovement(Phase):
     """Two agents that come to swing as they should: their last second against the whole segment, as by `Phase`.
 
     Co-operation over time: no step alone tells anything of it, nor does any agent alone.
@@ -271,14 +271,14 @@ class FindsPhase(Phase):
     def __post_init__(self) -> None:
         check_window(self.window_steps)
 
-    def scores(self, evidence: Evidence) -> Float64s:
+    def scores(self, evidence: TeacherView) -> Float64s:
         """See `Rule.scores`; 0 where one of the two does not move."""
         accord = self.accord(evidence)
         return last_means(accord, evidence.mask, self.window_steps) - real_means(accord, evidence.mask)
 
 
 @dataclass(frozen=True, slots=True)
-class SharedLoad(Rule):
+class EffortBalance(Rule):
     """The segment whose agents did equal shares of the work: least spread of their totals, relative to the mean."""
 
     effort: Effort = "power"
@@ -287,7 +287,7 @@ class SharedLoad(Rule):
     def reads(self) -> tuple[str, ...]:
         return _reads(self.effort)
 
-    def scores(self, evidence: Evidence) -> Float64s:
+    def scores(self, evidence: TeacherView) -> Float64s:
         """See `Rule.scores`; 0 where all do the same, or nothing."""
         totals = real_means(_efforts(evidence, self.effort), evidence.mask)
         mean = totals.mean(axis=1)
@@ -295,7 +295,7 @@ class SharedLoad(Rule):
 
 
 @dataclass(frozen=True, slots=True)
-class NobodyIdle(Rule):
+class MinimumEffort(Rule):
     """The segment in which at no time one agent rests while the others work.
 
     The idlest agent's effort in any one window, relative to the mean of all in that window.
@@ -311,7 +311,7 @@ class NobodyIdle(Rule):
     def reads(self) -> tuple[str, ...]:
         return _reads(self.effort)
 
-    def scores(self, evidence: Evidence) -> Float64s:
+    def scores(self, evidence: TeacherView) -> Float64s:
         """See `Rule.scores`; between 0 and 1, and 1 where all do the same, or nothing."""
         means, starts = window_means(_efforts(evidence, self.effort), evidence.mask, self.window_steps)
         idlest, all_of_them = means.min(axis=2), means.mean(axis=2)
@@ -323,7 +323,7 @@ def _reads(effort: Effort) -> tuple[str, ...]:
     return {"power": ("observations", "actions"), "action": ("actions",), "speed": ("observations",)}[effort]
 
 
-def _efforts(evidence: Evidence, effort: Effort) -> Float64s:
+def _efforts(evidence: TeacherView, effort: Effort) -> Float64s:
     """(B, T, N), 0 in padding.
 
     An agent with A joints observes position and velocity of one after the other (MaMuJoCo), so that their velocities
@@ -335,6 +335,6 @@ def _efforts(evidence: Evidence, effort: Effort) -> Float64s:
         return np.abs(actions).sum(axis=3)
     n_joints = actions.shape[3]
     if evidence.seen("observations").shape[3] < 2 * n_joints:
-        raise MissingEvidence(f"the velocities of {n_joints} joints")
+        raise MissingView(f"the velocities of {n_joints} joints")
     velocities = evidence.columns(range(1, 2 * n_joints, 2))
     return np.abs(velocities if effort == "speed" else actions * velocities).sum(axis=3)

@@ -8,26 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.errors import InvalidTeacher, ShapeError, UnknownTeacher
-from mapt.preferences.teachers.evidence import Evidence, Float64s
 from mapt.preferences.teachers.rules import (
-    BestSecond,
-    FindsPhase,
-    Never,
-    NobodyIdle,
+    BestWindow,
+    EffortBalance,
+    FinalWindow,
+    MinimumEffort,
+    NeverExceeds,
     Phase,
-    Recency,
+    PhaseImprovement,
     Return,
     Rule,
-    SharedLoad,
     Smoothness,
-    WorstSecond,
+    WorstWindow,
 )
+from mapt.preferences.teachers.view import Float64s, TeacherView
 
 
 class Teacher(Protocol):
     """Judges pairs of segments."""
 
-    def judge(self, first: Evidence, second: Evidence) -> NDArray[np.float32]:
+    def judge(self, first: TeacherView, second: TeacherView) -> NDArray[np.float32]:
         """Label B pairs.
 
         Args:
@@ -38,7 +38,7 @@ class Teacher(Protocol):
 
         Raises:
             ShapeError: if the sides hold different numbers of segments.
-            MissingEvidence: if they lack what this teacher judges by.
+            MissingView: if they lack what this teacher judges by.
         """
         ...
 
@@ -51,7 +51,7 @@ class Teacher(Protocol):
 WINDOW_PAIRS = 500
 
 
-class RunningScale:
+class RunningStatistics:
     """Running mean, spread and length of the segments of the last `WINDOW_PAIRS` pairs.
 
     Pair i is measured by the pairs up to and including itself, so that labels do not depend on how pairs come in
@@ -83,7 +83,7 @@ class RunningScale:
 
 
 @dataclass(frozen=True, slots=True)
-class Habits:
+class BPrefParameters:
     """How a teacher departs from its rule. The default does not.
 
     Raises:
@@ -123,7 +123,7 @@ class ScriptedTeacher:
     5. Say 0.5 whatever was chosen if the scores of step 2 differ by less than a threshold.
 
     The thresholds are eps x running mean episode return x T / episode length, T the longer segment's. Unless told of
-    episodes (`see_episodes`), the teacher takes the mean reward of the segments it has seen for that of whole episodes.
+    episodes (`set_episode_return`), the teacher takes the mean reward of the segments it has seen for that of whole episodes.
     eps enters once, unlike in B-Pref's code, which multiplies by it again after its first session.
 
     Where the mean is not positive, or scores are no returns, eps x mean says nothing: a threshold below 0 would switch
@@ -133,7 +133,7 @@ class ScriptedTeacher:
     """
 
     def __init__(
-        self, rule: Rule, habits: Habits, rng: np.random.Generator, record: dict[str, Any] | None = None
+        self, rule: Rule, habits: BPrefParameters, rng: np.random.Generator, record: dict[str, Any] | None = None
     ) -> None:
         """
         Args:
@@ -148,10 +148,10 @@ class ScriptedTeacher:
         self.habits = habits
         self._rng = rng
         self._record = record or {}
-        self._scale = RunningScale()
+        self._scale = RunningStatistics()
         self._episode_reward: float | None = None
 
-    def judge(self, first: Evidence, second: Evidence) -> NDArray[np.float32]:
+    def judge(self, first: TeacherView, second: TeacherView) -> NDArray[np.float32]:
         """See `Teacher.judge`."""
         if len(first) != len(second):
             raise ShapeError("second", (len(second),), f"as many segments as the first side, {len(first)}")
@@ -169,11 +169,11 @@ class ScriptedTeacher:
             label[whole.max(axis=1) <= bounds.skip] = np.nan
         return label.astype(np.float32)
 
-    def scores(self, evidence: Evidence) -> Float64s:
+    def scores(self, evidence: TeacherView) -> Float64s:
         """What it judges segments by, faded, without doubt or mistakes: float64 (B,).
 
         Raises:
-            MissingEvidence: if the evidence lacks what the rule reads.
+            MissingView: if the evidence lacks what the rule reads.
         """
         if self.habits.gamma == 1:
             return self.rule.scores(evidence)
@@ -185,7 +185,7 @@ class ScriptedTeacher:
         """Whether its thresholds follow the returns of episodes, if told of them."""
         return self.rule.is_return and (self.habits.skip > 0 or self.habits.equal > 0)
 
-    def see_episodes(self, mean_return: float, length_steps: float) -> None:
+    def set_episode_return(self, mean_return: float, length_steps: float) -> None:
         """From now on, thresholds follow this running mean return of episodes that long.
 
         Raises:
@@ -234,39 +234,39 @@ class OracleTeacher(ScriptedTeacher):
     """Prefers the segment with the larger true return, without error; equal returns give 0.5."""
 
     def __init__(self) -> None:
-        super().__init__(Return(), Habits(), np.random.default_rng(0), {"name": "oracle", "rule": "return"})
+        super().__init__(Return(), BPrefParameters(), np.random.default_rng(0), {"name": "oracle", "rule": "return"})
 
 
 def _fields(of: Any) -> dict[str, Any]:
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(of).items()}
 
 
-Settings = TypeVar("Settings", Habits, Rule)
+Settings = TypeVar("Settings", BPrefParameters, Rule)
 
 #: B-Pref's teachers (Lee et al. 2021, table 1).
 PRESETS = {
-    "oracle": Habits(),
-    "stochastic": Habits(beta=1.0),
-    "mistake": Habits(mistake=0.1),
-    "skip": Habits(skip=0.1),
-    "myopic": Habits(gamma=0.9),
-    "equal": Habits(equal=0.1),
+    "oracle": BPrefParameters(),
+    "stochastic": BPrefParameters(beta=1.0),
+    "mistake": BPrefParameters(mistake=0.1),
+    "skip": BPrefParameters(skip=0.1),
+    "myopic": BPrefParameters(gamma=0.9),
+    "equal": BPrefParameters(equal=0.1),
 }
 
 #: Rules with the parameters they have when nobody says. Columns are those of HalfCheetah-6x1 with its neighbours in
 #: sight: 4 is the height of the torso over its rest, in metres, 5 its pitch, in radians.
 RULES: dict[str, Rule] = {
     "return": Return(),
-    "best-second": BestSecond(),
-    "worst-second": WorstSecond(),
-    "recency": Recency(),
+    "best-second": BestWindow(),
+    "worst-second": WorstWindow(),
+    "recency": FinalWindow(),
     "smoothness": Smoothness(),
-    "never-falls": Never(column=4, limit=-0.18, side="below"),
-    "never-tips": Never(column=5, limit=0.3, side="beyond"),
+    "never-falls": NeverExceeds(column=4, limit=-0.18, side="below"),
+    "never-tips": NeverExceeds(column=5, limit=0.3, side="beyond"),
     "phase": Phase(),
-    "finds-phase": FindsPhase(),
-    "shared-load": SharedLoad(),
-    "nobody-idle": NobodyIdle(),
+    "finds-phase": PhaseImprovement(),
+    "shared-load": EffortBalance(),
+    "nobody-idle": MinimumEffort(),
 }
 
 
@@ -281,7 +281,7 @@ def make_teacher(name: str, /, *, seed: int = 0, **parameters: Any) -> ScriptedT
     Args:
         name: a preset, which judges by true return; a rule, which it follows without fail; or `rule+preset`.
         seed: of its chance, also for teachers that leave nothing to chance.
-        parameters: fields of `Habits` and of the rule, in place of the name's own.
+        parameters: fields of `BPrefParameters` and of the rule, in place of the name's own.
 
     Raises:
         UnknownTeacher: if no teacher has this name.
@@ -292,7 +292,7 @@ def make_teacher(name: str, /, *, seed: int = 0, **parameters: Any) -> ScriptedT
     if seed < 0:
         raise InvalidTeacher(f"seed must be 0 or more, got {seed}")
     habits, rule = PRESETS[preset_name], RULES[rule_name]
-    of_habits = {field.name for field in fields(Habits)}
+    of_habits = {field.name for field in fields(BPrefParameters)}
     habits = _changed(habits, {key: value for key, value in parameters.items() if key in of_habits}, name)
     rule = _changed(rule, {key: value for key, value in parameters.items() if key not in of_habits}, name)
     record = {"name": name, "rule": rule_name, "seed": seed}
@@ -317,7 +317,9 @@ def _changed(settings: Settings, changes: dict[str, Any], name: str) -> Settings
     hints = get_type_hints(type(settings))
     known = [field.name for field in fields(settings)]
     if unknown := changes.keys() - set(known):
-        there = f"beside {', '.join(field.name for field in fields(Habits))} it has {', '.join(known) or 'none'}"
+        there = (
+            f"beside {', '.join(field.name for field in fields(BPrefParameters))} it has {', '.join(known) or 'none'}"
+        )
         raise InvalidTeacher(f"{name} has no parameter {', '.join(sorted(unknown))}; {there}")
     return replace(settings, **{key: _typed(name, key, hints[key], value) for key, value in changes.items()})
 

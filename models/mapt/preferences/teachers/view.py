@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.errors import InvalidMask, MissingEvidence, NotFinite, ShapeError
+from mapt.errors import InvalidMask, MissingView, NotFinite, ShapeError
 
 FloatArray = NDArray[np.floating[Any]]
 BoolArray = NDArray[np.bool_]
@@ -15,7 +15,7 @@ Float64s = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class TeacherView:
     """B segments of up to T steps, as their teacher sees them. Padding may hold any number.
 
     A learned reward sees observations and actions alone. A teacher may know more: the true reward, the simulator.
@@ -59,19 +59,19 @@ class Evidence:
                 raise ShapeError(name, array.shape, f"{n_axes} axes, the first two {rewards.shape}")
 
     @classmethod
-    def stack(cls, segments: Sequence[Mapping[str, ArrayLike]]) -> "Evidence":
+    def stack(cls, segments: Sequence[Mapping[str, ArrayLike]]) -> "TeacherView":
         """Segments of any lengths, each as arrays by name: rewards (T_s,), and any of the other fields with T_s first.
 
         What not every segment has is left out; padding is zeros.
 
         Raises:
             ShapeError: if there is no segment, or arrays that belong together differ in shape.
-            MissingEvidence: if a segment has no rewards.
+            MissingView: if a segment has no rewards.
         """
         if not segments:
             raise ShapeError("segments", (0,), "at least one")
         if any("rewards" not in segment for segment in segments):
-            raise MissingEvidence("rewards")
+            raise MissingView("rewards")
         names = {field.name for field in fields(cls)} - {"mask"}
         for segment in segments:
             names &= segment.keys()
@@ -88,13 +88,13 @@ class Evidence:
         """Real steps of each segment, (B,)."""
         return self.mask.sum(axis=1)
 
-    def take(self, indices: ArrayLike) -> "Evidence":
+    def take(self, indices: ArrayLike) -> "TeacherView":
         """The segments at `indices`, in that order."""
         index = np.asarray(indices)
         arrays = ((field.name, getattr(self, field.name)) for field in fields(self))
-        return Evidence(**{name: array[index] for name, array in arrays if array is not None})
+        return TeacherView(**{name: array[index] for name, array in arrays if array is not None})
 
-    def with_rewards(self, rewards: Float64s) -> "Evidence":
+    def with_rewards(self, rewards: Float64s) -> "TeacherView":
         """The same segments with other rewards (B, T)."""
         return replace(self, rewards=rewards)
 
@@ -102,25 +102,25 @@ class Evidence:
         """The array with this name.
 
         Raises:
-            MissingEvidence: if it was not given.
+            MissingView: if it was not given.
         """
         array = getattr(self, name)
         if array is None:
-            raise MissingEvidence(name)
+            raise MissingView(name)
         return array
 
     def columns(self, columns: Sequence[int], agents: Sequence[int] | None = None) -> Float64s:
         """These columns of what these agents, or all, observe: float64 (B, T, agents, columns); padding reads 0.
 
         Raises:
-            MissingEvidence: if there are no observations, or no such agent or column.
+            MissingView: if there are no observations, or no such agent or column.
         """
         observations = self.seen("observations")
         n_agents, n_columns = observations.shape[2:]
         chosen = range(n_agents) if agents is None else agents
         for what, wanted, there in (("agent", chosen, n_agents), ("column", columns, n_columns)):
             if any(not 0 <= index < there for index in wanted):
-                raise MissingEvidence(f"{what} {max(wanted)} of {there} in observations")
+                raise MissingView(f"{what} {max(wanted)} of {there} in observations")
         found = observations[:, :, list(chosen)][..., list(columns)].astype(np.float64)
         return np.where(self.mask[:, :, None, None], found, 0.0)
 
