@@ -122,8 +122,8 @@ class ScriptedTeacher:
     4. Turn the choice round with probability `mistake`.
     5. Say 0.5 whatever was chosen if the scores of step 2 differ by less than a threshold.
 
-    The thresholds are eps x running mean episode return x T / episode length, T the longer segment's. Unless told of
-    episodes (`set_episode_return`), the teacher takes the mean reward of the segments it has seen for that of whole episodes.
+    The thresholds are eps x running mean episode return x T / episode length, T the longer segment's. Without
+    `set_episode_return`, the mean reward of the segments seen so far stands for that of whole episodes.
     eps enters once, unlike in B-Pref's code, which multiplies by it again after its first session.
 
     Where the mean is not positive, or scores are no returns, eps x mean says nothing: a threshold below 0 would switch
