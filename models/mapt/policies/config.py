@@ -1,13 +1,15 @@
-"""Settings of the learner."""
+"""Settings of a policy and its learner."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Literal, Self, get_args
+from dataclasses import dataclass
+from typing import Annotated, Literal, Self
 
 from mapt.errors import InvalidConfig
+from mapt.settings import Settings, setting
 
 Algorithm = Literal["mappo", "happo", "mat", "mat_dec"]
 Activation = Literal["tanh", "relu"]
+Device = Literal["auto", "cpu", "cuda"]
 
 #: What an algorithm starts from where it differs from MAPPO's settings; found on HalfCheetah-6x1, one seed and a
 #: million steps each. A transformer takes a smaller step than a small perceptron does. MAT and HAPPO move further in
@@ -20,90 +22,98 @@ ALGORITHM_DEFAULTS: Mapping[str, Mapping[str, object]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class PolicyConfig:
-    """Settings of the learner; the defaults are MAPPO's, tuned on HalfCheetah-6x1 with its true reward.
+Width = Annotated[int, setting("Units of a layer.", ge=1, le=65_536)]
 
-    `named` and `from_dict` give the other algorithms defaults of their own.
+
+@dataclass(frozen=True, slots=True)
+class PolicyConfig(Settings):
+    """Settings of a policy and its learner. The defaults are MAPPO's, tuned on HalfCheetah-6x1 with its true reward.
+
+    `named` and `from_dict` start from the defaults of the algorithm.
 
     Raises:
-        InvalidConfig: if a value is of the wrong type or out of its range.
+        InvalidConfig: if a value has the wrong type or is out of its range.
     """
 
-    #: How the team decides and how it is updated: mappo and happo have an actor per agent and a critic of the state,
-    #: mat decides agent after agent with a transformer, mat_dec has mat's encoder for a critic and an actor per agent.
-    algorithm: Algorithm = "mappo"
-    #: Environments stepped at once, E.
-    n_envs: int = 32
-    #: Steps per environment between updates, L.
-    rollout_steps: int = 128
-    #: Passes over a rollout per update.
-    epochs: int = 10
-    #: Gradient steps per pass; must divide n_envs * rollout_steps.
-    minibatches: int = 16
-    #: Adam's learning rate at the start.
-    learning_rate: float = 2e-3
-    #: Environment steps over which the learning rate falls linearly to a tenth; 0 keeps it.
-    anneal_steps: int = 0
-    #: Largest change of an action's probability that still earns, PPO's epsilon.
-    clip: float = 0.1
-    #: Discount per step.
-    gamma: float = 0.99
-    #: GAE's lambda.
-    gae_lambda: float = 0.95
-    #: Weight of the actions' entropy.
-    entropy_weight: float = 0.0
-    #: Weight of the critic's loss.
-    value_weight: float = 0.5
-    #: Gradients are scaled down to this norm.
-    max_gradient_norm: float = 0.5
-    #: Widths of the hidden layers of the perceptrons: actor and critic of mappo and happo, actor of mat_dec.
-    hidden: tuple[int, ...] = (64, 64)
-    #: Nonlinearity between them.
-    activation: Activation = "tanh"
-    #: Width of the transformers of mat and mat_dec, d.
-    width: int = 64
-    #: Layers of the encoder and of the decoder.
-    layers: int = 1
-    #: Attention heads; must divide width.
-    heads: int = 1
-    #: Log of the actions' standard deviation at the start.
-    initial_log_std: float = -0.5
-    #: One actor for all agents, or one each; mat's decoder serves all agents in any case.
-    shared_actor: bool = False
-    #: Weight of the newest rollout in the statistics of returns.
-    value_statistics_rate: float = 0.1
-    #: Decides every draw of the learner and of its task.
-    seed: int = 0
-    #: Threads of torch while collecting and updating; 0 leaves them alone. Networks this small gain nothing from a
-    #: second one, and lose much when another process wants the core.
-    n_threads: int = 1
-    #: Where the networks live: auto takes a GPU when there is one.
-    device: str = "auto"
+    algorithm: Annotated[
+        Algorithm,
+        setting(
+            "How the team acts and learns. mappo, happo: one actor per agent and a critic of the state. mat: a "
+            "transformer that decides agent by agent. mat_dec: MAT's encoder as the critic, and one actor per agent."
+        ),
+    ] = "mappo"
+    n_envs: Annotated[int, setting("Environments stepped in parallel, E.", ge=1, le=65_536)] = 32
+    rollout_steps: Annotated[
+        int, setting("Steps of each environment between updates, L.", ge=1, le=1_000_000, unit="steps")
+    ] = 128
+    epochs: Annotated[int, setting("Passes over a rollout per update.", ge=1, le=1000)] = 10
+    minibatches: Annotated[
+        int, setting("Gradient steps per pass; must divide n_envs * rollout_steps.", ge=1, le=1_000_000)
+    ] = 16
+    learning_rate: Annotated[float, setting("Adam's learning rate at the start.", gt=0, le=1)] = 2e-3
+    anneal_steps: Annotated[
+        int,
+        setting(
+            "Environment steps over which the learning rate falls linearly to a tenth; 0 keeps it constant.",
+            ge=0,
+            le=10**12,
+            unit="steps",
+        ),
+    ] = 0
+    clip: Annotated[
+        float, setting("PPO's epsilon: the probability ratio is clipped to 1 - clip and 1 + clip.", gt=0, le=10)
+    ] = 0.1
+    gamma: Annotated[float, setting("Discount per step.", ge=0, le=1)] = 0.99
+    gae_lambda: Annotated[float, setting("Lambda of generalised advantage estimation.", ge=0, le=1)] = 0.95
+    entropy_weight: Annotated[float, setting("Weight of the entropy bonus.", ge=0, le=100)] = 0.0
+    value_weight: Annotated[float, setting("Weight of the critic's loss.", ge=0, le=100)] = 0.5
+    max_gradient_norm: Annotated[float, setting("Gradients are clipped to this norm.", gt=0, le=1e6)] = 0.5
+    hidden: Annotated[
+        tuple[Width, ...],
+        setting(
+            "Widths of the hidden layers of the perceptrons: actor and critic of mappo and happo, actor of mat_dec.",
+            min_length=1,
+            max_length=16,
+        ),
+    ] = (64, 64)
+    activation: Annotated[Activation, setting("Nonlinearity of the hidden layers.")] = "tanh"
+    width: Annotated[int, setting("Width of the transformers of mat and mat_dec, d.", ge=1, le=65_536)] = 64
+    layers: Annotated[int, setting("Layers of the encoder and of the decoder.", ge=1, le=128)] = 1
+    heads: Annotated[int, setting("Attention heads; must divide width.", ge=1, le=1024)] = 1
+    initial_log_std: Annotated[
+        float, setting("Logarithm of the actions' standard deviation at the start.", ge=-20, le=20)
+    ] = -0.5
+    shared_actor: Annotated[
+        bool, setting("One actor for all agents instead of one each; mat's decoder is always shared.")
+    ] = False
+    value_statistics_rate: Annotated[
+        float, setting("Weight of the newest rollout in the running mean and variance of the returns.", gt=0, le=1)
+    ] = 0.1
+    seed: Annotated[int, setting("Seed of the learner and of its task.", ge=0, le=2**32 - 1)] = 0
+    n_threads: Annotated[
+        int,
+        setting(
+            "Threads of torch during collection and updates; 0 leaves torch's setting. Networks of this size gain "
+            "nothing from a second thread, and lose much when another process needs the core.",
+            ge=0,
+            le=1024,
+        ),
+    ] = 1
+    device: Annotated[Device, setting("Where the networks run; auto takes a GPU if there is one.")] = "auto"
 
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            _check_type(field.name, getattr(self, field.name), type(field.default))
-        for name in ("n_envs", "rollout_steps", "epochs", "minibatches", "width", "layers", "heads"):
-            self._require(getattr(self, name) >= 1, name, "must be 1 or more")
-        for name in ("anneal_steps", "seed", "n_threads", "entropy_weight", "value_weight"):
-            self._require(getattr(self, name) >= 0, name, "must be 0 or more")
-        for name in ("learning_rate", "clip", "max_gradient_norm"):
-            self._require(getattr(self, name) > 0, name, "must be more than 0")
-        for name in ("gamma", "gae_lambda"):
-            self._require(0 <= getattr(self, name) <= 1, name, "must lie between 0 and 1")
-        for name, known in (("algorithm", get_args(Algorithm)), ("activation", get_args(Activation))):
-            self._require(getattr(self, name) in known, name, f"must be one of {', '.join(known)}")
-        self._require(0 < self.value_statistics_rate <= 1, "value_statistics_rate", "must be above 0 and at most 1")
-        widths = all(type(width) is int and width >= 1 for width in self.hidden)
-        self._require(bool(self.hidden) and widths, "hidden", "must be widths of 1 or more")
-        self._require(self.width % self.heads == 0, "heads", "must divide width")
-        self._require(self.device in {"auto", "cpu", "cuda"}, "device", "must be auto, cpu or cuda")
+    def check(self) -> None:
+        """Checks what must divide what, and that happo's actors are separate. Raises InvalidConfig."""
+        self._require(self.width % self.heads == 0, "heads", f"{self.heads}; it must divide width ({self.width})")
         self._require(
-            self.steps_per_rollout % self.minibatches == 0, "minibatches", "must divide n_envs * rollout_steps"
+            self.steps_per_rollout % self.minibatches == 0,
+            "minibatches",
+            f"{self.minibatches}; it must divide n_envs * rollout_steps ({self.steps_per_rollout})",
         )
-        one_each = self.algorithm != "happo" or not self.shared_actor
-        self._require(one_each, "shared_actor", "must be false for happo, which updates one agent after the other")
+        self._require(
+            self.algorithm != "happo" or not self.shared_actor,
+            "shared_actor",
+            "true; it must be false for happo, which updates one agent after the other",
+        )
 
     @property
     def steps_per_rollout(self) -> int:
@@ -112,37 +122,20 @@ class PolicyConfig:
 
     @classmethod
     def named(cls, algorithm: str, **settings: object) -> Self:
-        """The algorithm's own defaults, but for these settings; raises as `from_dict`."""
+        """The algorithm's defaults, changed by `settings`. Raises as `from_dict`."""
         return cls.from_dict({"algorithm": algorithm, **settings})
 
     @classmethod
-    def from_dict(cls, settings: Mapping[str, object]) -> Self:
+    def from_dict(cls, values: Mapping[str, object]) -> Self:
         """A configuration from parsed JSON; what is left out keeps the algorithm's default.
 
         Raises:
-            InvalidConfig: if a key is unknown, or a value of the wrong type or out of its range.
+            InvalidConfig: if a setting is unknown, or a value has the wrong type or is out of its range.
         """
-        known = [field.name for field in fields(cls)]
-        unknown = sorted(set(settings) - set(known))
-        if unknown:
-            raise InvalidConfig(f"Unknown settings: {', '.join(unknown)}. Known: {', '.join(known)}.")
-        defaults = ALGORITHM_DEFAULTS.get(str(settings.get("algorithm", "mappo")), {})
-        values = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in {**defaults, **settings}.items()
-        }
-        return cls(**values)  # pyright: ignore[reportArgumentType]  (types are checked on creation)
+        defaults = ALGORITHM_DEFAULTS.get(str(values.get("algorithm", "mappo")), {})
+        # Zero-argument super() does not work in a dataclass with slots.
+        return super(PolicyConfig, cls).from_dict({**defaults, **values})
 
-    def to_dict(self) -> dict[str, object]:
-        """What `from_dict` reads, ready for JSON."""
-        return {**asdict(self), "hidden": list(self.hidden)}
-
-    def _require(self, holds: bool, name: str, rule: str) -> None:
+    def _require(self, holds: bool, name: str, problem: str) -> None:
         if not holds:
-            raise InvalidConfig(f"{name} {rule}, got {getattr(self, name)!r}.")
-
-
-def _check_type(name: str, value: object, expected: type) -> None:
-    # bool is an int to Python, and JSON writes 1.0 as 1.
-    allowed = (int, float) if expected is float else expected
-    if not isinstance(value, allowed) or (isinstance(value, bool) and expected is not bool):
-        raise InvalidConfig(f"{name} must be of type {expected.__name__}, got {value!r}.")
+            raise InvalidConfig(f"{name} is {problem}.", name)

@@ -1,4 +1,4 @@
-"""What a learner may be told, and how it answers nonsense."""
+"""Validation of a policy's settings."""
 
 import json
 
@@ -36,8 +36,9 @@ def test_settings_written_before_there_was_a_choice_are_mappos() -> None:
 
 
 def test_happo_does_not_share_its_actors() -> None:
-    with pytest.raises(InvalidConfig, match="shared_actor must be false for happo"):
+    with pytest.raises(InvalidConfig) as caught:
         PolicyConfig.named("happo", shared_actor=True)
+    assert caught.value.field == "shared_actor"
 
 
 def test_a_whole_number_may_stand_for_a_float() -> None:
@@ -45,8 +46,10 @@ def test_a_whole_number_may_stand_for_a_float() -> None:
 
 
 def test_an_unknown_setting_is_named_beside_the_known_ones() -> None:
-    with pytest.raises(InvalidConfig, match=r"Unknown settings: learning_rte\. Known: .*learning_rate"):
+    with pytest.raises(InvalidConfig) as caught:
         PolicyConfig.from_dict({"learning_rte": 1e-3})
+    assert caught.value.field == "learning_rte"
+    assert "learning_rate" in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -80,8 +83,9 @@ def test_an_unknown_setting_is_named_beside_the_known_ones() -> None:
     ],
 )
 def test_a_value_out_of_range_is_refused_by_name(name: str, value: object) -> None:
-    with pytest.raises(InvalidConfig, match=rf"^{name} must"):
+    with pytest.raises(InvalidConfig) as caught:
         PolicyConfig.from_dict({name: value})
+    assert caught.value.field == name
 
 
 @pytest.mark.parametrize(
@@ -99,5 +103,6 @@ def test_a_value_out_of_range_is_refused_by_name(name: str, value: object) -> No
     ],
 )
 def test_a_value_of_another_type_is_refused_by_name(name: str, value: object) -> None:
-    with pytest.raises(InvalidConfig, match=rf"^{name} must"):
+    with pytest.raises(InvalidConfig) as caught:
         PolicyConfig.from_dict({name: value})
+    assert caught.value.field == name
