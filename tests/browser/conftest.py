@@ -1,7 +1,7 @@
-"""A real Chromium before the real service: page, API and worker processes, clips rendered by EGL.
+"""Fixtures for tests in real Chromium against the real service: page, API, workers, and clips rendered by EGL.
 
-Browser and service end with each module: Playwright keeps an event loop open in this thread, in which no other test
-could run one of its own, and the service's workers would train beside every test that follows.
+The browser and the service stop after each module. Playwright keeps an event loop open in this thread, which prevents
+other tests from starting theirs, and the workers of the service would slow down later tests.
 """
 
 import shutil
@@ -33,7 +33,7 @@ def browser() -> Iterator[Browser]:
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("no Chromium on this machine: apt-get install chromium")
-    # What is expected happens at once or never, but on a busy machine at once takes longer than the usual 5 s.
+    # On a busy machine the page can take longer than Playwright's default of 5 s.
     expect.set_options(timeout=PATIENCE_MS)
     with sync_playwright() as playwright:
         launched = playwright.chromium.launch(executable_path=chromium, args=list(_FLAGS))
@@ -43,7 +43,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory, browser: Browser) -> Iterator[Service]:
-    """Not without a browser: the tests would be skipped, and starting it takes the machine for a while."""
+    """A running service. Depends on `browser`, so that a test skipped for want of one does not start the service."""
     if not (FOLDER / "index.html").is_file():
         pytest.skip("the page is not built: python frontend/build_page.py")
     service = Service(tmp_path_factory.mktemp("accord"))
@@ -60,24 +60,24 @@ def researcher(service: Service) -> str:
 
 @pytest.fixture
 def new_experiment(service: Service, researcher: str) -> Iterator[NewExperiment]:
-    """Starts an experiment, and cancels it after the test, so that the next one has the workers to itself."""
-    made: list[str] = []
+    """Starts experiments and cancels them after the test, so that the next test has all workers."""
+    created: list[str] = []
     with service.api(researcher) as api:
 
         def start(name: str, **changes: Any) -> str:
             answer = api.post("/experiments", json=SMALL | {"name": name} | changes)
             assert answer.status_code == 201, answer.text
-            made.append(answer.json()["id"])
-            return made[-1]
+            created.append(answer.json()["id"])
+            return created[-1]
 
         yield start
-        for experiment_id in made:
+        for experiment_id in created:
             api.post(f"/experiments/{experiment_id}/cancel")
 
 
 @pytest.fixture
 def sign_in(service: Service, browser: Browser, request: pytest.FixtureRequest) -> Iterator[SignIn]:
-    """Opens a browser of its own for a new user. A failed test leaves a picture of it beside pytest's other files."""
+    """Opens a separate browser context for each new user. Saves a screenshot of every page in the service's home."""
     contexts = []
 
     def enter(name: str, role: str = "labeller", **options: Any) -> Page:

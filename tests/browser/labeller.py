@@ -1,4 +1,4 @@
-"""A person at the labelling view: waits for pairs as a person does, and presses keys."""
+"""Drives the labelling page as a person does: waits for a pair and presses keys."""
 
 import time
 from dataclasses import dataclass
@@ -7,19 +7,19 @@ from playwright.sync_api import Page, Request, TimeoutError, expect
 
 from support.waiting import PATIENCE_SECONDS
 
-#: a busy machine renders, trains and runs a browser at once
+#: long enough for a busy machine that renders, trains and runs a browser at once
 PATIENCE_MS = round(1000 * PATIENCE_SECONDS)
-#: a key that came too soon after the pair is ignored by the page: a person presses it again
+#: the page ignores a key pressed too soon after the pair appeared: press it again after this
 RETRY_MS = 1_500
 
-#: the pair has played for a while
-_LOOKED = """() => Number(document.querySelector("canvas").dataset.frame) >= 8
-  || Number(document.querySelector("[data-stage]").dataset.loops) > 0"""
+#: whether the pair has played for at least eight frames (0.4 s): the page ignores earlier labels
+_PLAYED = """() => Number(document.querySelector("canvas").dataset.frame) >= 8
+  || Number(document.querySelector("[data-pair]").dataset.loops) > 0"""
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """What is on screen."""
+    """The query on screen and its segments."""
 
     query: str
     left: str
@@ -29,59 +29,58 @@ class Pair:
 class Labeller:
     def __init__(self, page: Page) -> None:
         self.page = page
-        self.stage = page.get_by_test_id("stage")
-        self._on_their_way: set[Request] = set()
-        page.on("request", self._sent)
-        page.on("requestfinished", self._done)
-        page.on("requestfailed", self._done)
+        self.pair_view = page.get_by_test_id("pair")
+        self._loading: set[Request] = set()
+        page.on("request", self._on_request)
+        page.on("requestfinished", self._on_request_end)
+        page.on("requestfailed", self._on_request_end)
 
     def open(self, url: str, experiment_id: str) -> Pair:
         self.page.goto(f"{url}/experiments/{experiment_id}/label")
         return self.pair()
 
     def pair(self) -> Pair:
-        """The pair on screen, once both clips play."""
-        expect(self.stage).to_have_attribute("data-state", "playing", timeout=PATIENCE_MS)
+        """Wait until both clips play; return the pair."""
+        expect(self.pair_view).to_have_attribute("data-state", "playing", timeout=PATIENCE_MS)
         names = ("data-query", "data-left", "data-right")
-        return Pair(*(self.stage.get_attribute(name) or "" for name in names))
+        return Pair(*(self.pair_view.get_attribute(name) or "" for name in names))
 
-    def wait_for_clips(self, pairs_ahead: int) -> None:
-        """Until so many pairs follow the one on screen, and no clip of any is on its way."""
-        expect(self.stage).to_have_attribute("data-ahead", str(pairs_ahead), timeout=PATIENCE_MS)
+    def wait_for_clips(self, upcoming: int) -> None:
+        """Wait until this many pairs follow the one on screen and all clips are downloaded."""
+        expect(self.pair_view).to_have_attribute("data-upcoming", str(upcoming), timeout=PATIENCE_MS)
         deadline = time.monotonic() + PATIENCE_SECONDS
-        while self._on_their_way and time.monotonic() < deadline:
+        while self._loading and time.monotonic() < deadline:
             self.page.wait_for_timeout(50)
-        assert not self._on_their_way
+        assert not self._loading
 
     def press(self, key: str) -> Pair:
-        """Answers the pair on screen; returns the pair that was answered, when it has left the screen."""
+        """Label the pair on screen with a key; return it after it has left the screen."""
         pair = self.pair()
-        self._look()
+        self._wait_until_played()
         for _ in range(PATIENCE_MS // RETRY_MS):
             self.page.keyboard.press(key)
-            if self._leaves(pair):
+            if self._has_left(pair):
                 return pair
-        raise AssertionError(f"{key} did not answer {pair}")
+        raise AssertionError(f"{key} did not label {pair}")
 
     def undo(self, pair: Pair) -> None:
-        """Z brings the pair back on screen."""
+        """Press Z and check that this pair is on screen again."""
         self.page.keyboard.press("z")
-        expect(self.stage).to_have_attribute("data-query", pair.query)
-        assert self.pair() == pair, "a pair comes back with the sides it had"
+        expect(self.pair_view).to_have_attribute("data-query", pair.query)
+        assert self.pair() == pair, "the pair must come back with the same sides"
 
-    def _sent(self, request: Request) -> None:
+    def _on_request(self, request: Request) -> None:
         if request.url.endswith(".mp4"):
-            self._on_their_way.add(request)
+            self._loading.add(request)
 
-    def _done(self, request: Request) -> None:
-        self._on_their_way.discard(request)
+    def _on_request_end(self, request: Request) -> None:
+        self._loading.discard(request)
 
-    def _look(self) -> None:
-        """Nobody answers within a third of a second, and the page does not believe it: eight frames are 0.4 s."""
-        self.page.wait_for_function(_LOOKED, timeout=PATIENCE_MS)
+    def _wait_until_played(self) -> None:
+        self.page.wait_for_function(_PLAYED, timeout=PATIENCE_MS)
 
-    def _leaves(self, pair: Pair) -> bool:
-        left = "query => document.querySelector('[data-stage]')?.dataset.query !== query"
+    def _has_left(self, pair: Pair) -> bool:
+        left = "query => document.querySelector('[data-pair]')?.dataset.query !== query"
         try:
             self.page.wait_for_function(left, arg=pair.query, timeout=RETRY_MS)
         except TimeoutError:

@@ -1,4 +1,4 @@
-"""`accord up` as a process of its own, over a home folder and a port that stay the same when it is started again."""
+"""Runs `accord up` as a separate process that can be stopped, killed and restarted on the same home and port."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ from accord.store.database import Database
 from support.ports import free_port
 from support.waiting import PATIENCE_SECONDS
 
-#: few and short clips, few labels: the whole loop within a minute of a busy machine
+#: few and short clips and few labels, so that the whole loop takes under a minute on a busy machine
 SMALL: dict[str, Any] = {
     "task": "HalfCheetah-6x1",
     "total_steps": 40_000,
@@ -31,7 +31,7 @@ SMALL: dict[str, Any] = {
 
 
 class Service:
-    """The whole service: page, API and workers."""
+    """The service with page, API and workers."""
 
     def __init__(self, home: Path) -> None:
         self.home = home
@@ -40,7 +40,7 @@ class Service:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Start it and wait until it answers."""
+        """Start the service and wait until it responds."""
         self.home.mkdir(parents=True, exist_ok=True)
         command = ["up", "--home", str(self.home), "--port", str(self.port), "--no-example"]
         with (self.home / "up.log").open("ab") as log:
@@ -56,7 +56,7 @@ class Service:
         raise AssertionError(f"accord up did not start:\n{(self.home / 'up.log').read_text()}")
 
     def stop(self) -> None:
-        """SIGTERM, as a person's Ctrl-C."""
+        """Stop the service with SIGTERM."""
         if self._process is not None and self.is_alive():
             self._process.send_signal(signal.SIGTERM)
             self._process.wait(PATIENCE_SECONDS)
@@ -65,18 +65,18 @@ class Service:
         return self._process is not None and self._process.poll() is None
 
     def kill(self) -> None:
-        """SIGKILL to every process of it, and wait until the port is nobody's."""
+        """Send SIGKILL to all its processes and wait until they have ended."""
         assert self._process is not None
         parent = psutil.Process(self._process.pid)
-        family = [parent, *parent.children(recursive=True)]
-        for process in family:
+        processes = [parent, *parent.children(recursive=True)]
+        for process in processes:
             with suppress(psutil.NoSuchProcess):
                 process.kill()
         self._process.wait(PATIENCE_SECONDS)
-        psutil.wait_procs(family, timeout=PATIENCE_SECONDS)
+        psutil.wait_procs(processes, timeout=PATIENCE_SECONDS)
 
     def add_user(self, name: str, role: str) -> tuple[str, str]:
-        """A new user's bearer token and sign-in link, as `accord user add` makes them."""
+        """Add a user as `accord user add` does; return the bearer token and the sign-in link."""
         database = Database.open(f"sqlite:///{self.home / 'accord.db'}")
         try:
             with database.transaction() as session:
@@ -87,12 +87,12 @@ class Service:
         return token, f"{self.url}/sign-in/{link_token}"
 
     def api(self, token: str) -> httpx.Client:
-        """A client of the REST API, as a researcher's script uses it."""
+        """A client of the REST API with this bearer token."""
         headers = {"Authorization": f"Bearer {token}"}
         return httpx.Client(base_url=f"{self.url}/api/v1", headers=headers, trust_env=False, timeout=PATIENCE_SECONDS)
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
-        """What the database holds, read past the API."""
+        """Query the database directly, without the API."""
         with closing(sqlite3.connect(self.home / "accord.db")) as connection:
             return connection.execute(statement, values).fetchall()
 

@@ -1,4 +1,4 @@
-"""Both clips play in step, and every frame on screen is the frame of the file."""
+"""Both clips play in sync, and every frame on screen is the right frame of its file."""
 
 import re
 from base64 import b64decode
@@ -17,23 +17,23 @@ from browser.service import SMALL, Service
 
 _FRAMES = SMALL["segment_steps"]
 
-#: samples both canvases before every repaint until the pair has looped so often
+#: samples both canvases before every repaint for a number of loops
 _SAMPLE = """async loops => {
-  const stage = document.querySelector("[data-stage]");
-  const [left, right] = stage.querySelectorAll("canvas");
-  const goal = Number(stage.dataset.loops) + loops;
-  const seen = { left: new Set(), right: new Set(), apart: 0, samples: 0 };
-  while (Number(stage.dataset.loops) < goal) {
+  const pair = document.querySelector("[data-pair]");
+  const [left, right] = pair.querySelectorAll("canvas");
+  const goal = Number(pair.dataset.loops) + loops;
+  const seen = { left: new Set(), right: new Set(), distance: 0, samples: 0 };
+  while (Number(pair.dataset.loops) < goal) {
     await new Promise(requestAnimationFrame);
     seen.left.add(Number(left.dataset.frame));
     seen.right.add(Number(right.dataset.frame));
-    seen.apart = Math.max(seen.apart, Math.abs(left.dataset.frame - right.dataset.frame));
+    seen.distance = Math.max(seen.distance, Math.abs(left.dataset.frame - right.dataset.frame));
     seen.samples += 1;
   }
-  return { ...seen, left: [...seen.left], right: [...seen.right], maxDrift: Number(stage.dataset.maxDrift) };
+  return { ...seen, left: [...seen.left], right: [...seen.right], maxDrift: Number(pair.dataset.maxDrift) };
 }"""
 
-_PICTURE = "side => document.querySelector(`[data-testid=clip-${side}]`).toDataURL('image/png')"
+_IMAGE = "side => document.querySelector(`[data-testid=clip-${side}]`).toDataURL('image/png')"
 
 
 @pytest.fixture
@@ -51,15 +51,15 @@ def watching(
 
 def test_both_clips_show_the_same_frame_at_every_repaint(watching: Page) -> None:
     seen = watching.evaluate(_SAMPLE, 6)
-    assert seen["apart"] == 0
+    assert seen["distance"] == 0
     assert seen["maxDrift"] < 1
     assert seen["samples"] > 6
     assert set(seen["left"]) == set(seen["right"])
     assert max(seen["left"]) == _FRAMES - 1
 
 
-def test_frame_steps_show_the_frames_of_the_files(watching: Page) -> None:
-    clips = {side: _decoded(watching, side) for side in ("left", "right")}
+def test_stepping_shows_the_frames_of_the_files(watching: Page) -> None:
+    clips = {side: _reference_frames(watching, side) for side in ("left", "right")}
     assert {len(frames) for frames in clips.values()} == {_FRAMES}
     watching.keyboard.press(" ")
     expect(watching.get_by_role("button", name="Play")).to_be_visible()
@@ -68,10 +68,10 @@ def test_frame_steps_show_the_frames_of_the_files(watching: Page) -> None:
             watching.keyboard.press(key)
         for side, frames in clips.items():
             index = int(watching.get_by_test_id(f"clip-{side}").get_attribute("data-frame") or -1)
-            _assert_shows(_picture(watching, side), frames, index)
+            _assert_shows(_image(watching, side), frames, index)
 
 
-def test_pause_holds_both_and_speed_is_kept_for_the_next_visit(watching: Page) -> None:
+def test_pause_stops_both_clips_and_the_speed_survives_a_reload(watching: Page) -> None:
     watching.keyboard.press("3")
     watching.keyboard.press(" ")
     expect(watching.get_by_role("button", name="Play")).to_be_visible()
@@ -86,28 +86,26 @@ def test_pause_holds_both_and_speed_is_kept_for_the_next_visit(watching: Page) -
 def test_without_webcodecs_the_same_frames_are_shown(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
-    """Browsers offer WebCodecs on https and localhost alone; elsewhere a video element is sought."""
+    """Browsers offer WebCodecs only on https and localhost. Elsewhere the page seeks a video element."""
     page = sign_in("Vera")
     page.add_init_script("delete globalThis.VideoDecoder")
     Labeller(page).open(service.url, new_experiment("Without WebCodecs"))
     assert page.evaluate("'VideoDecoder' in globalThis") is False
-    frames = _decoded(page, "left")
+    frames = _reference_frames(page, "left")
     page.keyboard.press(" ")
     for _ in range(5):
         page.keyboard.press(".")
         index = int(page.get_by_test_id("clip-left").get_attribute("data-frame") or -1)
-        _assert_shows(_picture(page, "left"), frames, index)
+        _assert_shows(_image(page, "left"), frames, index)
 
 
-def test_a_clip_that_ends_before_the_other_says_so(
-    service: Service, new_experiment: NewExperiment, sign_in: SignIn
-) -> None:
-    """A walker that falls makes a shorter segment: it waits on its last frame, marked, while the other goes on."""
+def test_the_shorter_clip_is_marked_as_ended(service: Service, new_experiment: NewExperiment, sign_in: SignIn) -> None:
+    """A walker that falls gives a shorter segment. Its clip stays on the last frame, marked, until the other ends."""
     walker = {"task": "Walker2d-2x3", "segment_steps": 30, "policy": {"n_envs": 8, "rollout_steps": 60}}
     page = sign_in("Vera")
     labeller = Labeller(page)
     labeller.open(service.url, new_experiment("Falls", **walker))
-    # Thirty of its steps are a quarter of a second: they are shown slowly until somebody chooses.
+    # Thirty steps of this task are a quarter of a second: they play slowly until the user chooses a speed.
     expect(page.get_by_role("button", name=re.compile("^¼"))).to_have_attribute("aria-pressed", "true")
     for _ in range(10):
         seen = _stepped_through(page, 30)
@@ -123,12 +121,12 @@ def test_a_clip_that_ends_before_the_other_says_so(
         assert not shown[longer]["ended"]
 
 
-def test_a_clip_that_does_not_come_is_said_and_can_be_tried_again(
+def test_a_missing_clip_shows_an_error_and_a_retry_button(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
     page = sign_in("Vera")
     page.route("**/api/v1/clips/*.mp4", lambda route: route.fulfill(status=404, body="gone"))
-    page.goto(f"{service.url}/experiments/{new_experiment('A clip that does not come')}/label")
+    page.goto(f"{service.url}/experiments/{new_experiment('Missing clip')}/label")
     expect(page.get_by_role("alert")).to_contain_text("cannot be played", timeout=PATIENCE_MS)
     expect(page.get_by_role("button", name="Left is better")).to_be_disabled()
     page.unroute("**/api/v1/clips/*.mp4")
@@ -136,20 +134,20 @@ def test_a_clip_that_does_not_come_is_said_and_can_be_tried_again(
     Labeller(page).pair()
 
 
-def test_a_clip_that_the_server_did_not_give_plays_by_itself_once_it_does(
+def test_a_clip_is_loaded_automatically_when_the_server_is_back(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
     page = sign_in("Vera")
     page.route("**/api/v1/clips/*.mp4", lambda route: route.abort())
-    page.goto(f"{service.url}/experiments/{new_experiment('A server away')}/label")
-    expect(page.get_by_role("alert")).to_contain_text("goes on being asked", timeout=PATIENCE_MS)
+    page.goto(f"{service.url}/experiments/{new_experiment('Unreachable server')}/label")
+    expect(page.get_by_role("alert")).to_contain_text("not responding", timeout=PATIENCE_MS)
     page.unroute("**/api/v1/clips/*.mp4")
     Labeller(page).pair()
     expect(page.get_by_role("alert")).to_have_count(0)
 
 
 def _stepped_through(page: Page, count: int) -> list[dict[str, Any]]:
-    """What each side shows, frame after frame."""
+    """Step forward `count` times; return what each side shows after each step."""
     look = """() => Object.fromEntries(["left", "right"].map((side) => {
       const canvas = document.querySelector(`[data-testid=clip-${side}]`);
       return [side, { frame: Number(canvas.dataset.frame), ended: canvas.hasAttribute("data-ended") }];
@@ -161,8 +159,8 @@ def _stepped_through(page: Page, count: int) -> list[dict[str, Any]]:
     return shown
 
 
-def _decoded(page: Page, side: str) -> list[npt.NDArray[np.uint8]]:
-    """The frames of the clip on a side, by another decoder: RGB (H,W,3)."""
+def _reference_frames(page: Page, side: str) -> list[npt.NDArray[np.uint8]]:
+    """The frames of the clip on one side, decoded by FFmpeg: RGB (H,W,3)."""
     url = page.evaluate(
         """side => {
           const [left, right] = performance.getEntriesByType("resource").filter(({ name }) => name.endsWith(".mp4"));
@@ -173,14 +171,14 @@ def _decoded(page: Page, side: str) -> list[npt.NDArray[np.uint8]]:
     return list(iio.imread(page.request.get(url).body(), plugin="pyav"))
 
 
-def _picture(page: Page, side: str) -> npt.NDArray[np.uint8]:
-    """What a canvas shows: RGB (H,W,3)."""
-    _, _, png = page.evaluate(_PICTURE, side).partition(",")
+def _image(page: Page, side: str) -> npt.NDArray[np.uint8]:
+    """The image on the canvas of one side: RGB (H,W,3)."""
+    _, _, png = page.evaluate(_IMAGE, side).partition(",")
     return iio.imread(b64decode(png), extension=".png")[..., :3]
 
 
-def _assert_shows(picture: npt.NDArray[np.uint8], frames: list[npt.NDArray[np.uint8]], index: int) -> None:
-    """The picture is nearest to the frame it claims to be, and near it: two decoders differ by a few grey levels."""
-    distances = [float(np.abs(picture.astype(int) - frame.astype(int)).mean()) for frame in frames]
+def _assert_shows(image: npt.NDArray[np.uint8], frames: list[npt.NDArray[np.uint8]], index: int) -> None:
+    """The image is closest to the frame with this index. Two decoders may differ by a few grey levels."""
+    distances = [float(np.abs(image.astype(int) - frame.astype(int)).mean()) for frame in frames]
     assert int(np.argmin(distances)) == index, distances
     assert distances[index] < 4.0, distances

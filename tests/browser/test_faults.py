@@ -1,4 +1,4 @@
-"""Reloads, rivals, and a server that dies while someone labels."""
+"""Reloads, several labellers at once, and a server that is killed while someone labels."""
 
 import re
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ def test_a_reload_shows_the_same_pair_on_the_same_sides(
         assert labeller.pair() == pair
     labeller.page.keyboard.press("z")
     expect(labeller.page.get_by_test_id("status")).to_contain_text("Undone")
-    expect(labeller.page.get_by_test_id("mine")).to_have_text("2")
+    expect(labeller.page.get_by_test_id("own-labels")).to_have_text("2")
 
 
 def test_two_labellers_never_see_the_same_pair_at_once(
@@ -40,7 +40,7 @@ def test_two_labellers_never_see_the_same_pair_at_once(
     assert not mine & theirs
 
 
-def test_leaving_gives_the_pairs_to_the_next_labeller_at_once(
+def test_leaving_releases_the_pairs_for_the_next_labeller(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
     experiment = new_experiment("Leaving")
@@ -51,7 +51,7 @@ def test_leaving_gives_the_pairs_to_the_next_labeller_at_once(
     assert berta.open(service.url, experiment).query == pair.query
 
 
-def test_a_pause_is_said_and_labelling_goes_on_by_itself(
+def test_a_paused_experiment_is_shown_as_paused_and_resumes_automatically(
     service: Service, researcher: str, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
     experiment = new_experiment("Paused")
@@ -60,11 +60,11 @@ def test_a_pause_is_said_and_labelling_goes_on_by_itself(
     with service.api(researcher) as api:
         api.post(f"/experiments/{experiment}/pause").raise_for_status()
         expect(labeller.page.get_by_text("Policy Paused")).to_be_visible(timeout=PATIENCE_MS)
-        waiting = labeller.page.get_by_test_id("waiting")
-        while not waiting.is_visible():
-            labeller.press("ArrowUp")  # pairs in hand can still be labelled
-        expect(waiting).to_have_attribute("data-reason", "paused", timeout=PATIENCE_MS)
-        expect(waiting).to_contain_text("paused")
+        no_pair = labeller.page.get_by_test_id("no-pair")
+        while not no_pair.is_visible():
+            labeller.press("ArrowUp")  # pairs that are already loaded can still be labelled
+        expect(no_pair).to_have_attribute("data-reason", "paused", timeout=PATIENCE_MS)
+        expect(no_pair).to_contain_text("paused")
         api.post(f"/experiments/{experiment}/resume").raise_for_status()
     labeller.pair()
 
@@ -77,13 +77,13 @@ def test_a_pair_leaves_the_screen_when_its_experiment_is_cancelled(
     labeller.open(service.url, experiment)
     with service.api(researcher) as api:
         api.post(f"/experiments/{experiment}/cancel").raise_for_status()
-    expect(labeller.page.get_by_test_id("waiting")).to_contain_text("This experiment is over")
+    expect(labeller.page.get_by_test_id("no-pair")).to_contain_text("This experiment is over")
     labeller.page.keyboard.press("ArrowLeft")
-    expect(labeller.page.get_by_test_id("due")).to_have_text("0")
+    expect(labeller.page.get_by_test_id("labels-needed")).to_have_text("0")
     assert _labelled(service, experiment) == set()
 
 
-def test_a_worker_that_died_shows_on_the_page_and_comes_back(
+def test_a_killed_worker_is_shown_and_restarted(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
     experiment = new_experiment("A dead worker")
@@ -101,36 +101,36 @@ def test_a_worker_that_died_shows_on_the_page_and_comes_back(
 
 
 @pytest.fixture
-def mortal(service: Service) -> Iterator[Service]:
-    """The service, alive again after the test."""
+def killable_service(service: Service) -> Iterator[Service]:
+    """The service; restarted after the test if it was killed."""
     yield service
     if not service.is_alive():
         service.start()
 
 
 def test_no_label_is_lost_when_every_process_is_killed_while_someone_labels(
-    new_experiment: NewExperiment, sign_in: SignIn, mortal: Service
+    new_experiment: NewExperiment, sign_in: SignIn, killable_service: Service
 ) -> None:
     experiment = new_experiment("Killed")
     labeller = Labeller(sign_in("Rita"))
     page = labeller.page
-    labeller.open(mortal.url, experiment)
+    labeller.open(killable_service.url, experiment)
     acknowledged = {labeller.press("ArrowLeft").query for _ in range(4)}
     expect(page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "4")
-    labeller.wait_for_clips(pairs_ahead=2)
+    labeller.wait_for_clips(upcoming=2)
 
-    mortal.kill()
+    killable_service.kill()
     unsent = {labeller.press("ArrowRight").query for _ in range(2)}
     expect(page.get_by_test_id("unsent")).to_have_text("2 labels not sent yet")
-    assert _labelled(mortal, experiment) == acknowledged
+    assert _labelled(killable_service, experiment) == acknowledged
 
-    mortal.start()
+    killable_service.start()
     expect(page.get_by_test_id("unsent")).to_have_text("", timeout=PATIENCE_MS)
-    assert _labelled(mortal, experiment) == acknowledged | unsent
+    assert _labelled(killable_service, experiment) == acknowledged | unsent
     later = {labeller.press("ArrowUp").query for _ in range(2)}
     expect(page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "8")
-    assert _labelled(mortal, experiment) == acknowledged | unsent | later
-    expect(page.get_by_test_id("mine")).to_have_text("8")
+    assert _labelled(killable_service, experiment) == acknowledged | unsent | later
+    expect(page.get_by_test_id("own-labels")).to_have_text("8")
 
 
 def test_unsent_labels_survive_a_reload_of_the_page(
@@ -158,37 +158,37 @@ def _labelled(service: Service, experiment: str) -> set[str]:
     return {query for (query,) in rows}
 
 
-def test_a_label_counts_although_its_lease_was_given_back_meanwhile(
+def test_a_label_counts_even_if_its_lease_was_released(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
-    """As when a page that closes gives its pairs back after the next page has taken them."""
-    experiment = new_experiment("Given back")
+    """This happens when a closing page releases its pairs after the next page has leased them."""
+    experiment = new_experiment("Released")
     labeller = Labeller(sign_in("Rita"))
     pair = labeller.open(service.url, experiment)
-    _give_back(labeller, pair.query)
+    _release(labeller, pair.query)
     assert labeller.press("ArrowLeft") == pair
     expect(labeller.page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "1")
     assert _labelled(service, experiment) == {pair.query}
 
 
-def test_a_label_on_a_pair_that_went_to_another_is_said_quietly_and_the_next_pair_follows(
+def test_a_label_on_a_pair_leased_by_another_labeller_is_rejected_and_the_next_pair_follows(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
     experiment = new_experiment("Gone")
     anna, berta = Labeller(sign_in("Anna")), Labeller(sign_in("Berta"))
     pair = anna.open(service.url, experiment)
-    _give_back(anna, pair.query)
+    _release(anna, pair.query)
     assert berta.open(service.url, experiment).query == pair.query
     anna.press("ArrowLeft")
-    expect(anna.page.get_by_test_id("status")).to_contain_text("A label was not taken")
-    expect(anna.page.get_by_test_id("mine")).to_have_text("0")
+    expect(anna.page.get_by_test_id("status")).to_contain_text("A label was rejected")
+    expect(anna.page.get_by_test_id("own-labels")).to_have_text("0")
     assert anna.pair().query != pair.query
     assert berta.press("ArrowRight").query == pair.query
     anna.press("ArrowUp")
-    expect(anna.page.get_by_test_id("mine")).to_have_text("1")
+    expect(anna.page.get_by_test_id("own-labels")).to_have_text("1")
 
 
-def _give_back(labeller: Labeller, query: str) -> None:
+def _release(labeller: Labeller, query: str) -> None:
     path = f"/api/v1/queries/{query}/lease"
     status = labeller.page.evaluate("path => fetch(path, { method: 'DELETE' }).then(({ status }) => status)", path)
     assert status == 204

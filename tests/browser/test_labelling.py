@@ -1,4 +1,4 @@
-"""A person labels with the keyboard, and the reward model learns from it."""
+"""A person labels with the keyboard, and the reward model is trained on the labels."""
 
 import time
 
@@ -8,12 +8,12 @@ from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS, Labeller, Pair
 from browser.service import Service
 
-#: what a key says: how much of the label the left clip gets
-LEFT_SHARE = {"ArrowLeft": 1.0, "ArrowRight": 0.0, "ArrowUp": 0.5}
+#: the label of each key, as P(left preferred)
+LEFT_PREFERRED = {"ArrowLeft": 1.0, "ArrowRight": 0.0, "ArrowUp": 0.5}
 KEYS = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowLeft", "ArrowRight"] * 4
 
 
-def test_twenty_labels_an_undo_and_a_skip_by_keyboard_bring_a_reward_version(
+def test_twenty_labels_with_an_undo_and_a_skip_train_a_reward_version(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
     experiment = new_experiment("Twenty labels")
@@ -22,23 +22,25 @@ def test_twenty_labels_an_undo_and_a_skip_by_keyboard_bring_a_reward_version(
     labeller.open(service.url, experiment)
 
     skipped = labeller.press("ArrowDown")
-    said = {labeller.press(key).query: key for key in KEYS[:10]}
-    regretted = labeller.press("ArrowRight")
-    labeller.undo(regretted)
-    assert labeller.press("ArrowLeft") == regretted
-    said[regretted.query] = "ArrowLeft"
-    said |= {labeller.press(key).query: key for key in KEYS[11:]}
+    chosen = {labeller.press(key).query: key for key in KEYS[:10]}
+    undone = labeller.press("ArrowRight")
+    labeller.undo(undone)
+    assert labeller.press("ArrowLeft") == undone
+    chosen[undone.query] = "ArrowLeft"
+    chosen |= {labeller.press(key).query: key for key in KEYS[11:]}
 
-    expect(page.get_by_test_id("version-news")).to_contain_text("reward version 1", timeout=PATIENCE_MS)
+    expect(page.get_by_test_id("version-notice")).to_contain_text("Reward version 1", timeout=PATIENCE_MS)
     expect(page.get_by_test_id("reward-version")).to_contain_text("Reward version 1")
-    expect(page.get_by_test_id("mine")).to_have_text("20")
-    assert len(said) == 20
-    assert {query: _left_share(service, query) for query in said} == {q: LEFT_SHARE[key] for q, key in said.items()}
+    expect(page.get_by_test_id("own-labels")).to_have_text("20")
+    assert len(chosen) == 20
+    assert {query: _stored_label(service, query) for query in chosen} == {
+        q: LEFT_PREFERRED[key] for q, key in chosen.items()
+    }
     assert _states(service, skipped) == ["skip"]
-    assert _states(service, regretted) == ["label", "undone", "label"]
+    assert _states(service, undone) == ["label", "undone", "label"]
 
 
-def test_the_policy_takes_up_the_reward_version_and_asks_again(
+def test_the_policy_trains_on_the_reward_version_and_new_pairs_follow(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
     experiment = new_experiment("The policy goes on")
@@ -46,7 +48,7 @@ def test_the_policy_takes_up_the_reward_version_and_asks_again(
     labeller.open(service.url, experiment)
     for key in KEYS:
         labeller.press(key)
-    # Pairs of the policy's later segments follow by themselves, whatever the page has to say in between.
+    # Pairs from later segments appear automatically, possibly after a notice that there is none.
     for key in KEYS[:4]:
         labeller.press(key)
     expect(labeller.page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "24")
@@ -57,7 +59,7 @@ def test_the_policy_takes_up_the_reward_version_and_asks_again(
 
 
 def _steps_with_a_version(service: Service, experiment: str) -> int:
-    """Environment steps that the policy has learned from a reward version."""
+    """The last environment step at which the policy was trained on a reward version."""
     rows = service.rows(
         "select max(step) from metrics"
         " where experiment_id = ? and name = 'learned_return' and reward_version_id is not null",
@@ -66,8 +68,8 @@ def _steps_with_a_version(service: Service, experiment: str) -> int:
     return rows[0][0] or 0
 
 
-def _left_share(service: Service, query: str) -> float:
-    """The stored label, seen from the side that the person saw."""
+def _stored_label(service: Service, query: str) -> float:
+    """The stored label as P(left preferred), in the order that the person saw."""
     rows = service.rows(
         "select value, left_segment, response_seconds from labels where query_id = ? and state = 'label'", query
     )
@@ -77,7 +79,7 @@ def _left_share(service: Service, query: str) -> float:
 
 
 def _states(service: Service, pair: Pair) -> list[str]:
-    """Every word ever said of a pair, in order."""
+    """The states of all revisions of the label of a pair, oldest first."""
     rows = service.rows(
         "select r.state from label_revisions r join labels l on l.id = r.label_id where l.query_id = ? "
         "order by r.revision",

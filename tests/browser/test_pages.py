@@ -1,4 +1,4 @@
-"""Signing in, roles, the pages around labelling, and all of it by keyboard."""
+"""Sign-in, roles, the other pages, and keyboard use."""
 
 import re
 
@@ -9,7 +9,7 @@ from browser.labeller import PATIENCE_MS, Labeller
 from browser.service import SMALL, Service
 
 
-def test_a_signed_out_browser_is_told_where_links_come_from(service: Service, browser: Browser) -> None:
+def test_the_signed_out_page_explains_sign_in_links(service: Service, browser: Browser) -> None:
     context = browser.new_context()
     page = context.new_page()
     page.goto(service.url)
@@ -35,7 +35,7 @@ def test_a_sign_in_link_works_once(service: Service, browser: Browser) -> None:
     second.close()
 
 
-def test_everything_can_be_done_with_the_keyboard_alone(
+def test_everything_works_with_the_keyboard_alone(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
     experiment = new_experiment("By keyboard")
@@ -44,11 +44,11 @@ def test_everything_can_be_done_with_the_keyboard_alone(
     page.keyboard.press("Enter")
     labeller = Labeller(page)
     labeller.press("ArrowLeft")
-    # Until the next pair plays, its answers cannot be given, and their buttons not be reached.
+    # The buttons are enabled once the next pair plays.
     labeller.pair()
-    # A button with the focus is pressed by Space, as everywhere, and the arrows go on working.
+    # Space activates a focused button, and the arrow keys still work.
     _tab_to(page, "Equally good")
-    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") != "none", "the focus is seen"
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") != "none", "the focus must be visible"
     labeller.press(" ")
     labeller.undo(labeller.press("ArrowDown"))
     labeller.press("ArrowRight")
@@ -60,13 +60,13 @@ def test_everything_can_be_done_with_the_keyboard_alone(
     assert [value if left == 0 else 1.0 - value for value, left in rows] == [1.0, 0.5, 0.0]
 
 
-def test_a_labeller_learns_nothing_of_true_returns(
+def test_a_labeller_never_receives_true_returns(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
     experiment = new_experiment("Hidden returns", reward_source="true", label_budget=0)
-    told: list[str] = []
+    responses: list[str] = []
     labeller, researcher = sign_in("Lena"), sign_in("Rosa", "researcher")
-    labeller.on("response", lambda response: told.append(response.text()) if "/metrics" in response.url else None)
+    labeller.on("response", lambda response: responses.append(response.text()) if "/metrics" in response.url else None)
     for page in (labeller, researcher):
         page.goto(f"{service.url}/experiments/{experiment}")
         expect(page.get_by_role("region", name=re.compile("Learned return"))).to_be_visible()
@@ -76,8 +76,8 @@ def test_a_labeller_learns_nothing_of_true_returns(
     expect(labeller.get_by_role("region", name=re.compile("Labels"))).to_be_visible()
     expect(labeller.get_by_role("region", name=re.compile("True return"))).to_have_count(0)
     expect(labeller.get_by_role("button", name="Cancel")).to_have_count(0)
-    assert told
-    assert not any("true_return" in text for text in told)
+    assert responses
+    assert not any("true_return" in text for text in responses)
 
 
 def test_a_researcher_starts_pauses_and_cancels_an_experiment(service: Service, sign_in: SignIn) -> None:
@@ -85,12 +85,12 @@ def test_a_researcher_starts_pauses_and_cancels_an_experiment(service: Service, 
     page.get_by_role("link", name="New experiment").click()
     page.get_by_label("Name", exact=True).fill("By the form")
     page.get_by_label("Task", exact=True).select_option(SMALL["task"])
-    page.get_by_label("Labels first").fill("900")
+    page.get_by_label("Labels before the first reward model").fill("900")
     page.get_by_role("button", name="Start").click()
     refusal = page.get_by_role("alert")
     expect(refusal).to_contain_text("initial_labels is 900")
-    expect(page.get_by_label("Labels first")).to_have_attribute("aria-invalid", "true")
-    page.get_by_label("Labels first").fill("20")
+    expect(page.get_by_label("Labels before the first reward model")).to_have_attribute("aria-invalid", "true")
+    page.get_by_label("Labels before the first reward model").fill("20")
     page.get_by_role("button", name="Start").click()
     expect(page.get_by_role("heading", name="By the form")).to_be_visible()
 
@@ -98,20 +98,20 @@ def test_a_researcher_starts_pauses_and_cancels_an_experiment(service: Service, 
     page.get_by_role("dialog").get_by_role("button", name="Pause").click()
     expect(page.get_by_role("button", name="Resume")).to_be_visible()
     page.get_by_role("button", name="Cancel").click()
-    page.get_by_role("dialog").get_by_role("button", name="Keep as it is").click()
+    page.get_by_role("dialog").get_by_role("button", name="Go back").click()
     expect(page.get_by_role("button", name="Resume")).to_be_visible()
     page.get_by_role("button", name="Cancel").click()
-    page.get_by_role("dialog").get_by_role("button", name="Cancel the experiment").click()
+    page.get_by_role("dialog").get_by_role("button", name="Cancel experiment").click()
     expect(page.get_by_role("button", name="Resume")).to_have_count(0)
-    expect(page.locator(".figure-value").first).to_have_text("Cancelled")
+    expect(page.locator(".stat-value").first).to_have_text("Cancelled")
 
 
-def test_an_unknown_experiment_and_an_unknown_page_say_so(service: Service, sign_in: SignIn) -> None:
+def test_an_unknown_experiment_and_an_unknown_page_show_an_error(service: Service, sign_in: SignIn) -> None:
     page = sign_in("Lena")
     page.goto(f"{service.url}/experiments/exp_000000000000000000000000/label")
     expect(page.get_by_role("main")).to_contain_text("There is no experiment")
     page.goto(f"{service.url}/nowhere")
-    expect(page.get_by_role("heading", name="There is no such page")).to_be_visible()
+    expect(page.get_by_role("heading", name="Page not found")).to_be_visible()
 
 
 def test_the_labelling_view_fits_a_small_window_without_scrolling(
@@ -128,11 +128,11 @@ def test_the_labelling_view_fits_a_small_window_without_scrolling(
     before = clip
     page.keyboard.press("ArrowDown")
     Labeller(page).pair()
-    assert page.get_by_test_id("clip-left").bounding_box() == before, "nothing jumps from pair to pair"
+    assert page.get_by_test_id("clip-left").bounding_box() == before, "the layout must not shift between pairs"
 
 
 def _tab_to(page: Page, name: str) -> None:
-    """Moves the focus with Tab until it is on the control of this name."""
+    """Press Tab until the control with this name has the focus."""
     for _ in range(40):
         page.keyboard.press("Tab")
         focused = page.evaluate(

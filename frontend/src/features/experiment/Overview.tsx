@@ -1,58 +1,59 @@
+import { versionMetric } from "@/shared/api/metrics";
 import type { Experiment, RewardVersion } from "@/shared/api/types";
-import { formatCompact, formatCount, formatPercent, phaseWords } from "@/shared/ui/words";
-import { metricOf } from "./metric";
+import { formatCompact, formatCount, formatPercent } from "@/shared/ui/format";
+import { phaseText } from "@/shared/ui/status";
 
 interface OverviewProps {
   experiment: Experiment;
   versions: readonly RewardVersion[];
-  live: boolean;
+  connected: boolean;
 }
 
-/** Where the experiment stands, in four figures. */
-export function Overview({ experiment, versions, live }: OverviewProps) {
+/** The state of the experiment in five figures. */
+export function Overview({ experiment, versions, connected }: OverviewProps) {
   const { labels, steps, config } = experiment;
   const newest = versions.find(({ number }) => number === experiment.reward_version);
-  const accuracy = metricOf(newest, "holdout_accuracy");
+  const accuracy = versionMetric(newest, "holdout_accuracy");
   return (
     <dl className="overview">
-      <Figure
+      <Stat
         name="Policy"
-        value={phaseWords(experiment)}
-        note={live ? experiment.phase_detail : "Reconnecting…"}
+        value={phaseText(experiment)}
+        note={connected ? experiment.phase_detail : "Reconnecting…"}
       />
-      <Figure
-        name="Steps"
+      <Stat
+        name="Training steps"
         value={formatCompact(steps)}
         note={`of ${formatCompact(Number(config.total_steps))}`}
       />
-      <Figure
+      <Stat
         name="Labels"
         value={formatCount(labels.labels)}
-        note={`of ${formatCount(labels.budget)}, ${formatCount(labels.due)} due by now, ${formatCount(labels.skips)} skipped`}
+        note={`of ${formatCount(labels.budget)}; ${formatCount(labels.due)} due so far, ${formatCount(labels.skips)} skipped`}
       />
-      <Figure
+      <Stat
         name="Reward version"
         value={experiment.reward_version === null ? "none yet" : String(experiment.reward_version)}
-        note={accuracy === null ? "" : `right on ${formatPercent(accuracy)} of held-out labels`}
+        note={accuracy === null ? "" : `${formatPercent(accuracy)} held-out accuracy`}
       />
-      <Figure
-        name="Open pairs"
+      <Stat
+        name="Open queries"
         value={formatCount(labels.open_queries)}
         note={
-          labels.rendering_queries > 0 ? `${formatCount(labels.rendering_queries)} wait for their clips` : ""
+          labels.rendering_queries > 0 ? `${formatCount(labels.rendering_queries)} more being rendered` : ""
         }
       />
     </dl>
   );
 }
 
-function Figure({ name, value, note }: { name: string; value: string; note: string }) {
+function Stat({ name, value, note }: { name: string; value: string; note: string }) {
   return (
-    <div className="card figure">
+    <div className="card stat">
       <dt>{name}</dt>
       <dd>
-        <span className="figure-value">{value}</span>
-        <span className="quiet">{note}</span>
+        <span className="stat-value">{value}</span>
+        <span className="muted">{note}</span>
       </dd>
     </div>
   );

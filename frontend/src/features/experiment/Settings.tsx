@@ -1,7 +1,7 @@
 import type { Experiment } from "@/shared/api/types";
-import { formatCount } from "@/shared/ui/words";
+import { formatCount } from "@/shared/ui/format";
 
-/** What the experiment was started with; it never changes afterwards. */
+/** The settings of the experiment, which do not change after it starts. */
 export function Settings({ experiment }: { experiment: Experiment }) {
   return (
     <details className="card">
@@ -13,7 +13,7 @@ export function Settings({ experiment }: { experiment: Experiment }) {
           {Object.entries(experiment.config).map(([name, value]) => (
             <tr key={name}>
               <th scope="row">{name.replaceAll("_", " ")}</th>
-              <td>{wordsOf(value)}</td>
+              <td>{formatSetting(value)}</td>
             </tr>
           ))}
           <tr>
@@ -26,7 +26,7 @@ export function Settings({ experiment }: { experiment: Experiment }) {
   );
 }
 
-function wordsOf(value: unknown): string {
+function formatSetting(value: unknown): string {
   if (typeof value === "number") return formatCount(value);
   if (typeof value === "boolean") return value ? "yes" : "no";
   if (typeof value === "object" && value !== null) {

@@ -1,24 +1,24 @@
+import { versionMetric } from "@/shared/api/metrics";
 import type { RewardVersion } from "@/shared/api/types";
-import { formatCompact, formatCount, formatPercent } from "@/shared/ui/words";
-import { metricOf } from "./metric";
+import { formatCompact, formatCount, formatPercent } from "@/shared/ui/format";
 
-/** Every reward version: the labels it saw, and how well it predicts those it did not see. */
+/** A table of all reward versions, newest first, with their metrics on held-out labels. */
 export function Versions({ versions }: { versions: readonly RewardVersion[] }) {
   return (
     <section className="card" aria-labelledby="versions-title">
       <h2 id="versions-title">Reward versions</h2>
       {versions.length === 0 ? (
-        <p className="quiet">None yet: the first one is trained when the first labels are in.</p>
+        <p className="muted">None yet. The first version is trained on the initial labels.</p>
       ) : (
         <table className="table" data-testid="versions">
           <thead>
             <tr>
               <th scope="col">Version</th>
               <th scope="col">Labels</th>
-              <th scope="col">Policy steps</th>
+              <th scope="col">Training steps</th>
               <th scope="col">Held-out accuracy</th>
               <th scope="col">Held-out loss</th>
-              <th scope="col">At</th>
+              <th scope="col">Created</th>
             </tr>
           </thead>
           <tbody>
@@ -35,8 +35,8 @@ export function Versions({ versions }: { versions: readonly RewardVersion[] }) {
 }
 
 function Row({ version }: { version: RewardVersion }) {
-  const accuracy = metricOf(version, "holdout_accuracy");
-  const loss = metricOf(version, "holdout_loss");
+  const accuracy = versionMetric(version, "holdout_accuracy");
+  const loss = versionMetric(version, "holdout_loss");
   return (
     <tr>
       <th scope="row">{version.number}</th>

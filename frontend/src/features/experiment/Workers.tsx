@@ -1,24 +1,25 @@
 import { useQuery } from "@tanstack/react-query";
 import { workersQuery } from "@/shared/api/queries";
-import { isDown, plural, workersTrouble } from "@/shared/ui/words";
+import { plural } from "@/shared/ui/format";
+import { isDown, workerWarning } from "@/shared/ui/status";
 
 const STATES: Readonly<Record<string, string>> = {
   starting: "starting",
   idle: "idle",
   working: "working",
-  backing_off: "restarting soon",
+  backing_off: "restarting",
   stopped: "stopped",
 };
 
-/** The processes that do the work, and whether they live. */
+/** The state of every worker process. */
 export function Workers() {
   const { data = [] } = useQuery(workersQuery);
-  const trouble = workersTrouble(data);
+  const warning = workerWarning(data);
   return (
     <section className="card" aria-labelledby="workers-title">
       <h2 id="workers-title">Workers</h2>
-      {trouble && <p className="trouble">{trouble}</p>}
-      {data.length === 0 && <p className="quiet">None has reported yet.</p>}
+      {warning && <p className="alert">{warning}</p>}
+      {data.length === 0 && <p className="muted">No workers have started yet.</p>}
       <ul className="workers">
         {data.map((worker) => (
           <li key={worker.id} data-down={isDown(worker) || undefined}>
@@ -27,7 +28,7 @@ export function Workers() {
               {isDown(worker) ? "⚠ " : ""}
               {STATES[worker.state] ?? worker.state}
             </span>
-            <span className="quiet">
+            <span className="muted">
               {worker.detail}
               {worker.restarts > 0 ? ` (${plural(worker.restarts, "restart")})` : ""}
             </span>

@@ -1,31 +1,58 @@
 import type { RefObject } from "react";
 import type uPlot from "uplot";
-import type { ChartProps } from "./Chart";
 
-/** A curve that does not move still gets a scale, this share of its value above and below. */
-const FLAT_MARGIN = 0.1;
+export interface Curve {
+  x: number[];
+  y: number[];
+}
 
-const WHOLE_STEPS = [
+/** A named vertical line. */
+export interface Marker {
+  x: number;
+  name: string;
+}
+
+export interface ChartProps {
+  title: string;
+  curve: Curve;
+  markers: readonly Marker[];
+  xLabel: string;
+  xMax: number;
+  yMin?: number;
+  yMax?: number;
+  format: (value: number) => string;
+  formatX: (value: number) => string;
+  /** one of the --curve-* colours of the theme */
+  colour: "a" | "b" | "c" | "d";
+  /** x counts reward versions from 1: draw a dot for each */
+  perVersion?: boolean;
+  /** only integers on the y axis */
+  integers?: boolean;
+}
+
+/** Margin above and below a curve, as a fraction of its range, or of its value when it is constant. */
+const MARGIN = 0.1;
+
+const INTEGER_INCREMENTS = [
   1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 50_000, 100_000, 1_000_000,
 ];
 
-/** Up to so many points each has a dot: a line through one point would not be seen. */
-const FEW_POINTS = 4;
+/** Curves with fewer points are drawn with dots, since a line through one point is invisible. */
+const MIN_POINTS_WITHOUT_DOTS = 4;
 
-/** How uPlot draws a chart. It reads `latest` whenever it draws, so that it need not be made anew. */
-export function optionsOf(
+/** The uPlot options of a chart. They read `latest` on every draw, so that new properties need no new plot. */
+export function chartOptions(
   latest: RefObject<ChartProps>,
   element: HTMLElement,
   height: number,
 ): uPlot.Options {
-  const { tone, dots, whole, xLabel } = latest.current;
-  const colours = getComputedStyle(element);
-  const ink = colours.getPropertyValue("--muted");
-  const line = colours.getPropertyValue("--line");
-  const stroke = colours.getPropertyValue(`--curve-${tone}`);
+  const { colour, perVersion, integers, xLabel } = latest.current;
+  const style = getComputedStyle(element);
+  const textColour = style.getPropertyValue("--muted");
+  const stroke = style.getPropertyValue(`--curve-${colour}`);
   const axis = {
-    stroke: ink,
-    grid: { stroke: line, width: 1 },
+    stroke: textColour,
+    grid: { stroke: style.getPropertyValue("--line"), width: 1 },
     ticks: { show: false },
     font: "12px system-ui",
   };
@@ -49,7 +76,7 @@ export function optionsOf(
       },
       {
         ...axis,
-        ...(whole && { incrs: WHOLE_STEPS }),
+        ...(integers && { incrs: INTEGER_INCREMENTS }),
         size: 54,
         values: (_, ticks) => ticks.map(latest.current.format),
       },
@@ -60,63 +87,64 @@ export function optionsOf(
         stroke,
         width: 2,
         points: {
-          show: () => dots === true || latest.current.curve.x.length < FEW_POINTS,
+          show: () => perVersion === true || latest.current.curve.x.length < MIN_POINTS_WITHOUT_DOTS,
           size: 7,
           fill: stroke,
         },
       },
     ],
     hooks: {
-      draw: [(plot) => drawMarks(plot, latest.current, ink)],
-      setCursor: [(plot) => showValue(plot, latest.current)],
+      draw: [(plot) => drawMarkers(plot, latest.current, textColour)],
+      setCursor: [(plot) => showHoveredValue(plot, latest.current)],
     },
   };
 }
 
-function rangeX({ curve, xMax, dots }: ChartProps): [number, number] {
-  return dots ? [0.5, Math.max(xMax, curve.x.at(-1) ?? 1) + 0.5] : [0, Math.max(xMax, curve.x.at(-1) ?? 1)];
+function rangeX({ curve, xMax, perVersion }: ChartProps): [number, number] {
+  const max = Math.max(xMax, curve.x.at(-1) ?? 1);
+  return perVersion ? [0.5, max + 0.5] : [0, max];
 }
 
 function rangeY({ yMin, yMax }: ChartProps, low: number | null, high: number | null): [number, number] {
-  const from = low ?? 0;
-  const to = high ?? 1;
-  const margin = (to - from) * FLAT_MARGIN || Math.abs(to) * FLAT_MARGIN || 1;
-  return [yMin === undefined || from < yMin ? from - margin : yMin, yMax ?? to + margin];
+  const min = low ?? 0;
+  const max = high ?? 1;
+  const margin = (max - min) * MARGIN || Math.abs(max) * MARGIN || 1;
+  return [yMin === undefined || min < yMin ? min - margin : yMin, yMax ?? max + margin];
 }
 
-/** Vertical lines where reward versions came into force. Names that would overlap are left out. */
-function drawMarks(plot: uPlot, { marks }: ChartProps, ink: string): void {
+/** Draws a dashed line for every marker, and its name where it does not overlap the previous one. */
+function drawMarkers(plot: uPlot, { markers }: ChartProps, colour: string): void {
   const { ctx, bbox } = plot;
   const ratio = devicePixelRatio;
   ctx.save();
-  ctx.strokeStyle = ink;
-  ctx.fillStyle = ink;
+  ctx.strokeStyle = colour;
+  ctx.fillStyle = colour;
   ctx.globalAlpha = 0.7;
   ctx.lineWidth = ratio;
   ctx.setLineDash([3 * ratio, 3 * ratio]);
   ctx.font = `${11 * ratio}px system-ui`;
   ctx.textAlign = "left";
-  let free = Number.NEGATIVE_INFINITY;
-  for (const { x, name } of [...marks].sort((a, b) => a.x - b.x)) {
-    const at = Math.round(plot.valToPos(x, "x", true));
+  let textEnd = Number.NEGATIVE_INFINITY;
+  for (const { x, name } of [...markers].sort((a, b) => a.x - b.x)) {
+    const pixel = Math.round(plot.valToPos(x, "x", true));
     ctx.beginPath();
-    ctx.moveTo(at, bbox.top);
-    ctx.lineTo(at, bbox.top + bbox.height);
+    ctx.moveTo(pixel, bbox.top);
+    ctx.lineTo(pixel, bbox.top + bbox.height);
     ctx.stroke();
-    if (at < free) continue;
-    ctx.fillText(name, at + 3 * ratio, bbox.top + 10 * ratio);
-    free = at + ctx.measureText(name).width + 8 * ratio;
+    if (pixel < textEnd) continue;
+    ctx.fillText(name, pixel + 3 * ratio, bbox.top + 10 * ratio);
+    textEnd = pixel + ctx.measureText(name).width + 8 * ratio;
   }
   ctx.restore();
 }
 
-/** The value under the pointer stands in the title until the pointer leaves. */
-function showValue(plot: uPlot, { curve, format, formatX }: ChartProps): void {
-  const words = plot.root.closest(".chart")?.querySelector<HTMLElement>(".chart-newest");
-  if (!words) return;
+/** Shows the value under the pointer in place of the newest one. */
+function showHoveredValue(plot: uPlot, { curve, format, formatX }: ChartProps): void {
+  const element = plot.root.closest(".chart")?.querySelector<HTMLElement>(".chart-value");
+  if (!element) return;
   const index = plot.cursor.idx;
   const x = index == null ? undefined : curve.x[index];
   const y = index == null ? undefined : curve.y[index];
-  if (x !== undefined && y !== undefined) words.dataset.under = `${format(y)} at ${formatX(x)}`;
-  else delete words.dataset.under;
+  if (x !== undefined && y !== undefined) element.dataset.hover = `${format(y)} at ${formatX(x)}`;
+  else delete element.dataset.hover;
 }

@@ -1,25 +1,26 @@
 import { useQuery } from "@tanstack/react-query";
-import { sentenceOf } from "@/shared/api/errors";
+import { errorMessage } from "@/shared/api/errors";
 import { experimentQuery } from "@/shared/api/queries";
 import type { Me } from "@/shared/api/types";
-import { useLive } from "@/shared/live/useLive";
+import { useLiveUpdates } from "@/shared/api/useLiveUpdates";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { Message } from "@/shared/ui/Message";
-import { Workbench } from "./Workbench";
+import { LabelView } from "./LabelView";
+import "./clips.css";
 import "./labelling.css";
 
-/** Compare pairs of clips, one after the other. */
+/** The page on which a person compares pairs of clips. */
 export function LabelPage({ id, me }: { id: string; me: Me }) {
   const experiment = useQuery(experimentQuery(id));
-  const live = useLive(id);
-  if (experiment.data) return <Workbench experiment={experiment.data} me={me} live={live} />;
+  const connected = useLiveUpdates(id);
+  if (experiment.data) return <LabelView experiment={experiment.data} me={me} connected={connected} />;
   if (experiment.error) {
     return (
-      <Message title="This experiment cannot be opened">
-        <p>{sentenceOf(experiment.error)}</p>
+      <Message title="Cannot open this experiment">
+        <p>{errorMessage(experiment.error)}</p>
         <p>
-          <Link to={paths.experiments()}>To the experiments</Link>
+          <Link to={paths.experiments()}>All experiments</Link>
         </p>
       </Message>
     );

@@ -1,52 +1,52 @@
 import { useQuery } from "@tanstack/react-query";
 import { useEffect, useRef, useState } from "react";
+import { versionMetric } from "@/shared/api/metrics";
 import { rewardVersionsQuery } from "@/shared/api/queries";
 import type { Experiment } from "@/shared/api/types";
-import { formatPercent } from "@/shared/ui/words";
-import { WORDS } from "./answers";
+import { formatPercent } from "@/shared/ui/format";
+import { CHOICE_TEXT } from "./choices";
 import type { SessionView } from "./session";
-import { holdoutAccuracy } from "./version";
 
-const NEWS_SECONDS = 12;
+const NOTICE_SECONDS = 12;
 
-/** One quiet line: what was just said, and news of the reward model. It has its room even when it is empty. */
+/** A line with the last choice and a notice of a new reward version. It keeps its height while it is empty. */
 export function StatusLine({ view, experiment }: { view: SessionView; experiment: Experiment }) {
-  const news = useVersionNews(experiment);
-  const said = view.notice ?? (view.last ? `${WORDS[view.last.answer]}. Z brings that pair back.` : "");
+  const versionNotice = useVersionNotice(experiment);
+  const lastChoice = view.last ? `${CHOICE_TEXT[view.last.choice]}. Press Z to undo.` : "";
   return (
-    <div className="status">
+    <div className="status-line">
       <span role="status" aria-live="polite" data-testid="status">
-        {said}
+        {view.notice ?? lastChoice}
       </span>
       <span
         role="status"
         aria-live="polite"
-        data-testid="version-news"
-        className="news"
-        data-fresh={news !== ""}
+        data-testid="version-notice"
+        className="version-notice"
+        data-visible={versionNotice !== ""}
       >
-        {news}
+        {versionNotice}
       </span>
     </div>
   );
 }
 
-/** A sentence for a while after a new reward version has appeared. */
-function useVersionNews(experiment: Experiment): string {
-  const number = experiment.reward_version;
-  const seen = useRef(number);
-  const [fresh, setFresh] = useState<number | null>(null);
+/** A sentence about a new reward version, for a few seconds after it appears; otherwise empty. */
+function useVersionNotice(experiment: Experiment): string {
+  const current = experiment.reward_version;
+  const previous = useRef(current);
+  const [announced, setAnnounced] = useState<number | null>(null);
   const { data } = useQuery(rewardVersionsQuery(experiment.id));
   useEffect(() => {
-    if (number === seen.current) return;
-    seen.current = number;
-    setFresh(number);
-    const timer = setTimeout(() => setFresh(null), NEWS_SECONDS * 1000);
+    if (current === previous.current) return;
+    previous.current = current;
+    setAnnounced(current);
+    const timer = setTimeout(() => setAnnounced(null), NOTICE_SECONDS * 1000);
     return () => clearTimeout(timer);
-  }, [number]);
-  if (fresh === null) return "";
-  const accuracy = holdoutAccuracy(data?.items.find((version) => version.number === fresh));
-  const agrees =
-    accuracy === null ? "" : ` It agrees with ${formatPercent(accuracy)} of the labels it was not shown.`;
-  return `Your labels are in: reward version ${fresh} is ready.${agrees}`;
+  }, [current]);
+  if (announced === null) return "";
+  const version = data?.items.find(({ number }) => number === announced);
+  const accuracy = versionMetric(version, "holdout_accuracy");
+  const detail = accuracy === null ? "" : ` It predicts ${formatPercent(accuracy)} of held-out labels.`;
+  return `Reward version ${announced} was trained on your labels.${detail}`;
 }

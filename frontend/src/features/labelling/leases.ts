@@ -1,63 +1,63 @@
-import { isPassing } from "@/shared/api/errors";
+import { isTransient } from "@/shared/api/errors";
 import type { Query } from "@/shared/api/types";
 
-/** Of three heartbeats within a lease two may fail. */
-const BEATS_PER_LEASE = 3;
-/** Someone who has not touched the page for this long has gone: the pairs go back to the others. */
-const PRESENT_SECONDS = 600;
+/** Two of three heartbeats within a lease may fail. */
+const HEARTBEATS_PER_LEASE = 3;
+/** A user without input for this long is away: the leases expire, and other labellers get the pairs. */
+const AWAY_SECONDS = 600;
 
-interface Wishes {
-  /** the pairs whose leases are to be kept */
+interface Callbacks {
+  /** the pairs whose leases are renewed */
   held(): readonly Query[];
   heartbeat(queryId: string): Promise<unknown>;
-  /** a lease that is gone for good */
-  lost(queryId: string, error: unknown): void;
+  /** called when a lease cannot be renewed */
+  lost(queryId: string): void;
 }
 
-/** Keeps the leases of the pairs on screen and of those loaded ahead, while someone is there to look at them. */
-export class Leases {
-  readonly #wishes: Wishes;
-  #lastSeen = Date.now();
+/** Renews the leases of the pair on screen and of the pairs loaded ahead, while the user is active. */
+export class LeaseKeeper {
+  readonly #callbacks: Callbacks;
+  #lastActive = Date.now();
   #timer: ReturnType<typeof setTimeout> | undefined;
 
-  constructor(wishes: Wishes) {
-    this.#wishes = wishes;
-    this.#plan();
+  constructor(callbacks: Callbacks) {
+    this.#callbacks = callbacks;
+    this.#schedule();
   }
 
-  /** The person did something: a key, a click, or came back to the tab. */
-  seen(): void {
-    const wasAway = !this.#present();
-    this.#lastSeen = Date.now();
-    if (wasAway) void this.#beat();
+  /** The user pressed a key, clicked, or came back to the tab. */
+  userActive(): void {
+    const wasAway = !this.#isActive();
+    this.#lastActive = Date.now();
+    if (wasAway) void this.#renew();
   }
 
   stop(): void {
     clearTimeout(this.#timer);
   }
 
-  #present(): boolean {
-    return Date.now() - this.#lastSeen < PRESENT_SECONDS * 1000;
+  #isActive(): boolean {
+    return Date.now() - this.#lastActive < AWAY_SECONDS * 1000;
   }
 
-  #plan(): void {
-    const shortest = Math.min(60, ...this.#wishes.held().map(({ lease_seconds }) => lease_seconds));
+  #schedule(): void {
+    const shortest = Math.min(60, ...this.#callbacks.held().map(({ lease_seconds }) => lease_seconds));
     this.#timer = setTimeout(
       () => {
-        if (this.#present()) void this.#beat();
-        this.#plan();
+        if (this.#isActive()) void this.#renew();
+        this.#schedule();
       },
-      (shortest * 1000) / BEATS_PER_LEASE,
+      (shortest * 1000) / HEARTBEATS_PER_LEASE,
     );
   }
 
-  async #beat(): Promise<void> {
+  async #renew(): Promise<void> {
     await Promise.all(
-      this.#wishes.held().map(async ({ id }) => {
+      this.#callbacks.held().map(async ({ id }) => {
         try {
-          await this.#wishes.heartbeat(id);
+          await this.#callbacks.heartbeat(id);
         } catch (error) {
-          if (!isPassing(error)) this.#wishes.lost(id, error);
+          if (!isTransient(error)) this.#callbacks.lost(id);
         }
       }),
     );

@@ -1,50 +1,50 @@
 import type { Query } from "@/shared/api/types";
-import type { Answer } from "./answers";
+import type { Choice } from "./choices";
 
-/** Pairs answered in this tab that can still be brought back, the newest last. */
-const PAST_KEPT = 20;
+/** How many labels of this tab can be undone. */
+const MAX_UNDO = 20;
 
-export interface Answered {
+export interface LabelledPair {
   query: Query;
-  answer: Answer;
+  choice: Choice;
 }
 
-/** The pairs of one labelling session: the first of `pairs` is on screen. Never changed in place. */
+/** The pairs of one labelling session; the first of `pairs` is on screen. Immutable. */
 export interface Queue {
   readonly pairs: readonly Query[];
-  readonly past: readonly Answered[];
+  /** newest last */
+  readonly past: readonly LabelledPair[];
 }
 
 export const EMPTY: Queue = { pairs: [], past: [] };
 
 /**
- * Takes in pairs that the server leased to us.
+ * Appends leased pairs that are not in the queue yet.
  *
- * The order on screen stays; `settled` are answered here already, though perhaps not yet at the server, which
- * therefore still offers them.
+ * @param labelled queries labelled in this browser. The server offers them until it has received the label.
  */
-export function offered(queue: Queue, items: readonly Query[], settled: ReadonlySet<string>): Queue {
+export function append(queue: Queue, queries: readonly Query[], labelled: ReadonlySet<string>): Queue {
   const known = new Set(queue.pairs.map(({ id }) => id));
-  const fresh = items.filter(({ id }) => !known.has(id) && !settled.has(id));
-  return { ...queue, pairs: [...queue.pairs, ...fresh] };
+  const added = queries.filter(({ id }) => !known.has(id) && !labelled.has(id));
+  return { ...queue, pairs: [...queue.pairs, ...added] };
 }
 
-/** The pair on screen is answered and leaves. */
-export function answered(queue: Queue, answer: Answer): Queue {
+/** Moves the pair on screen to the past. */
+export function labelFirst(queue: Queue, choice: Choice): Queue {
   const [query, ...pairs] = queue.pairs;
   if (!query) return queue;
-  return { pairs, past: [...queue.past, { query, answer }].slice(-PAST_KEPT) };
+  return { pairs, past: [...queue.past, { query, choice }].slice(-MAX_UNDO) };
 }
 
-/** The pair answered last is on screen again, with the sides it had. */
-export function undone(queue: Queue): Queue {
+/** Brings the last labelled pair back on screen. */
+export function undoLast(queue: Queue): Queue {
   const last = queue.past.at(-1);
   if (!last) return queue;
   return { pairs: [last.query, ...queue.pairs], past: queue.past.slice(0, -1) };
 }
 
-/** A pair that is no longer ours goes, wherever it is. */
-export function dropped(queue: Queue, id: string): Queue {
+/** Removes a pair from the queue and from the past. */
+export function remove(queue: Queue, id: string): Queue {
   return {
     pairs: queue.pairs.filter((query) => query.id !== id),
     past: queue.past.filter(({ query }) => query.id !== id),

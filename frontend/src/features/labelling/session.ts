@@ -1,220 +1,246 @@
-import { isPassing, sentenceOf } from "@/shared/api/errors";
+import { errorMessage, isTransient } from "@/shared/api/errors";
 import type { Queries, Query } from "@/shared/api/types";
 import type { Outbox, Outcome } from "@/shared/outbox/outbox";
-import { type Answer, LABEL_OF } from "./answers";
-import { Leases } from "./leases";
-import { type MemoryStorage, recall, remember } from "./memory";
-import { type Answered, answered, dropped, EMPTY, offered, type Queue, undone } from "./queue";
-import type { LabellingServer } from "./server";
+import { type Choice, LABELS } from "./choices";
+import { LeaseKeeper } from "./leases";
+import { append, EMPTY, type LabelledPair, labelFirst, type Queue, remove, undoLast } from "./queue";
+import { loadState, saveState, type TabStorage } from "./savedState";
 
-/** The pair on screen and the two loaded ahead. */
-const WANTED = 3;
-/** The most the server gives at once. */
-const MOST = 16;
-/** How long the chosen side stays outlined before the next pair is shown. */
-const FLASH_SECONDS = 0.22;
+/** The pair on screen and two more, loaded ahead. */
+const QUEUE_LENGTH = 3;
+/** The most pairs that the server leases in one request. */
+const MAX_LEASE_COUNT = 16;
+/** How long the chosen side stays highlighted before the next pair is shown. */
+const HIGHLIGHT_SECONDS = 0.22;
 const POLL_EMPTY_SECONDS = 1;
 const POLL_SECONDS = 3;
+const MAX_RESPONSE_SECONDS = 86_400;
 
-/** What the page shows. A new object whenever anything changed. */
+/** What the page shows. Replaced by a new object on every change. */
 export interface SessionView {
   current: Query | null;
   upcoming: readonly Query[];
-  last: Answered | null;
-  /** the answer just given, while its pair is still on screen */
-  flash: Answer | null;
-  /** why there is no pair; null before the first answer of the server */
+  last: LabelledPair | null;
+  /** the choice just made, while its pair is still on screen */
+  chosen: Choice | null;
+  /** why there is no pair; null before the first response */
   reason: Queries["reason"] | null;
-  /** why the server gives none: it is unreachable, or refuses */
-  trouble: string | null;
-  /** a quiet word about something that happened */
+  /** why pairs cannot be loaded: the server is unreachable or responded with an error */
+  error: string | null;
+  /** a message about the last action; null for none */
   notice: string | null;
-  /** labels given in this tab, skips not counted */
-  labelled: number;
-  /** grows with every pair put on screen, an undone one too */
-  shown: number;
+  /** labels given in this tab, without skips */
+  labelCount: number;
+  /** increases with every pair displayed, also after undo */
+  displayCount: number;
 }
 
-interface Parts {
+export const INITIAL_VIEW: SessionView = {
+  current: null,
+  upcoming: [],
+  last: null,
+  chosen: null,
+  reason: null,
+  error: null,
+  notice: null,
+  labelCount: 0,
+  displayCount: 0,
+};
+
+/** The requests of a labelling session. */
+export interface LabellingServer {
+  next(count: number): Promise<Queries>;
+  heartbeat(queryId: string): Promise<unknown>;
+  release(queryId: string): void;
+}
+
+interface Dependencies {
   experimentId: string;
   server: LabellingServer;
   outbox: Outbox;
-  storage: MemoryStorage;
+  storage: TabStorage;
   storageKey: string;
 }
 
-/** One person labelling one experiment: which pair is on screen, what was said, what comes next. */
+/** One person labelling one experiment: the pair on screen, the pairs ahead of it, and those that can be undone. */
 export class LabellingSession {
-  readonly #parts: Parts;
-  readonly #leases: Leases;
-  readonly #watchers = new Set<() => void>();
-  readonly #unlisten: () => void;
-  /** answered here and not undone; the server may go on offering them for a moment */
-  readonly #settled = new Set<string>();
+  readonly #deps: Dependencies;
+  readonly #leases: LeaseKeeper;
+  readonly #subscribers = new Set<() => void>();
+  readonly #stopListening: () => void;
+  /** Queries labelled here and not undone. The server may still offer them until it has received the label. */
+  readonly #labelled = new Set<string>();
   #queue: Queue;
   #view: SessionView;
-  #asking = false;
+  #fetching = false;
   #disposed = false;
   #pollTimer: ReturnType<typeof setTimeout> | undefined;
-  #flashTimer: ReturnType<typeof setTimeout> | undefined;
+  #highlightTimer: ReturnType<typeof setTimeout> | undefined;
 
-  constructor(parts: Parts) {
-    this.#parts = parts;
-    const { labelled, past } = recall(parts.storage, parts.storageKey);
+  constructor(deps: Dependencies) {
+    this.#deps = deps;
+    const { labelCount, past } = loadState(deps.storage, deps.storageKey);
     this.#queue = { ...EMPTY, past };
-    this.#view = {
-      ...{ current: null, upcoming: [], last: past.at(-1) ?? null, flash: null },
-      ...{ reason: null, trouble: null, notice: null, labelled, shown: 0 },
-    };
-    this.#unlisten = parts.outbox.listen((outcome) => this.#delivered(outcome));
-    this.#leases = new Leases({
-      held: () => this.#queue.pairs.filter(({ id }) => !this.#isBeingSettled(id)),
-      heartbeat: (id) => parts.server.heartbeat(id),
+    this.#view = { ...INITIAL_VIEW, last: past.at(-1) ?? null, labelCount };
+    this.#stopListening = deps.outbox.listen((outcome) => this.#handleOutcome(outcome));
+    this.#leases = new LeaseKeeper({
+      held: () => this.#queue.pairs.filter(({ id }) => !this.#isBeingLabelled(id)),
+      heartbeat: (id) => deps.server.heartbeat(id),
       lost: (id) => {
-        // A heartbeat that crossed the label on its way finds the query closed: by us.
-        if (this.#isBeingSettled(id)) return;
-        this.#lose(id, "That pair went to someone else, since it was open for long.");
+        // A heartbeat that arrives after the label fails, because the label has closed the query.
+        if (this.#isBeingLabelled(id)) return;
+        this.#drop(id, "The pair was given to another labeller because it was open for too long.");
       },
     });
-    void this.#refill();
+    void this.#fetch();
   }
 
   readonly view = (): SessionView => this.#view;
 
-  readonly watch = (watcher: () => void): (() => void) => {
-    this.#watchers.add(watcher);
-    return () => this.#watchers.delete(watcher);
+  /** Calls back after every change of the view. Returns a function that unsubscribes. */
+  readonly subscribe = (callback: () => void): (() => void) => {
+    this.#subscribers.add(callback);
+    return () => this.#subscribers.delete(callback);
   };
 
-  /** Says which is better of the pair on screen. Kept at once; the next pair follows when the eye has seen it. */
-  answer(answer: Answer, responseSeconds: number): void {
+  /** Labels the pair on screen. The label is stored at once; the next pair follows after the highlight. */
+  choose(choice: Choice, responseSeconds: number): void {
     const query = this.#view.current;
-    if (!query || this.#view.flash) return;
-    this.#leases.seen();
+    if (!query || this.#view.chosen) return;
+    this.#leases.userActive();
     const body = {
-      label: LABEL_OF[answer],
+      label: LABELS[choice],
       order: "shown" as const,
-      response_seconds: Math.min(86_400, Math.max(0, responseSeconds)),
+      response_seconds: Math.min(MAX_RESPONSE_SECONDS, Math.max(0, responseSeconds)),
     };
-    this.#settled.add(query.id);
-    const { experimentId, outbox } = this.#parts;
-    outbox.put({ kind: "label", experimentId, queryId: query.id, body });
-    this.#publish({ flash: answer, notice: null });
-    this.#flashTimer = setTimeout(() => this.#advance(answer), FLASH_SECONDS * 1000);
+    this.#labelled.add(query.id);
+    const { experimentId, outbox } = this.#deps;
+    outbox.add({ kind: "label", experimentId, queryId: query.id, body });
+    this.#publish({ chosen: choice, notice: null });
+    this.#highlightTimer = setTimeout(() => this.#advance(choice), HIGHLIGHT_SECONDS * 1000);
   }
 
-  /** Brings the pair answered last back on screen and takes its label away. */
+  /** Removes the last label and shows its pair again. */
   undo(): void {
-    this.#leases.seen();
-    if (this.#view.flash) {
-      clearTimeout(this.#flashTimer);
-      this.#advance(this.#view.flash);
+    this.#leases.userActive();
+    if (this.#view.chosen) {
+      clearTimeout(this.#highlightTimer);
+      this.#advance(this.#view.chosen);
     }
     const last = this.#queue.past.at(-1);
     if (!last) {
-      this.#publish({ notice: "There is nothing to undo." });
+      this.#publish({ notice: "Nothing to undo." });
       return;
     }
     const { id } = last.query;
-    const { experimentId, outbox } = this.#parts;
-    if (!outbox.takeBack(id)) outbox.put({ kind: "undo", experimentId, queryId: id });
-    this.#settled.delete(id);
-    this.#queue = undone(this.#queue);
-    this.#show({ notice: "Undone: this pair again.", labelled: this.#view.labelled - countOf(last.answer) });
+    const { experimentId, outbox } = this.#deps;
+    if (!outbox.cancelLabel(id)) outbox.add({ kind: "undo", experimentId, queryId: id });
+    this.#labelled.delete(id);
+    this.#queue = undoLast(this.#queue);
+    const labelCount = this.#view.labelCount - countOf(last.choice);
+    this.#show({ notice: "Undone. Label this pair again.", labelCount });
   }
 
-  /** The person moved the mouse or pressed a key: they are here. */
-  seen(): void {
-    this.#leases.seen();
+  /** The user moved the mouse or pressed a key. */
+  userActive(): void {
+    this.#leases.userActive();
   }
 
-  /** Something changed at the server, or the person is back: ask without waiting for the next poll. */
-  wake(): void {
-    this.#leases.seen();
-    void this.#refill();
+  /** Fetches pairs now instead of at the next poll: the user is back, or the experiment has changed. */
+  refresh(): void {
+    this.#leases.userActive();
+    void this.#fetch();
   }
 
-  /** Leaves: the pairs go back to the others. Labels on their way go on being sent by the outbox. */
+  /** Ends the session and releases its pairs. The outbox still sends the labels that are waiting. */
   dispose(): void {
     this.#disposed = true;
     clearTimeout(this.#pollTimer);
-    clearTimeout(this.#flashTimer);
-    this.#unlisten();
+    clearTimeout(this.#highlightTimer);
+    this.#stopListening();
     this.#leases.stop();
-    const ours = this.#queue.pairs.filter(({ id }) => !this.#settled.has(id));
-    for (const { id } of ours) this.#parts.server.release(id);
+    const held = this.#queue.pairs.filter(({ id }) => !this.#labelled.has(id));
+    for (const { id } of held) this.#deps.server.release(id);
   }
 
-  /** Answered here, or a label or undo of it on its way: its lease is no longer ours to keep. */
-  #isBeingSettled(id: string): boolean {
-    return this.#settled.has(id) || this.#parts.outbox.holds(id);
+  /** Whether the query was labelled here, or its label or undo is still being sent: it needs no lease. */
+  #isBeingLabelled(id: string): boolean {
+    return this.#labelled.has(id) || this.#deps.outbox.has(id);
   }
 
-  #advance(answer: Answer): void {
-    this.#queue = answered(this.#queue, answer);
-    this.#show({ flash: null, labelled: this.#view.labelled + countOf(answer) });
-    void this.#refill();
+  #advance(choice: Choice): void {
+    this.#queue = labelFirst(this.#queue, choice);
+    this.#show({ chosen: null, labelCount: this.#view.labelCount + countOf(choice) });
+    void this.#fetch();
   }
 
-  #delivered({ operation, refused }: Outcome): void {
-    if (refused === null) return;
+  #handleOutcome({ operation, error }: Outcome): void {
+    if (error === null) return;
     const { queryId, kind } = operation;
-    const answeredHere = this.#queue.past.find(({ query }) => query.id === queryId);
-    const what = kind === "label" ? "A label was not taken" : "That could not be undone";
-    if (kind === "label" && answeredHere)
-      this.#publish({ labelled: this.#view.labelled - countOf(answeredHere.answer) });
-    this.#settled.delete(queryId);
-    this.#lose(queryId, `${what}: ${sentenceOf(refused)}`);
+    const labelledHere = this.#queue.past.find(({ query }) => query.id === queryId);
+    const what = kind === "label" ? "A label was rejected" : "The undo was rejected";
+    if (kind === "label" && labelledHere)
+      this.#publish({ labelCount: this.#view.labelCount - countOf(labelledHere.choice) });
+    this.#labelled.delete(queryId);
+    this.#drop(queryId, `${what}: ${errorMessage(error)}`);
   }
 
-  #lose(id: string, notice: string): void {
+  /** Removes a pair; shows the notice if the user has seen the pair. */
+  #drop(id: string, notice: string): void {
     const onScreen = this.#view.current?.id === id;
-    const known = onScreen || this.#queue.past.some(({ query }) => query.id === id);
-    this.#queue = dropped(this.#queue, id);
-    if (onScreen) clearTimeout(this.#flashTimer);
-    this.#show(onScreen ? { flash: null, notice } : known ? { notice } : {});
-    void this.#refill();
+    const seen = onScreen || this.#queue.past.some(({ query }) => query.id === id);
+    this.#queue = remove(this.#queue, id);
+    if (onScreen) clearTimeout(this.#highlightTimer);
+    this.#show(onScreen ? { chosen: null, notice } : seen ? { notice } : {});
+    void this.#fetch();
   }
 
-  /** Keeps three pairs at hand: asks for what is missing, and again later when the server has none. */
-  async #refill(): Promise<void> {
-    if (this.#asking || this.#disposed || this.#queue.pairs.length >= WANTED) return;
+  /** Leases pairs until the queue is full; polls while the server has too few. */
+  async #fetch(): Promise<void> {
+    if (this.#fetching || this.#disposed || this.#queue.pairs.length >= QUEUE_LENGTH) return;
     clearTimeout(this.#pollTimer);
-    this.#asking = true;
+    this.#fetching = true;
     try {
-      const unsent = this.#parts.outbox.labelled();
-      const { items, reason } = await this.#parts.server.next(Math.min(MOST, WANTED + unsent.size));
+      const unsent = this.#deps.outbox.labelledQueries();
+      const count = Math.min(MAX_LEASE_COUNT, QUEUE_LENGTH + unsent.size);
+      const { items, reason } = await this.#deps.server.next(count);
       if (this.#disposed) {
-        for (const { id } of items) this.#parts.server.release(id);
+        for (const { id } of items) this.#deps.server.release(id);
         return;
       }
-      this.#queue = offered(this.#queue, items, new Set([...this.#settled, ...unsent]));
-      this.#show({ reason, trouble: null });
+      this.#queue = append(this.#queue, items, new Set([...this.#labelled, ...unsent]));
+      this.#show({ reason, error: null });
     } catch (error) {
-      this.#publish({ trouble: sentenceOf(error), reason: isPassing(error) ? this.#view.reason : "" });
+      this.#publish({ error: errorMessage(error), reason: isTransient(error) ? this.#view.reason : "" });
     } finally {
-      this.#asking = false;
+      this.#fetching = false;
     }
-    const wait = this.#queue.pairs.length === 0 ? POLL_EMPTY_SECONDS : POLL_SECONDS;
-    if (!this.#disposed) this.#pollTimer = setTimeout(() => void this.#refill(), wait * 1000);
+    const delay = this.#queue.pairs.length === 0 ? POLL_EMPTY_SECONDS : POLL_SECONDS;
+    if (!this.#disposed) this.#pollTimer = setTimeout(() => void this.#fetch(), delay * 1000);
   }
 
+  /** Publishes the state of the queue and saves what survives a reload. */
   #show(change: Partial<SessionView>): void {
     const current = this.#queue.pairs[0] ?? null;
-    const moved = current !== null && current.id !== this.#view.current?.id;
-    const last = this.#queue.past.at(-1) ?? null;
-    const upcoming = this.#queue.pairs.slice(1);
-    this.#publish({ ...change, current, upcoming, last, shown: this.#view.shown + (moved ? 1 : 0) });
-    const { storage, storageKey } = this.#parts;
-    remember(storage, storageKey, { labelled: this.#view.labelled, past: this.#queue.past });
+    const changed = current !== null && current.id !== this.#view.current?.id;
+    this.#publish({
+      ...change,
+      current,
+      upcoming: this.#queue.pairs.slice(1),
+      last: this.#queue.past.at(-1) ?? null,
+      displayCount: this.#view.displayCount + (changed ? 1 : 0),
+    });
+    const { storage, storageKey } = this.#deps;
+    saveState(storage, storageKey, { labelCount: this.#view.labelCount, past: this.#queue.past });
   }
 
   #publish(change: Partial<SessionView>): void {
     this.#view = { ...this.#view, ...change };
-    for (const watcher of this.#watchers) watcher();
+    for (const callback of this.#subscribers) callback();
   }
 }
 
-function countOf(answer: Answer): number {
-  return answer === "skip" ? 0 : 1;
+/** Skips do not count as labels. */
+function countOf(choice: Choice): number {
+  return choice === "skip" ? 0 : 1;
 }

@@ -1,19 +1,14 @@
 import { useEffect, useState, useSyncExternalStore } from "react";
-import { useOutbox } from "@/shared/outbox/context";
-import { labellingServer } from "./server";
-import { LabellingSession, type SessionView } from "./session";
+import { api, unwrap } from "@/shared/api/client";
+import { useOutbox } from "@/shared/outbox/OutboxProvider";
+import { INITIAL_VIEW, type LabellingServer, LabellingSession, type SessionView } from "./session";
 
-const NOTHING_YET: SessionView = {
-  ...{ current: null, upcoming: [], last: null, flash: null },
-  ...{ reason: null, trouble: null, notice: null, labelled: 0, shown: 0 },
-};
+const ACTIVITY_EVENTS = ["keydown", "pointerdown", "pointermove"] as const;
 
-const SIGNS_OF_LIFE = ["keydown", "pointerdown", "pointermove"] as const;
+const subscribeToNothing = () => () => undefined;
+const initialView = () => INITIAL_VIEW;
 
-const noWatch = () => () => undefined;
-const nothingYet = () => NOTHING_YET;
-
-/** The labelling session of one experiment while this page is open; null for the moment before it begins. */
+/** The labelling session of one experiment while the page is open; null during the first render. */
 export function useLabellingSession(
   experimentId: string,
   userId: string,
@@ -21,34 +16,54 @@ export function useLabellingSession(
   const outbox = useOutbox();
   const [session, setSession] = useState<LabellingSession | null>(null);
   useEffect(() => {
-    const opened = new LabellingSession({
+    const created = new LabellingSession({
       experimentId,
-      server: labellingServer(experimentId),
+      server: createServer(experimentId),
       outbox,
       storage: window.sessionStorage,
-      storageKey: `accord.session.${userId}.${experimentId}`,
+      storageKey: `accord.labelling.${userId}.${experimentId}`,
     });
-    const leave = () => opened.dispose();
-    const comeBack = (event: PageTransitionEvent) => {
+    const onPageHide = () => created.dispose();
+    // The browser restored the page from its back/forward cache, with a disposed session.
+    const onPageShow = (event: PageTransitionEvent) => {
       if (event.persisted) window.location.reload();
     };
-    const look = () => {
-      if (document.visibilityState === "visible") opened.wake();
+    const onVisibilityChange = () => {
+      if (document.visibilityState === "visible") created.refresh();
     };
-    const seen = () => opened.seen();
-    for (const sign of SIGNS_OF_LIFE) window.addEventListener(sign, seen);
-    window.addEventListener("pagehide", leave);
-    window.addEventListener("pageshow", comeBack);
-    document.addEventListener("visibilitychange", look);
-    setSession(opened);
+    const onActivity = () => created.userActive();
+    for (const event of ACTIVITY_EVENTS) window.addEventListener(event, onActivity);
+    window.addEventListener("pagehide", onPageHide);
+    window.addEventListener("pageshow", onPageShow);
+    document.addEventListener("visibilitychange", onVisibilityChange);
+    setSession(created);
     return () => {
-      for (const sign of SIGNS_OF_LIFE) window.removeEventListener(sign, seen);
-      window.removeEventListener("pagehide", leave);
-      window.removeEventListener("pageshow", comeBack);
-      document.removeEventListener("visibilitychange", look);
-      opened.dispose();
+      for (const event of ACTIVITY_EVENTS) window.removeEventListener(event, onActivity);
+      window.removeEventListener("pagehide", onPageHide);
+      window.removeEventListener("pageshow", onPageShow);
+      document.removeEventListener("visibilitychange", onVisibilityChange);
+      created.dispose();
     };
   }, [experimentId, userId, outbox]);
-  const view = useSyncExternalStore(session?.watch ?? noWatch, session?.view ?? nothingYet);
+  const view = useSyncExternalStore(session?.subscribe ?? subscribeToNothing, session?.view ?? initialView);
   return { session, view };
+}
+
+function createServer(experimentId: string): LabellingServer {
+  const pathOf = (queryId: string) => ({ params: { path: { query_id: queryId } } });
+  return {
+    next: (count) =>
+      unwrap(
+        api.POST("/api/v1/experiments/{experiment_id}/queries/next", {
+          params: { path: { experiment_id: experimentId }, query: { count } },
+        }),
+      ),
+    heartbeat: (queryId) => unwrap(api.PUT("/api/v1/queries/{query_id}/lease", pathOf(queryId))),
+    release: (queryId) => {
+      // `keepalive` completes the request even if the page is closing. A failure needs no handling: the lease expires.
+      api
+        .DELETE("/api/v1/queries/{query_id}/lease", { ...pathOf(queryId), keepalive: true })
+        .catch(() => undefined);
+    },
+  };
 }

@@ -2,24 +2,26 @@ import { useEffect, useState } from "react";
 import { Message } from "@/shared/ui/Message";
 
 const COMMAND = "accord link";
+const COPIED_MS = 2_000;
 
-/** There are no passwords: a link signs one in, once. */
+/** The sign-in page: explains where one-time sign-in links come from. */
 export function SignedOut() {
   return (
     <Message title="Sign in to Accord">
-      <p>Accord has no passwords. A one-time link signs you in, and this browser stays signed in.</p>
-      <ol>
+      <p>Accord has no passwords. You sign in with a one-time link, and this browser stays signed in.</p>
+      <ul className="bullets">
         <li>
           If you run Accord on this machine, run this command in a terminal and open the link that it prints.
-          It signs you in as the administrator:
+          It signs you in as the administrator.
           <CommandLine />
         </li>
         <li>
-          If a colleague runs Accord, ask them for a sign-in link. They create it with{" "}
-          <code>accord user link NAME</code>, or with <code>accord user add NAME</code> if you are new.
+          If a colleague runs Accord, ask them for a link. They create it with{" "}
+          <code>accord user add NAME</code>, or with <code>accord user link NAME</code> if you have signed in
+          before.
         </li>
-      </ol>
-      <p className="quiet">Each link works once, and only for a limited time.</p>
+      </ul>
+      <p className="muted">Each link works once, and only for a limited time.</p>
     </Message>
   );
 }
@@ -28,7 +30,7 @@ function CommandLine() {
   const [copied, setCopied] = useState(false);
   useEffect(() => {
     if (!copied) return;
-    const timer = setTimeout(() => setCopied(false), 2_000);
+    const timer = setTimeout(() => setCopied(false), COPIED_MS);
     return () => clearTimeout(timer);
   }, [copied]);
   return (

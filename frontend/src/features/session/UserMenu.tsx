@@ -3,7 +3,7 @@ import { api, unwrap } from "@/shared/api/client";
 import { meQuery } from "@/shared/api/queries";
 import type { Me } from "@/shared/api/types";
 
-/** Who is signed in, and the way out. */
+/** The name and role of the signed-in user, and the sign-out button. */
 export function UserMenu({ me }: { me: Me }) {
   const cache = useQueryClient();
   const signOut = useMutation({
@@ -13,7 +13,7 @@ export function UserMenu({ me }: { me: Me }) {
   return (
     <div className="user">
       <span className="user-name" title={`Signed in as ${me.name}, ${me.role}`}>
-        {me.name} {me.name !== me.role && <span className="quiet">{me.role}</span>}
+        {me.name} {me.name !== me.role && <span className="muted">{me.role}</span>}
       </span>
       <button
         type="button"

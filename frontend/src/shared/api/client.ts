@@ -1,28 +1,28 @@
 import createClient from "openapi-fetch";
-import { errorOf, Unreachable } from "./errors";
+import { ServerUnreachable, toApiError } from "./errors";
 import type { paths } from "./schema";
 
-/** The typed client of the REST API; the sign-in cookie goes along by itself. */
+/** The typed client of the REST API. The browser sends the sign-in cookie with every request. */
 export const api = createClient<paths>({ baseUrl: "/", credentials: "same-origin" });
 
-interface Outcome<Data> {
+interface Result<Data> {
   data?: Data;
   error?: unknown;
   response: Response;
 }
 
 /**
- * The data of a call.
+ * Returns the data of a call.
  *
- * @throws ApiError when the server refuses, Unreachable when it does not answer.
+ * @throws ApiError when the server answers with an error, ServerUnreachable when it does not answer.
  */
-export async function unwrap<Data>(call: Promise<Outcome<Data>>): Promise<Data> {
-  let outcome: Outcome<Data>;
+export async function unwrap<Data>(call: Promise<Result<Data>>): Promise<Data> {
+  let result: Result<Data>;
   try {
-    outcome = await call;
+    result = await call;
   } catch (cause) {
-    throw new Unreachable(cause);
+    throw new ServerUnreachable(cause);
   }
-  if (!outcome.response.ok) throw errorOf(outcome.response, outcome.error);
-  return outcome.data as Data;
+  if (!result.response.ok) throw toApiError(result.response, result.error);
+  return result.data as Data;
 }

@@ -1,54 +1,56 @@
-/** What the server said no to, with its stable code and its sentence. */
+/** An error response of the API: its status, its stable code and its message. */
 export class ApiError extends Error {
   readonly status: number;
   readonly code: string;
-  readonly retryAfterSeconds: number | null;
+  readonly details: Readonly<Record<string, unknown>>;
 
-  constructor(status: number, code: string, message: string, retryAfterSeconds: number | null = null) {
+  constructor(status: number, code: string, message: string, details: Record<string, unknown> = {}) {
     super(message);
     this.name = "ApiError";
     this.status = status;
     this.code = code;
-    this.retryAfterSeconds = retryAfterSeconds;
+    this.details = details;
   }
 }
 
-/** No answer at all: the server is down, or the network is. */
-export class Unreachable extends Error {
+/** No response at all: the server or the network is down. */
+export class ServerUnreachable extends Error {
   constructor(cause: unknown) {
-    super("The server does not answer.", { cause });
-    this.name = "Unreachable";
+    super("The server is not responding.", { cause });
+    this.name = "ServerUnreachable";
   }
 }
 
-/** Whether the same request may succeed later without a change: the network, a restart, a rate limit, a lost sign-in. */
-export function isPassing(error: unknown): boolean {
+/** Whether the same request may succeed later: after a network failure, a restart, a rate limit or a new sign-in. */
+export function isTransient(error: unknown): boolean {
   if (error instanceof ApiError) {
     return error.status >= 500 || error.status === 429 || error.status === 408 || error.status === 401;
   }
-  return error instanceof Unreachable;
+  return error instanceof ServerUnreachable;
 }
 
-/** The error of a response that is not OK. Bodies that are not ours (a proxy's page) get a plain sentence. */
-export function errorOf(response: Response, body: unknown): ApiError {
-  const retryAfter = Number(response.headers.get("Retry-After") ?? Number.NaN);
-  const seconds = Number.isFinite(retryAfter) ? retryAfter : null;
+/** The error of a response that is not OK. A body that is not from Accord, such as a proxy's page, is ignored. */
+export function toApiError(response: Response, body: unknown): ApiError {
   const error = isErrorBody(body) ? body.error : null;
   return new ApiError(
     response.status,
     error?.code ?? `http_${response.status}`,
-    error?.message ?? `The server answered ${response.status} ${response.statusText}.`,
-    seconds,
+    error?.message ?? `The server responded with ${response.status} ${response.statusText}.`,
+    error?.details ?? {},
   );
 }
 
-function isErrorBody(body: unknown): body is { error: { code: string; message: string } } {
+interface ErrorBody {
+  error: { code: string; message: string; details?: Record<string, unknown> };
+}
+
+function isErrorBody(body: unknown): body is ErrorBody {
   if (typeof body !== "object" || body === null || !("error" in body)) return false;
   const error = body.error;
   return typeof error === "object" && error !== null && "code" in error && "message" in error;
 }
 
-/** One sentence for a person. */
-export function sentenceOf(error: unknown): string {
+/** The message of anything that was thrown. */
+export function errorMessage(error: unknown): string {
   return error instanceof Error ? error.message : String(error);
 }

@@ -16,7 +16,7 @@ describe("mergeMetrics", () => {
     expect(pointsOf(merged, "true_return")?.map((point) => point.step)).toEqual([20]);
   });
 
-  test("a point sent again replaces the old one and the steps stay in order", () => {
+  test("a new point replaces the old one of the same step, and steps stay sorted", () => {
     const old = { series: [series("labels", [0, 1], [20, 5])] };
     const merged = mergeMetrics(old, { series: [series("labels", [10, 3], [20, 6])] });
     expect(pointsOf(merged, "labels")).toEqual([
@@ -26,7 +26,7 @@ describe("mergeMetrics", () => {
     ]);
   });
 
-  test("a series nobody sent is null, not empty", () => {
+  test("an unknown series is null, not empty", () => {
     expect(pointsOf({ series: [] }, "true_return")).toBeNull();
   });
 });

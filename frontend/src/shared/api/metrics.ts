@@ -1,18 +1,28 @@
-import type { MetricPoint, Metrics } from "./types";
+import type { MetricPoint, Metrics, RewardVersion } from "./types";
 
-/** The curves with newer points merged in: a point of the same step replaces the old one, steps stay in order. */
-export function mergeMetrics(old: Metrics | undefined, fresh: Metrics): Metrics {
-  const series = new Map((old?.series ?? []).map((one) => [one.name, one.points]));
-  for (const { name, points } of fresh.series) series.set(name, mergePoints(series.get(name) ?? [], points));
+/** Merges new points into the curves: a point replaces the old one of the same step, and steps stay sorted. */
+export function mergeMetrics(old: Metrics | undefined, update: Metrics): Metrics {
+  const series = new Map((old?.series ?? []).map(({ name, points }) => [name, points]));
+  for (const { name, points } of update.series) series.set(name, mergePoints(series.get(name) ?? [], points));
   return { series: [...series].map(([name, points]) => ({ name, points })) };
 }
 
-function mergePoints(old: MetricPoint[], fresh: MetricPoint[]): MetricPoint[] {
+function mergePoints(old: MetricPoint[], update: MetricPoint[]): MetricPoint[] {
   const byStep = new Map(old.map((point) => [point.step, point]));
-  for (const point of fresh) byStep.set(point.step, point);
+  for (const point of update) byStep.set(point.step, point);
   return [...byStep.values()].sort((a, b) => a.step - b.step);
 }
 
+/** The points of one curve; null when the server sent none of this name. */
 export function pointsOf(metrics: Metrics | undefined, name: string): MetricPoint[] | null {
-  return metrics?.series.find((one) => one.name === name)?.points ?? null;
+  return metrics?.series.find((series) => series.name === name)?.points ?? null;
+}
+
+/** A metric of a reward version; null when it was not measured. */
+export function versionMetric(
+  version: RewardVersion | undefined,
+  name: "holdout_accuracy" | "holdout_loss",
+): number | null {
+  const value: unknown = version?.metrics[name];
+  return typeof value === "number" && Number.isFinite(value) ? value : null;
 }

@@ -1,10 +1,10 @@
 import { infiniteQueryOptions, queryOptions } from "@tanstack/react-query";
 import { api, unwrap } from "./client";
-import { ApiError, isPassing } from "./errors";
+import { ApiError, isTransient } from "./errors";
 
 const byExperiment = (id: string) => ({ params: { path: { experiment_id: id } } });
 
-/** Read queries of the API: one place for keys, so that live events know what to update. */
+// All query keys are defined here, so that live events know which entries of the cache to update.
 export const meQuery = queryOptions({
   queryKey: ["me"],
   queryFn: () => unwrap(api.GET("/api/v1/me")),
@@ -30,7 +30,7 @@ export const experimentQuery = (id: string) =>
   queryOptions({
     queryKey: ["experiment", id],
     queryFn: () => unwrap(api.GET("/api/v1/experiments/{experiment_id}", byExperiment(id))),
-    // Live events bring changes at once; this is the net below them.
+    // Live events bring changes at once; polling covers a lost connection.
     refetchInterval: 15_000,
   });
 
@@ -52,7 +52,7 @@ export const workersQuery = queryOptions({
   refetchInterval: 10_000,
 });
 
-/** Tries again what may pass by itself; what the server refused stays refused. */
+/** Retries transient errors up to five times. A 401 is not retried: the user has to sign in. */
 export function shouldRetry(failures: number, error: unknown): boolean {
-  return isPassing(error) && !(error instanceof ApiError && error.status === 401) && failures < 5;
+  return isTransient(error) && !(error instanceof ApiError && error.status === 401) && failures < 5;
 }

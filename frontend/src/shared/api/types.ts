@@ -16,12 +16,12 @@ export type SegmentView = Schemas["SegmentView"];
 export type Task = Schemas["TaskSchema"];
 export type Worker = Schemas["Worker"];
 
-/** Whether a role may start, pause and cancel experiments. The server decides; this only hides buttons. */
-export function runsExperiments(me: Me): boolean {
+/** Whether a user may start, pause and cancel experiments. The server enforces this; here it only hides buttons. */
+export function canManageExperiments(me: Me): boolean {
   return me.role === "researcher" || me.role === "admin";
 }
 
-/** Whether the server shows a role true returns. It leaves them out for the others, whatever this says. */
-export function seesReturns(me: Me): boolean {
+/** Whether a user may see true returns. The server never sends them to labellers. */
+export function canSeeReturns(me: Me): boolean {
   return me.role !== "labeller";
 }

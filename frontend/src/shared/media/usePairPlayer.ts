@@ -1,18 +1,19 @@
 import { type RefObject, useCallback, useEffect, useRef, useState } from "react";
 import { type Clip, type ClipSource, ClipUnreachable } from "./clip";
-import type { Clips } from "./clips";
-import { usualSpeed } from "./clock";
-import { PairPlayer } from "./player";
+import type { ClipCache } from "./clipCache";
+import { defaultSpeed } from "./pairClock";
+import { PairPlayer } from "./pairPlayer";
 
 type Canvas = RefObject<HTMLCanvasElement | null>;
 
 export interface PairPlayback {
   state: "loading" | "playing" | "failed";
-  trouble: string | null;
+  error: string | null;
   paused: boolean;
   speed: number;
-  ratio: number;
-  /** seconds since both clips of this pair began to play; null before */
+  /** width over height of the clips */
+  aspectRatio: number;
+  /** seconds since both clips started to play; null before that */
   watchedSeconds: () => number | null;
   togglePause: () => void;
   step: (direction: 1 | -1) => void;
@@ -21,76 +22,76 @@ export interface PairPlayback {
 }
 
 const SPEED_KEY = "accord.speed";
-const USUAL_RATIO = 4 / 3;
-/** How long a pair that the server did not give waits before it asks again by itself. */
+const DEFAULT_ASPECT_RATIO = 4 / 3;
+/** Delay before clips are loaded again after the server did not respond. */
 const RETRY_SECONDS = 2;
 
-/** What this browser's labeller chose, now or earlier; null for nothing yet. */
-function chosenSpeed(): number | null {
+/** The speed that the user chose in this browser; null when they never did. */
+function savedSpeed(): number | null {
   return Number(localStorage.getItem(SPEED_KEY)) || null;
 }
 
 /**
  * Plays a pair on two canvases.
  *
- * @param shown changes with every pair put on screen, so that a pair that comes back begins anew.
+ * @param displayCount changes with every pair displayed, so that a pair displayed again restarts from its first frame.
  */
 export function usePairPlayer(
-  clips: Clips,
+  clips: ClipCache,
   left: ClipSource | null,
   right: ClipSource | null,
-  shown: number,
-  canvases: { left: Canvas; right: Canvas; position: RefObject<HTMLElement | null> },
+  displayCount: number,
+  canvases: { left: Canvas; right: Canvas; progress: RefObject<HTMLElement | null> },
 ): PairPlayback {
   const player = useRef<PairPlayer | null>(null);
   const startedAt = useRef<number | null>(null);
   const [state, setState] = useState<PairPlayback["state"]>("loading");
-  const [trouble, setTrouble] = useState<string | null>(null);
+  const [error, setError] = useState<string | null>(null);
   const [paused, setPaused] = useState(false);
-  const [speed, setSpeedState] = useState(() => chosenSpeed() ?? 1);
-  const [ratio, setRatio] = useState(USUAL_RATIO);
+  const [speed, setSpeedState] = useState(() => savedSpeed() ?? 1);
+  const [aspectRatio, setAspectRatio] = useState(DEFAULT_ASPECT_RATIO);
   const [attempt, setAttempt] = useState(0);
-  const { left: leftCanvas, right: rightCanvas, position } = canvases;
+  const { left: leftCanvas, right: rightCanvas, progress } = canvases;
 
-  // biome-ignore lint/correctness/useExhaustiveDependencies: `shown` and `attempt` start the pair anew on purpose
+  // biome-ignore lint/correctness/useExhaustiveDependencies: `displayCount` and `attempt` restart the pair
   useEffect(() => {
-    let gone = false;
+    let unmounted = false;
     setState("loading");
-    setTrouble(null);
+    setError(null);
     setPaused(false);
     if (!left || !right) return;
-    let waiting: ReturnType<typeof setTimeout> | undefined;
+    let retryTimer: ReturnType<typeof setTimeout> | undefined;
     const play = ([leftClip, rightClip]: [Clip, Clip]) => {
-      if (gone || !leftCanvas.current || !rightCanvas.current) return;
+      if (unmounted || !leftCanvas.current || !rightCanvas.current) return;
       player.current = new PairPlayer(
         { canvas: leftCanvas.current, clip: leftClip },
         { canvas: rightCanvas.current, clip: rightClip },
-        (share) => position.current?.style.setProperty("--position", String(share)),
+        (fraction) => progress.current?.style.setProperty("--progress", String(fraction)),
       );
       const { clock } = player.current;
-      clock.speed = chosenSpeed() ?? usualSpeed(clock.seconds);
+      clock.speed = savedSpeed() ?? defaultSpeed(clock.seconds);
       setSpeedState(clock.speed);
       startedAt.current = performance.now();
-      setRatio(leftClip.width / leftClip.height);
-      setTrouble(null);
+      setAspectRatio(leftClip.width / leftClip.height);
+      setError(null);
       setState("playing");
     };
-    const fail = (error: Error) => {
-      if (gone) return;
-      setTrouble(error.message);
+    const fail = (reason: Error) => {
+      if (unmounted) return;
+      setError(reason.message);
       setState("failed");
-      if (error instanceof ClipUnreachable) waiting = setTimeout(begin, RETRY_SECONDS * 1000);
+      if (reason instanceof ClipUnreachable) retryTimer = setTimeout(load, RETRY_SECONDS * 1000);
     };
-    const begin = () => void Promise.all([clips.load(left), clips.load(right)]).then(play, fail);
-    begin();
+    const load = () => void Promise.all([clips.load(left), clips.load(right)]).then(play, fail);
+    load();
     return () => {
-      gone = true;
-      clearTimeout(waiting);
+      unmounted = true;
+      clearTimeout(retryTimer);
       player.current?.stop();
       player.current = null;
       startedAt.current = null;
     };
-  }, [clips, left?.url, right?.url, shown, attempt]);
+  }, [clips, left?.url, right?.url, displayCount, attempt]);
 
   const togglePause = useCallback(() => {
     const clock = player.current?.clock;
@@ -102,15 +103,15 @@ export function usePairPlayer(
     player.current?.step(direction);
     setPaused(player.current?.clock.paused ?? false);
   }, []);
-  const setSpeed = useCallback((wanted: number) => {
-    if (player.current) player.current.clock.speed = wanted;
-    localStorage.setItem(SPEED_KEY, String(wanted));
-    setSpeedState(wanted);
+  const setSpeed = useCallback((chosen: number) => {
+    if (player.current) player.current.clock.speed = chosen;
+    localStorage.setItem(SPEED_KEY, String(chosen));
+    setSpeedState(chosen);
   }, []);
   const watchedSeconds = useCallback(
     () => (startedAt.current === null ? null : (performance.now() - startedAt.current) / 1000),
     [],
   );
   const retry = useCallback(() => setAttempt((count) => count + 1), []);
-  return { state, trouble, paused, speed, ratio, watchedSeconds, togglePause, step, setSpeed, retry };
+  return { state, error, paused, speed, aspectRatio, watchedSeconds, togglePause, step, setSpeed, retry };
 }

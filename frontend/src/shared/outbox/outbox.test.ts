@@ -1,7 +1,7 @@
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
-import { ApiError, Unreachable } from "@/shared/api/errors";
-import { type Operation, Outbox } from "./outbox";
-import type { Storage } from "./store";
+import { ApiError, ServerUnreachable } from "@/shared/api/errors";
+import { Outbox } from "./outbox";
+import type { Operation, Storage } from "./store";
 
 class MemoryStorage implements Storage {
   readonly items = new Map<string, string>();
@@ -21,15 +21,15 @@ const label = (queryId: string) => ({
   body: { label: 1, order: "shown" as const },
 });
 
-/** A server that can be down and that remembers what it took. */
+/** A fake server that can be down and records what it received. */
 class Server {
   down = false;
-  taken: string[] = [];
+  received: string[] = [];
   send = async (operation: Operation) => {
     await Promise.resolve();
-    if (this.down) throw new Unreachable(null);
-    if (operation.queryId === "lost") throw new ApiError(410, "lease_lost", "You hold no lease.");
-    this.taken.push(`${operation.kind} ${operation.queryId}`);
+    if (this.down) throw new ServerUnreachable(null);
+    if (operation.queryId === "lost") throw new ApiError(410, "lease_lost", "The lease expired.");
+    this.received.push(`${operation.kind} ${operation.queryId}`);
   };
 }
 
@@ -48,107 +48,107 @@ afterEach(() => {
 });
 
 describe("Outbox", () => {
-  test("sends in order and forgets what was acknowledged", async () => {
+  test("sends in order and removes what was acknowledged", async () => {
     const outbox = open();
-    outbox.put(label("a"));
-    outbox.put(label("b"));
+    outbox.add(label("a"));
+    outbox.add(label("b"));
     expect(outbox.state().unsent).toBe(2);
     await settle();
-    expect(server.taken).toEqual(["label a", "label b"]);
-    expect(outbox.state()).toEqual({ unsent: 0, trouble: null });
+    expect(server.received).toEqual(["label a", "label b"]);
+    expect(outbox.state()).toEqual({ unsent: 0, error: null });
     expect(storage.items.size).toBe(0);
   });
 
-  test("a server that is down is tried again until it takes the label", async () => {
+  test("retries until the server is back", async () => {
     const outbox = open();
     server.down = true;
-    outbox.put(label("a"));
+    outbox.add(label("a"));
     await settle();
     expect(outbox.state().unsent).toBe(1);
-    expect(outbox.state().trouble).toContain("does not answer");
+    expect(outbox.state().error).toContain("not responding");
     server.down = false;
     await settle();
-    expect(server.taken).toEqual(["label a"]);
-    expect(outbox.state()).toEqual({ unsent: 0, trouble: null });
+    expect(server.received).toEqual(["label a"]);
+    expect(outbox.state()).toEqual({ unsent: 0, error: null });
   });
 
-  test("trouble is over only when everything that waited is sent", async () => {
+  test("the error clears only when every waiting operation is sent", async () => {
     const outbox = open();
     server.down = true;
-    outbox.put(label("a"));
-    outbox.put(label("b"));
+    outbox.add(label("a"));
+    outbox.add(label("b"));
     await settle();
     const states: string[] = [];
-    outbox.watch(() =>
-      states.push(`${outbox.state().unsent} ${outbox.state().trouble ? "trouble" : "well"}`),
+    outbox.subscribe(() =>
+      states.push(`${outbox.state().unsent} ${outbox.state().error ? "failing" : "ok"}`),
     );
     server.down = false;
     await settle();
-    expect(states).toEqual(["1 trouble", "0 well"]);
+    expect(states).toEqual(["1 failing", "0 ok"]);
   });
 
-  test("a reload goes on where the last page stopped, in the same order", async () => {
+  test("a reload resumes sending in the same order", async () => {
     server.down = true;
     const before = open();
-    for (const id of ["a", "b", "c"]) before.put(label(id));
+    for (const id of ["a", "b", "c"]) before.add(label(id));
     await settle();
     before.stop();
     server.down = false;
     open();
     await settle();
-    expect(server.taken).toEqual(["label a", "label b", "label c"]);
+    expect(server.received).toEqual(["label a", "label b", "label c"]);
   });
 
-  test("another user of the same browser does not send them", async () => {
+  test("another user of the same browser does not send the operations", async () => {
     server.down = true;
-    open().put(label("a"));
+    open().add(label("a"));
     await vi.advanceTimersByTimeAsync(0);
     const other = new Outbox("usr_2", storage, server.send);
     expect(other.state().unsent).toBe(0);
   });
 
-  test("a refused label is dropped and told, and the next one goes", async () => {
+  test("a rejected label is dropped and reported, and the next one is sent", async () => {
     const outbox = open();
     const outcomes: string[] = [];
-    outbox.listen(({ operation, refused }) =>
-      outcomes.push(`${operation.queryId} ${refused ? "refused" : "taken"}`),
+    outbox.listen(({ operation, error }) =>
+      outcomes.push(`${operation.queryId} ${error ? "rejected" : "sent"}`),
     );
-    outbox.put(label("lost"));
-    outbox.put(label("a"));
+    outbox.add(label("lost"));
+    outbox.add(label("a"));
     await settle();
-    expect(outcomes).toEqual(["lost refused", "a taken"]);
+    expect(outcomes).toEqual(["lost rejected", "a sent"]);
     expect(storage.items.size).toBe(0);
   });
 
-  test("a label that has not left is taken back without the server", async () => {
+  test("a label that was never sent is cancelled locally", async () => {
     const outbox = open();
-    outbox.put(label("a"));
-    outbox.put(label("b"));
-    expect(outbox.takeBack("b")).toBe(true);
-    expect(outbox.takeBack("a")).toBe(false); // on its way
+    outbox.add(label("a"));
+    outbox.add(label("b"));
+    expect(outbox.cancelLabel("b")).toBe(true);
+    expect(outbox.cancelLabel("a")).toBe(false); // already being sent
     await settle();
-    expect(server.taken).toEqual(["label a"]);
+    expect(server.received).toEqual(["label a"]);
   });
 
-  test("label, undo, label of one query arrive in this order, and it counts as labelled only then", async () => {
+  test("label, undo, label of one query arrive in this order; the query counts as labelled only after the last", async () => {
     const outbox = open();
-    outbox.put(label("a"));
-    outbox.put({ kind: "undo", experimentId: "exp_1", queryId: "a" });
-    expect(outbox.labelled()).toEqual(new Set());
-    outbox.put(label("a"));
-    expect(outbox.labelled()).toEqual(new Set(["a"]));
+    outbox.add(label("a"));
+    outbox.add({ kind: "undo", experimentId: "exp_1", queryId: "a" });
+    expect(outbox.labelledQueries()).toEqual(new Set());
+    outbox.add(label("a"));
+    expect(outbox.labelledQueries()).toEqual(new Set(["a"]));
     await settle();
-    expect(server.taken).toEqual(["label a", "undo a", "label a"]);
-    expect(outbox.holds("a")).toBe(false);
+    expect(server.received).toEqual(["label a", "undo a", "label a"]);
+    expect(outbox.has("a")).toBe(false);
   });
 
-  test("a browser that refuses storage still sends", async () => {
+  test("sends even when browser storage is unavailable", async () => {
     vi.spyOn(console, "warn").mockReturnValue();
     storage.setItem = () => {
       throw new Error("QuotaExceededError");
     };
-    open().put(label("a"));
+    open().add(label("a"));
     await settle();
-    expect(server.taken).toEqual(["label a"]);
+    expect(server.received).toEqual(["label a"]);
   });
 });

@@ -1,48 +1,39 @@
-import { isPassing, sentenceOf } from "@/shared/api/errors";
-import type { NewLabel } from "@/shared/api/types";
-import { OperationStore, type Storage } from "./store";
-
-/** Something a person did that the server has to learn. */
-export type Operation =
-  | { id: string; kind: "label"; experimentId: string; queryId: string; body: NewLabel }
-  | { id: string; kind: "undo"; experimentId: string; queryId: string };
-
-export type NewOperation =
-  | { kind: "label"; experimentId: string; queryId: string; body: NewLabel }
-  | { kind: "undo"; experimentId: string; queryId: string };
+import { errorMessage, isTransient } from "@/shared/api/errors";
+import { type NewOperation, type Operation, OperationStore, type Storage } from "./store";
 
 export interface OutboxState {
-  /** labels the server has not acknowledged */
+  /** labels that the server has not acknowledged */
   unsent: number;
-  /** why an attempt failed; null when all that has waited since has been sent */
-  trouble: string | null;
+  /** why the last attempt failed; null once every waiting operation was sent */
+  error: string | null;
 }
 
-export type Outcome = { operation: Operation; refused: unknown | null };
+/** An operation that was acknowledged (`error` is null) or rejected. */
+export type Outcome = { operation: Operation; error: unknown | null };
 
-const FIRST_WAIT_SECONDS = 0.5;
-const LONGEST_WAIT_SECONDS = 8;
+const FIRST_DELAY_SECONDS = 0.5;
+const MAX_DELAY_SECONDS = 8;
 
 /**
- * Labels and undos on their way to the server, in the order in which they were made.
+ * Sends labels and undos to the server in the order in which they were made.
  *
- * Each is kept in the browser's storage until the server has acknowledged or refused it, so that neither a
- * reload nor a dead server loses one. They go one at a time: an undo never overtakes its label. What may pass
- * by itself (no network, a restart) is tried again for ever, with growing pauses; what the server refuses is
- * dropped and told to the listeners.
+ * Each operation stays in the browser's storage until the server acknowledges or rejects it, so that neither a reload
+ * nor a stopped server loses it. Operations are sent one at a time, so that an undo never overtakes its label.
+ * Transient errors are retried without limit, with exponential backoff; a rejected operation is dropped and reported
+ * to the listeners.
  */
 export class Outbox {
   readonly #store: OperationStore;
   readonly #send: (operation: Operation) => Promise<unknown>;
-  readonly #watchers = new Set<() => void>();
+  readonly #subscribers = new Set<() => void>();
   readonly #listeners = new Set<(outcome: Outcome) => void>();
-  /** Sent at least once: the server may have it although no answer came. */
+  /** Sent at least once: the server may have processed them even if no response arrived. */
   readonly #attempted: Set<string>;
   #operations: Operation[];
   #state: OutboxState;
   #sending = false;
   #stopped = false;
-  #wait = FIRST_WAIT_SECONDS;
+  #delay = FIRST_DELAY_SECONDS;
   #timer: ReturnType<typeof setTimeout> | undefined;
 
   constructor(userId: string, storage: Storage, send: (operation: Operation) => Promise<unknown>) {
@@ -50,43 +41,47 @@ export class Outbox {
     this.#send = send;
     this.#operations = this.#store.load();
     this.#attempted = new Set(this.#operations.map(({ id }) => id));
-    this.#state = this.#read(null);
-    void this.#drain();
+    this.#state = this.#stateWith(null);
+    void this.#sendAll();
   }
 
-  put(operation: NewOperation): void {
-    const kept = { ...operation, id: this.#store.newId() };
-    this.#store.save(kept);
-    this.#operations = [...this.#operations, kept];
-    this.#publish(this.#state.trouble);
-    void this.#drain();
+  add(operation: NewOperation): void {
+    const stored = { ...operation, id: this.#store.newId() };
+    this.#store.save(stored);
+    this.#operations = [...this.#operations, stored];
+    this.#publish(this.#state.error);
+    void this.#sendAll();
   }
 
-  /** Takes back a label that has not left yet. False when it may have, so that the server must be told. */
-  takeBack(queryId: string): boolean {
+  /**
+   * Removes the query's label if it was never sent.
+   *
+   * @returns false when the label may have reached the server, which then needs an undo.
+   */
+  cancelLabel(queryId: string): boolean {
     const operation = this.#operations.findLast((one) => one.queryId === queryId);
     if (operation?.kind !== "label" || this.#attempted.has(operation.id)) return false;
     this.#remove(operation);
-    this.#publish(this.#state.trouble);
+    this.#publish(this.#state.error);
     return true;
   }
 
-  /** Whether anything about this query is still on its way. */
-  holds(queryId: string): boolean {
+  /** Whether an operation of this query is waiting. */
+  has(queryId: string): boolean {
     return this.#operations.some((operation) => operation.queryId === queryId);
   }
 
-  /** Queries whose last word on its way is a label: answered here, though perhaps not yet at the server. */
-  labelled(): Set<string> {
+  /** Queries whose last waiting operation is a label. The server may not know of it yet. */
+  labelledQueries(): Set<string> {
     const last = new Map(this.#operations.map(({ queryId, kind }) => [queryId, kind]));
     return new Set([...last].filter(([, kind]) => kind === "label").map(([queryId]) => queryId));
   }
 
-  /** Tries at once: the network is back, or the server. */
+  /** Retries at once, for example when the network is back. */
   retryNow(): void {
     clearTimeout(this.#timer);
-    this.#wait = FIRST_WAIT_SECONDS;
-    void this.#drain();
+    this.#delay = FIRST_DELAY_SECONDS;
+    void this.#sendAll();
   }
 
   stop(): void {
@@ -96,38 +91,39 @@ export class Outbox {
 
   readonly state = (): OutboxState => this.#state;
 
-  readonly watch = (watcher: () => void): (() => void) => {
-    this.#watchers.add(watcher);
-    return () => this.#watchers.delete(watcher);
+  /** Calls back after every change of the state. Returns a function that unsubscribes. */
+  readonly subscribe = (callback: () => void): (() => void) => {
+    this.#subscribers.add(callback);
+    return () => this.#subscribers.delete(callback);
   };
 
-  /** Calls back with every operation that the server acknowledged or refused. */
+  /** Calls back with every operation that the server acknowledged or rejected. */
   listen(listener: (outcome: Outcome) => void): () => void {
     this.#listeners.add(listener);
     return () => this.#listeners.delete(listener);
   }
 
-  async #drain(): Promise<void> {
+  async #sendAll(): Promise<void> {
     if (this.#sending) return;
     for (let next = this.#operations[0]; next && !this.#stopped; next = this.#operations[0]) {
       this.#sending = true;
-      const refused = await this.#attempt(next);
+      const error = await this.#trySend(next);
       this.#sending = false;
-      if (isPassing(refused)) {
-        this.#publish(sentenceOf(refused));
-        this.#timer = setTimeout(() => void this.#drain(), this.#wait * 1000);
-        this.#wait = Math.min(2 * this.#wait, LONGEST_WAIT_SECONDS);
+      if (isTransient(error)) {
+        this.#publish(errorMessage(error));
+        this.#timer = setTimeout(() => void this.#sendAll(), this.#delay * 1000);
+        this.#delay = Math.min(2 * this.#delay, MAX_DELAY_SECONDS);
         return;
       }
-      this.#wait = FIRST_WAIT_SECONDS;
+      this.#delay = FIRST_DELAY_SECONDS;
       this.#remove(next);
-      this.#publish(this.#operations.length > 0 ? this.#state.trouble : null);
-      for (const listener of this.#listeners) listener({ operation: next, refused });
+      this.#publish(this.#operations.length > 0 ? this.#state.error : null);
+      for (const listener of this.#listeners) listener({ operation: next, error });
     }
   }
 
-  /** Null when the server took it. */
-  async #attempt(operation: Operation): Promise<unknown | null> {
+  /** Returns the error, or null when the server acknowledged the operation. */
+  async #trySend(operation: Operation): Promise<unknown | null> {
     this.#attempted.add(operation.id);
     try {
       await this.#send(operation);
@@ -142,12 +138,12 @@ export class Outbox {
     this.#operations = this.#operations.filter(({ id }) => id !== operation.id);
   }
 
-  #publish(trouble: string | null): void {
-    this.#state = this.#read(trouble);
-    for (const watcher of this.#watchers) watcher();
+  #publish(error: string | null): void {
+    this.#state = this.#stateWith(error);
+    for (const callback of this.#subscribers) callback();
   }
 
-  #read(trouble: string | null): OutboxState {
-    return { unsent: this.#operations.filter(({ kind }) => kind === "label").length, trouble };
+  #stateWith(error: string | null): OutboxState {
+    return { unsent: this.#operations.filter(({ kind }) => kind === "label").length, error };
   }
 }

@@ -1,6 +1,13 @@
-import type { Operation } from "./outbox";
+import type { NewLabel } from "@/shared/api/types";
 
-/** The part of localStorage that is used. */
+/** A label or an undo that the server has not acknowledged yet. */
+export type Operation = NewOperation & { id: string };
+
+export type NewOperation =
+  | { kind: "label"; experimentId: string; queryId: string; body: NewLabel }
+  | { kind: "undo"; experimentId: string; queryId: string };
+
+/** The methods of localStorage that are used. */
 export interface Storage {
   readonly length: number;
   key(index: number): string | null;
@@ -10,34 +17,37 @@ export interface Storage {
 }
 
 /**
- * Operations of one user in the browser's storage: one key each, so that two tabs never overwrite each other's.
+ * One user's unsent operations in the browser's storage. Each has its own key, so that two tabs do not overwrite each
+ * other's.
  *
- * A browser without room or permission for storage keeps them in memory alone: labelling goes on.
+ * When storage is full or not permitted, operations are kept only in memory and a warning is logged.
  */
 export class OperationStore {
   readonly #prefix: string;
   readonly #storage: Storage;
-  #made = 0;
+  #count = 0;
 
   constructor(userId: string, storage: Storage) {
     this.#prefix = `accord.unsent.${userId}.`;
     this.#storage = storage;
   }
 
-  /** Ids sort by the time they were made. */
+  /** Creates an id. Ids sort by creation time. */
   newId(): string {
     const time = Date.now().toString(36).padStart(10, "0");
-    const count = (this.#made++).toString(36).padStart(6, "0");
+    const count = (this.#count++).toString(36).padStart(6, "0");
     return `${time}-${count}-${Math.random().toString(36).slice(2, 8)}`;
   }
 
+  /** The stored operations, oldest first. */
   load(): Operation[] {
     try {
       const keys = Array.from({ length: this.#storage.length }, (_, index) => this.#storage.key(index) ?? "");
-      const mine = keys.filter((key) => key.startsWith(this.#prefix)).sort();
-      return mine.flatMap((key) => read(this.#storage.getItem(key)));
+      const ownKeys = keys.filter((key) => key.startsWith(this.#prefix)).sort();
+      return ownKeys.flatMap((key) => parse(this.#storage.getItem(key)));
     } catch (error) {
-      return this.#unavailable(error, []);
+      warn(error);
+      return [];
     }
   }
 
@@ -45,7 +55,7 @@ export class OperationStore {
     try {
       this.#storage.setItem(this.#prefix + operation.id, JSON.stringify(operation));
     } catch (error) {
-      this.#unavailable(error, undefined);
+      warn(error);
     }
   }
 
@@ -53,21 +63,21 @@ export class OperationStore {
     try {
       this.#storage.removeItem(this.#prefix + id);
     } catch (error) {
-      this.#unavailable(error, undefined);
+      warn(error);
     }
-  }
-
-  #unavailable<Value>(error: unknown, value: Value): Value {
-    console.warn("This browser stores nothing: unsent labels would not survive a reload.", error);
-    return value;
   }
 }
 
-function read(text: string | null): Operation[] {
+function warn(error: unknown): void {
+  console.warn("Browser storage is unavailable: unsent labels will not survive a reload.", error);
+}
+
+/** An empty list for an entry that is not valid JSON: the browser crashed while writing it. */
+function parse(text: string | null): Operation[] {
   if (text === null) return [];
   try {
     return [JSON.parse(text) as Operation];
   } catch {
-    return []; // half-written by a browser that died: there is nothing in it to send
+    return [];
   }
 }

@@ -1,7 +1,7 @@
 import { expect, test } from "vitest";
 import { paths, routeOf } from "./paths";
 
-test("every address leads back to its page", () => {
+test("routeOf inverts paths", () => {
   expect(routeOf(paths.experiments())).toEqual({ page: "experiments" });
   expect(routeOf(paths.newExperiment())).toEqual({ page: "new-experiment" });
   expect(routeOf(paths.experiment("exp_1"))).toEqual({ page: "experiment", id: "exp_1" });
@@ -9,7 +9,7 @@ test("every address leads back to its page", () => {
 });
 
 test.each(["/nowhere", "/experiments/a/b", "/experiments/a/label/x", "/experiments/new/x"])(
-  "%s is missing",
+  "%s has no page",
   (path) => {
     expect(routeOf(path)).toEqual({ page: "missing" });
   },

@@ -1,4 +1,4 @@
-/** The addresses of the pages. */
+/** URL paths of the pages. */
 export const paths = {
   experiments: () => "/",
   newExperiment: () => "/experiments/new",

@@ -12,7 +12,7 @@ function subscribe(listener: () => void): () => void {
   };
 }
 
-/** The path of the address bar; a component that uses it is drawn again when it changes. */
+/** The current URL path. A component that uses it renders again when the path changes. */
 export function usePath(): string {
   return useSyncExternalStore(subscribe, () => window.location.pathname);
 }
@@ -28,7 +28,7 @@ interface LinkProps extends AnchorHTMLAttributes<HTMLAnchorElement> {
   children: ReactNode;
 }
 
-/** A link within the page. With a modifier key, or another button, the browser does what it always does. */
+/** A link to another page of the app. Modified clicks, such as Ctrl+click, keep the browser's behaviour. */
 export function Link({ to, children, ...rest }: LinkProps) {
   const follow = (event: MouseEvent) => {
     if (event.button !== 0 || event.metaKey || event.ctrlKey || event.shiftKey || event.altKey) return;

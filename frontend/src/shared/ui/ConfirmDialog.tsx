@@ -9,7 +9,7 @@ interface ConfirmDialogProps {
   onClose: () => void;
 }
 
-/** Asks before something that cannot be taken back. Escape and "Keep as it is" do nothing. */
+/** A modal dialog that asks for confirmation. Escape and "Go back" close it without doing anything. */
 export function ConfirmDialog({ title, children, confirm, danger, onConfirm, onClose }: ConfirmDialogProps) {
   const dialog = useRef<HTMLDialogElement>(null);
   useEffect(() => {
@@ -21,7 +21,7 @@ export function ConfirmDialog({ title, children, confirm, danger, onConfirm, onC
       <p>{children}</p>
       <div className="row end">
         <button type="button" className="button" onClick={() => dialog.current?.close()}>
-          Keep as it is
+          Go back
         </button>
         <button
           type="button"

@@ -1,4 +1,4 @@
-/** The cap of a key, as it looks on a keyboard. */
+/** A key of the keyboard, drawn as a key cap. */
 export function Key({ name }: { name: string }) {
   return (
     <span className="key" aria-hidden="true">

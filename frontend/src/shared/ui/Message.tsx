@@ -1,6 +1,6 @@
 import type { ReactNode } from "react";
 
-/** A page that has only something to say. */
+/** A page that shows only a message. */
 export function Message({ title, children }: { title: string; children: ReactNode }) {
   return (
     <main className="message" id="content">
@@ -10,10 +10,10 @@ export function Message({ title, children }: { title: string; children: ReactNod
   );
 }
 
-/** What went wrong, beside the thing that it went wrong with. */
-export function Trouble({ children }: { children: ReactNode }) {
+/** An error message, placed next to what failed. */
+export function Alert({ children }: { children: ReactNode }) {
   return (
-    <p className="trouble" role="alert">
+    <p className="alert" role="alert">
       {children}
     </p>
   );

@@ -1,0 +1,60 @@
+import { useQuery } from "@tanstack/react-query";
+import type { ReactNode } from "react";
+import { UserMenu } from "@/features/session/UserMenu";
+import { experimentQuery } from "@/shared/api/queries";
+import type { Me } from "@/shared/api/types";
+import { useOutboxState } from "@/shared/outbox/OutboxProvider";
+import { paths, routeOf } from "@/shared/routing/paths";
+import { Link, usePath } from "@/shared/routing/router";
+import { plural } from "@/shared/ui/format";
+
+/** The header of every page, with navigation, unsent labels and the user; the page below it. */
+export function Layout({ me, children }: { me: Me; children: ReactNode }) {
+  const route = routeOf(usePath());
+  return (
+    <>
+      <a className="skip-link" href="#content">
+        Skip to content
+      </a>
+      <header className="site-header">
+        <Link to={paths.experiments()} className="site-name" aria-label="Accord, all experiments">
+          <img src="/icon.svg" alt="" width="22" height="22" />
+          Accord
+        </Link>
+        {(route.page === "experiment" || route.page === "label") && <Tabs id={route.id} page={route.page} />}
+        <span className="spacer" />
+        <UnsentLabels />
+        <UserMenu me={me} />
+      </header>
+      {children}
+    </>
+  );
+}
+
+function Tabs({ id, page }: { id: string; page: "experiment" | "label" }) {
+  const { data } = useQuery(experimentQuery(id));
+  return (
+    <nav className="tabs" aria-label="Experiment">
+      <span className="tabs-name" title={data?.name}>
+        {data?.name ?? "…"}
+      </span>
+      <Link to={paths.label(id)} aria-current={page === "label" ? "page" : undefined}>
+        Label
+      </Link>
+      <Link to={paths.experiment(id)} aria-current={page === "experiment" ? "page" : undefined}>
+        Progress
+      </Link>
+    </nav>
+  );
+}
+
+/** A notice while labels cannot be sent. */
+function UnsentLabels() {
+  const { unsent, error } = useOutboxState();
+  const text = error && unsent > 0 ? `${plural(unsent, "label")} not sent yet` : "";
+  return (
+    <span className="unsent" role="status" data-testid="unsent" title={error ?? undefined}>
+      {text}
+    </span>
+  );
+}

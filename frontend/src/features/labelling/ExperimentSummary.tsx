@@ -1,0 +1,100 @@
+import { useQuery } from "@tanstack/react-query";
+import { versionMetric } from "@/shared/api/metrics";
+import { rewardVersionsQuery, workersQuery } from "@/shared/api/queries";
+import type { Experiment } from "@/shared/api/types";
+import { formatCompact, formatCount, formatPercent, plural } from "@/shared/ui/format";
+import { ProgressBar } from "@/shared/ui/ProgressBar";
+import { isOver, phaseText, workerWarning } from "@/shared/ui/status";
+
+interface ExperimentSummaryProps {
+  experiment: Experiment;
+  /** labels given in this tab */
+  labelCount: number;
+  connected: boolean;
+}
+
+/** Below the clips: the colour of each agent, the number of labels, and the state of the policy. */
+export function ExperimentSummary({ experiment, labelCount, connected }: ExperimentSummaryProps) {
+  return (
+    <div className="summary">
+      <AgentLegend experiment={experiment} />
+      <LabelProgress experiment={experiment} labelCount={labelCount} />
+      <PolicyStatus experiment={experiment} connected={connected} />
+    </div>
+  );
+}
+
+function AgentLegend({ experiment: { task } }: { experiment: Experiment }) {
+  return (
+    <section className="card" aria-labelledby="legend-title">
+      <h2 id="legend-title">
+        {plural(task.n_agents, "agent")} <span className="muted">{task.name}</span>
+      </h2>
+      <ul className="legend">
+        {task.agent_names.map((name, agent) => (
+          <li key={name}>
+            <span className="swatch" style={{ background: task.agent_colours[agent] }} aria-hidden="true" />
+            {name}
+          </li>
+        ))}
+      </ul>
+    </section>
+  );
+}
+
+function LabelProgress({ experiment, labelCount }: { experiment: Experiment; labelCount: number }) {
+  const { labels } = experiment;
+  const needed = isOver(experiment) ? 0 : Math.max(0, labels.due - labels.labels);
+  return (
+    <section className="card" aria-labelledby="labels-title">
+      <h2 id="labels-title">Labels</h2>
+      <ProgressBar
+        label="All labels"
+        value={labels.labels}
+        max={labels.budget}
+        text={`${formatCount(labels.labels)} of ${formatCount(labels.budget)}`}
+      />
+      <dl className="stats">
+        <div>
+          <dt>Yours, this session</dt>
+          <dd data-testid="own-labels">{formatCount(labelCount)}</dd>
+        </div>
+        <div>
+          <dt>Still needed</dt>
+          <dd data-testid="labels-needed">{formatCount(needed)}</dd>
+        </div>
+      </dl>
+    </section>
+  );
+}
+
+function PolicyStatus({ experiment, connected }: { experiment: Experiment; connected: boolean }) {
+  const { data: versions } = useQuery(rewardVersionsQuery(experiment.id));
+  const { data: workers } = useQuery(workersQuery);
+  const warning = workerWarning(workers ?? []);
+  const total = Number(experiment.config.total_steps);
+  const number = experiment.reward_version;
+  const version = versions?.items.find((item) => item.number === number);
+  const accuracy = versionMetric(version, "holdout_accuracy");
+  return (
+    <section className="card" aria-labelledby="policy-title">
+      <h2 id="policy-title">
+        Policy <span className="muted">{phaseText(experiment)}</span>
+      </h2>
+      <ProgressBar
+        label="Training steps"
+        value={experiment.steps}
+        max={total}
+        text={`${formatCompact(experiment.steps)} of ${formatCompact(total)}`}
+      />
+      <p className="summary-line" data-testid="reward-version">
+        {number === null
+          ? "No reward version yet"
+          : `Reward version ${number}${accuracy === null ? "" : `, ${formatPercent(accuracy)} held-out accuracy`}`}
+      </p>
+      <p className="summary-line muted" role="status">
+        {connected ? (warning ?? experiment.phase_detail) : "Reconnecting to the server…"}
+      </p>
+    </section>
+  );
+}

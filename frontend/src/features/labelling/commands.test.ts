@@ -1,0 +1,28 @@
+import { expect, test } from "vitest";
+import { LABELS } from "./choices";
+import { commandOf } from "./commands";
+
+const press = (key: string, more: Partial<Parameters<typeof commandOf>[0]> = {}) =>
+  commandOf({ key, repeat: false, ctrlKey: false, metaKey: false, altKey: false, ...more });
+
+test("arrow keys choose, and left is label 1 in the order shown", () => {
+  expect(press("ArrowLeft")).toEqual({ type: "choose", choice: "left" });
+  expect(press("ArrowUp")).toEqual({ type: "choose", choice: "equal" });
+  expect(LABELS).toEqual({ left: 1, right: 0, equal: 0.5, skip: null });
+});
+
+test("a held arrow key chooses once, a held full stop keeps stepping", () => {
+  expect(press("ArrowLeft", { repeat: true })).toBeNull();
+  expect(press(".", { repeat: true })).toEqual({ type: "step", direction: 1 });
+});
+
+test("browser shortcuts are ignored, except undo", () => {
+  expect(press("ArrowLeft", { altKey: true })).toBeNull();
+  expect(press("1", { ctrlKey: true })).toBeNull();
+  expect(press("z", { metaKey: true })).toEqual({ type: "undo" });
+});
+
+test("other keys have no command", () => {
+  expect(press("a")).toBeNull();
+  expect(press("Enter")).toBeNull();
+});

@@ -1,0 +1,65 @@
+import { useEffect } from "react";
+import type { Choice } from "./choices";
+
+/** What a key or button of the labelling view does. */
+export type Command =
+  | { type: "choose"; choice: Choice }
+  | { type: "undo" }
+  | { type: "togglePause" }
+  | { type: "step"; direction: 1 | -1 }
+  | { type: "setSpeed"; speed: number };
+
+export const SPEEDS = [
+  { key: "0", speed: 0.25, text: "¼×" },
+  { key: "1", speed: 0.5, text: "½×" },
+  { key: "2", speed: 1, text: "1×" },
+  { key: "3", speed: 2, text: "2×" },
+] as const;
+
+const COMMANDS: ReadonlyMap<string, Command> = new Map<string, Command>([
+  ["ArrowLeft", { type: "choose", choice: "left" }],
+  ["ArrowRight", { type: "choose", choice: "right" }],
+  ["ArrowUp", { type: "choose", choice: "equal" }],
+  ["ArrowDown", { type: "choose", choice: "skip" }],
+  ["z", { type: "undo" }],
+  ["Z", { type: "undo" }],
+  [" ", { type: "togglePause" }],
+  [",", { type: "step", direction: -1 }],
+  [".", { type: "step", direction: 1 }],
+  ...SPEEDS.map(({ key, speed }): [string, Command] => [key, { type: "setSpeed", speed }]),
+]);
+
+interface Key {
+  key: string;
+  repeat: boolean;
+  ctrlKey: boolean;
+  metaKey: boolean;
+  altKey: boolean;
+}
+
+/** The command of a key press. Holding a key repeats frame steps, but never labels a second pair. */
+export function commandOf({ key, repeat, ctrlKey, metaKey, altKey }: Key): Command | null {
+  const isUndoShortcut = (ctrlKey || metaKey) && !altKey && key.toLowerCase() === "z";
+  if ((ctrlKey || metaKey || altKey) && !isUndoShortcut) return null;
+  const command = COMMANDS.get(key) ?? null;
+  return repeat && command?.type !== "step" ? null : command;
+}
+
+/** Runs the commands of pressed keys, wherever the focus is, except in form fields and while a dialog is open. */
+export function useKeyboardCommands(run: (command: Command) => void): void {
+  useEffect(() => {
+    const listen = (event: KeyboardEvent) => {
+      if (event.defaultPrevented || document.querySelector("dialog[open]")) return;
+      const target = event.target instanceof Element ? event.target : null;
+      if (target?.closest("input, textarea, select, [contenteditable]")) return;
+      // Space activates a focused button.
+      if (event.key === " " && target?.closest("button, a")) return;
+      const command = commandOf(event);
+      if (!command) return;
+      event.preventDefault();
+      run(command);
+    };
+    window.addEventListener("keydown", listen);
+    return () => window.removeEventListener("keydown", listen);
+  }, [run]);
+}

@@ -1,0 +1,92 @@
+import { bytesOf, type Clip, type ClipSource, ClipUnplayable, ClipUnreachable, close } from "./clip";
+import { decodeClip } from "./decode";
+
+/** Limit for decoded frames. Encoded clips are small, so all of them are kept. */
+const MAX_DECODED_BYTES = 400_000_000;
+const ATTEMPTS = 4;
+const FIRST_DELAY_SECONDS = 0.5;
+
+type Decode = (blob: Blob, source: ClipSource) => Promise<Clip>;
+
+/** Downloads and decodes the clips on screen and those of the next pairs, and frees the others. */
+export class ClipCache {
+  readonly #blobs = new Map<string, Promise<Blob>>();
+  readonly #decoded = new Map<string, Promise<Clip>>();
+  readonly #decode: Decode;
+  #clipBytes = 0;
+
+  constructor(decode: Decode = decodeClip) {
+    this.#decode = decode;
+  }
+
+  /**
+   * Downloads these clips, decodes as many of them as fit in memory, and frees all others.
+   *
+   * @param sources the most urgent first.
+   */
+  prefetch(sources: ClipSource[]): void {
+    const urls = new Set(sources.map(({ url }) => url));
+    for (const url of this.#blobs.keys()) if (!urls.has(url)) this.#remove(url);
+    const capacity = Math.max(2, Math.floor(MAX_DECODED_BYTES / (this.#clipBytes || 1)));
+    sources.forEach((source, index) => {
+      const loading = index < capacity ? this.load(source) : this.#download(source.url);
+      // The component that shows the clip reports the error.
+      loading.catch(() => undefined);
+    });
+  }
+
+  /** Returns a decoded clip. A clip that failed is loaded again by the next call. */
+  load(source: ClipSource): Promise<Clip> {
+    const { url } = source;
+    let clip = this.#decoded.get(url);
+    if (!clip) {
+      clip = this.#download(url).then((blob) => this.#decode(blob, source));
+      clip.then(
+        (decoded) => {
+          this.#clipBytes = bytesOf(decoded);
+        },
+        () => this.#decoded.delete(url),
+      );
+      this.#decoded.set(url, clip);
+    }
+    return clip;
+  }
+
+  clear(): void {
+    this.prefetch([]);
+  }
+
+  #download(url: string): Promise<Blob> {
+    let blob = this.#blobs.get(url);
+    if (!blob) {
+      blob = download(url);
+      blob.catch(() => this.#blobs.delete(url));
+      this.#blobs.set(url, blob);
+    }
+    return blob;
+  }
+
+  #remove(url: string): void {
+    this.#blobs.delete(url);
+    this.#decoded.get(url)?.then(close, () => undefined);
+    this.#decoded.delete(url);
+  }
+}
+
+/** Downloads a clip; retries network failures and 5xx responses with exponential backoff. */
+async function download(url: string): Promise<Blob> {
+  let delay = FIRST_DELAY_SECONDS;
+  for (let attempt = 1; ; attempt++) {
+    try {
+      const response = await fetch(url, { credentials: "same-origin" });
+      if (response.ok) return await response.blob();
+      if (response.status < 500)
+        throw new ClipUnplayable(`The server responded with ${response.status} for this clip.`);
+    } catch (error) {
+      if (error instanceof ClipUnplayable) throw error;
+    }
+    if (attempt === ATTEMPTS) throw new ClipUnreachable("The server is not responding. Retrying…");
+    await new Promise((resolve) => setTimeout(resolve, delay * 1000));
+    delay *= 2;
+  }
+}

@@ -1,0 +1,95 @@
+import type { Clip } from "./clip";
+import { frameAt, PairClock } from "./pairClock";
+
+export interface PlayerSide {
+  canvas: HTMLCanvasElement;
+  clip: Clip;
+}
+
+/**
+ * Plays two clips on one clock: every animation frame draws both from the same position.
+ *
+ * Data attributes make the synchronisation testable. Each canvas has the index of its frame in `data-frame`, and
+ * `data-ended` while the shorter clip waits on its last frame. The nearest `[data-pair]` has the number of loops in
+ * `data-loops` and the largest distance between the two clips so far, in frames, in `data-max-drift`.
+ */
+export class PairPlayer {
+  readonly clock: PairClock;
+  readonly #left: PlayerSide;
+  readonly #right: PlayerSide;
+  readonly #onDraw: (progress: number) => void;
+  readonly #pair: HTMLElement | null;
+  readonly #drawn = { left: -1, right: -1 };
+  #maxDrift = 0;
+  #lastTime: number | null = null;
+  #request = 0;
+
+  /** @param onDraw is called after every draw with the position as a fraction of the loop. */
+  constructor(left: PlayerSide, right: PlayerSide, onDraw: (progress: number) => void) {
+    const seconds = Math.max(secondsOf(left.clip), secondsOf(right.clip));
+    this.clock = new PairClock(seconds, left.clip.frameSeconds);
+    this.#left = left;
+    this.#right = right;
+    this.#onDraw = onDraw;
+    this.#pair = left.canvas.closest<HTMLElement>("[data-pair]");
+    for (const { canvas, clip } of [left, right]) {
+      canvas.width = clip.width;
+      canvas.height = clip.height;
+    }
+    this.#draw();
+    this.#request = requestAnimationFrame(this.#tick);
+  }
+
+  stop(): void {
+    cancelAnimationFrame(this.#request);
+  }
+
+  step(direction: 1 | -1): void {
+    this.clock.step(direction);
+    this.#draw();
+  }
+
+  readonly #tick = (now: number): void => {
+    if (this.#lastTime !== null) this.clock.tick((now - this.#lastTime) / 1000);
+    this.#lastTime = now;
+    this.#draw();
+    this.#request = requestAnimationFrame(this.#tick);
+  };
+
+  #draw(): void {
+    const { position, seconds, loops } = this.clock;
+    this.#drawn.left = drawFrame(this.#left, position, this.#drawn.left);
+    this.#drawn.right = drawFrame(this.#right, position, this.#drawn.right);
+    for (const { canvas, clip } of [this.#left, this.#right]) {
+      const clipSeconds = secondsOf(clip);
+      canvas.toggleAttribute("data-ended", clipSeconds < seconds && position >= clipSeconds);
+    }
+    this.#maxDrift = Math.max(this.#maxDrift, this.#drift());
+    if (this.#pair) {
+      this.#pair.dataset.maxDrift = String(this.#maxDrift);
+      this.#pair.dataset.loops = String(loops);
+    }
+    this.#onDraw(position / seconds);
+  }
+
+  /** Distance between the frames on screen. A shorter clip that waits on its last frame does not count. */
+  #drift(): number {
+    const shorter = Math.min(this.#left.clip.frames.length, this.#right.clip.frames.length);
+    const { left, right } = this.#drawn;
+    return Math.abs(Math.min(left, shorter - 1) - Math.min(right, shorter - 1));
+  }
+}
+
+function secondsOf(clip: Clip): number {
+  return clip.frames.length * clip.frameSeconds;
+}
+
+/** Draws the frame at a time unless it is already on the canvas. Returns its index. */
+function drawFrame({ canvas, clip }: PlayerSide, seconds: number, drawn: number): number {
+  const index = frameAt(seconds, clip.frameSeconds, clip.frames.length);
+  const bitmap = clip.frames[index];
+  if (index === drawn || !bitmap) return drawn;
+  canvas.getContext("2d")?.drawImage(bitmap, 0, 0);
+  canvas.dataset.frame = String(index);
+  return index;
+}

@@ -1,0 +1,17 @@
+const count = new Intl.NumberFormat("en-GB");
+const compact = new Intl.NumberFormat("en-US", { notation: "compact", maximumFractionDigits: 1 });
+
+export const formatCount = (value: number): string => count.format(value);
+export const formatCompact = (value: number): string => compact.format(value);
+export const formatPercent = (fraction: number): string => `${Math.round(100 * fraction)}%`;
+
+/** A value of a curve, with about three significant digits. */
+export function formatValue(value: number): string {
+  const size = Math.abs(value);
+  if (size >= 10_000) return compact.format(value);
+  return value.toFixed(size >= 100 ? 0 : size >= 10 ? 1 : 3);
+}
+
+export function plural(amount: number, singular: string, many = `${singular}s`): string {
+  return `${formatCount(amount)} ${amount === 1 ? singular : many}`;
+}
