@@ -8,13 +8,17 @@ TEST_PROCESSES ?= 2
 SIDE_BY_SIDE := --numprocesses $(TEST_PROCESSES) --dist loadfile --no-loadscope-reorder
 PAGE_SOURCES := $(shell find frontend/src frontend/public frontend/index.html frontend/package-lock.json frontend/vite.config.ts 2>/dev/null)
 
-.PHONY: run test check bench learn format system system-test clean
+.PHONY: run test test-avx2 check bench learn format system system-test clean
 
 run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
 	$(BIN)/accord up --example
 
-test: $(INSTALLED) system-test check ## Format, lint, types, import rules, then every test that takes minutes, not hours
+test: $(INSTALLED) system-test check test-avx2 ## Format, lint, types, import rules, then every test that takes minutes, not hours
 	$(BIN)/python -m pytest -m "not benchmark and not learn" $(SIDE_BY_SIDE)
+
+test-avx2: $(INSTALLED) ## The tests of computed numbers again, with AVX2, so that none depends on one processor's rounding
+	ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 $(BIN)/python -m pytest --quiet -m numerics $(SIDE_BY_SIDE) \
+		tests/unit/rewards tests/unit/policies tests/unit/preferences tests/integration/workers
 
 check: $(INSTALLED) ## Format, lint, types, import rules, the page
 	$(BIN)/ruff format --check backend models tests frontend

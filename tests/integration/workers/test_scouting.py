@@ -19,6 +19,8 @@ from mapt.rewards.registry import build_reward_model
 from support.scenes import ACTION, AGENTS, OBSERVATION, STEPS, segment
 from support.tolerance import assert_float32_close
 
+pytestmark = pytest.mark.numerics
+
 CONFIG = RewardConfig(OBSERVATION, ACTION, AGENTS, hidden_dim=8, heads=2)
 
 

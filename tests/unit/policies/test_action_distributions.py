@@ -12,6 +12,8 @@ from mapt.policies.distributions import Categorical, Gaussian, action_noise
 from mapt.policies.learner import make_policy
 from mapt.tasks import task_spec
 
+pytestmark = pytest.mark.numerics
+
 SPEC = dataclasses.replace(task_spec("HalfCheetah-6x1"), discrete_actions=True, action_dim=5, agent_action_dims=())
 
 

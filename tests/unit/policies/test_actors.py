@@ -10,6 +10,8 @@ from mapt.policies.learner import make_policy
 from mapt.policies.networks import ActorCritic, AgentLinear
 from mapt.tasks import task_spec
 
+pytestmark = pytest.mark.numerics
+
 SPEC = task_spec("HalfCheetah-2x3")
 
 

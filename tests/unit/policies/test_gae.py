@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 from mapt.policies.ppo import advantages
 
+pytestmark = pytest.mark.numerics
+
 
 def slow_advantages(rewards, values, next_values, terminated, truncated, gamma, gae_lambda) -> np.ndarray:
     """Sum over the steps k to the end of the episode or rollout of (gamma * lambda)^k times the surprise."""

@@ -2,6 +2,7 @@
 
 import math
 
+import pytest
 import torch
 from torch import nn
 
@@ -9,6 +10,8 @@ from learning.identity_task import IdentityTask
 from mapt.policies import Learner, PolicyConfig
 from mapt.policies.kernels import EPSILON
 from mapt.policies.ppo import checked_rewards, prepare
+
+pytestmark = pytest.mark.numerics
 
 CONFIG = PolicyConfig.named(
     "happo", n_envs=4, rollout_steps=6, epochs=3, minibatches=1, hidden=[5], learning_rate=0.02, clip=0.05, device="cpu"

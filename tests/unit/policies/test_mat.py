@@ -10,6 +10,8 @@ from mapt.policies.mat import MultiAgentTransformer, TeamEncoder
 from mapt.policies.networks import Batch
 from mapt.tasks import TaskSpec, task_spec
 
+pytestmark = pytest.mark.numerics
+
 CHEETAH = task_spec("HalfCheetah-6x1")
 CHOICES = dataclasses.replace(CHEETAH, action_dim=5, agent_action_dims=(), discrete_actions=True)
 B = 9

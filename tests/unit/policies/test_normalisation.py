@@ -9,6 +9,8 @@ from mapt.policies.mat import EncoderCritic
 from mapt.policies.networks import Critic, StateCritic
 from mapt.policies.normalisation import INPUT_LIMIT, InputNormaliser, ReturnStatistics
 
+pytestmark = pytest.mark.numerics
+
 SPEC = IdentityTask(1).spec
 
 

@@ -12,6 +12,8 @@ from mapt.policies.networks import Actors
 from mapt.policies.ppo import clipped_loss
 from mapt.tasks import task_spec
 
+pytestmark = pytest.mark.numerics
+
 SPEC = task_spec("HalfCheetah-2x3")
 B = 96
 

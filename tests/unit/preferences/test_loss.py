@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from mapt.errors import ShapeError
 from mapt.preferences.loss import preference_loss, preference_losses
 
+pytestmark = pytest.mark.numerics
+
 finite = st.floats(-50, 50, width=32)
 probability = st.floats(0, 1, width=32)
 

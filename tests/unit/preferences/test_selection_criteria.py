@@ -12,6 +12,8 @@ from mapt.preferences.selection import SegmentView, make_selector, segment_featu
 from mapt.preferences.selection.criteria import disagreement, entropy, k_center
 from mapt.preferences.selection.selectors import CANDIDATES_PER_QUERY
 
+pytestmark = pytest.mark.numerics
+
 
 def slow_probabilities(scores, first, second):
     return [1 / (1 + math.exp(-(member[first] - member[second]))) for member in scores]

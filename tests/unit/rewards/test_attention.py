@@ -1,9 +1,12 @@
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapt.rewards.kernels import EpisodeBand
 from mapt.rewards.layers import CausalAttention, rotary_angles, rotate
+
+pytestmark = pytest.mark.numerics
 
 
 def draw(*shape, seed=0):

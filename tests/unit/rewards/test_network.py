@@ -7,6 +7,8 @@ from mapt.errors import ShapeError
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.mapt import MAPT
 
+pytestmark = pytest.mark.numerics
+
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 4, 2
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 # The fixtures are the same for every example.

@@ -4,6 +4,8 @@ import torch
 from mapt.errors import InvalidConfig
 from mapt.rewards.kernels import multiplies_bfloat16, products_in, resolve_precision
 
+pytestmark = pytest.mark.numerics
+
 CPU = torch.device("cpu")
 
 

@@ -6,6 +6,8 @@ from torch import nn
 
 from mapt.rewards.layers import CooperationAwareAttention, TemporalAwareAttention, equal_weights, votes
 
+pytestmark = pytest.mark.numerics
+
 S, T, N, D = 4, 7, 3, 16
 
 

@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from mapt.errors import InvalidConfig, InvalidRollout, ModelMismatch
 from mapt.rewards.relabelling import RolloutRelabeller
 
+pytestmark = pytest.mark.numerics
+
 N_ENVS, N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 3, 4, 2
 TOLERANCE = {"rtol": 1e-5, "atol": 1e-5}
 # The fixtures are the same for every example.

@@ -9,6 +9,8 @@ from mapt.rewards.config import RewardConfig
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.relabelling import RewardStream, RolloutRelabeller
 
+pytestmark = pytest.mark.numerics
+
 N_ENVS, N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 3, 4, 2
 TOLERANCE = {"rtol": 1e-5, "atol": 1e-5}
 # The fixtures are the same for every example.

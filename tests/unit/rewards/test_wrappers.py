@@ -11,6 +11,8 @@ from mapt.rewards.relabelling import RolloutRelabeller
 from mapt.rewards.wrappers.gymnasium import LearnedReward, LearnedVectorReward
 from mapt.rewards.wrappers.pettingzoo import LearnedParallelReward
 
+pytestmark = pytest.mark.numerics
+
 WINDOW = 4
 TOLERANCE = {"rtol": 1e-5, "atol": 1e-5}
 CHEETAH = {"n_agents": 6, "observation_dim": 7 + 6, "action_dim": 1}

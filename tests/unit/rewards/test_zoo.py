@@ -16,6 +16,8 @@ from mapt.rewards.model import PolicyReward, RewardModel
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.relabelling import RewardStream, RolloutRelabeller
 
+pytestmark = pytest.mark.numerics
+
 N, C, A = 3, 4, 2
 DIMENSIONS = {"observation_dim": C, "action_dim": A, "n_agents": N}
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
