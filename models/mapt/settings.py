@@ -106,7 +106,7 @@ class Settings:
                 raise InvalidConfig(f"{name} is not a setting. The settings are: {', '.join(known)}.", name)
         for field in _fields(cls):
             if field.name not in values and field.default is MISSING and field.default_factory is MISSING:
-                raise InvalidConfig(f"{field.name} is missing.", field.name)
+                raise InvalidConfig(f"{field.name} is missing; it has no default.", field.name)
         nested = _nested(cls)
         return cls(**{name: _nested_value(name, value, nested.get(name)) for name, value in values.items()})
 
@@ -125,7 +125,7 @@ class Settings:
             elif field.default is not MISSING:
                 value = field.default
             else:
-                raise InvalidConfig(f"{field.name} is missing.", field.name)
+                raise InvalidConfig(f"{field.name} is missing; it has no default.", field.name)
             object.__setattr__(made, field.name, value)
         return made
 

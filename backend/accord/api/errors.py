@@ -77,7 +77,9 @@ def accord_error_response(error: AccordError) -> JSONResponse:
         headers["Retry-After"] = str(ceil(error.retry_after_seconds))
     elif isinstance(error, Unavailable):
         headers["Retry-After"] = "5"
-    return error_response(status_of(error), error.code, str(error), headers=headers)
+    field = getattr(error, "field", None)
+    details = [] if field is None else [{"field": field, "problem": str(error)}]
+    return error_response(status_of(error), error.code, str(error), details, headers)
 
 
 def install(app: FastAPI) -> None:
@@ -125,6 +127,9 @@ def install(app: FastAPI) -> None:
 
 
 def _problem(error: Mapping[str, Any]) -> dict[str, str]:
-    """Where and what, without the input: it may be large, secret, or nothing that JSON can hold."""
-    where = ".".join(str(part) for part in error["loc"])
-    return {"where": where, "problem": str(error["msg"])}
+    """Which field and what is wrong, without the value: it may be large, secret, or not JSON.
+
+    `where` is the field with the part of the request that holds it: `body.label`, `query.limit`.
+    """
+    location = [str(part) for part in error["loc"]]
+    return {"field": ".".join(location[1:]), "where": ".".join(location), "problem": str(error["msg"])}

@@ -6,16 +6,8 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from accord.domain.enums import ExperimentStatus, Phase, Role
-from accord.domain.schedule import LabelScheduleName
-from accord.services.experiment_config import (
-    Credit,
-    Pacing,
-    PolicyReward,
-    QuerySelection,
-    RewardModelName,
-    RewardPreset,
-    RewardSource,
-)
+from accord.services.experiment_config import ExperimentConfig
+from mapt.settings import json_schema
 
 
 class Schema(BaseModel):
@@ -70,64 +62,29 @@ class TaskSchema(Schema):
     instructions: str = Field(description="What the team should achieve, in plain words.")
 
 
-class NewExperiment(Schema):
-    """Settings of an experiment; what is left out has the default of `accord.services.experiment_config`."""
+def _add_settings(schema: dict[str, Any]) -> None:
+    """Adds every setting of an experiment to the schema of `NewExperiment`."""
+    settings = json_schema(ExperimentConfig)
+    schema["properties"] |= settings["properties"]
+    schema["required"] += settings["required"]
+    schema["additionalProperties"] = False
 
-    name: str = Field(min_length=1, max_length=200, description="One line; no two experiments have the same.")
-    task: str = Field(description="Name of a task, from GET /tasks.")
-    instructions: str | None = Field(default=None, description="What labellers are told; the task's own if left out.")
-    total_steps: int = Field(default=1_000_000, description="Environment steps the policy trains for, in all.")
-    segment_steps: int = Field(
-        default=50,
-        description="Steps of a segment, T; at most the task's horizon_steps. An episode that terminates earlier is a "
-        "shorter segment, from a fifth of T on.",
+
+class NewExperiment(Schema):
+    """An experiment to start; every setting but the task has a default."""
+
+    # The settings are validated by ExperimentConfig itself: read them with `settings`.
+    model_config = ConfigDict(extra="allow", json_schema_extra=_add_settings)
+
+    name: str = Field(min_length=1, max_length=200, description="Must be unique, and one line.")
+    instructions: str | None = Field(
+        default=None, max_length=4000, description="Shown to labellers; the task's own if left out."
     )
-    label_budget: int = Field(default=500, description="Labels asked for in all.")
-    initial_labels: int = Field(default=100, description="Labels before the first reward version.")
-    labels_per_version: int = Field(default=50, description="New labels after which the next version is trained.")
-    lookahead_queries: int = Field(default=8, description="Queries kept open beyond those due.")
-    label_schedule: LabelScheduleName = Field(
-        default="power",
-        description="How labels due grow with the policy's steps. power: at a gently falling rate. constant: evenly. "
-        "decaying: at a rate that has fallen to half after a tenth of the run.",
-    )
-    query_selection: QuerySelection = Field(
-        default="uniform",
-        description="How pairs are chosen, from the second round on. disagreement, entropy: those that an ensemble of "
-        "reward models is least sure of. k_center: those least like pairs asked about. *_k_center: both, in turn.",
-    )
-    control_share: float = Field(
-        default=0.2, description="Share of queries that stay uniform whatever query_selection is, 0 to 1."
-    )
-    ensemble_members: int = Field(default=3, description="Reward models in the ensemble, where one is needed.")
-    pacing: Pacing = Field(
-        default="wait", description="wait: the policy halts until due labels are in. free: it trains on meanwhile."
-    )
-    reward_source: RewardSource = Field(
-        default="preferences", description="true: the task's own reward teaches the policy; no labels are asked for."
-    )
-    reward_model: RewardModelName = Field(
-        default="MAPT",
-        description="Which model learns from the labels: MAPT; without temporal (-TPA) or cooperative (-CPA) "
-        "preference attention; with an LSTM in place of causal attention (*); or a baseline.",
-    )
-    reward_preset: RewardPreset = Field(default="small", description="Size of the reward model.")
-    label_noise: float = Field(
-        default=0.0, description="Share of the labels that training takes to be mistakes, 0 to 0.49."
-    )
-    policy_reward: PolicyReward = Field(
-        default="value",
-        description="What the policy is given. value: the reward of the step. attended: the mean of its window's "
-        "rewards by the step's temporal attention. weighted: its reward times its weight.",
-    )
-    credit: Credit = Field(default="shared", description="Whether every agent gets the mean reward, or each its own.")
-    render_clips: bool = Field(default=True, description="False where programs alone label: no clips are made.")
-    policy: dict[str, int | float | bool | str] = Field(
-        default_factory=dict[str, "int | float | bool | str"],
-        description="Settings of the policy's learner that differ from its defaults.",
-    )
-    device: str = Field(default="auto", max_length=40, description="auto, cpu or cuda.")
-    seed: int = Field(default=0, description="Decides all chance of the run.")
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Every field but the name and the instructions, not validated."""
+        return self.model_extra or {}
 
 
 class LabelCounts(Schema):
@@ -332,7 +289,8 @@ class ErrorBody(Schema):
     code: str = Field(description="Stable; programs may rely on it.")
     message: str = Field(description="What was wrong and what to do.")
     details: list[dict[str, Any]] = Field(
-        default_factory=list[dict[str, Any]], description="For a malformed request: where, and what is wrong there."
+        default_factory=list[dict[str, Any]],
+        description="For an invalid value: `field`, for example policy.n_envs, and `problem`.",
     )
 
 

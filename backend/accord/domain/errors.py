@@ -123,7 +123,10 @@ class LabelConflict(WrongState):
 
 
 class NameTaken(WrongState):
+    """Another user or experiment has this name."""
+
     code = "name_taken"
+    field = "name"
 
 
 class LeaseLost(AccordError):
@@ -136,9 +139,14 @@ class LeaseLost(AccordError):
 
 
 class Invalid(AccordError):
-    """What was sent cannot mean anything."""
+    """A value that was sent is not valid."""
 
     code = "invalid"
+
+    def __init__(self, message: str, field: str | None = None) -> None:
+        super().__init__(message)
+        #: the setting or field that is not valid, for example `policy.n_envs`; None if it is not a single one
+        self.field = field
 
 
 class InvalidLabel(Invalid):
@@ -147,7 +155,8 @@ class InvalidLabel(Invalid):
     def __init__(self, value: object) -> None:
         super().__init__(
             f"A label is 1 (segment 0 is better), 0 (segment 1 is better) or 0.5 (equal), not {value!r}. "
-            "To pass over a query, skip it."
+            "To pass over a query, skip it.",
+            "label",
         )
 
 
@@ -166,7 +175,7 @@ class UnknownTask(Invalid):
     code = "unknown_task"
 
     def __init__(self, name: str, known: tuple[str, ...]) -> None:
-        super().__init__(f"There is no task {name!r}. The tasks are: {', '.join(known)}.")
+        super().__init__(f"There is no task {name!r}. The tasks are: {', '.join(known)}.", "task")
 
 
 class BodyTooLarge(AccordError):

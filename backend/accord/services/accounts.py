@@ -40,7 +40,7 @@ def create_user(session: Session, name: str, role: Role) -> tuple[UserRow, str]:
         Invalid: if the name is empty or holds characters that cannot be shown.
         NameTaken: if another user has it.
     """
-    line = check_line(name, "name of a user", 100)
+    line = check_line(name, "name", 100)
     if accounts.user_by_name(session, line) is not None:
         raise NameTaken(
             f"A user {line!r} exists already. Choose another name; or, for a new sign-in link for {line!r}, run "

@@ -1,154 +1,182 @@
-"""What a researcher sets when starting an experiment."""
+"""The settings of an experiment, which a researcher chooses when starting it.
 
-from dataclasses import asdict, dataclass, field
-from typing import Literal, get_args
+They are declared here and nowhere else: validation, the REST schema, the page's form and the documentation's table
+follow from the declarations (see `mapt.settings`).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
 from accord.domain.errors import InvalidExperiment
 from accord.domain.schedule import LabelSchedule, LabelScheduleName
 from mapt.errors import InvalidConfig
-from mapt.policies.config import PolicyConfig
+from mapt.policies.config import Device, PolicyConfig
+from mapt.settings import Settings, setting, within
 
 Pacing = Literal["wait", "free"]
 RewardSource = Literal["preferences", "true"]
-#: the presets of `mapt.rewards`
+# The next five repeat names of mapt's modules that import torch; a test compares them.
 RewardPreset = Literal["small", "paper"]
-#: the models of `mapt.rewards`
 RewardModelName = Literal["MAPT", "MAPT-TPA", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-MLP", "MA-LSTM", "MA-Transformer"]
 PolicyReward = Literal["value", "attended", "weighted"]
 Credit = Literal["shared", "individual"]
-#: the selectors of `mapt.preferences.selection`
 QuerySelection = Literal["uniform", "disagreement", "entropy", "k_center", "disagreement_k_center", "entropy_k_center"]
 
 
 @dataclass(frozen=True, slots=True)
-class ExperimentConfig:
-    """Frozen when the experiment is made: every later row can be traced to it."""
+class ExperimentConfig(Settings):
+    """Settings of an experiment. They never change after it is started, so that every later row can be traced to them.
 
-    #: a name of `mapt.tasks`, for example HalfCheetah-6x1
-    task: str
-    #: environment steps the policy trains for, counted over all environments
-    total_steps: int = 1_000_000
-    #: T, the steps of a segment; a clip lasts T times the task's step_seconds
-    segment_steps: int = 50
-    #: labels asked for in all
-    label_budget: int = 500
-    #: labels before the first reward version
-    initial_labels: int = 100
-    #: new labels after which the reward worker trains the next version
-    labels_per_version: int = 50
-    #: queries kept open beyond those due, so that a labeller never waits for a clip
-    lookahead_queries: int = 8
-    #: how the labels due grow with the policy's steps
-    label_schedule: LabelScheduleName = "power"
-    #: how pairs are chosen from the second round on; the first round is uniform
-    query_selection: QuerySelection = "uniform"
-    #: the share of queries that stay uniform whatever `query_selection` is, to measure it by
-    control_share: float = 0.2
-    #: M, reward models whose disagreement chooses queries; trained where `query_selection` needs them
-    ensemble_members: int = 3
-    #: `wait`: the policy halts until due labels are in; `free`: it trains on with the newest version
-    pacing: Pacing = "wait"
-    #: `true` trains the same learner on the task's own reward, as a baseline; it asks for no labels
-    reward_source: RewardSource = "preferences"
-    #: which reward model learns from the labels
-    reward_model: RewardModelName = "MAPT"
-    #: size of the reward model and how it is trained
-    reward_preset: RewardPreset = "small"
-    #: share of the labels that training takes to be mistakes; for people, 0.1 is usual
-    label_noise: float = 0.0
-    #: what the policy is given of the model's rewards: that of the step, or one that temporal attention has weighed
-    policy_reward: PolicyReward = "value"
-    #: whether every agent gets the mean reward, or each its own
-    credit: Credit = "shared"
-    #: whether clips are made for every query; a scripted teacher alone needs none
-    render_clips: bool = True
-    #: fields of `mapt.policies.PolicyConfig` that differ from its defaults
-    policy: dict[str, int | float | bool | str] = field(default_factory=dict[str, "int | float | bool | str"])
-    #: auto, cpu or cuda
-    device: str = "auto"
-    seed: int = 0
+    Raises:
+        mapt.errors.InvalidConfig: if a value has the wrong type or is out of its range, or values contradict each
+            other; `field` names the setting.
+    """
 
-    def __post_init__(self) -> None:
-        """Checks what can be checked without the task.
+    task: Annotated[str, setting("Name of a task, from GET /tasks; for example HalfCheetah-6x1.", max_length=100)]
+    total_steps: Annotated[
+        int,
+        setting(
+            "Environment steps the policy trains for, summed over its environments.", ge=1, le=10**12, unit="steps"
+        ),
+    ] = 1_000_000
+    segment_steps: Annotated[
+        int,
+        setting(
+            "Steps of a segment, T; at most the task's horizon_steps. An episode that ends earlier gives a shorter "
+            "segment, if it has at least a fifth of T.",
+            ge=2,
+            le=10_000,
+            unit="steps",
+        ),
+    ] = 50
+    label_budget: Annotated[int, setting("Labels to collect in total.", ge=0, le=10**7, unit="labels")] = 500
+    initial_labels: Annotated[
+        int,
+        setting(
+            "Labels before the first reward model: 2 or more, and at most label_budget.", ge=0, le=10**7, unit="labels"
+        ),
+    ] = 100
+    labels_per_version: Annotated[
+        int, setting("New labels before the next version of the reward model.", ge=1, le=10**6, unit="labels")
+    ] = 50
+    lookahead_queries: Annotated[
+        int,
+        setting(
+            "Queries kept ready beyond those due, so that labellers do not wait for clips.",
+            ge=1,
+            le=1000,
+            unit="queries",
+        ),
+    ] = 8
+    label_schedule: Annotated[
+        LabelScheduleName,
+        setting(
+            "How the number of labels due grows with the policy's steps. power: at a slowly falling rate. constant: at "
+            "a constant rate. decaying: at a rate that halves after a tenth of the run."
+        ),
+    ] = "power"
+    query_selection: Annotated[
+        QuerySelection,
+        setting(
+            "How pairs are chosen after the first round, which is uniform. disagreement, entropy: pairs on which an "
+            "ensemble of reward models is least certain. k_center: pairs least like those already asked about. "
+            "disagreement_k_center, entropy_k_center: both criteria, in turn."
+        ),
+    ] = "uniform"
+    control_share: Annotated[
+        float,
+        setting("Share of queries chosen uniformly whatever query_selection is, for comparison.", ge=0, le=1),
+    ] = 0.2
+    ensemble_members: Annotated[
+        int, setting("Reward models in the ensemble, where query_selection needs one.", ge=2, le=16, unit="models")
+    ] = 3
+    pacing: Annotated[
+        Pacing,
+        setting(
+            "wait: the policy pauses until the labels due are given. free: it keeps training with the newest reward "
+            "model."
+        ),
+    ] = "wait"
+    reward_source: Annotated[
+        RewardSource,
+        setting(
+            "preferences: the policy learns from the reward model. true: it learns from the task's own reward, as a "
+            "baseline, and no labels are asked for."
+        ),
+    ] = "preferences"
+    reward_model: Annotated[
+        RewardModelName,
+        setting(
+            "Reward model: MAPT; MAPT without temporal (-TPA) or cooperative (-CPA) preference attention, or with an "
+            "LSTM instead of causal attention (*); or a baseline (MA-...)."
+        ),
+    ] = "MAPT"
+    reward_preset: Annotated[RewardPreset, setting("Size of the reward model and of its training.")] = "small"
+    label_noise: Annotated[
+        float,
+        setting("Share of labels assumed to be wrong in training; 0.1 is usual for people.", ge=0, le=0.49),
+    ] = 0.0
+    policy_reward: Annotated[
+        PolicyReward,
+        setting(
+            "What the policy is rewarded with. value: the reward of the step. attended: the mean of its window's "
+            "rewards, weighted by the step's temporal attention. weighted: its reward times its temporal weight."
+        ),
+    ] = "value"
+    credit: Annotated[
+        Credit, setting("shared: every agent gets the mean reward. individual: each agent gets its own.")
+    ] = "shared"
+    render_clips: Annotated[bool, setting("Render clips for people; false if only programs label.")] = True
+    policy: Annotated[
+        dict[str, object],
+        setting("Settings of the policy that differ from the algorithm's defaults.", overrides=PolicyConfig),
+    ] = field(default_factory=dict[str, object])
+    device: Annotated[Device, setting("Where policy and reward model run; auto takes a GPU if there is one.")] = "auto"
+    seed: Annotated[int, setting("Seed of all random numbers of the run.", ge=0, le=2**31 - 1)] = 0
 
-        Raises:
-            InvalidExperiment: naming the setting, its value and what would do.
-        """
-        for name, low, high in (
-            ("total_steps", 1, 10**12),
-            ("segment_steps", 2, 10_000),
-            ("label_budget", 0, 10**7),
-            ("labels_per_version", 1, 10**6),
-            ("lookahead_queries", 1, 1000),
-            ("control_share", 0, 1),
-            ("label_noise", 0, 0.49),
-            ("ensemble_members", 2, 16),
-            ("seed", 0, 2**31 - 1),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InvalidExperiment(f"{name} is {value}; it must be from {low} to {high}.")
-        if self.reward_source == "preferences" and not 2 <= self.initial_labels <= self.label_budget:
-            raise InvalidExperiment(
-                f"initial_labels is {self.initial_labels}; it must be from 2 to label_budget ({self.label_budget})."
+    def check(self) -> None:
+        """Checks the label budget, the policy's settings, and that a rollout holds a segment. Raises InvalidConfig."""
+        policy = self.policy_config()
+        if self.reward_source != "preferences":
+            return
+        if not 2 <= self.initial_labels <= self.label_budget:
+            raise InvalidConfig(
+                f"initial_labels is {self.initial_labels}; it must be 2 or more and at most label_budget "
+                f"({self.label_budget}).",
+                "initial_labels",
+            )
+        if policy.rollout_steps < self.segment_steps:
+            raise InvalidConfig(
+                f"policy.rollout_steps is {policy.rollout_steps}; it must be at least segment_steps "
+                f"({self.segment_steps}), or no segment fits into a rollout.",
+                "policy.rollout_steps",
             )
 
-    def check_names(self) -> None:
-        """Checks the settings that are one of a few words, when an experiment is made.
-
-        Not when one is read: an experiment of another version of Accord, whose words were others, can still be seen.
+    def policy_config(self, n_threads: int = 0) -> PolicyConfig:
+        """The algorithm's defaults, the experiment's seed and device, and then what the researcher set.
 
         Raises:
-            InvalidExperiment: naming the setting, its value and the known ones.
+            mapt.errors.InvalidConfig: if a setting is unknown or out of its range; `field` begins with `policy.`.
         """
-        for name, known in _KNOWN.items():
-            value = getattr(self, name)
-            if value not in known:
-                raise InvalidExperiment(f"{name} is {value!r}; it must be one of: {', '.join(known)}.")
-
-    def check_horizon(self, horizon_steps: int) -> None:
-        """Raises InvalidExperiment if a segment would not fit into an episode."""
-        if self.segment_steps > horizon_steps:
-            raise InvalidExperiment(
-                f"segment_steps is {self.segment_steps}, but an episode of {self.task} lasts {horizon_steps} steps. "
-                f"Choose at most {horizon_steps}."
+        with within("policy"):
+            return PolicyConfig.from_dict(
+                {"seed": self.seed, "device": self.device, "n_threads": n_threads, **self.policy}
             )
 
     @property
     def schedule(self) -> LabelSchedule:
+        """When labels are due."""
         return LabelSchedule(self.label_budget, self.initial_labels, self.total_steps, name=self.label_schedule)
 
-    def to_dict(self) -> dict[str, object]:
-        return asdict(self)
 
-
-_KNOWN: dict[str, tuple[str, ...]] = {
-    "pacing": get_args(Pacing),
-    "reward_source": get_args(RewardSource),
-    "reward_model": get_args(RewardModelName),
-    "reward_preset": get_args(RewardPreset),
-    "policy_reward": get_args(PolicyReward),
-    "credit": get_args(Credit),
-    "label_schedule": get_args(LabelScheduleName),
-    "query_selection": get_args(QuerySelection),
-}
-
-
-def policy_settings(config: ExperimentConfig, n_threads: int = 0) -> PolicyConfig:
-    """The learner's defaults, the experiment's seed and device, then what the researcher set.
+def read_config(settings: Mapping[str, object]) -> ExperimentConfig:
+    """An experiment's settings as a client sends them.
 
     Raises:
-        InvalidExperiment: if a setting is unknown or out of its range, or a rollout is too short for a segment.
+        InvalidExperiment: as `ExperimentConfig`.
     """
     try:
-        settings = PolicyConfig.from_dict(
-            {"seed": config.seed, "device": config.device, "n_threads": n_threads, **config.policy}
-        )
+        return ExperimentConfig.from_dict(settings)
     except InvalidConfig as error:
-        raise InvalidExperiment(f"policy: {error}") from error
-    if config.reward_source == "preferences" and settings.rollout_steps < config.segment_steps:
-        raise InvalidExperiment(
-            f"segment_steps is {config.segment_steps}, but a rollout has {settings.rollout_steps} steps of each "
-            f"environment, so no segment fits. Set policy.rollout_steps to {config.segment_steps} or more."
-        )
-    return settings
+        raise InvalidExperiment(str(error), error.field) from error

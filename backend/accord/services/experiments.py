@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from sqlalchemy.orm import Session
 
 from accord.domain.enums import ExperimentStatus, Phase, QueryStatus
-from accord.domain.errors import ExperimentNotActive, ExperimentNotFound, NameTaken, UnknownTask
+from accord.domain.errors import ExperimentNotActive, ExperimentNotFound, InvalidExperiment, NameTaken, UnknownTask
 from accord.domain.ids import new_id
-from accord.services.experiment_config import ExperimentConfig, policy_settings
+from accord.services.experiment_config import ExperimentConfig
 from accord.services.texts import check_line, check_lines
 from accord.store import experiments
 from accord.store.tables import ExperimentRow, utc_now
@@ -54,22 +54,24 @@ def create(
 
     Raises:
         UnknownTask: if no task has this name.
-        InvalidExperiment: if a setting has an unknown word, the policy's learner cannot have its settings, or a segment
-            would not fit into an episode or a rollout.
+        InvalidExperiment: if a segment is longer than an episode.
         NameTaken: if another experiment has this name.
         Invalid: if a text is empty, too long, or holds characters that cannot be shown.
     """
-    config.check_names()
-    line = check_line(name, "name of an experiment", 200)
+    line = check_line(name, "name", 200)
     try:
         spec = task_spec(config.task)
     except TaskIsUnknown as error:
         raise UnknownTask(config.task, task_names()) from error
-    config.check_horizon(spec.horizon_steps)
-    policy_settings(config)
+    if config.segment_steps > spec.horizon_steps:
+        raise InvalidExperiment(
+            f"segment_steps is {config.segment_steps}; it must be at most {spec.horizon_steps}, the length of an "
+            f"episode of {config.task}.",
+            "segment_steps",
+        )
     told = check_lines(instructions or "", "instructions", 4000) or spec.instructions
     if experiments.by_name(session, line) is not None:
-        raise NameTaken(f"There is an experiment {line!r} already. Choose another name.")
+        raise NameTaken(f"An experiment named {line!r} exists already. Choose another name.")
     row = ExperimentRow(id=new_id("exp"), name=line, config=config.to_dict(), instructions=told, owner_id=owner_id)
     session.add(row)
     session.flush()
@@ -85,7 +87,8 @@ def get(session: Session, experiment_id: str) -> ExperimentRow:
 
 
 def config_of(row: ExperimentRow) -> ExperimentConfig:
-    return ExperimentConfig(**row.config)
+    """The settings as stored, without validation: an experiment of another version of Accord can still be shown."""
+    return ExperimentConfig.from_stored(row.config)
 
 
 def list_page(session: Session, limit: int, cursor: str | None) -> ExperimentPage:

@@ -8,7 +8,7 @@ from accord.domain.errors import Invalid
 _MAX_TEACHER_CHARACTERS = 4000
 
 
-def check_line(text: str, what: str, longest: int) -> str:
+def check_line(text: str, field: str, longest: int) -> str:
     """Returns one line of text without the spaces around it.
 
     Raises:
@@ -16,11 +16,11 @@ def check_line(text: str, what: str, longest: int) -> str:
     """
     line = text.strip()
     if not line or len(line) > longest or not line.isprintable():
-        raise Invalid(f"The {what} must be one line of 1 to {longest} printable characters.")
+        raise Invalid(f"{field} must be one line of 1 to {longest} printable characters.", field)
     return line
 
 
-def check_lines(text: str, what: str, longest: int) -> str:
+def check_lines(text: str, field: str, longest: int) -> str:
     """Returns several lines of text without the space around them.
 
     Raises:
@@ -28,7 +28,7 @@ def check_lines(text: str, what: str, longest: int) -> str:
     """
     lines = text.strip()
     if len(lines) > longest or not all(line.isprintable() for line in lines.replace("\t", " ").splitlines()):
-        raise Invalid(f"The {what} must be at most {longest} printable characters.")
+        raise Invalid(f"{field} must be at most {longest} printable characters.", field)
     return lines
 
 
@@ -41,7 +41,9 @@ def check_teacher(teacher: dict[str, Any]) -> dict[str, Any]:
     try:
         length = len(json.dumps(teacher, allow_nan=False))
     except ValueError as error:
-        raise Invalid(f"`teacher` must be plain JSON: {error}.") from error
+        raise Invalid(f"teacher must be plain JSON: {error}.", "teacher") from error
     if length > _MAX_TEACHER_CHARACTERS:
-        raise Invalid(f"`teacher` is {length} characters as JSON; at most {_MAX_TEACHER_CHARACTERS} are kept.")
+        raise Invalid(
+            f"teacher is {length} characters as JSON; it must be at most {_MAX_TEACHER_CHARACTERS}.", "teacher"
+        )
     return teacher

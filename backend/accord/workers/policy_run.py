@@ -17,7 +17,7 @@ from accord.domain.enums import ExperimentStatus, Phase
 from accord.domain.errors import InvalidExperiment
 from accord.services import checkpoints, collect, experiments, metrics, publish, select
 from accord.services.collect import NewSegment
-from accord.services.experiment_config import ExperimentConfig, policy_settings
+from accord.services.experiment_config import ExperimentConfig
 from accord.store.blobs import BlobStore
 from accord.store.database import Database
 from accord.store.tables import ExperimentRow, RewardVersionRow
@@ -105,11 +105,11 @@ def start_or_restore(
     """The experiment's training as its newest checkpoint has it; at the beginning where there is none.
 
     Raises:
-        InvalidExperiment: if `config.policy` makes no sense; one that was made by another version may.
-        InvalidConfig: if its device is not here.
+        InvalidConfig: if the device is not available, or another version of Accord stored settings that are not valid
+            in this one.
         BlobMissing, CheckpointError: if the checkpoint is gone, or damaged.
     """
-    settings = policy_settings(config, n_threads)
+    settings = config.policy_config(n_threads)
     task = make_task(config.task, settings.n_envs, n_threads=n_threads)
     with database.reading() as session:
         row = checkpoints.newest(session, experiment_id)

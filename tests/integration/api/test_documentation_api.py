@@ -45,6 +45,23 @@ def test_every_field_says_what_it_is(api_document: dict[str, Any]) -> None:
             assert described.get("description") or set(described) == {"$ref"}, f"{name}.{field}"
 
 
+def test_a_new_experiment_has_every_setting_with_its_range_and_default(api_document: dict[str, Any]) -> None:
+    schema = api_document["components"]["schemas"]["NewExperiment"]
+    assert schema["required"] == ["name", "task"]
+    assert schema["additionalProperties"] is False
+    policy = schema["properties"]["policy"]
+    assert policy["additionalProperties"] is False
+    assert policy["properties"]["hidden"]["type"] == "array"
+    settings = schema["properties"] | policy["properties"]
+    for field in set(settings) - {"name", "instructions", "task", "policy"}:
+        described = settings[field]
+        assert described["description"], field
+        assert "default" in described, field
+        if described["type"] in {"integer", "number"}:
+            assert "minimum" in described or "exclusiveMinimum" in described, field
+            assert "maximum" in described, field
+
+
 def test_every_answer_has_a_type(api_document: dict[str, Any]) -> None:
     for address, operation in operations(api_document):
         for status, response in operation["responses"].items():

@@ -20,8 +20,8 @@ from support.stores import Stores
 NEW = {"name": "one", "task": "HalfCheetah-6x1"}
 
 
-def refusal(response: httpx.Response, status: int, code: str, *words: str) -> None:
-    """The body every failure has."""
+def refusal(response: httpx.Response, status: int, code: str, *words: str, field: str | None = None) -> None:
+    """Checks the body that every failure has; `field` is the invalid field that its details name."""
     assert response.status_code == status, response.text
     body = response.json()
     assert set(body) == {"error"}
@@ -31,6 +31,8 @@ def refusal(response: httpx.Response, status: int, code: str, *words: str) -> No
     assert len(message) > 20
     for word in words:
         assert word in message
+    if field is not None:
+        assert body["error"]["details"][0]["field"] == field
 
 
 def test_a_label_of_seven_tenths(api: Served) -> None:
@@ -44,7 +46,7 @@ def test_a_label_of_seven_tenths(api: Served) -> None:
 @pytest.mark.parametrize("label", ["1", True, [1], {}])
 def test_a_label_that_is_no_number(api: Served, label: object) -> None:
     path = f"/api/v1/queries/{new_id('qry')}/label"
-    refusal(api.teacher.put(path, json={"label": label}), 422, "invalid_request", "body.label")
+    refusal(api.teacher.put(path, json={"label": label}), 422, "invalid_request", field="label")
 
 
 def test_a_label_for_a_query_that_is_closed(both_api: Served) -> None:
@@ -74,31 +76,53 @@ def test_nothing_to_undo(api: Served) -> None:
 
 
 def test_a_segment_longer_than_an_episode(api: Served) -> None:
-    response = api.researcher.post("/api/v1/experiments", json=NEW | {"segment_steps": 2000})
-    refusal(response, 422, "invalid_experiment", "1000 steps")
+    long = {"segment_steps": 2000, "policy": {"rollout_steps": 2000}}
+    response = api.researcher.post("/api/v1/experiments", json=NEW | long)
+    refusal(response, 422, "invalid_experiment", "1000", field="segment_steps")
 
 
-def test_settings_that_the_policys_learner_cannot_have(api: Served) -> None:
-    for policy, words in (
-        ({"n_environments": 4}, ("n_environments", "n_envs")),
-        ({"algorithm": "ppo"}, ("algorithm", "mappo, happo, mat, mat_dec")),
-        ({"clip": 0}, ("clip must be more than 0",)),
-        ({"rollout_steps": 25, "minibatches": 1}, ("segment_steps is 50", "policy.rollout_steps to 50")),
-    ):
-        response = api.researcher.post("/api/v1/experiments", json=NEW | {"segment_steps": 50, "policy": policy})
-        refusal(response, 422, "invalid_experiment", *words)
+@pytest.mark.parametrize(
+    ("policy", "field"),
+    [
+        ({"n_environments": 4}, "policy.n_environments"),
+        ({"algorithm": "ppo"}, "policy.algorithm"),
+        ({"clip": 0}, "policy.clip"),
+        ({"n_envs": "many"}, "policy.n_envs"),
+        ({"hidden": [32, "32"]}, "policy.hidden"),
+        ({"rollout_steps": 25, "minibatches": 1}, "policy.rollout_steps"),
+    ],
+)
+def test_settings_that_the_policy_cannot_have(api: Served, policy: dict[str, object], field: str) -> None:
+    response = api.researcher.post("/api/v1/experiments", json=NEW | {"segment_steps": 50, "policy": policy})
+    refusal(response, 422, "invalid_experiment", field, field=field)
 
 
 def test_a_task_that_does_not_exist(api: Served) -> None:
     response = api.researcher.post("/api/v1/experiments", json=NEW | {"task": "Walker"})
-    refusal(response, 422, "unknown_task", "'Walker'", "HalfCheetah-6x1")
+    refusal(response, 422, "unknown_task", "'Walker'", "HalfCheetah-6x1", field="task")
 
 
-def test_settings_that_make_no_sense(api: Served) -> None:
-    for wrong in ({"total_steps": 0}, {"initial_labels": 900}, {"seed": -1}, {"control_share": 2}):
-        refusal(api.researcher.post("/api/v1/experiments", json=NEW | wrong), 422, "invalid_experiment", *wrong)
-    for wrong in ({"pacing": "fast"}, {"total_steps": "many"}, {"total_step": 5}):
-        refusal(api.researcher.post("/api/v1/experiments", json=NEW | wrong), 422, "invalid_request", *wrong)
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"total_steps": 0},
+        {"total_steps": 10**13},
+        {"total_steps": "many"},
+        {"total_step": 5},
+        {"initial_labels": 900},
+        {"seed": -1},
+        {"control_share": 2},
+        {"pacing": "fast"},
+    ],
+)
+def test_settings_that_are_not_valid(api: Served, wrong: dict[str, object]) -> None:
+    [field] = wrong
+    response = api.researcher.post("/api/v1/experiments", json=NEW | wrong)
+    refusal(response, 422, "invalid_experiment", field, field=field)
+
+
+def test_an_experiment_without_a_task(api: Served) -> None:
+    refusal(api.researcher.post("/api/v1/experiments", json={"name": "x"}), 422, "invalid_experiment", field="task")
 
 
 @pytest.mark.parametrize(
@@ -111,14 +135,14 @@ def test_settings_that_make_no_sense(api: Served) -> None:
         ("label_schedule", ("power", "constant", "decaying")),
     ],
 )
-def test_an_unknown_word_is_refused_with_the_known_ones(api: Served, setting: str, known: tuple[str, ...]) -> None:
+def test_an_unknown_choice_is_refused_with_the_known_ones(api: Served, setting: str, known: tuple[str, ...]) -> None:
     response = api.researcher.post("/api/v1/experiments", json=NEW | {setting: "huge"})
-    refusal(response, 422, "invalid_request", f"body.{setting}", *known)
+    refusal(response, 422, "invalid_experiment", *known, field=setting)
 
 
 def test_a_name_that_is_taken(api: Served) -> None:
     assert api.researcher.post("/api/v1/experiments", json=NEW).status_code == 201
-    refusal(api.researcher.post("/api/v1/experiments", json=NEW), 409, "name_taken", "'one'")
+    refusal(api.researcher.post("/api/v1/experiments", json=NEW), 409, "name_taken", field="name")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,11 @@ NEW = {"name": "one", "task": "HalfCheetah-6x1"}
 def test_an_experiment_is_started_looked_at_and_steered(both_api: Served) -> None:
     client = both_api.researcher
     chosen = {"query_selection": "disagreement", "control_share": 0.25, "ensemble_members": 5}
-    settings = {"label_budget": 200, "policy": {"learning_rate": 0.01}, "label_schedule": "decaying"} | chosen
+    settings = {
+        "label_budget": 200,
+        "policy": {"learning_rate": 0.01, "hidden": [32, 32]},
+        "label_schedule": "decaying",
+    } | chosen
     made = client.post("/api/v1/experiments", json=NEW | settings)
     assert made.status_code == 201
     experiment = made.json()

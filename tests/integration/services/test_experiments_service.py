@@ -41,25 +41,23 @@ def test_a_new_experiment_is_running_and_keeps_its_settings(both: Stores) -> Non
 
 
 def test_a_task_that_does_not_exist_is_refused_with_those_that_do(both: Stores) -> None:
-    with pytest.raises(UnknownTask, match="HalfCheetah-6x1"):
+    with pytest.raises(UnknownTask) as caught:
         create(both, task="Walker")
+    assert caught.value.field == "task"
+    assert "HalfCheetah-6x1" in str(caught.value)
 
 
 def test_a_segment_longer_than_an_episode_is_refused(both: Stores) -> None:
-    with pytest.raises(InvalidExperiment, match="lasts 1000 steps"):
-        create(both, segment_steps=1001)
-
-
-def test_an_unknown_word_in_a_setting_is_refused_before_anything_is_stored(both: Stores) -> None:
-    with pytest.raises(InvalidExperiment, match="reward_preset is 'huge'; it must be one of: small, paper"):
-        create(both, reward_preset="huge")
+    with pytest.raises(InvalidExperiment) as caught:
+        create(both, segment_steps=1001, policy={"rollout_steps": 1001, "minibatches": 1})
+    assert caught.value.field == "segment_steps"
     with both.database.reading() as session:
         assert experiments.list_page(session, 10, None).rows == []
 
 
 def test_two_experiments_cannot_have_the_same_name(both: Stores) -> None:
     create(both, "run")
-    with pytest.raises(NameTaken, match="'run'"), both.database.transaction() as session:
+    with pytest.raises(NameTaken), both.database.transaction() as session:
         experiments.create(session, "usr", "  run ", config(), None)
 
 

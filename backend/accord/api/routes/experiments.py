@@ -1,7 +1,6 @@
 """Experiments: made, listed, inspected, steered; their curves and reward versions; the workers."""
 
 from collections.abc import Callable
-from dataclasses import fields
 from typing import Annotated
 
 from fastapi import APIRouter, Query
@@ -13,11 +12,10 @@ from accord.api.visit import Visit, VisitDep
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_run_experiments, require
 from accord.services import experiments, metrics, publish, workers
-from accord.services.experiment_config import ExperimentConfig
+from accord.services.experiment_config import read_config
 from accord.store.tables import ExperimentRow
 
 router = APIRouter(tags=["experiments"])
-_CONFIG_FIELDS = {field.name for field in fields(ExperimentConfig)}
 
 
 @router.get("/tasks", summary="List the tasks")
@@ -30,7 +28,7 @@ def list_tasks(visit: VisitDep) -> list[schemas.TaskSchema]:
 @router.post("/experiments", status_code=201, summary="Start an experiment")
 def create_experiment(body: schemas.NewExperiment, visit: VisitDep) -> schemas.Experiment:
     """A policy worker takes it up as soon as one is free. Researchers and admins may."""
-    config = ExperimentConfig(**body.model_dump(include=_CONFIG_FIELDS))
+    config = read_config(body.settings)
     with visit.writing() as signed:
         require(may_run_experiments(signed.role), signed.role, "start experiments")
         row = experiments.create(signed.session, signed.user.id, body.name, config, body.instructions)

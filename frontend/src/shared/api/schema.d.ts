@@ -532,7 +532,7 @@ export interface components {
             code: string;
             /**
              * Details
-             * @description For a malformed request: where, and what is wrong there.
+             * @description For an invalid value: `field`, for example policy.n_envs, and `problem`.
              */
             details?: {
                 [key: string]: unknown;
@@ -825,156 +825,259 @@ export interface components {
         };
         /**
          * NewExperiment
-         * @description Settings of an experiment; what is left out has the default of `accord.services.experiment_config`.
+         * @description An experiment to start; every setting but the task has a default.
          */
         NewExperiment: {
             /**
-             * Control Share
-             * @description Share of queries that stay uniform whatever query_selection is, 0 to 1.
+             * @description Share of queries chosen uniformly whatever query_selection is, for comparison.
              * @default 0.2
              */
             control_share: number;
             /**
-             * Credit
-             * @description Whether every agent gets the mean reward, or each its own.
+             * @description shared: every agent gets the mean reward. individual: each agent gets its own.
              * @default shared
              * @enum {string}
              */
             credit: "shared" | "individual";
             /**
-             * Device
-             * @description auto, cpu or cuda.
+             * @description Where policy and reward model run; auto takes a GPU if there is one.
              * @default auto
+             * @enum {string}
              */
-            device: string;
+            device: "auto" | "cpu" | "cuda";
             /**
-             * Ensemble Members
-             * @description Reward models in the ensemble, where one is needed.
+             * @description Reward models in the ensemble, where query_selection needs one.
              * @default 3
              */
             ensemble_members: number;
             /**
-             * Initial Labels
-             * @description Labels before the first reward version.
+             * @description Labels before the first reward model: 2 or more, and at most label_budget.
              * @default 100
              */
             initial_labels: number;
             /**
              * Instructions
-             * @description What labellers are told; the task's own if left out.
+             * @description Shown to labellers; the task's own if left out.
              */
             instructions?: string | null;
             /**
-             * Label Budget
-             * @description Labels asked for in all.
+             * @description Labels to collect in total.
              * @default 500
              */
             label_budget: number;
             /**
-             * Label Noise
-             * @description Share of the labels that training takes to be mistakes, 0 to 0.49.
+             * @description Share of labels assumed to be wrong in training; 0.1 is usual for people.
              * @default 0
              */
             label_noise: number;
             /**
-             * Label Schedule
-             * @description How labels due grow with the policy's steps. power: at a gently falling rate. constant: evenly. decaying: at a rate that has fallen to half after a tenth of the run.
+             * @description How the number of labels due grows with the policy's steps. power: at a slowly falling rate. constant: at a constant rate. decaying: at a rate that halves after a tenth of the run.
              * @default power
              * @enum {string}
              */
             label_schedule: "power" | "constant" | "decaying";
             /**
-             * Labels Per Version
-             * @description New labels after which the next version is trained.
+             * @description New labels before the next version of the reward model.
              * @default 50
              */
             labels_per_version: number;
             /**
-             * Lookahead Queries
-             * @description Queries kept open beyond those due.
+             * @description Queries kept ready beyond those due, so that labellers do not wait for clips.
              * @default 8
              */
             lookahead_queries: number;
             /**
              * Name
-             * @description One line; no two experiments have the same.
+             * @description Must be unique, and one line.
              */
             name: string;
             /**
-             * Pacing
-             * @description wait: the policy halts until due labels are in. free: it trains on meanwhile.
+             * @description wait: the policy pauses until the labels due are given. free: it keeps training with the newest reward model.
              * @default wait
              * @enum {string}
              */
             pacing: "wait" | "free";
             /**
-             * Policy
-             * @description Settings of the policy's learner that differ from its defaults.
+             * @description Settings of the policy that differ from the algorithm's defaults.
+             * @default {}
              */
-            policy?: {
-                [key: string]: number | boolean | string;
+            policy: {
+                /**
+                 * @description Nonlinearity of the hidden layers.
+                 * @default tanh
+                 * @enum {string}
+                 */
+                activation: "tanh" | "relu";
+                /**
+                 * @description How the team acts and learns. mappo, happo: one actor per agent and a critic of the state. mat: a transformer that decides agent by agent. mat_dec: MAT's encoder as the critic, and one actor per agent.
+                 * @default mappo
+                 * @enum {string}
+                 */
+                algorithm: "mappo" | "happo" | "mat" | "mat_dec";
+                /**
+                 * @description Environment steps over which the learning rate falls linearly to a tenth; 0 keeps it constant.
+                 * @default 0
+                 */
+                anneal_steps: number;
+                /**
+                 * @description PPO's epsilon: the probability ratio is clipped to 1 - clip and 1 + clip.
+                 * @default 0.1
+                 */
+                clip: number;
+                /**
+                 * @description Where the networks run; auto takes a GPU if there is one.
+                 * @default auto
+                 * @enum {string}
+                 */
+                device: "auto" | "cpu" | "cuda";
+                /**
+                 * @description Weight of the entropy bonus.
+                 * @default 0
+                 */
+                entropy_weight: number;
+                /**
+                 * @description Passes over a rollout per update.
+                 * @default 10
+                 */
+                epochs: number;
+                /**
+                 * @description Lambda of generalised advantage estimation.
+                 * @default 0.95
+                 */
+                gae_lambda: number;
+                /**
+                 * @description Discount per step.
+                 * @default 0.99
+                 */
+                gamma: number;
+                /**
+                 * @description Attention heads; must divide width.
+                 * @default 1
+                 */
+                heads: number;
+                /**
+                 * @description Widths of the hidden layers of the perceptrons: actor and critic of mappo and happo, actor of mat_dec.
+                 * @default [
+                 *       64,
+                 *       64
+                 *     ]
+                 */
+                hidden: number[];
+                /**
+                 * @description Logarithm of the actions' standard deviation at the start.
+                 * @default -0.5
+                 */
+                initial_log_std: number;
+                /**
+                 * @description Layers of the encoder and of the decoder.
+                 * @default 1
+                 */
+                layers: number;
+                /**
+                 * @description Adam's learning rate at the start.
+                 * @default 0.002
+                 */
+                learning_rate: number;
+                /**
+                 * @description Gradients are clipped to this norm.
+                 * @default 0.5
+                 */
+                max_gradient_norm: number;
+                /**
+                 * @description Gradient steps per pass; must divide n_envs * rollout_steps.
+                 * @default 16
+                 */
+                minibatches: number;
+                /**
+                 * @description Environments stepped in parallel, E.
+                 * @default 32
+                 */
+                n_envs: number;
+                /**
+                 * @description Threads of torch during collection and updates; 0 leaves torch's setting. Networks of this size gain nothing from a second thread, and lose much when another process needs the core.
+                 * @default 1
+                 */
+                n_threads: number;
+                /**
+                 * @description Steps of each environment between updates, L.
+                 * @default 128
+                 */
+                rollout_steps: number;
+                /**
+                 * @description Seed of the learner and of its task.
+                 * @default 0
+                 */
+                seed: number;
+                /**
+                 * @description One actor for all agents instead of one each; mat's decoder is always shared.
+                 * @default false
+                 */
+                shared_actor: boolean;
+                /**
+                 * @description Weight of the newest rollout in the running mean and variance of the returns.
+                 * @default 0.1
+                 */
+                value_statistics_rate: number;
+                /**
+                 * @description Weight of the critic's loss.
+                 * @default 0.5
+                 */
+                value_weight: number;
+                /**
+                 * @description Width of the transformers of mat and mat_dec, d.
+                 * @default 64
+                 */
+                width: number;
             };
             /**
-             * Policy Reward
-             * @description What the policy is given. value: the reward of the step. attended: the mean of its window's rewards by the step's temporal attention. weighted: its reward times its weight.
+             * @description What the policy is rewarded with. value: the reward of the step. attended: the mean of its window's rewards, weighted by the step's temporal attention. weighted: its reward times its temporal weight.
              * @default value
              * @enum {string}
              */
             policy_reward: "value" | "attended" | "weighted";
             /**
-             * Query Selection
-             * @description How pairs are chosen, from the second round on. disagreement, entropy: those that an ensemble of reward models is least sure of. k_center: those least like pairs asked about. *_k_center: both, in turn.
+             * @description How pairs are chosen after the first round, which is uniform. disagreement, entropy: pairs on which an ensemble of reward models is least certain. k_center: pairs least like those already asked about. disagreement_k_center, entropy_k_center: both criteria, in turn.
              * @default uniform
              * @enum {string}
              */
             query_selection: "uniform" | "disagreement" | "entropy" | "k_center" | "disagreement_k_center" | "entropy_k_center";
             /**
-             * Render Clips
-             * @description False where programs alone label: no clips are made.
+             * @description Render clips for people; false if only programs label.
              * @default true
              */
             render_clips: boolean;
             /**
-             * Reward Model
-             * @description Which model learns from the labels: MAPT; without temporal (-TPA) or cooperative (-CPA) preference attention; with an LSTM in place of causal attention (*); or a baseline.
+             * @description Reward model: MAPT; MAPT without temporal (-TPA) or cooperative (-CPA) preference attention, or with an LSTM instead of causal attention (*); or a baseline (MA-...).
              * @default MAPT
              * @enum {string}
              */
             reward_model: "MAPT" | "MAPT-TPA" | "MAPT-CPA" | "MAPT*" | "MAPT*-CPA" | "MA-MLP" | "MA-LSTM" | "MA-Transformer";
             /**
-             * Reward Preset
-             * @description Size of the reward model.
+             * @description Size of the reward model and of its training.
              * @default small
              * @enum {string}
              */
             reward_preset: "small" | "paper";
             /**
-             * Reward Source
-             * @description true: the task's own reward teaches the policy; no labels are asked for.
+             * @description preferences: the policy learns from the reward model. true: it learns from the task's own reward, as a baseline, and no labels are asked for.
              * @default preferences
              * @enum {string}
              */
             reward_source: "preferences" | "true";
             /**
-             * Seed
-             * @description Decides all chance of the run.
+             * @description Seed of all random numbers of the run.
              * @default 0
              */
             seed: number;
             /**
-             * Segment Steps
-             * @description Steps of a segment, T; at most the task's horizon_steps. An episode that terminates earlier is a shorter segment, from a fifth of T on.
+             * @description Steps of a segment, T; at most the task's horizon_steps. An episode that ends earlier gives a shorter segment, if it has at least a fifth of T.
              * @default 50
              */
             segment_steps: number;
-            /**
-             * Task
-             * @description Name of a task, from GET /tasks.
-             */
+            /** @description Name of a task, from GET /tasks; for example HalfCheetah-6x1. */
             task: string;
             /**
-             * Total Steps
-             * @description Environment steps the policy trains for, in all.
+             * @description Environment steps the policy trains for, summed over its environments.
              * @default 1000000
              */
             total_steps: number;
