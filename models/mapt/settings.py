@@ -162,7 +162,7 @@ def describe(settings: type[Settings]) -> list[SettingDescription]:
         default = json.dumps(schema["default"]) if "default" in schema else ""
         rows.append(
             SettingDescription(
-                name, default.strip('"'), _rule(schema), schema.get("unit", ""), schema.get("description", "")
+                name, default.strip('"'), accepted_values(schema), schema.get("unit", ""), schema.get("description", "")
             )
         )
     return rows
@@ -184,6 +184,28 @@ def json_schema(settings: type[Settings]) -> dict[str, Any]:
             required.append(field.name)
         properties[field.name] = schema
     return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
+
+
+def accepted_values(schema: Mapping[str, Any]) -> str:
+    """The type and range of a JSON Schema in words, for example "a whole number from 1 to 4,096"."""
+    if "anyOf" in schema:
+        return " or ".join(accepted_values(each) for each in schema["anyOf"])
+    if "const" in schema:
+        return json.dumps(schema["const"])
+    if "enum" in schema:
+        return "one of " + ", ".join(str(each) for each in schema["enum"])
+    kind = schema.get("type")
+    if kind == "array":
+        shortest, longest = schema.get("minItems"), schema.get("maxItems")
+        length = _range(shortest, longest, None, None).removeprefix(",").removeprefix(" from")
+        return f"a list{f' of{length} items' if length else ''}, each {accepted_values(schema['items'])}"
+    if kind == "string":
+        characters = _range(schema.get("minLength"), schema.get("maxLength"), None, None)
+        return f"a text of{characters.removeprefix(',')} characters" if characters else "a text"
+    words = {"integer": "a whole number", "number": "a number", "boolean": "true or false", "null": "null"}
+    return words.get(str(kind), "settings by name") + _range(
+        schema.get("minimum"), schema.get("maximum"), schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum")
+    )
 
 
 def parse_assignment(text: str) -> tuple[str, object]:
@@ -272,7 +294,9 @@ def _validated(name: str, value: object, adapter: TypeAdapter[Any]) -> object:
     try:
         return adapter.validate_python(value)
     except ValidationError as error:
-        raise InvalidConfig(f"{name} is {_shown(value)}; it must be {_rule(adapter.json_schema())}.", name) from error
+        raise InvalidConfig(
+            f"{name} is {_shown(value)}; it must be {accepted_values(adapter.json_schema())}.", name
+        ) from error
 
 
 def _nested_value(name: str, value: object, settings: type[Settings] | None) -> Any:
@@ -308,28 +332,6 @@ def _plain(value: object) -> Any:
 def _shown(value: object) -> str:
     text = repr(value)
     return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
-
-
-def _rule(schema: Mapping[str, Any]) -> str:
-    """The type and range of a JSON Schema in words."""
-    if "anyOf" in schema:
-        return " or ".join(_rule(each) for each in schema["anyOf"])
-    if "const" in schema:
-        return json.dumps(schema["const"])
-    if "enum" in schema:
-        return "one of " + ", ".join(str(each) for each in schema["enum"])
-    kind = schema.get("type")
-    if kind == "array":
-        shortest, longest = schema.get("minItems"), schema.get("maxItems")
-        length = _range(shortest, longest, None, None)
-        return f"a list{' of' + length.removeprefix(',') + ' items' if length else ''}, each {_rule(schema['items'])}"
-    if kind == "string":
-        characters = _range(schema.get("minLength"), schema.get("maxLength"), None, None)
-        return f"a text of{characters.removeprefix(',')} characters" if characters else "a text"
-    words = {"integer": "a whole number", "number": "a number", "boolean": "true or false", "null": "null"}
-    return words.get(str(kind), "settings by name") + _range(
-        schema.get("minimum"), schema.get("maximum"), schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum")
-    )
 
 
 def _range(ge: float | None, le: float | None, gt: float | None, lt: float | None) -> str:
