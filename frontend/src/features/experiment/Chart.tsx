@@ -42,7 +42,7 @@ export function Chart(props: ChartProps) {
     <section className="card chart" aria-labelledby={titleId} data-points={curve.x.length}>
       <h2 id={titleId}>
         {title}{" "}
-        <span className="number chart-value">{newest === undefined ? "no data yet" : format(newest)}</span>
+        <span className="number chart-value">{newest === undefined ? "No data yet" : format(newest)}</span>
       </h2>
       <div ref={container} className="chart-canvas" style={{ height: HEIGHT }} aria-hidden="true" />
     </section>

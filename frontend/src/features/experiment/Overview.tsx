@@ -33,7 +33,7 @@ export function Overview({ experiment, versions, connected }: OverviewProps) {
       />
       <Stat
         name="Reward version"
-        value={experiment.reward_version === null ? "none yet" : String(experiment.reward_version)}
+        value={experiment.reward_version === null ? "None yet" : String(experiment.reward_version)}
         note={accuracy === null ? "" : `${formatPercent(accuracy)} held-out accuracy`}
       />
       <Stat

@@ -106,10 +106,9 @@ function rangeX({ curve, xMax, perVersion }: ChartProps): [number, number] {
 }
 
 function rangeY({ yMin, yMax }: ChartProps, low: number | null, high: number | null): [number, number] {
-  const min = low ?? 0;
-  const max = high ?? 1;
-  const margin = (max - min) * MARGIN || Math.abs(max) * MARGIN || 1;
-  return [yMin === undefined || min < yMin ? min - margin : yMin, yMax ?? max + margin];
+  if (low === null || high === null) return [yMin ?? 0, yMax ?? 1];
+  const margin = (high - low) * MARGIN || Math.abs(high) * MARGIN || 1;
+  return [yMin === undefined || low < yMin ? low - margin : yMin, yMax ?? high + margin];
 }
 
 /** Draws a dashed line for every marker, and its name where it does not overlap the previous one. */

@@ -7,152 +7,135 @@ import { canManageExperiments, type Me, type Task } from "@/shared/api/types";
 import { paths } from "@/shared/routing/paths";
 import { Link, navigate } from "@/shared/routing/router";
 import { Alert, Message } from "@/shared/ui/Message";
-import { ChoiceField, Field, NumberField } from "./Field";
-import { clipWords, DEFAULTS, type FieldName, type Form, fieldOf, requestOf } from "./fields";
+import { Field } from "./Field";
+import { FIELDS, type FieldSpec, type FormValues, fieldOfError, toRequest } from "./fields";
 import "./form.css";
 
-/** Start an experiment. The server checks; what it refuses is said at the field it is about. */
+/** The page on which a researcher starts an experiment. */
 export function NewExperimentPage({ me }: { me: Me }) {
   const tasks = useQuery(tasksQuery);
   if (!canManageExperiments(me)) {
     return (
-      <Message title="Researchers start experiments">
-        <p>You are signed in as a {me.role}: ask a researcher to start one.</p>
+      <Message title="Only researchers can start experiments">
+        <p>You are signed in as a {me.role}. Ask a researcher to start an experiment.</p>
         <Link to={paths.experiments()}>All experiments</Link>
       </Message>
     );
   }
-  if (tasks.error) return <Message title="The tasks cannot be listed">{errorMessage(tasks.error)}</Message>;
+  if (tasks.error) return <Message title="Cannot load the tasks">{errorMessage(tasks.error)}</Message>;
   return tasks.data ? <ExperimentForm tasks={tasks.data} /> : null;
 }
 
+/** The form. The server validates all settings; its errors are shown at the field they are about. */
 function ExperimentForm({ tasks }: { tasks: Task[] }) {
-  const [form, setForm] = useState<Form>({ ...DEFAULTS, task: tasks[0]?.name ?? "" });
+  const [values, setValues] = useState<FormValues>({ task: tasks[0]?.name ?? "" });
   const create = useMutation({
-    mutationFn: (filled: Form) => unwrap(api.POST("/api/v1/experiments", { body: requestOf(filled) })),
+    mutationFn: (form: FormValues) => unwrap(api.POST("/api/v1/experiments", { body: toRequest(form) })),
     onSuccess: (experiment) => navigate(paths.experiment(experiment.id)),
   });
-  const task = tasks.find(({ name }) => name === form.task);
-  const refusal = create.error ? errorMessage(create.error) : null;
-  const refused = refusal === null ? null : fieldOf(refusal);
-  const of = (name: FieldName) => ({
-    name,
-    value: form[name],
-    trouble: refused === name ? refusal : null,
-    onChange: (value: string) => setForm((old) => ({ ...old, [name]: value })),
+  const task = tasks.find(({ name }) => name === values.task);
+  const message = create.error ? errorMessage(create.error) : null;
+  const invalid = fieldOfError(create.error);
+  const propsOf = (field: FieldSpec) => ({
+    field,
+    value: values[field.name] ?? "",
+    error: invalid === field.name ? message : null,
+    onChange: (value: string) => setValues((old) => ({ ...old, [field.name]: value })),
   });
   const submit = (event: FormEvent) => {
     event.preventDefault();
-    create.mutate(form);
+    create.mutate(values);
   };
+  const { name, task: taskField, instructions, ...numbers } = FIELDS.basic;
   return (
     <main className="page narrow" id="content">
       <h1>New experiment</h1>
       <form onSubmit={submit} className="form">
-        <Field {...of("name")} label="Name" required hint="To find it by; no two have the same." />
-        <ChoiceField
-          {...of("task")}
-          label="Task"
-          choices={tasks.map(({ name, n_agents }) => ({
-            value: name,
-            words: `${name} (${n_agents} agents)`,
-          }))}
-        />
-        <Field
-          {...of("instructions")}
-          label="What labellers are told"
-          lines={3}
-          placeholder={task?.instructions ?? ""}
-          hint="Left empty, they are told what stands here in grey."
-        />
+        {name && <Field {...propsOf(name)} />}
+        {taskField && <Field {...propsOf({ ...taskField, help: "" })} options={tasks.map(optionOf)} />}
+        {instructions && (
+          <Field
+            {...propsOf({
+              ...instructions,
+              help: "Shown to labellers. Leave empty to use the default shown.",
+            })}
+            lines={3}
+            placeholder={task?.instructions ?? ""}
+          />
+        )}
         <div className="form-grid">
-          <NumberField {...of("total_steps")} label="Steps to train" hint="Of all environments together." />
-          <NumberField {...of("label_budget")} label="Labels in all" hint="The budget of human judgement." />
-          <NumberField
-            {...of("initial_labels")}
-            label="Labels before the first reward model"
-            hint="Before the first reward version."
-          />
-          <NumberField
-            {...of("labels_per_version")}
-            label="Labels per version"
-            hint="New ones, for the next version."
-          />
+          {Object.values(numbers).map((field) => (
+            <Field key={field.name} {...propsOf(field)} />
+          ))}
         </div>
-        <details className="more" open={refused !== null && refused !== "instructions"}>
-          <summary>More settings</summary>
-          <div className="form-grid">
-            <NumberField
-              {...of("segment_steps")}
-              label="Steps of a clip"
-              hint={clipWords(form.segment_steps, task) || "At most an episode."}
+        <Section title="More settings" fields={FIELDS.advanced} invalid={invalid}>
+          {(field) => (
+            <Field
+              key={field.name}
+              {...propsOf(field)}
+              note={
+                field.name === "segment_steps" ? clipLength(values[field.name] || field.default, task) : ""
+              }
             />
-            <NumberField {...of("seed")} label="Seed" hint="The same seed, the same run." />
-            <ChoiceField
-              {...of("query_selection")}
-              label="Pairs are chosen"
-              choices={[
-                { value: "uniform", words: "at random" },
-                { value: "disagreement", words: "where reward models disagree" },
-                { value: "entropy", words: "where reward models are unsure" },
-                { value: "k_center", words: "unlike those before" },
-                { value: "disagreement_k_center", words: "by disagreement, then spread out" },
-                { value: "entropy_k_center", words: "by unsureness, then spread out" },
-              ]}
-            />
-            <ChoiceField
-              {...of("label_schedule")}
-              label="Labels are asked for"
-              choices={[
-                { value: "power", words: "somewhat more often early on" },
-                { value: "constant", words: "evenly over the run" },
-                { value: "decaying", words: "much more often early on" },
-              ]}
-            />
-            <ChoiceField
-              {...of("pacing")}
-              label="When labels are late"
-              choices={[
-                { value: "wait", words: "the policy waits for them" },
-                { value: "free", words: "the policy trains on" },
-              ]}
-            />
-            <ChoiceField
-              {...of("reward_source")}
-              label="The policy learns from"
-              choices={[
-                { value: "preferences", words: "your labels" },
-                { value: "true", words: "the task’s own reward (a baseline)" },
-              ]}
-            />
-            <ChoiceField
-              {...of("reward_preset")}
-              label="Reward model"
-              choices={[
-                { value: "small", words: "small, for a laptop" },
-                { value: "paper", words: "as in the paper, for a GPU" },
-              ]}
-            />
-            <ChoiceField
-              {...of("credit")}
-              label="Every agent gets"
-              choices={[
-                { value: "shared", words: "the mean reward" },
-                { value: "individual", words: "its own reward" },
-              ]}
-            />
-          </div>
-        </details>
-        {refusal && refused === null && <Alert>{refusal}</Alert>}
+          )}
+        </Section>
+        <Section title="Policy settings" fields={FIELDS.policy} invalid={invalid}>
+          {(field) => (
+            <Field key={field.name} {...propsOf(field)} placeholder={policyPlaceholder(field, values)} />
+          )}
+        </Section>
+        {message && invalid === null && <Alert>{message}</Alert>}
         <div className="row">
           <button type="submit" className="button primary" disabled={create.isPending}>
-            {create.isPending ? "Starting…" : "Start"}
+            {create.isPending ? "Starting…" : "Start experiment"}
           </button>
           <Link to={paths.experiments()} className="button">
-            Back
+            Cancel
           </Link>
         </div>
       </form>
     </main>
   );
+}
+
+interface SectionProps {
+  title: string;
+  fields: readonly FieldSpec[];
+  invalid: string | null;
+  children: (field: FieldSpec) => React.ReactNode;
+}
+
+/** A collapsed group of fields. It opens when one of them is invalid. */
+function Section({ title, fields, invalid, children }: SectionProps) {
+  if (fields.length === 0) return null;
+  return (
+    <details
+      className="advanced"
+      open={fields.some(({ name }) => name === invalid)}
+      // The browser can only report a field that is out of its range while the field is visible.
+      onInvalidCapture={(event) => {
+        event.currentTarget.open = true;
+      }}
+    >
+      <summary>{title}</summary>
+      <div className="form-grid">{fields.map(children)}</div>
+    </details>
+  );
+}
+
+function optionOf({ name, n_agents }: Task): { value: string; text: string } {
+  return { value: name, text: `${name} (${n_agents} agents)` };
+}
+
+/** The default of a policy setting. The schema has those of its default algorithm; others have their own. */
+function policyPlaceholder(field: FieldSpec, values: FormValues): string {
+  const algorithm = values["policy.algorithm"];
+  const usual = FIELDS.policy.find(({ name }) => name === "policy.algorithm")?.default;
+  return !algorithm || algorithm === usual ? field.default : `default of ${algorithm}`;
+}
+
+/** The duration of a clip with this many steps; empty for an invalid number. */
+function clipLength(steps: string, task: Task | undefined): string {
+  const seconds = Number(steps) * (task?.step_seconds ?? Number.NaN);
+  return Number.isFinite(seconds) && seconds > 0 ? `This is a clip of ${seconds.toFixed(1)} s.` : "";
 }

@@ -1,36 +1,98 @@
 import { expect, test } from "vitest";
-import { clipWords, DEFAULTS, fieldOf, requestOf } from "./fields";
+import { ApiError } from "@/shared/api/errors";
+import { FIELDS, fieldOfError, groupFields, toRequest } from "./fields";
 
-test("the request carries numbers as numbers and leaves the empty ones to the server", () => {
-  const request = requestOf({
-    ...DEFAULTS,
+const groups = groupFields({
+  properties: {
+    name: { type: "string", maxLength: 200 },
+    instructions: { anyOf: [{ type: "string" }, { type: "null" }], default: null },
+    total_steps: { type: "integer", minimum: 1, default: 1_000_000, unit: "steps", description: "Steps." },
+    label_noise: { type: "number", minimum: 0, exclusiveMaximum: 0.5, default: 0 },
+    pacing: { type: "string", enum: ["wait", "free"], default: "wait" },
+    policy: {
+      type: "object",
+      properties: {
+        n_envs: { type: "integer", exclusiveMinimum: 0, default: 32 },
+        hidden: { type: "array", items: { type: "integer" }, default: [64, 64] },
+        shared_actor: { type: "boolean", default: false },
+      },
+    },
+  },
+  required: ["name"],
+});
+
+test("fields have the ranges, units, defaults and descriptions of the schema", () => {
+  expect(groups.basic.total_steps).toMatchObject({
+    label: "Training steps",
+    kind: "integer",
+    min: 1,
+    default: "1000000",
+    unit: "steps",
+    help: "Steps.",
+    required: false,
+  });
+  expect(groups.basic.name).toMatchObject({ kind: "text", required: true, maxLength: 200, default: "" });
+  expect(groups.basic.instructions).toMatchObject({ kind: "text", default: "" });
+  expect(groups.advanced.map(({ name, kind }) => [name, kind])).toEqual([
+    ["label_noise", "number"],
+    ["pacing", "choice"],
+  ]);
+});
+
+test.each([
+  [{ minimum: 1, maximum: 64 }, "1 to 64."],
+  [{ minimum: 1, maximum: 10 ** 12 }, ""],
+  [{ minimum: 2, maximum: 10_000 }, "2 to 10,000."],
+  [{ minimum: 2, maximum: 10 ** 12 }, "At least 2."],
+  [{ exclusiveMinimum: 0, maximum: 1 }, "More than 0, at most 1."],
+  [{ minimum: 0, exclusiveMaximum: 0.5 }, "Less than 0.5."],
+  [{}, ""],
+])("the range of %j reads %j", (limits, range) => {
+  const { advanced } = groupFields({ properties: { weight: { type: "number", ...limits } } });
+  expect(advanced[0]?.range).toBe(range);
+});
+
+test("policy settings are fields with a dotted name", () => {
+  expect(groups.policy.map(({ name, label, kind }) => [name, label, kind])).toEqual([
+    ["policy.n_envs", "Parallel environments", "integer"],
+    ["policy.hidden", "Hidden layer widths", "list"],
+    ["policy.shared_actor", "Shared actor", "boolean"],
+  ]);
+  expect(groups.policy[0]?.min).toBe(1);
+  expect(groups.policy[1]?.default).toBe("64, 64");
+});
+
+test("the request has typed values and leaves empty fields to the server", () => {
+  const values = {
     name: " run ",
-    task: "HalfCheetah-6x1",
+    instructions: " ",
     total_steps: "20000",
-    seed: "",
-  });
-  expect(request).toMatchObject({
+    label_noise: "0.1",
+    pacing: "free",
+    "policy.n_envs": "8",
+    "policy.hidden": "32, 32",
+    "policy.shared_actor": "true",
+  };
+  expect(toRequest(values, groups)).toEqual({
     name: "run",
-    task: "HalfCheetah-6x1",
     total_steps: 20000,
-    instructions: null,
-    query_selection: "uniform",
-    label_schedule: "power",
+    label_noise: 0.1,
+    pacing: "free",
+    policy: { n_envs: 8, hidden: [32, 32], shared_actor: true },
   });
-  expect(request).not.toHaveProperty("seed");
+  expect(toRequest({ name: "run" }, groups)).toEqual({ name: "run" });
 });
 
-test("a refusal is shown at the field that it names first", () => {
-  expect(fieldOf("initial_labels is 600; it must be from 2 to label_budget (500).")).toBe("initial_labels");
-  expect(fieldOf("segment_steps is 5000, but an episode of HalfCheetah-6x1 lasts 1000 steps.")).toBe(
-    "segment_steps",
-  );
-  expect(fieldOf("There is an experiment of this name already.")).toBeNull();
+test("an error belongs to the field that the server names, if the form has it", () => {
+  const error = (field: string | null) => new ApiError(422, "invalid", "Out of range.", field);
+  expect(fieldOfError(error("total_steps"), groups)).toBe("total_steps");
+  expect(fieldOfError(error("policy.n_envs"), groups)).toBe("policy.n_envs");
+  expect(fieldOfError(error("unknown"), groups)).toBeNull();
+  expect(fieldOfError(error(null), groups)).toBeNull();
+  expect(fieldOfError(new TypeError("total_steps"), groups)).toBeNull();
 });
 
-test("the length of a clip is said in seconds, or not at all", () => {
-  const task = { step_seconds: 0.05 } as Parameters<typeof clipWords>[1];
-  expect(clipWords("50", task)).toBe("a clip of 2.5 s");
-  expect(clipWords("", task)).toBe("");
-  expect(clipWords("50", undefined)).toBe("");
+test("the form has the settings of the API", () => {
+  expect(FIELDS.basic.name?.required).toBe(true);
+  expect(FIELDS.advanced.map(({ name }) => name)).toContain("reward_model");
 });

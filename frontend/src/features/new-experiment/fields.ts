@@ -1,68 +1,193 @@
-import type { NewExperiment, Task } from "@/shared/api/types";
+import { ApiError } from "@/shared/api/errors";
+import type { NewExperiment } from "@/shared/api/types";
+import { formatCount } from "@/shared/ui/format";
+import settings from "./settings.json";
 
-/** The form as typed: text in every field, whatever it means. */
-export type Form = Record<FieldName, string>;
+/** The part of JSON Schema that describes a setting. `unit` is an extension of the API. */
+export interface SettingSchema {
+  type?: string;
+  anyOf?: SettingSchema[];
+  items?: unknown;
+  prefixItems?: unknown;
+  properties?: Record<string, SettingSchema>;
+  enum?: unknown[];
+  const?: unknown;
+  default?: unknown;
+  minimum?: number;
+  maximum?: number;
+  exclusiveMinimum?: number;
+  exclusiveMaximum?: number;
+  maxLength?: number;
+  unit?: string;
+  description?: string;
+}
 
-export type FieldName = keyof typeof DEFAULTS;
+export type FieldKind = "text" | "integer" | "number" | "boolean" | "choice" | "list";
 
-export const DEFAULTS = {
-  name: "",
-  task: "",
-  instructions: "",
-  total_steps: "1000000",
-  label_budget: "500",
-  initial_labels: "100",
-  labels_per_version: "50",
-  segment_steps: "50",
-  query_selection: "uniform",
-  label_schedule: "power",
-  pacing: "wait",
-  reward_source: "preferences",
-  reward_preset: "small",
-  credit: "shared",
-  seed: "0",
+/** One input of the form. */
+export interface FieldSpec {
+  /** the path of the setting in the request, for example "policy.n_envs" */
+  name: string;
+  label: string;
+  kind: FieldKind;
+  help: string;
+  unit: string;
+  /** the server's value for an empty input, as text; empty if there is none */
+  default: string;
+  required: boolean;
+  choices: string[];
+  /** the range of a number in words, for example "1 to 64." */
+  range: string;
+  min: number | undefined;
+  max: number | undefined;
+  maxLength: number | undefined;
+}
+
+/** What the user typed, by the name of the field. Fields that were never edited are missing. */
+export type FormValues = Readonly<Record<string, string>>;
+
+/** Labels of settings whose name alone does not explain them. */
+const LABELS: Readonly<Record<string, string>> = {
+  instructions: "Instructions for labellers",
+  total_steps: "Training steps",
+  label_budget: "Label budget",
+  initial_labels: "Labels before the first reward model",
+  labels_per_version: "New labels per reward version",
+  segment_steps: "Steps per clip",
+  control_share: "Share of uniform queries",
+  credit: "Reward per agent",
+  "policy.n_envs": "Parallel environments",
+  "policy.n_threads": "Threads",
+  "policy.gamma": "Discount factor",
+  "policy.gae_lambda": "GAE lambda",
+  "policy.clip": "PPO clip range",
+  "policy.hidden": "Hidden layer widths",
 };
 
-export const NUMBERS = [
+/** Policy settings that follow those of the experiment or of its worker. They can be set over the API. */
+const HIDDEN = ["policy.seed", "policy.device", "policy.n_threads"];
+
+/** The settings that are always visible, in this order. */
+const BASIC = [
+  "name",
+  "task",
+  "instructions",
   "total_steps",
   "label_budget",
   "initial_labels",
   "labels_per_version",
-  "segment_steps",
-  "seed",
-] as const;
+];
 
-/** The request that the form stands for. A number left empty takes the server's default. */
-export function requestOf(form: Form): NewExperiment {
-  const numbers = Object.fromEntries(
-    NUMBERS.filter((name) => form[name].trim() !== "").map((name) => [name, Number(form[name])]),
-  );
+/** Larger upper limits only catch typing errors; they are not worth showing. */
+const LARGEST_LIMIT_SHOWN = 10_000;
+
+/** The fields of the form in three groups; every setting of the API is in one of them. */
+export const FIELDS = groupFields(settings as unknown as Schema);
+
+interface Schema {
+  properties: Record<string, SettingSchema>;
+  required?: string[];
+}
+
+interface FieldGroups {
+  basic: Record<string, FieldSpec>;
+  advanced: FieldSpec[];
+  policy: FieldSpec[];
+}
+
+export function groupFields({ properties, required = [] }: Schema): FieldGroups {
+  const groups: FieldGroups = { basic: {}, advanced: [], policy: [] };
+  for (const name of BASIC) {
+    const schema = properties[name];
+    if (schema) groups.basic[name] = toField(name, schema, required.includes(name));
+  }
+  for (const [name, schema] of Object.entries(properties)) {
+    if (name === "policy") {
+      for (const [inner, innerSchema] of Object.entries(schema.properties ?? {})) {
+        const path = `policy.${inner}`;
+        if (!HIDDEN.includes(path)) groups.policy.push(toField(path, innerSchema, false));
+      }
+      continue;
+    }
+    if (!BASIC.includes(name)) groups.advanced.push(toField(name, schema, required.includes(name)));
+  }
+  return groups;
+}
+
+function toField(name: string, schema: SettingSchema, required: boolean): FieldSpec {
+  // An optional value is `anyOf: [value, null]`.
+  const value = { ...schema, ...schema.anyOf?.find(({ type }) => type !== "null") };
+  const step = value.type === "integer" ? 1 : 0;
   return {
-    ...numbers,
-    name: form.name.trim(),
-    task: form.task,
-    instructions: form.instructions.trim() || null,
-    query_selection: form.query_selection,
-    label_schedule: form.label_schedule,
-    pacing: form.pacing === "free" ? "free" : "wait",
-    reward_source: form.reward_source === "true" ? "true" : "preferences",
-    reward_preset: form.reward_preset,
-    credit: form.credit === "individual" ? "individual" : "shared",
-  } as NewExperiment;
+    name,
+    label: LABELS[name] ?? toLabel(name),
+    kind: kindOf(value),
+    help: value.description ?? "",
+    unit: value.unit ?? "",
+    default: toText(value.default),
+    required,
+    choices: (value.enum ?? []).map(String),
+    range: rangeOf(value),
+    min: value.minimum ?? (value.exclusiveMinimum === undefined ? undefined : value.exclusiveMinimum + step),
+    max: value.maximum ?? (value.exclusiveMaximum === undefined ? undefined : value.exclusiveMaximum - step),
+    maxLength: value.maxLength,
+  };
 }
 
-/** The field that a refusal speaks of, so that it can be shown beside it: the first one that it names. */
-export function fieldOf(message: string): FieldName | null {
-  const names = Object.keys(DEFAULTS) as FieldName[];
-  const places = names
-    .map((name) => ({ name, at: message.search(new RegExp(`\\b${name}\\b`)) }))
-    .filter(({ at, name }) => at >= 0 && name !== "task" && name !== "name");
-  places.sort((a, b) => a.at - b.at);
-  return places[0]?.name ?? null;
+function kindOf({ type, enum: choices }: SettingSchema): FieldKind {
+  if (choices) return "choice";
+  if (type === "integer" || type === "number" || type === "boolean") return type;
+  return type === "array" ? "list" : "text";
 }
 
-/** How long a clip of this many steps lasts, in words. */
-export function clipWords(steps: string, task: Task | undefined): string {
-  const seconds = Number(steps) * (task?.step_seconds ?? Number.NaN);
-  return Number.isFinite(seconds) && seconds > 0 ? `a clip of ${seconds.toFixed(1)} s` : "";
+function rangeOf({ minimum, maximum, exclusiveMinimum, exclusiveMaximum }: SettingSchema): string {
+  const hasMax = maximum !== undefined && maximum <= LARGEST_LIMIT_SHOWN;
+  if (minimum !== undefined && hasMax) return `${formatCount(minimum)} to ${formatCount(maximum)}.`;
+  const limits = [
+    // That a count is not negative goes without saying.
+    minimum === undefined || (minimum <= 1 && !hasMax) ? "" : `at least ${minimum}`,
+    exclusiveMinimum === undefined ? "" : `more than ${exclusiveMinimum}`,
+    hasMax ? `at most ${maximum}` : "",
+    exclusiveMaximum === undefined ? "" : `less than ${exclusiveMaximum}`,
+  ].filter(Boolean);
+  const text = limits.join(", ");
+  return text && `${text.charAt(0).toUpperCase()}${text.slice(1)}.`;
+}
+
+function toLabel(name: string): string {
+  const words = name.replace(/^.*\./, "").replaceAll("_", " ");
+  return words.charAt(0).toUpperCase() + words.slice(1);
+}
+
+function toText(value: unknown): string {
+  if (value === undefined || value === null) return "";
+  return Array.isArray(value) ? value.join(", ") : String(value);
+}
+
+/** The request for the edited fields. Empty inputs are left out, so that the server's defaults apply. */
+export function toRequest(values: FormValues, groups: FieldGroups = FIELDS): NewExperiment {
+  const request: Record<string, unknown> = {};
+  const policy: Record<string, unknown> = {};
+  for (const field of [...Object.values(groups.basic), ...groups.advanced, ...groups.policy]) {
+    const text = values[field.name]?.trim() ?? "";
+    if (text === "") continue;
+    if (field.name.startsWith("policy.")) policy[field.name.slice("policy.".length)] = parse(field, text);
+    else request[field.name] = parse(field, text);
+  }
+  if (Object.keys(policy).length > 0) request.policy = policy;
+  return request as NewExperiment;
+}
+
+function parse({ kind }: FieldSpec, text: string): unknown {
+  if (kind === "integer" || kind === "number") return Number(text);
+  if (kind === "boolean") return text === "true";
+  if (kind === "list") return text.split(/[\s,]+/).map(Number);
+  return text;
+}
+
+/** The name of the field that an error is about, if the server names one that is in the form. */
+export function fieldOfError(error: unknown, groups: FieldGroups = FIELDS): string | null {
+  const name = error instanceof ApiError ? error.field : null;
+  const fields = [...Object.values(groups.basic), ...groups.advanced, ...groups.policy];
+  return fields.some((field) => field.name === name) ? name : null;
 }

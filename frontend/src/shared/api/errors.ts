@@ -1,15 +1,15 @@
-/** An error response of the API: its status, its stable code and its message. */
+/** An error response of the API: its status, its stable code, its message, and the field of the request it is about. */
 export class ApiError extends Error {
   readonly status: number;
   readonly code: string;
-  readonly details: Readonly<Record<string, unknown>>;
+  readonly field: string | null;
 
-  constructor(status: number, code: string, message: string, details: Record<string, unknown> = {}) {
+  constructor(status: number, code: string, message: string, field: string | null = null) {
     super(message);
     this.name = "ApiError";
     this.status = status;
     this.code = code;
-    this.details = details;
+    this.field = field;
   }
 }
 
@@ -36,12 +36,19 @@ export function toApiError(response: Response, body: unknown): ApiError {
     response.status,
     error?.code ?? `http_${response.status}`,
     error?.message ?? `The server responded with ${response.status} ${response.statusText}.`,
-    error?.details ?? {},
+    fieldOf(error?.details),
   );
 }
 
 interface ErrorBody {
-  error: { code: string; message: string; details?: Record<string, unknown> };
+  error: { code: string; message: string; details?: unknown };
+}
+
+/** The `field` of an error's details. */
+function fieldOf(details: unknown): string | null {
+  const detail: unknown = Array.isArray(details) ? details[0] : details;
+  if (typeof detail !== "object" || detail === null || !("field" in detail)) return null;
+  return typeof detail.field === "string" ? detail.field : null;
 }
 
 function isErrorBody(body: unknown): body is ErrorBody {

@@ -4,6 +4,98 @@
  */
 
 export interface paths {
+    "/api/v1/experiments/{experiment_id}/queries/next": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Get the next queries
+         * @description Leases queries to the caller: those already held come first, on the sides they were first shown with.
+         *
+         *     Fewer than `count`, with a reason, when there are no more.
+         */
+        post: operations["next_queries"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/queries/{query_id}/lease": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /**
+         * Keep a query
+         * @description Lengthens the lease, for someone who looks at the clips for long.
+         */
+        put: operations["heartbeat"];
+        post?: never;
+        /**
+         * Give a query back
+         * @description Ends the caller's lease, so that another may have the query at once.
+         */
+        delete: operations["release"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/queries/{query_id}/label": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /**
+         * Label or skip a query
+         * @description Writes the caller's label, or changes it. 201 when something changed, 200 when the same was there already.
+         */
+        put: operations["put_label"];
+        post?: never;
+        /**
+         * Undo a label
+         * @description Takes the caller's label or skip back, and leases the query to the caller again.
+         */
+        delete: operations["undo_label"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/labels": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Write many labels
+         * @description For programs: each label is written or refused by itself, and the good ones are committed together.
+         *
+         *     Teachers, researchers and admins may.
+         */
+        post: operations["put_labels"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/clips/{clip_id}.mp4": {
         parameters: {
             query?: never;
@@ -16,6 +108,48 @@ export interface paths {
          * @description H.264 in MP4. A clip never changes: browsers may keep it.
          */
         get: operations["get_clip"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/segments/{segment_id}/arrays": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read a segment's arrays
+         * @description Observations, actions, true rewards and simulator states, as they are stored; not for labellers.
+         *
+         *     They never change: a program may keep them.
+         */
+        get: operations["get_segment_arrays"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/tasks": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List the tasks
+         * @description Everything a policy can be taught here.
+         */
+        get: operations["list_tasks"];
         put?: never;
         post?: never;
         delete?: never;
@@ -68,6 +202,46 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/experiments/{experiment_id}/pause": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Pause an experiment
+         * @description Its workers stop after the step they are in; no query is offered. A paused one stays paused.
+         */
+        post: operations["pause_experiment"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/resume": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Resume an experiment
+         * @description Goes on from the newest checkpoint, after a pause or a failure. A running one goes on running.
+         */
+        post: operations["resume_experiment"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/experiments/{experiment_id}/cancel": {
         parameters: {
             query?: never;
@@ -82,6 +256,66 @@ export interface paths {
          * @description Ends it for good. Its labels, segments and curves stay.
          */
         post: operations["cancel_experiment"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/metrics": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read curves
+         * @description Curves over the policy's environment steps. Labellers get none that tells of true rewards.
+         */
+        get: operations["get_metrics"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/reward-versions": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List reward versions
+         * @description Every version of the reward model that was published, oldest first.
+         */
+        get: operations["list_reward_versions"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/workers": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List the workers
+         * @description Every worker process, what it does, and how long it has been silent.
+         */
+        get: operations["list_workers"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -111,150 +345,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/experiments/{experiment_id}/labels": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Write many labels
-         * @description For programs: each label is written or refused by itself, and the good ones are committed together.
-         *
-         *     Teachers, researchers and admins may.
-         */
-        post: operations["put_labels"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/experiments/{experiment_id}/metrics": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * Read curves
-         * @description Curves over the policy's environment steps. Labellers get none that tells of true rewards.
-         */
-        get: operations["get_metrics"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/experiments/{experiment_id}/pause": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Pause an experiment
-         * @description Its workers stop after the step they are in; no query is offered. A paused one stays paused.
-         */
-        post: operations["pause_experiment"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/experiments/{experiment_id}/queries/next": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Get the next queries
-         * @description Leases queries to the caller: those already held come first, on the sides they were first shown with.
-         *
-         *     Fewer than `count`, with a reason, when there are no more.
-         */
-        post: operations["next_queries"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/experiments/{experiment_id}/resume": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Resume an experiment
-         * @description Goes on from the newest checkpoint, after a pause or a failure. A running one goes on running.
-         */
-        post: operations["resume_experiment"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/experiments/{experiment_id}/reward-versions": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * List reward versions
-         * @description Every version of the reward model that was published, oldest first.
-         */
-        get: operations["list_reward_versions"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/health": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * Is the service well?
-         * @description Asks the database; needs no sign-in. 503 with a sentence when it does not answer.
-         */
-        get: operations["health"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/me": {
         parameters: {
             query?: never;
@@ -267,116 +357,6 @@ export interface paths {
          * @description The user whose token came with the request.
          */
         get: operations["me"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/queries/{query_id}/label": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        /**
-         * Label or skip a query
-         * @description Writes the caller's label, or changes it. 201 when something changed, 200 when the same was there already.
-         */
-        put: operations["put_label"];
-        post?: never;
-        /**
-         * Undo a label
-         * @description Takes the caller's label or skip back, and leases the query to the caller again.
-         */
-        delete: operations["undo_label"];
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/queries/{query_id}/lease": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        /**
-         * Keep a query
-         * @description Lengthens the lease, for someone who looks at the clips for long.
-         */
-        put: operations["heartbeat"];
-        post?: never;
-        /**
-         * Give a query back
-         * @description Ends the caller's lease, so that another may have the query at once.
-         */
-        delete: operations["release"];
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/segments/{segment_id}/arrays": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * Read a segment's arrays
-         * @description Observations, actions, true rewards and simulator states, as they are stored; not for labellers.
-         *
-         *     They never change: a program may keep them.
-         */
-        get: operations["get_segment_arrays"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/sign-out": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Sign out
-         * @description Ends the browser's session, or makes the bearer token that came with the request worthless.
-         */
-        post: operations["sign_out"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/tasks": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * List the tasks
-         * @description Everything a policy can be taught here.
-         */
-        get: operations["list_tasks"];
         put?: never;
         post?: never;
         delete?: never;
@@ -405,7 +385,27 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/workers": {
+    "/api/v1/sign-out": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Sign out
+         * @description Ends the browser's session, or makes the bearer token that came with the request worthless.
+         */
+        post: operations["sign_out"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/health": {
         parameters: {
             query?: never;
             header?: never;
@@ -413,10 +413,10 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * List the workers
-         * @description Every worker process, what it does, and how long it has been silent.
+         * Is the service well?
+         * @description Asks the database; needs no sign-in. 503 with a sentence when it does not answer.
          */
-        get: operations["list_workers"];
+        get: operations["health"];
         put?: never;
         post?: never;
         delete?: never;
@@ -447,11 +447,6 @@ export interface components {
              */
             order: "segments" | "shown";
             /**
-             * Query Id
-             * @description qry_...
-             */
-            query_id: string;
-            /**
              * Response Seconds
              * @description From both clips playing to the answer.
              */
@@ -463,6 +458,11 @@ export interface components {
             teacher?: {
                 [key: string]: unknown;
             };
+            /**
+             * Query Id
+             * @description qry_...
+             */
+            query_id: string;
         };
         /**
          * BatchOutcome
@@ -470,27 +470,27 @@ export interface components {
          */
         BatchOutcome: {
             /**
-             * Code
-             * @description Stable error code when not ok.
+             * Query Id
+             * @description As it was sent.
              */
-            code?: string | null;
-            /** @description The stored label, when ok. */
-            label?: components["schemas"]["Label"] | null;
-            /**
-             * Message
-             * @description What was wrong and what to do, when not ok.
-             */
-            message?: string | null;
+            query_id: string;
             /**
              * Ok
              * @description Whether the label is stored.
              */
             ok: boolean;
+            /** @description The stored label, when ok. */
+            label?: components["schemas"]["Label"] | null;
             /**
-             * Query Id
-             * @description As it was sent.
+             * Code
+             * @description Stable error code when not ok.
              */
-            query_id: string;
+            code?: string | null;
+            /**
+             * Message
+             * @description What was wrong and what to do, when not ok.
+             */
+            message?: string | null;
         };
         /**
          * CreatedUser
@@ -510,15 +510,15 @@ export interface components {
             /** @description As given. */
             role: components["schemas"]["Role"];
             /**
-             * Sign In Url
-             * @description Opens the page signed in as this user. Works once.
-             */
-            sign_in_url: string;
-            /**
              * Token
              * @description Bearer token. Shown once: only its hash is kept.
              */
             token: string;
+            /**
+             * Sign In Url
+             * @description Opens the page signed in as this user. Works once.
+             */
+            sign_in_url: string;
         };
         /**
          * ErrorBody
@@ -531,17 +531,17 @@ export interface components {
              */
             code: string;
             /**
+             * Message
+             * @description What was wrong and what to do.
+             */
+            message: string;
+            /**
              * Details
              * @description For an invalid value: `field`, for example policy.n_envs, and `problem`.
              */
             details?: {
                 [key: string]: unknown;
             }[];
-            /**
-             * Message
-             * @description What was wrong and what to do.
-             */
-            message: string;
         };
         /**
          * ErrorResponse
@@ -556,12 +556,50 @@ export interface components {
          */
         Experiment: {
             /**
+             * Id
+             * @description exp_...
+             */
+            id: string;
+            /**
+             * Name
+             * @description As it was given.
+             */
+            name: string;
+            /** @description What is taught. */
+            task: components["schemas"]["TaskSchema"];
+            /**
+             * Instructions
+             * @description What labellers are told.
+             */
+            instructions: string;
+            /**
              * Config
              * @description Every setting, as when the experiment was started.
              */
             config: {
                 [key: string]: unknown;
             };
+            /** @description What its owner wants of it, and how it ended. */
+            status: components["schemas"]["ExperimentStatus"];
+            /** @description What its policy worker is doing. */
+            phase: components["schemas"]["Phase"];
+            /**
+             * Phase Detail
+             * @description A sentence beside the phase, or why it failed; empty for labellers.
+             */
+            phase_detail: string;
+            /**
+             * Steps
+             * @description Environment steps the policy has taken.
+             */
+            steps: number;
+            /** @description How far the labelling is. */
+            labels: components["schemas"]["LabelCounts"];
+            /**
+             * Reward Version
+             * @description Number of the newest reward version.
+             */
+            reward_version: number | null;
             /**
              * Created At
              * Format: date-time
@@ -573,44 +611,6 @@ export interface components {
              * @description When it finished, failed or was cancelled.
              */
             ended_at: string | null;
-            /**
-             * Id
-             * @description exp_...
-             */
-            id: string;
-            /**
-             * Instructions
-             * @description What labellers are told.
-             */
-            instructions: string;
-            /** @description How far the labelling is. */
-            labels: components["schemas"]["LabelCounts"];
-            /**
-             * Name
-             * @description As it was given.
-             */
-            name: string;
-            /** @description What its policy worker is doing. */
-            phase: components["schemas"]["Phase"];
-            /**
-             * Phase Detail
-             * @description A sentence beside the phase, or why it failed; empty for labellers.
-             */
-            phase_detail: string;
-            /**
-             * Reward Version
-             * @description Number of the newest reward version.
-             */
-            reward_version: number | null;
-            /** @description What its owner wants of it, and how it ended. */
-            status: components["schemas"]["ExperimentStatus"];
-            /**
-             * Steps
-             * @description Environment steps the policy has taken.
-             */
-            steps: number;
-            /** @description What is taught. */
-            task: components["schemas"]["TaskSchema"];
         };
         /**
          * ExperimentPage
@@ -652,36 +652,36 @@ export interface components {
          */
         Label: {
             /**
-             * Created
-             * @description False when the same label was there already.
+             * Query Id
+             * @description qry_...
              */
-            created: boolean;
+            query_id: string;
             /**
              * Label
              * @description In segment order: 1 means that segment 0 is better; null is a skip.
              */
             label: number | null;
             /**
+             * State
+             * @description A skip is stored, and never trained on.
+             * @enum {string}
+             */
+            state: "label" | "skip" | "undone";
+            /**
              * Left Segment
              * @description The segment shown on the left; null for a program.
              */
             left_segment: number | null;
-            /**
-             * Query Id
-             * @description qry_...
-             */
-            query_id: string;
             /**
              * Revision
              * @description Goes up by one with every change of a label of the experiment.
              */
             revision: number;
             /**
-             * State
-             * @description A skip is stored, and never trained on.
-             * @enum {string}
+             * Created
+             * @description False when the same label was there already.
              */
-            state: "label" | "skip" | "undone";
+            created: boolean;
         };
         /**
          * LabelBatch
@@ -716,15 +716,20 @@ export interface components {
              */
             budget: number;
             /**
-             * Due
-             * @description Labels the schedule asks for by now.
-             */
-            due: number;
-            /**
              * Labels
              * @description Labels that count: 1, 0 or 0.5.
              */
             labels: number;
+            /**
+             * Skips
+             * @description Times that somebody could not tell.
+             */
+            skips: number;
+            /**
+             * Due
+             * @description Labels the schedule asks for by now.
+             */
+            due: number;
             /**
              * Open Queries
              * @description Queries ready to be labelled.
@@ -735,11 +740,6 @@ export interface components {
              * @description Queries that wait for their clips.
              */
             rendering_queries: number;
-            /**
-             * Skips
-             * @description Times that somebody could not tell.
-             */
-            skips: number;
         };
         /**
          * Lease
@@ -747,15 +747,15 @@ export interface components {
          */
         Lease: {
             /**
-             * Lease Seconds
-             * @description Send the next heartbeat before this is over.
-             */
-            lease_seconds: number;
-            /**
              * Query Id
              * @description qry_...
              */
             query_id: string;
+            /**
+             * Lease Seconds
+             * @description Send the next heartbeat before this is over.
+             */
+            lease_seconds: number;
         };
         /**
          * Me
@@ -781,11 +781,6 @@ export interface components {
          */
         MetricPoint: {
             /**
-             * Reward Version Id
-             * @description The reward version in force; null before any.
-             */
-            reward_version_id?: string | null;
-            /**
              * Step
              * @description Environment steps of the policy.
              */
@@ -795,6 +790,11 @@ export interface components {
              * @description Always finite.
              */
             value: number;
+            /**
+             * Reward Version Id
+             * @description The reward version in force; null before any.
+             */
+            reward_version_id?: string | null;
         };
         /**
          * MetricSeries
@@ -829,53 +829,37 @@ export interface components {
          */
         NewExperiment: {
             /**
-             * @description Share of queries chosen uniformly whatever query_selection is, for comparison.
-             * @default 0.2
+             * Name
+             * @description Must be unique, and one line.
              */
-            control_share: number;
-            /**
-             * @description shared: every agent gets the mean reward. individual: each agent gets its own.
-             * @default shared
-             * @enum {string}
-             */
-            credit: "shared" | "individual";
-            /**
-             * @description Where policy and reward model run; auto takes a GPU if there is one.
-             * @default auto
-             * @enum {string}
-             */
-            device: "auto" | "cpu" | "cuda";
-            /**
-             * @description Reward models in the ensemble, where query_selection needs one.
-             * @default 3
-             */
-            ensemble_members: number;
-            /**
-             * @description Labels before the first reward model: 2 or more, and at most label_budget.
-             * @default 100
-             */
-            initial_labels: number;
+            name: string;
             /**
              * Instructions
              * @description Shown to labellers; the task's own if left out.
              */
             instructions?: string | null;
+            /** @description Name of a task, from GET /tasks; for example HalfCheetah-6x1. */
+            task: string;
+            /**
+             * @description Environment steps the policy trains for, summed over its environments.
+             * @default 1000000
+             */
+            total_steps: number;
+            /**
+             * @description Steps of a segment, T; at most the task's horizon_steps. An episode that ends earlier gives a shorter segment, if it has at least a fifth of T.
+             * @default 50
+             */
+            segment_steps: number;
             /**
              * @description Labels to collect in total.
              * @default 500
              */
             label_budget: number;
             /**
-             * @description Share of labels assumed to be wrong in training; 0.1 is usual for people.
-             * @default 0
+             * @description Labels before the first reward model: 2 or more, and at most label_budget.
+             * @default 100
              */
-            label_noise: number;
-            /**
-             * @description How the number of labels due grows with the policy's steps. power: at a slowly falling rate. constant: at a constant rate. decaying: at a rate that halves after a tenth of the run.
-             * @default power
-             * @enum {string}
-             */
-            label_schedule: "power" | "constant" | "decaying";
+            initial_labels: number;
             /**
              * @description New labels before the next version of the reward model.
              * @default 50
@@ -887,154 +871,11 @@ export interface components {
              */
             lookahead_queries: number;
             /**
-             * Name
-             * @description Must be unique, and one line.
-             */
-            name: string;
-            /**
-             * @description wait: the policy pauses until the labels due are given. free: it keeps training with the newest reward model.
-             * @default wait
+             * @description How the number of labels due grows with the policy's steps. power: at a slowly falling rate. constant: at a constant rate. decaying: at a rate that halves after a tenth of the run.
+             * @default power
              * @enum {string}
              */
-            pacing: "wait" | "free";
-            /**
-             * @description Settings of the policy that differ from the algorithm's defaults.
-             * @default {}
-             */
-            policy: {
-                /**
-                 * @description Nonlinearity of the hidden layers.
-                 * @default tanh
-                 * @enum {string}
-                 */
-                activation: "tanh" | "relu";
-                /**
-                 * @description How the team acts and learns. mappo, happo: one actor per agent and a critic of the state. mat: a transformer that decides agent by agent. mat_dec: MAT's encoder as the critic, and one actor per agent.
-                 * @default mappo
-                 * @enum {string}
-                 */
-                algorithm: "mappo" | "happo" | "mat" | "mat_dec";
-                /**
-                 * @description Environment steps over which the learning rate falls linearly to a tenth; 0 keeps it constant.
-                 * @default 0
-                 */
-                anneal_steps: number;
-                /**
-                 * @description PPO's epsilon: the probability ratio is clipped to 1 - clip and 1 + clip.
-                 * @default 0.1
-                 */
-                clip: number;
-                /**
-                 * @description Where the networks run; auto takes a GPU if there is one.
-                 * @default auto
-                 * @enum {string}
-                 */
-                device: "auto" | "cpu" | "cuda";
-                /**
-                 * @description Weight of the entropy bonus.
-                 * @default 0
-                 */
-                entropy_weight: number;
-                /**
-                 * @description Passes over a rollout per update.
-                 * @default 10
-                 */
-                epochs: number;
-                /**
-                 * @description Lambda of generalised advantage estimation.
-                 * @default 0.95
-                 */
-                gae_lambda: number;
-                /**
-                 * @description Discount per step.
-                 * @default 0.99
-                 */
-                gamma: number;
-                /**
-                 * @description Attention heads; must divide width.
-                 * @default 1
-                 */
-                heads: number;
-                /**
-                 * @description Widths of the hidden layers of the perceptrons: actor and critic of mappo and happo, actor of mat_dec.
-                 * @default [
-                 *       64,
-                 *       64
-                 *     ]
-                 */
-                hidden: number[];
-                /**
-                 * @description Logarithm of the actions' standard deviation at the start.
-                 * @default -0.5
-                 */
-                initial_log_std: number;
-                /**
-                 * @description Layers of the encoder and of the decoder.
-                 * @default 1
-                 */
-                layers: number;
-                /**
-                 * @description Adam's learning rate at the start.
-                 * @default 0.002
-                 */
-                learning_rate: number;
-                /**
-                 * @description Gradients are clipped to this norm.
-                 * @default 0.5
-                 */
-                max_gradient_norm: number;
-                /**
-                 * @description Gradient steps per pass; must divide n_envs * rollout_steps.
-                 * @default 16
-                 */
-                minibatches: number;
-                /**
-                 * @description Environments stepped in parallel, E.
-                 * @default 32
-                 */
-                n_envs: number;
-                /**
-                 * @description Threads of torch during collection and updates; 0 leaves torch's setting. Networks of this size gain nothing from a second thread, and lose much when another process needs the core.
-                 * @default 1
-                 */
-                n_threads: number;
-                /**
-                 * @description Steps of each environment between updates, L.
-                 * @default 128
-                 */
-                rollout_steps: number;
-                /**
-                 * @description Seed of the learner and of its task.
-                 * @default 0
-                 */
-                seed: number;
-                /**
-                 * @description One actor for all agents instead of one each; mat's decoder is always shared.
-                 * @default false
-                 */
-                shared_actor: boolean;
-                /**
-                 * @description Weight of the newest rollout in the running mean and variance of the returns.
-                 * @default 0.1
-                 */
-                value_statistics_rate: number;
-                /**
-                 * @description Weight of the critic's loss.
-                 * @default 0.5
-                 */
-                value_weight: number;
-                /**
-                 * @description Width of the transformers of mat and mat_dec, d.
-                 * @default 64
-                 */
-                width: number;
-            };
-            /**
-             * @description What the policy is rewarded with. value: the reward of the step. attended: the mean of its window's rewards, weighted by the step's temporal attention. weighted: its reward times its temporal weight.
-             * @default value
-             * @enum {string}
-             */
-            policy_reward: "value" | "attended" | "weighted";
+            label_schedule: "power" | "constant" | "decaying";
             /**
              * @description How pairs are chosen after the first round, which is uniform. disagreement, entropy: pairs on which an ensemble of reward models is least certain. k_center: pairs least like those already asked about. disagreement_k_center, entropy_k_center: both criteria, in turn.
              * @default uniform
@@ -1042,10 +883,27 @@ export interface components {
              */
             query_selection: "uniform" | "disagreement" | "entropy" | "k_center" | "disagreement_k_center" | "entropy_k_center";
             /**
-             * @description Render clips for people; false if only programs label.
-             * @default true
+             * @description Share of queries chosen uniformly whatever query_selection is, for comparison.
+             * @default 0.2
              */
-            render_clips: boolean;
+            control_share: number;
+            /**
+             * @description Reward models in the ensemble, where query_selection needs one.
+             * @default 3
+             */
+            ensemble_members: number;
+            /**
+             * @description wait: the policy pauses until the labels due are given. free: it keeps training with the newest reward model.
+             * @default wait
+             * @enum {string}
+             */
+            pacing: "wait" | "free";
+            /**
+             * @description preferences: the policy learns from the reward model. true: it learns from the task's own reward, as a baseline, and no labels are asked for.
+             * @default preferences
+             * @enum {string}
+             */
+            reward_source: "preferences" | "true";
             /**
              * @description Reward model: MAPT; MAPT without temporal (-TPA) or cooperative (-CPA) preference attention, or with an LSTM instead of causal attention (*); or a baseline (MA-...).
              * @default MAPT
@@ -1059,28 +917,170 @@ export interface components {
              */
             reward_preset: "small" | "paper";
             /**
-             * @description preferences: the policy learns from the reward model. true: it learns from the task's own reward, as a baseline, and no labels are asked for.
-             * @default preferences
+             * @description Share of labels assumed to be wrong in training; 0.1 is usual for people.
+             * @default 0
+             */
+            label_noise: number;
+            /**
+             * @description What the policy is rewarded with. value: the reward of the step. attended: the mean of its window's rewards, weighted by the step's temporal attention. weighted: its reward times its temporal weight.
+             * @default value
              * @enum {string}
              */
-            reward_source: "preferences" | "true";
+            policy_reward: "value" | "attended" | "weighted";
+            /**
+             * @description shared: every agent gets the mean reward. individual: each agent gets its own.
+             * @default shared
+             * @enum {string}
+             */
+            credit: "shared" | "individual";
+            /**
+             * @description Render clips for people; false if only programs label.
+             * @default true
+             */
+            render_clips: boolean;
+            /**
+             * @description Settings of the policy that differ from the algorithm's defaults.
+             * @default {}
+             */
+            policy: {
+                /**
+                 * @description How the team acts and learns. mappo, happo: one actor per agent and a critic of the state. mat: a transformer that decides agent by agent. mat_dec: MAT's encoder as the critic, and one actor per agent.
+                 * @default mappo
+                 * @enum {string}
+                 */
+                algorithm: "mappo" | "happo" | "mat" | "mat_dec";
+                /**
+                 * @description Environments stepped in parallel, E.
+                 * @default 32
+                 */
+                n_envs: number;
+                /**
+                 * @description Steps of each environment between updates, L.
+                 * @default 128
+                 */
+                rollout_steps: number;
+                /**
+                 * @description Passes over a rollout per update.
+                 * @default 10
+                 */
+                epochs: number;
+                /**
+                 * @description Gradient steps per pass; must divide n_envs * rollout_steps.
+                 * @default 16
+                 */
+                minibatches: number;
+                /**
+                 * @description Adam's learning rate at the start.
+                 * @default 0.002
+                 */
+                learning_rate: number;
+                /**
+                 * @description Environment steps over which the learning rate falls linearly to a tenth; 0 keeps it constant.
+                 * @default 0
+                 */
+                anneal_steps: number;
+                /**
+                 * @description PPO's epsilon: the probability ratio is clipped to 1 - clip and 1 + clip.
+                 * @default 0.1
+                 */
+                clip: number;
+                /**
+                 * @description Discount per step.
+                 * @default 0.99
+                 */
+                gamma: number;
+                /**
+                 * @description Lambda of generalised advantage estimation.
+                 * @default 0.95
+                 */
+                gae_lambda: number;
+                /**
+                 * @description Weight of the entropy bonus.
+                 * @default 0
+                 */
+                entropy_weight: number;
+                /**
+                 * @description Weight of the critic's loss.
+                 * @default 0.5
+                 */
+                value_weight: number;
+                /**
+                 * @description Gradients are clipped to this norm.
+                 * @default 0.5
+                 */
+                max_gradient_norm: number;
+                /**
+                 * @description Widths of the hidden layers of the perceptrons: actor and critic of mappo and happo, actor of mat_dec.
+                 * @default [
+                 *       64,
+                 *       64
+                 *     ]
+                 */
+                hidden: number[];
+                /**
+                 * @description Nonlinearity of the hidden layers.
+                 * @default tanh
+                 * @enum {string}
+                 */
+                activation: "tanh" | "relu";
+                /**
+                 * @description Width of the transformers of mat and mat_dec, d.
+                 * @default 64
+                 */
+                width: number;
+                /**
+                 * @description Layers of the encoder and of the decoder.
+                 * @default 1
+                 */
+                layers: number;
+                /**
+                 * @description Attention heads; must divide width.
+                 * @default 1
+                 */
+                heads: number;
+                /**
+                 * @description Logarithm of the actions' standard deviation at the start.
+                 * @default -0.5
+                 */
+                initial_log_std: number;
+                /**
+                 * @description One actor for all agents instead of one each; mat's decoder is always shared.
+                 * @default false
+                 */
+                shared_actor: boolean;
+                /**
+                 * @description Weight of the newest rollout in the running mean and variance of the returns.
+                 * @default 0.1
+                 */
+                value_statistics_rate: number;
+                /**
+                 * @description Seed of the learner and of its task.
+                 * @default 0
+                 */
+                seed: number;
+                /**
+                 * @description Threads of torch during collection and updates; 0 leaves torch's setting. Networks of this size gain nothing from a second thread, and lose much when another process needs the core.
+                 * @default 1
+                 */
+                n_threads: number;
+                /**
+                 * @description Where the networks run; auto takes a GPU if there is one.
+                 * @default auto
+                 * @enum {string}
+                 */
+                device: "auto" | "cpu" | "cuda";
+            };
+            /**
+             * @description Where policy and reward model run; auto takes a GPU if there is one.
+             * @default auto
+             * @enum {string}
+             */
+            device: "auto" | "cpu" | "cuda";
             /**
              * @description Seed of all random numbers of the run.
              * @default 0
              */
             seed: number;
-            /**
-             * @description Steps of a segment, T; at most the task's horizon_steps. An episode that ends earlier gives a shorter segment, if it has at least a fifth of T.
-             * @default 50
-             */
-            segment_steps: number;
-            /** @description Name of a task, from GET /tasks; for example HalfCheetah-6x1. */
-            task: string;
-            /**
-             * @description Environment steps the policy trains for, summed over its environments.
-             * @default 1000000
-             */
-            total_steps: number;
         };
         /**
          * NewLabel
@@ -1155,29 +1155,29 @@ export interface components {
          */
         Query: {
             /**
-             * Experiment Id
-             * @description exp_...
-             */
-            experiment_id: string;
-            /**
              * Id
              * @description qry_...
              */
             id: string;
             /**
-             * Lease Seconds
-             * @description Send a heartbeat, or the label, before this is over.
+             * Experiment Id
+             * @description exp_...
              */
-            lease_seconds: number;
-            /** @description What to show on the left. */
-            left: components["schemas"]["SegmentView"];
+            experiment_id: string;
             /**
              * Number
              * @description 1, 2, 3, ... within the experiment.
              */
             number: number;
+            /** @description What to show on the left. */
+            left: components["schemas"]["SegmentView"];
             /** @description What to show on the right. */
             right: components["schemas"]["SegmentView"];
+            /**
+             * Lease Seconds
+             * @description Send a heartbeat, or the label, before this is over.
+             */
+            lease_seconds: number;
         };
         /**
          * RewardVersion
@@ -1185,33 +1185,10 @@ export interface components {
          */
         RewardVersion: {
             /**
-             * Created At
-             * Format: date-time
-             * @description When it was published.
-             */
-            created_at: string;
-            /**
              * Id
              * @description rwv_...
              */
             id: string;
-            /**
-             * Label Count
-             * @description Labels it was trained on.
-             */
-            label_count: number;
-            /**
-             * Label Watermark
-             * @description It knows every label with a revision up to this one.
-             */
-            label_watermark: number;
-            /**
-             * Metrics
-             * @description Loss, accuracy and so on, on training and held-out labels.
-             */
-            metrics: {
-                [key: string]: unknown;
-            };
             /**
              * Number
              * @description 1, 2, 3, ... within the experiment.
@@ -1223,10 +1200,33 @@ export interface components {
              */
             parent_id: string | null;
             /**
+             * Label Watermark
+             * @description It knows every label with a revision up to this one.
+             */
+            label_watermark: number;
+            /**
+             * Label Count
+             * @description Labels it was trained on.
+             */
+            label_count: number;
+            /**
              * Policy Steps
              * @description Environment steps of the policy when it was published.
              */
             policy_steps: number;
+            /**
+             * Metrics
+             * @description Loss, accuracy and so on, on training and held-out labels.
+             */
+            metrics: {
+                [key: string]: unknown;
+            };
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was published.
+             */
+            created_at: string;
         };
         /**
          * RewardVersionPage
@@ -1251,31 +1251,31 @@ export interface components {
          */
         SegmentView: {
             /**
-             * Clip Url
-             * @description Path of the mp4; None when the experiment makes no clips.
-             */
-            clip_url: string | null;
-            /**
-             * Frames
-             * @description Frames of the clip, one per step.
-             */
-            frames: number;
-            /**
              * Index
              * @description The segment's number within the query: label 1 prefers 0.
              * @enum {integer}
              */
             index: 0 | 1;
             /**
+             * Segment Id
+             * @description seg_...
+             */
+            segment_id: string;
+            /**
+             * Clip Url
+             * @description Path of the mp4; None when the experiment makes no clips.
+             */
+            clip_url: string | null;
+            /**
              * Seconds
              * @description How long the clip lasts.
              */
             seconds: number;
             /**
-             * Segment Id
-             * @description seg_...
+             * Frames
+             * @description Frames of the clip, one per step.
              */
-            segment_id: string;
+            frames: number;
             /**
              * True Return
              * @description For teachers and researchers that ask; else absent.
@@ -1293,50 +1293,50 @@ export interface components {
          */
         TaskSchema: {
             /**
-             * Action Dim
-             * @description Numbers in one agent's action, A.
+             * Name
+             * @description For example HalfCheetah-6x1.
              */
-            action_dim: number;
-            /**
-             * Agent Colours
-             * @description CSS colours of the agents in the clips, in agent order.
-             */
-            agent_colours: string[];
-            /**
-             * Agent Names
-             * @description What the agents are called, in agent order.
-             */
-            agent_names: string[];
-            /**
-             * Horizon Steps
-             * @description Steps after which an episode is cut.
-             */
-            horizon_steps: number;
-            /**
-             * Instructions
-             * @description What the team should achieve, in plain words.
-             */
-            instructions: string;
+            name: string;
             /**
              * N Agents
              * @description Agents in the team, N.
              */
             n_agents: number;
             /**
-             * Name
-             * @description For example HalfCheetah-6x1.
+             * Agent Names
+             * @description What the agents are called, in agent order.
              */
-            name: string;
+            agent_names: string[];
+            /**
+             * Agent Colours
+             * @description CSS colours of the agents in the clips, in agent order.
+             */
+            agent_colours: string[];
             /**
              * Observation Dim
              * @description Numbers in one agent's observation, C.
              */
             observation_dim: number;
             /**
+             * Action Dim
+             * @description Numbers in one agent's action, A.
+             */
+            action_dim: number;
+            /**
+             * Horizon Steps
+             * @description Steps after which an episode is cut.
+             */
+            horizon_steps: number;
+            /**
              * Step Seconds
              * @description Simulated time of one step.
              */
             step_seconds: number;
+            /**
+             * Instructions
+             * @description What the team should achieve, in plain words.
+             */
+            instructions: string;
         };
         /**
          * Worker
@@ -1344,25 +1344,10 @@ export interface components {
          */
         Worker: {
             /**
-             * Detail
-             * @description What it does, or what went wrong; empty for labellers.
-             */
-            detail: string;
-            /**
-             * Heartbeat Age Seconds
-             * @description Since its last sign of life.
-             */
-            heartbeat_age_seconds: number;
-            /**
              * Id
              * @description Role and slot, for example policy-0.
              */
             id: string;
-            /**
-             * Restarts
-             * @description How often it was started again.
-             */
-            restarts: number;
             /**
              * Role
              * @description render, reward or policy.
@@ -1373,6 +1358,21 @@ export interface components {
              * @description starting, idle, working, backing_off or stopped.
              */
             state: string;
+            /**
+             * Detail
+             * @description What it does, or what went wrong; empty for labellers.
+             */
+            detail: string;
+            /**
+             * Restarts
+             * @description How often it was started again.
+             */
+            restarts: number;
+            /**
+             * Heartbeat Age Seconds
+             * @description Since its last sign of life.
+             */
+            heartbeat_age_seconds: number;
         };
     };
     responses: never;
@@ -1383,6 +1383,218 @@ export interface components {
 }
 export type $defs = Record<string, never>;
 export interface operations {
+    next_queries: {
+        parameters: {
+            query?: {
+                /** @description Queries to hold at once. */
+                count?: number;
+                /** @description Add true returns and rewards; not for labellers. */
+                returns?: boolean;
+            };
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Queries"];
+                };
+            };
+            /** @description A stable code, and a sentence that helps. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    heartbeat: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The query, qry_... */
+                query_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Lease"];
+                };
+            };
+            /** @description A stable code, and a sentence that helps. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    release: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The query, qry_... */
+                query_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A stable code, and a sentence that helps. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    put_label: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The query, qry_... */
+                query_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewLabel"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Label"];
+                };
+            };
+            /** @description Written, or changed. */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Label"];
+                };
+            };
+            /** @description A stable code, and a sentence that helps. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    undo_label: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The query, qry_... */
+                query_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Query"];
+                };
+            };
+            /** @description A stable code, and a sentence that helps. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    put_labels: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["LabelBatch"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["LabelBatchResult"];
+                };
+            };
+            /** @description A stable code, and a sentence that helps. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
     get_clip: {
         parameters: {
             query?: never;
@@ -1426,6 +1638,74 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content?: never;
+            };
+            /** @description A stable code, and a sentence that helps. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    get_segment_arrays: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The segment, seg_... */
+                segment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The arrays, as safetensors. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/octet-stream": unknown;
+                };
+            };
+            /** @description The arrays in the caller's cache are these. */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A stable code, and a sentence that helps. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    list_tasks: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TaskSchema"][];
+                };
             };
             /** @description A stable code, and a sentence that helps. */
             default: {
@@ -1537,7 +1817,7 @@ export interface operations {
             };
         };
     };
-    cancel_experiment: {
+    pause_experiment: {
         parameters: {
             query?: never;
             header?: never;
@@ -1569,13 +1849,10 @@ export interface operations {
             };
         };
     };
-    follow_experiment: {
+    resume_experiment: {
         parameters: {
             query?: never;
-            header?: {
-                /** @description Resume after this event. */
-                "last-event-id"?: string | null;
-            };
+            header?: never;
             path: {
                 /** @description The experiment, exp_... */
                 experiment_id: string;
@@ -1584,13 +1861,13 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description `experiment`: Experiment. `metrics`: Metrics, new points. `workers`: list of Worker. */
+            /** @description Successful Response */
             200: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
-                    "text/event-stream": unknown;
+                    "application/json": components["schemas"]["Experiment"];
                 };
             };
             /** @description A stable code, and a sentence that helps. */
@@ -1604,7 +1881,7 @@ export interface operations {
             };
         };
     };
-    put_labels: {
+    cancel_experiment: {
         parameters: {
             query?: never;
             header?: never;
@@ -1614,11 +1891,7 @@ export interface operations {
             };
             cookie?: never;
         };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["LabelBatch"];
-            };
-        };
+        requestBody?: never;
         responses: {
             /** @description Successful Response */
             200: {
@@ -1626,7 +1899,7 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["LabelBatchResult"];
+                    "application/json": components["schemas"]["Experiment"];
                 };
             };
             /** @description A stable code, and a sentence that helps. */
@@ -1675,107 +1948,6 @@ export interface operations {
             };
         };
     };
-    pause_experiment: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                /** @description The experiment, exp_... */
-                experiment_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["Experiment"];
-                };
-            };
-            /** @description A stable code, and a sentence that helps. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorResponse"];
-                };
-            };
-        };
-    };
-    next_queries: {
-        parameters: {
-            query?: {
-                /** @description Queries to hold at once. */
-                count?: number;
-                /** @description Add true returns and rewards; not for labellers. */
-                returns?: boolean;
-            };
-            header?: never;
-            path: {
-                /** @description The experiment, exp_... */
-                experiment_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["Queries"];
-                };
-            };
-            /** @description A stable code, and a sentence that helps. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorResponse"];
-                };
-            };
-        };
-    };
-    resume_experiment: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                /** @description The experiment, exp_... */
-                experiment_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["Experiment"];
-                };
-            };
-            /** @description A stable code, and a sentence that helps. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorResponse"];
-                };
-            };
-        };
-    };
     list_reward_versions: {
         parameters: {
             query?: never;
@@ -1808,7 +1980,7 @@ export interface operations {
             };
         };
     };
-    health: {
+    list_workers: {
         parameters: {
             query?: never;
             header?: never;
@@ -1823,7 +1995,42 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["Health"];
+                    "application/json": components["schemas"]["Worker"][];
+                };
+            };
+            /** @description A stable code, and a sentence that helps. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    follow_experiment: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description Resume after this event. */
+                "last-event-id"?: string | null;
+            };
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description `experiment`: Experiment. `metrics`: Metrics, new points. `workers`: list of Worker. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/event-stream": unknown;
                 };
             };
             /** @description A stable code, and a sentence that helps. */
@@ -1853,240 +2060,6 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Me"];
-                };
-            };
-            /** @description A stable code, and a sentence that helps. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorResponse"];
-                };
-            };
-        };
-    };
-    put_label: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                /** @description The query, qry_... */
-                query_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["NewLabel"];
-            };
-        };
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["Label"];
-                };
-            };
-            /** @description Written, or changed. */
-            201: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["Label"];
-                };
-            };
-            /** @description A stable code, and a sentence that helps. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorResponse"];
-                };
-            };
-        };
-    };
-    undo_label: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                /** @description The query, qry_... */
-                query_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["Query"];
-                };
-            };
-            /** @description A stable code, and a sentence that helps. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorResponse"];
-                };
-            };
-        };
-    };
-    heartbeat: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                /** @description The query, qry_... */
-                query_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["Lease"];
-                };
-            };
-            /** @description A stable code, and a sentence that helps. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorResponse"];
-                };
-            };
-        };
-    };
-    release: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                /** @description The query, qry_... */
-                query_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            204: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            /** @description A stable code, and a sentence that helps. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorResponse"];
-                };
-            };
-        };
-    };
-    get_segment_arrays: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                /** @description The segment, seg_... */
-                segment_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description The arrays, as safetensors. */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/octet-stream": unknown;
-                };
-            };
-            /** @description The arrays in the caller's cache are these. */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            /** @description A stable code, and a sentence that helps. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorResponse"];
-                };
-            };
-        };
-    };
-    sign_out: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            204: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            /** @description A stable code, and a sentence that helps. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["ErrorResponse"];
-                };
-            };
-        };
-    };
-    list_tasks: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["TaskSchema"][];
                 };
             };
             /** @description A stable code, and a sentence that helps. */
@@ -2133,7 +2106,34 @@ export interface operations {
             };
         };
     };
-    list_workers: {
+    sign_out: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A stable code, and a sentence that helps. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    health: {
         parameters: {
             query?: never;
             header?: never;
@@ -2148,7 +2148,7 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["Worker"][];
+                    "application/json": components["schemas"]["Health"];
                 };
             };
             /** @description A stable code, and a sentence that helps. */
