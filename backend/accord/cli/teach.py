@@ -144,7 +144,7 @@ def teach_experiment(
         path = f"/experiments/{experiment_id}/queries/next"
         answer = api.post(path, count=count, returns=not sight.needs_arrays)
         if answer["items"]:
-            if teacher.needs_episodes:
+            if teacher.uses_episode_return:
                 _tell_of_episodes(api, experiment_id, teacher, horizon_steps)
             given += _label(api, experiment_id, teacher, sight, answer["items"])
         on_progress(given)

@@ -1,8 +1,8 @@
-"""Segments stored once, and the labelled pairs that point at them."""
+"""Segments of trajectories, and labelled pairs of them."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,19 +16,21 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class SegmentArrays:
-    """What a reward model sees of S segments.
+    """Observations and actions of S segments, padded at the end to T steps: the input of a reward model.
 
-    Real steps come first and padding after them, so that a causal model needs no mask to ignore it.
+    Padding comes last, so that a causal model needs no mask to ignore it.
 
     Raises:
-        ShapeError, NotFinite, InvalidMask: where the arrays disagree or hold what cannot be learned from.
+        ShapeError: if the shapes of the arrays disagree.
+        NotFinite: if observations or actions hold NaN or infinity.
+        InvalidMask: if a row of the mask is not one or more ones followed by zeros.
     """
 
     #: float32 (S, T, N, C)
     observations: FloatArray
     #: float32 (S, T, N, A), one-hot where actions are discrete
     actions: FloatArray
-    #: bool (S, T), true where the step is real
+    #: bool (S, T), false in the padding
     mask: BoolArray
 
     def __post_init__(self) -> None:
@@ -39,35 +41,36 @@ class SegmentArrays:
             raise ShapeError("actions", self.actions.shape, f"{(*steps, 'A')}")
         if self.mask.shape != steps[:2]:
             raise ShapeError("mask", self.mask.shape, f"{steps[:2]}")
-        self._check_mask()
+        check_mask(self.mask)
         self._check_finite("observations", self.observations)
         self._check_finite("actions", self.actions)
 
-    def _check_mask(self) -> None:
-        broken = ~self.mask[:, 0] | (self.mask[:, 1:] & ~self.mask[:, :-1]).any(axis=1)
-        if broken.any():
-            raise InvalidMask(int(broken.argmax()))
-
     def _check_finite(self, name: str, values: FloatArray) -> None:
-        broken = ~np.isfinite(values).all(axis=(1, 2, 3))
-        if broken.any():
-            raise NotFinite(name, int(broken.argmax()))
+        invalid = ~np.isfinite(values).all(axis=(1, 2, 3))
+        if invalid.any():
+            raise NotFinite(name, int(invalid.argmax()))
 
     @classmethod
     def stack(cls, observations: Sequence[ArrayLike], actions: Sequence[ArrayLike]) -> "SegmentArrays":
-        """Pad segments (T_s, N, C) and (T_s, N, A) of any lengths with zeros to the longest.
+        """Pad segments of different lengths with zeros to the longest.
+
+        Args:
+            observations, actions: of each segment, (T_s, N, C) and (T_s, N, A).
 
         Raises:
-            ShapeError: if there is no segment, or one differs from the first in agents or dimensions.
+            ShapeError: if there is no segment, or a segment differs from the first in agents or dimensions.
         """
         if not observations or len(observations) != len(actions):
             raise ShapeError("segments", (len(observations), len(actions)), "as many actions, at least one")
-        observed, n_steps = _pad("observations", observations)
-        acted, action_steps = _pad("actions", actions)
-        if n_steps != action_steps:
-            raise ShapeError("actions", tuple(action_steps), f"the steps of observations, {tuple(n_steps)}")
-        mask = np.arange(observed.shape[1])[None] < np.asarray(n_steps)[:, None]
-        return cls(observed, acted, mask)
+        padded_observations, lengths = pad("observations", [np.asarray(each, np.float32) for each in observations])
+        padded_actions, action_lengths = pad("actions", [np.asarray(each, np.float32) for each in actions])
+        if padded_observations.ndim != 4:
+            raise ShapeError("observations", padded_observations.shape[1:], "(T, N, C)")
+        if (lengths != action_lengths).any():
+            raise ShapeError(
+                "actions", tuple(action_lengths.tolist()), f"the steps of observations, {lengths.tolist()}"
+            )
+        return cls(padded_observations, padded_actions, length_mask(lengths))
 
     def __len__(self) -> int:
         return len(self.observations)
@@ -94,29 +97,49 @@ class SegmentArrays:
         return SegmentArrays(self.observations[index], self.actions[index], self.mask[index])
 
 
-def _pad(name: str, parts: Sequence[ArrayLike]) -> tuple[FloatArray, list[int]]:
-    arrays = [np.asarray(part, dtype=np.float32) for part in parts]
+def pad(name: str, arrays: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], IntArray]:
+    """Pad arrays (T_s, ...) with zeros to the longest, in the dtype of the first.
+
+    Args:
+        name: what the arrays are called in an error.
+
+    Returns:
+        The padded arrays, (S, T, ...), and the length of each, int64 (S,).
+
+    Raises:
+        ShapeError: if an array has no steps axis, or differs from the first in another axis.
+    """
+    trailing = arrays[0].shape[1:]
     for array in arrays:
-        if array.ndim != 3 or array.shape[1:] != arrays[0].shape[1:]:
-            raise ShapeError(name, array.shape, f"(T, {', '.join(map(str, arrays[0].shape[1:]))})")
-    n_steps = [len(array) for array in arrays]
-    padded = np.zeros((len(arrays), max(n_steps), *arrays[0].shape[1:]), dtype=np.float32)
+        if not array.ndim or array.shape[1:] != trailing:
+            raise ShapeError(name, array.shape, f"({', '.join(map(str, ('T', *trailing)))})")
+    lengths = np.array([len(array) for array in arrays])
+    padded = np.zeros((len(arrays), lengths.max(), *trailing), dtype=arrays[0].dtype)
     for row, array in zip(padded, arrays, strict=True):
         row[: len(array)] = array
-    return padded, n_steps
+    return padded, lengths
+
+
+def length_mask(lengths: IntArray) -> BoolArray:
+    """The mask (S, T) of segments of these lengths (S,), T the longest."""
+    return np.arange(lengths.max()) < lengths[:, None]
+
+
+def check_mask(mask: BoolArray) -> None:
+    """Raise InvalidMask unless each row of a mask (S, T) is one or more ones followed by zeros."""
+    invalid = ~mask[:, 0] | (mask[:, 1:] & ~mask[:, :-1]).any(axis=1)
+    if invalid.any():
+        raise InvalidMask(int(invalid.argmax()))
 
 
 class SegmentSource(Protocol):
-    """S segments of equal dimensions, read by index: `SegmentArrays` in memory, `SegmentFolder` on disk.
-
-    Whatever asks for a batch of segments at a time, and never for all of them, works on either.
-    """
+    """S segments of equal dimensions, read by index: `SegmentArrays` in memory, `SegmentFolder` on disk."""
 
     def __len__(self) -> int: ...
 
     @property
     def n_steps(self) -> int:
-        """T, the longest a segment can be."""
+        """T, to which segments are padded."""
         ...
 
     @property
@@ -129,27 +152,26 @@ class SegmentSource(Protocol):
     def action_dim(self) -> int: ...
 
     def take(self, indices: ArrayLike) -> SegmentArrays:
-        """The segments at `indices`, int (B,) in [0, S), in that order; one named twice comes twice."""
+        """The segments at `indices`, int (B,) in [0, S), in that order. Indices may repeat."""
         ...
 
 
 def in_batches(segments: SegmentSource, size: int) -> Iterator[SegmentArrays]:
-    """All the segments in order, `size` at a time: one pass in the memory of one batch."""
+    """Yield all segments in order, `size` at a time, holding one batch in memory."""
     for first in range(0, len(segments), size):
         yield segments.take(np.arange(first, min(first + size, len(segments))))
 
 
 @dataclass(frozen=True, slots=True)
 class PreferenceDataset:
-    """Labelled pairs of segments.
-
-    A skipped pair (a teacher's NaN) has no place here: drop it before.
+    """Labelled pairs of segments. Drop skipped pairs (label NaN) before.
 
     Raises:
-        ShapeError, InvalidPair, InvalidLabel: naming the first pair that is wrong.
+        ShapeError: if `pairs` or `labels` has the wrong shape.
+        InvalidPair, InvalidLabel: for the first pair that refers to a missing segment or has an invalid label.
     """
 
-    #: in memory or on disk
+    #: in memory or on disk; several pairs may share a segment
     segments: SegmentSource
     #: int (P, 2), indices into `segments`: (segment 0, segment 1)
     pairs: IntArray
@@ -164,15 +186,15 @@ class PreferenceDataset:
         if self.labels.shape != self.pairs.shape[:1]:
             raise ShapeError("labels", self.labels.shape, f"{self.pairs.shape[:1]}")
         n_segments = len(self.segments)
-        wrong = ((self.pairs < 0) | (self.pairs >= n_segments)).any(axis=1)
-        wrong |= self.pairs[:, 0] == self.pairs[:, 1]
-        if wrong.any():
-            index = int(wrong.argmax())
+        invalid = ((self.pairs < 0) | (self.pairs >= n_segments)).any(axis=1)
+        invalid |= self.pairs[:, 0] == self.pairs[:, 1]
+        if invalid.any():
+            index = int(invalid.argmax())
             first, second = self.pairs[index].tolist()
             raise InvalidPair(index, (first, second), n_segments)
-        wrong = ~((self.labels >= 0) & (self.labels <= 1))
-        if wrong.any():
-            raise InvalidLabel(int(wrong.argmax()), float(self.labels[wrong.argmax()]))
+        invalid = ~((self.labels >= 0) & (self.labels <= 1))
+        if invalid.any():
+            raise InvalidLabel(int(invalid.argmax()), float(self.labels[invalid.argmax()]))
 
     def __len__(self) -> int:
         return len(self.pairs)
@@ -183,14 +205,14 @@ class PreferenceDataset:
         return PreferenceDataset(self.segments, self.pairs[index], self.labels[index])
 
     def split(self, hold_out_fraction: float, seed: int) -> tuple["PreferenceDataset", "PreferenceDataset"]:
-        """Split by pair into (train, hold-out).
+        """Split the pairs into (train, hold-out).
 
-        One pair is held out at random of every run of 1 / `hold_out_fraction` successive pairs. When pairs
-        are appended later, every earlier pair stays on its side: a model warm-started from a version
-        trained on fewer pairs has then never seen its hold-out.
+        Of each 1 / `hold_out_fraction` consecutive pairs, one is held out at random. When pairs are appended
+        later, every earlier pair stays on its side of the split, so that a model warm-started from one trained on
+        fewer pairs has never seen its hold-out pairs.
 
         Raises:
-            NotEnoughPairs: with fewer than two pairs.
+            NotEnoughPairs: if there are fewer than two pairs.
         """
         if len(self) < 2:
             raise NotEnoughPairs(len(self), 2)
@@ -203,7 +225,7 @@ def _held_out(n_pairs: int, fraction: float, seed: int) -> BoolArray:
     n_strata = int(stratum[-1]) + 1
     first = np.ceil((np.arange(n_strata) - 1e-9) / fraction).astype(np.int64)
     size = np.ceil((np.arange(1, n_strata + 1) - 1e-9) / fraction).astype(np.int64) - first
-    # One uniform draw per stratum, in order, does not depend on how many strata follow.
+    # One uniform draw per stratum, in order: the draws do not depend on how many strata follow.
     chosen = first + (np.random.default_rng(seed).random(n_strata) * size).astype(np.int64)
     held_out = np.zeros(n_pairs, dtype=np.bool_)
     held_out[chosen[chosen < n_pairs]] = True

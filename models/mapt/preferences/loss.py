@@ -1,4 +1,4 @@
-"""The Bradley-Terry model on segment scores."""
+"""The Bradley-Terry loss of segment scores."""
 
 import math
 
@@ -8,16 +8,16 @@ from torch import Tensor
 
 from mapt.errors import ShapeError
 
-# A model this sure of a pair, and right, has nothing more to learn from it. Gradients of e^-90 and less would become
-# denormal numbers on their way through the network, and a CPU takes ten times as long over those: on 1,050 labels of an
-# oracle, with differences of scores up to 200, they were half of the time of a training.
-SURE_LOGIT = 30.0
+# Logits are clamped to this magnitude: beyond it, a correctly predicted pair has no gradient. Gradients of e^-90 and
+# less become denormal numbers in the backward pass, on which a CPU is about ten times slower: with 1,050 oracle labels
+# and score differences of up to 200, they took half of the training time.
+MAX_LOGIT = 30.0
 
 
 def preference_loss(score_0: Tensor, score_1: Tensor, label: Tensor, label_noise: float = 0.0) -> Tensor:
     """Mean cross-entropy, in nats, between labels and the Bradley-Terry probabilities (paper, eq. 2 and 3).
 
-    The difference of the scores is the logit, so the loss stays finite however far apart they are.
+    Works on the logit score_0 - score_1, so that a large gap cannot produce log(0).
 
     Args:
         score_0, score_1: segment scores, float32 (B,).
@@ -40,16 +40,16 @@ def preference_losses(logits: Tensor, label: Tensor, label_noise: float = 0.0) -
     Args:
         logits: score_0 - score_1, (B,).
         label: as in `preference_loss`.
-        label_noise: the share e of labels that are taken to be mistakes. A label is then explained by
-            (1 - e) P + e (1 - P), so that a pair on which the model is sure, and the label wrong, costs at most
-            log(1 / e) and pulls no more (Christiano et al. 2017 take e = 0.1 of every human label).
+        label_noise: assumed fraction e of random label flips. The likelihood of a label becomes
+            (1 - e) P + e (1 - P), which bounds the loss of a confidently contradicted label by log(1 / e)
+            (Christiano et al. 2017 use e = 0.1 for human labels).
     """
     return -(label * _log_likelihood(logits, label_noise) + (1 - label) * _log_likelihood(-logits, label_noise))
 
 
 def _log_likelihood(logits: Tensor, noise: float) -> Tensor:
-    """log((1 - e) sigmoid(x) + e sigmoid(-x)), without the sigmoids; flat where the model is sure."""
+    """log((1 - e) sigmoid(x) + e sigmoid(-x)), computed in log space; constant beyond MAX_LOGIT."""
     if noise == 0.0:
-        return F.logsigmoid(logits.clamp(max=SURE_LOGIT))
-    logits = logits.clamp(-SURE_LOGIT, SURE_LOGIT)
+        return F.logsigmoid(logits.clamp(max=MAX_LOGIT))
+    logits = logits.clamp(-MAX_LOGIT, MAX_LOGIT)
     return torch.logaddexp(F.logsigmoid(logits) + math.log1p(-noise), F.logsigmoid(-logits) + math.log(noise))

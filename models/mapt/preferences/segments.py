@@ -1,4 +1,4 @@
-"""Which parts of a rollout become segments."""
+"""Cutting rollouts into segments, and converting discrete actions to one-hot and back."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from mapt.errors import InvalidAction, NotOneHot, ShapeError
 from mapt.preferences.dataset import SegmentArrays
 
-# The share of a segment's steps that an episode must have had to be shown at all: less is nothing to judge by.
+# An episode that terminates within one segment becomes a segment only if it is at least this fraction of one: shorter
+# clips show too little to compare.
 MIN_EPISODE_FRACTION = 0.2
 
 
@@ -18,7 +19,7 @@ class StepRange(NamedTuple):
 
     env: int
     first: int
-    #: the step after the last
+    #: one past the last step
     end: int
 
     @property
@@ -27,17 +28,17 @@ class StepRange(NamedTuple):
 
 
 def episode_ranges(episode_start: NDArray[np.bool_]) -> list[StepRange]:
-    """The stretches of a rollout that are of one episode each, in the order of environments.
+    """Split a rollout at episode boundaries, environment by environment.
 
     Args:
-        episode_start: (L, E), true where the step is an episode's first.
+        episode_start: bool (L, E), true at the first step of each episode.
     """
     length, n_envs = episode_start.shape
-    stretches: list[StepRange] = []
+    ranges: list[StepRange] = []
     for env in range(n_envs):
-        inner = np.flatnonzero(episode_start[1:, env]) + 1
-        stretches.extend(StepRange(env, first, end) for first, end in pairwise([0, *inner.tolist(), length]))
-    return stretches
+        starts = np.flatnonzero(episode_start[1:, env]) + 1
+        ranges.extend(StepRange(env, first, end) for first, end in pairwise([0, *starts.tolist(), length]))
+    return ranges
 
 
 def cut_rollout(
@@ -46,65 +47,69 @@ def cut_rollout(
     segment_steps: int,
     rng: np.random.Generator,
 ) -> list[StepRange]:
-    """Segments that do not overlap and do not cross an episode's end, in random order.
+    """Cut a rollout into segments that neither overlap nor cross the end of an episode, in random order.
 
-    Each stretch of an episode is laid out with as many segments as fit, the first at a random place, so that over a
-    run every phase of an episode is as likely to begin one. An episode that terminates before a whole segment fits (a
-    walker that falls) is a shorter one, from a fifth of the steps on: else nobody could be asked about it.
+    Each episode gets as many segments as fit. The first starts at a random offset, so that over many rollouts every
+    phase of an episode is equally likely to start a segment. An episode that terminates before one segment fits (a
+    walker that falls) becomes a shorter segment, if it has at least `MIN_EPISODE_FRACTION` of the steps.
 
     Args:
-        episode_start, terminated: (L, E), whether the step is an episode's first, and whether it ended there by itself.
+        episode_start, terminated: bool (L, E), true at the first step of an episode, and where an episode terminated.
+        segment_steps: T.
     """
-    places: list[StepRange] = []
-    for stretch in episode_ranges(episode_start):
-        env, first, end = stretch
-        count, slack = divmod(stretch.n_steps, segment_steps)
+    segments: list[StepRange] = []
+    for episode in episode_ranges(episode_start):
+        env, first, end = episode
+        count, slack = divmod(episode.n_steps, segment_steps)
         offset = first + int(rng.integers(slack + 1))
-        begins = (offset + segment_steps * index for index in range(count))
-        places.extend(StepRange(env, begin, begin + segment_steps) for begin in begins)
-        if not count and terminated[end - 1, env] and stretch.n_steps >= MIN_EPISODE_FRACTION * segment_steps:
-            places.append(stretch)
-    return [places[index] for index in rng.permutation(len(places))]
+        starts = (offset + segment_steps * index for index in range(count))
+        segments.extend(StepRange(env, start, start + segment_steps) for start in starts)
+        if not count and terminated[end - 1, env] and episode.n_steps >= MIN_EPISODE_FRACTION * segment_steps:
+            segments.append(episode)
+    return [segments[index] for index in rng.permutation(len(segments))]
 
 
-# How a message calls the places of an action in its array, from the last one back.
-_PLACES = ("agent", "step", "segment")
+# Names of the axes of an array of actions in error messages, from the last axis backwards.
+_AXES = ("agent", "step", "segment")
 
 
 def one_hot_actions(actions: ArrayLike, n_actions: int, available: ArrayLike | None = None) -> NDArray[np.float32]:
-    """Discrete actions as float32 (..., N, A), for `SegmentArrays` and for relabelling.
+    """Convert discrete actions to one-hot, as `SegmentArrays` and reward models take them.
 
-    Padding is as real as any step here: pad afterwards (`SegmentArrays.stack` does), or with an available action.
+    Every step is checked, padding included: pad afterwards (`SegmentArrays.stack` does), or with an available action.
 
     Args:
-        actions: whole numbers (..., N) in [0, A), or one-hot already, (..., N, A).
+        actions: indices, int (..., N) in [0, A), or actions that are already one-hot, (..., N, A).
         n_actions: A.
-        available: bool (..., N, A), which actions each agent could choose; all when not given.
+        available: bool (..., N, A), the actions that each agent could choose; all if None.
+
+    Returns:
+        float32 (..., N, A).
 
     Raises:
-        ShapeError: if `actions` is neither of the two, or `available` has not the shape of the one-hot actions.
-        InvalidAction: naming the first action that does not exist, is not one-hot, or was not available.
+        ShapeError: if `actions` or `available` has the wrong shape.
+        InvalidAction: for the first action that does not exist, is not one-hot, or was not available.
     """
     given = np.asarray(actions)
-    one_hot = _from_numbers(given, n_actions) if given.dtype.kind in "iu" else _checked(given, n_actions)
+    one_hot = _from_indices(given, n_actions) if given.dtype.kind in "iu" else _check_one_hot(given, n_actions)
     if available is not None:
-        could = np.asarray(available)
-        if could.shape != one_hot.shape:
-            raise ShapeError("available actions", could.shape, f"that of the one-hot actions, {one_hot.shape}")
-        refused = np.asarray((one_hot.astype(np.bool_) & ~could.astype(np.bool_)).any(axis=-1))
-        _refuse(refused, one_hot.argmax(axis=-1), "available")
+        allowed = np.asarray(available)
+        if allowed.shape != one_hot.shape:
+            raise ShapeError("available actions", allowed.shape, f"that of the one-hot actions, {one_hot.shape}")
+        unavailable = np.asarray((one_hot.astype(np.bool_) & ~allowed.astype(np.bool_)).any(axis=-1))
+        _check_none(unavailable, one_hot.argmax(axis=-1), "available")
     return one_hot
 
 
-def action_numbers(segments: SegmentArrays) -> NDArray[np.int64]:
-    """Which of its A choices each one-hot action is, int64 (S, T, N); in the padding anything.
+def action_indices(segments: SegmentArrays) -> NDArray[np.int64]:
+    """The index of each one-hot action, int64 (S, T, N); arbitrary in the padding.
 
     Raises:
-        NotOneHot: naming the first segment with an action that is none.
+        NotOneHot: for the first segment with an action that is not one-hot.
     """
-    broken = (~_is_one_hot(segments.actions).all(axis=-1) & segments.mask).any(axis=-1)
-    if broken.any():
-        raise NotOneHot(int(broken.argmax()))
+    invalid = (~_is_one_hot(segments.actions).all(axis=-1) & segments.mask).any(axis=-1)
+    if invalid.any():
+        raise NotOneHot(int(invalid.argmax()))
     return segments.actions.argmax(axis=-1)
 
 
@@ -113,31 +118,30 @@ def _is_one_hot(actions: NDArray[np.float32]) -> NDArray[np.bool_]:
     return ((actions == 0) | (actions == 1)).all(axis=-1) & (actions.sum(axis=-1) == 1)
 
 
-def _from_numbers(numbers: NDArray[np.generic], n_actions: int) -> NDArray[np.float32]:
-    if not numbers.ndim or n_actions < 1:
-        raise ShapeError("actions", numbers.shape, f"(..., N), whole numbers below {n_actions}")
-    chosen = numbers.astype(np.int64)
-    _refuse((chosen < 0) | (chosen >= n_actions), chosen, f"one of 0 to {n_actions - 1}")
+def _from_indices(indices: NDArray[np.generic], n_actions: int) -> NDArray[np.float32]:
+    if not indices.ndim or n_actions < 1:
+        raise ShapeError("actions", indices.shape, f"(..., N), indices below {n_actions}")
+    chosen = indices.astype(np.int64)
+    _check_none((chosen < 0) | (chosen >= n_actions), chosen, f"one of 0 to {n_actions - 1}")
     return np.eye(n_actions, dtype=np.float32)[chosen]
 
 
-def _checked(given: NDArray[np.generic], n_actions: int) -> NDArray[np.float32]:
+def _check_one_hot(given: NDArray[np.generic], n_actions: int) -> NDArray[np.float32]:
     if given.ndim < 2 or given.shape[-1] != n_actions or given.dtype.kind not in "bf":
-        raise ShapeError("actions", given.shape, f"(..., N) of whole numbers or one-hot (..., N, {n_actions})")
+        raise ShapeError("actions", given.shape, f"indices (..., N) or one-hot (..., N, {n_actions})")
     one_hot = given.astype(np.float32)
-    broken = ~_is_one_hot(one_hot)
-    if broken.any():
-        raise InvalidAction(f"the action of {_place(broken)} is not one-hot")
+    invalid = ~_is_one_hot(one_hot)
+    if invalid.any():
+        raise InvalidAction(f"the action of {_position(invalid)} is not one-hot")
     return one_hot
 
 
-def _refuse(broken: NDArray[np.bool_], chosen: NDArray[np.int64], wanted: str) -> None:
-    if broken.any():
-        raise InvalidAction(f"action {chosen[broken][0]} of {_place(broken)} is not {wanted}")
+def _check_none(invalid: NDArray[np.bool_], chosen: NDArray[np.int64], wanted: str) -> None:
+    if invalid.any():
+        raise InvalidAction(f"action {chosen[invalid][0]} of {_position(invalid)} is not {wanted}")
 
 
-def _place(broken: NDArray[np.bool_]) -> str:
-    """Where the first of these is, such as "agent 2 of step 3 of segment 0"."""
-    first = np.argwhere(broken)[0][::-1]
-    names = (f"{name} {index}" for name, index in zip(_PLACES, first, strict=False))
-    return " of ".join(names)
+def _position(invalid: NDArray[np.bool_]) -> str:
+    """The position of the first true element, such as "agent 2 of step 3 of segment 0"."""
+    first = np.argwhere(invalid)[0][::-1]
+    return " of ".join(f"{name} {index}" for name, index in zip(_AXES, first, strict=False))

@@ -1,4 +1,13 @@
-"""How segments lie on disk: one file of equal rows per array, and a manifest that counts the rows."""
+"""Segments in a folder: one file of fixed-size rows per array, and a manifest with the layout and the number of rows.
+
+    with SegmentWriter.create(path, SegmentLayout(n_steps=100, n_agents=6, observation_dim=24, action_dim=1)) as writer:
+        writer.append(segments)
+    folder = SegmentFolder.open(path)
+    dataset = PreferenceDataset(folder, pairs, labels)
+
+Reading takes the memory of the segments asked for, writing that of one batch. Rows count once the manifest does: a
+crash loses the rows appended since the last commit and nothing else.
+"""
 
 import json
 import os
@@ -16,20 +25,20 @@ from numpy.typing import ArrayLike, NDArray
 from mapt.errors import AlreadyExists, InvalidFile, MissingPart, NewerFile, NotFinite, ShapeError, TruncatedFile
 from mapt.io import atomic_write
 from mapt.preferences.dataset import FloatArray, IntArray, SegmentArrays
-from mapt.preferences.segments import action_numbers
+from mapt.preferences.segments import action_indices
 
 FORMAT = "mapt segments"
 SCHEMA_VERSION = 1
 MANIFEST = "manifest.json"
-#: The most actions that a stored index can tell apart.
+#: Discrete actions are stored as uint16 indices.
 MAX_DISCRETE_ACTIONS = 65_536
 
 
 @dataclass(frozen=True, slots=True)
 class SegmentLayout:
-    """Which arrays a folder of segments keeps, and their dimensions."""
+    """The arrays that a folder of segments stores, and their dimensions."""
 
-    #: T, the most steps of a segment; shorter ones are padded
+    #: T, the longest segment; shorter ones are padded
     n_steps: int
     #: N
     n_agents: int
@@ -37,27 +46,27 @@ class SegmentLayout:
     observation_dim: int
     #: A
     action_dim: int
-    #: actions are one-hot; stored as an index each
+    #: actions are one-hot; each is stored as an index
     discrete: bool = False
-    #: true rewards, one a step
+    #: whether true rewards are stored
     rewards: bool = False
-    #: numbers in a simulator state; 0 keeps none
+    #: dimensions of the simulator states; 0 if they are not stored
     qpos_dim: int = 0
     qvel_dim: int = 0
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            value, least = getattr(self, each.name), 0 if each.name in ("qpos_dim", "qvel_dim") else 1
+            value, minimum = getattr(self, each.name), 0 if each.name in ("qpos_dim", "qvel_dim") else 1
             if type(value) is not each.type:
                 raise ValueError(f"{each.name} is {value!r}")
-            if each.type is int and value < least:
-                raise ValueError(f"{each.name} is {value}, it must be at least {least}")
+            if each.type is int and value < minimum:
+                raise ValueError(f"{each.name} is {value}, it must be at least {minimum}")
         if self.discrete and self.action_dim > MAX_DISCRETE_ACTIONS:
-            raise ValueError(f"action_dim must be at most {MAX_DISCRETE_ACTIONS} where actions are discrete")
+            raise ValueError(f"action_dim of discrete actions must be at most {MAX_DISCRETE_ACTIONS}")
 
     @property
     def columns(self) -> dict[str, "Column"]:
-        """Every array that is kept, by name."""
+        """The stored arrays by name."""
         steps = (self.n_steps, self.n_agents)
         actions = Column("<u2", steps) if self.discrete else Column("<f4", (*steps, self.action_dim))
         columns = {
@@ -74,21 +83,22 @@ class SegmentLayout:
         return columns
 
     def with_steps(self, n_steps: int) -> "SegmentLayout":
-        """The same for segments of at most `n_steps`."""
+        """The same layout with T = `n_steps`."""
         return replace(self, n_steps=n_steps)
 
     @property
     def segment_bytes(self) -> int:
-        """What one segment takes on disk."""
+        """Size of one segment on disk."""
         return sum(column.row_bytes for column in self.columns.values())
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One array of a folder: rows of this shape, one a segment, without anything between."""
+    """The file of one array: one row per segment, without header or gaps."""
 
+    #: little-endian numpy dtype
     dtype: str
-    #: of one row
+    #: shape of one row
     shape: tuple[int, ...]
 
     @property
@@ -97,20 +107,21 @@ class Column:
 
 
 def column_path(folder: Path, name: str) -> Path:
+    """The file of an array in a folder of segments."""
     return folder / f"{name}.bin"
 
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """What a folder holds. Rows beyond `n_segments` are the rest of a write that never ended."""
+    """The contents of a folder. Rows beyond `n_segments` were appended but not committed."""
 
     layout: SegmentLayout
     n_segments: int
-    #: where the segments come from: task, versions, seeds; anything JSON can say
+    #: JSON metadata of the writer: task, versions, seeds
     about: Mapping[str, Any] = field(default_factory=dict)
 
     def write(self, folder: Path) -> None:
-        """Replace the manifest, whole or not at all, and be sure of it."""
+        """Replace the manifest atomically and durably."""
         document = {
             "format": FORMAT,
             "schema_version": SCHEMA_VERSION,
@@ -122,18 +133,20 @@ class Manifest:
 
     @classmethod
     def read(cls, folder: Path) -> "Manifest":
-        """
+        """Read the manifest of a folder.
+
         Raises:
-            MissingPart: if there is no manifest: no folder of segments, or a write that never got so far.
-            NewerFile, InvalidFile: if it is a newer one, or none of ours.
+            MissingPart: if there is none: the folder holds no segments, or its writer never committed.
+            NewerFile: if a later version of this library wrote it.
+            InvalidFile: if it is not a manifest of segments.
         """
         path = folder / MANIFEST
         if not path.is_file():
-            raise MissingPart(folder, f"{MANIFEST}: it is no folder of segments, or its writing never ended")
+            raise MissingPart(folder, f"{MANIFEST}: it is not a folder of segments, or writing it was interrupted")
         try:
             document = json.loads(path.read_bytes())
             if document["format"] != FORMAT:
-                raise InvalidFile(path, f"is of {document['format']!r}, not of {FORMAT!r}")
+                raise InvalidFile(path, f"has format {document['format']!r}, not {FORMAT!r}")
             if document["schema_version"] > SCHEMA_VERSION:
                 raise NewerFile(path, document["schema_version"], SCHEMA_VERSION)
             layout = SegmentLayout(**document["layout"])
@@ -141,7 +154,7 @@ class Manifest:
         except InvalidFile:
             raise
         except (ValueError, TypeError, KeyError) as error:
-            raise InvalidFile(path, f"is no manifest of segments ({error})") from error
+            raise InvalidFile(path, f"is not a manifest of segments ({error})") from error
 
 
 def _count(value: object) -> int:
@@ -150,31 +163,30 @@ def _count(value: object) -> int:
     return value
 
 
-__all__ = ["SegmentFolder", "SegmentLayout", "SegmentWriter"]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SegmentFolder:
-    """S segments in a folder; a `SegmentSource`. Holds no open file, so it can be pickled, forked and forgotten.
+    """The segments of a folder, read by index; a `SegmentSource`.
 
-    It sees the segments that were committed when it was opened; a writer may append more meanwhile.
+    It keeps no file open, so it can be pickled, and used in forked processes. It contains the segments that were
+    committed when it was opened, even if a writer appends more.
     """
 
     path: Path
     layout: SegmentLayout
-    #: what the writer said of them
+    #: JSON metadata of the writer
     about: Mapping[str, Any]
-    #: int32 (S,), real steps of each segment
+    #: int32 (S,), steps of each segment without padding
     lengths: NDArray[np.int32]
 
     @classmethod
     def open(cls, path: Path | str) -> "SegmentFolder":
-        """
+        """Open a folder and read the lengths of its segments.
+
         Raises:
-            MissingPart: if it is no folder of segments, or one of its files is gone.
-            NewerFile: if a newer mapt wrote it.
+            MissingPart: if it is not a folder of segments, or one of its files is missing.
+            NewerFile: if a later version of this library wrote it.
             TruncatedFile: if a file is shorter than the manifest says.
-            InvalidFile: if the manifest or the lengths make no sense.
+            InvalidFile: if the manifest or a length is invalid.
         """
         path = Path(path)
         manifest = Manifest.read(path)
@@ -187,7 +199,7 @@ class SegmentFolder:
                 raise TruncatedFile(file, f"holds fewer than {n_segments} segments")
         lengths = _read_rows(path, "lengths", layout.columns["lengths"], np.arange(n_segments))
         if ((lengths < 1) | (lengths > layout.n_steps)).any():
-            raise InvalidFile(column_path(path, "lengths"), f"holds a length that is not within 1 to {layout.n_steps}")
+            raise InvalidFile(column_path(path, "lengths"), f"holds a length outside [1, {layout.n_steps}]")
         return cls(path, layout, manifest.about, lengths.astype(np.int32))
 
     def __len__(self) -> int:
@@ -210,15 +222,15 @@ class SegmentFolder:
         return self.layout.action_dim
 
     def mask(self, indices: ArrayLike) -> NDArray[np.bool_]:
-        """bool (B, T), true where the step is real."""
+        """The mask of the segments at `indices`, bool (B, T), false in the padding."""
         return np.arange(self.n_steps) < self.lengths[self._index(indices)][:, None]
 
     def take(self, indices: ArrayLike) -> SegmentArrays:
-        """The segments at `indices`, int (B,), in that order, as new arrays.
+        """Read the segments at `indices`, int (B,), in that order.
 
         Raises:
-            IndexError: if one is not in [0, S).
-            TruncatedFile: if a file has been cut since it was opened.
+            IndexError: if an index is not in [0, S).
+            TruncatedFile: if a file was truncated after the folder was opened.
         """
         index = self._index(indices)
         mask = self.mask(index)
@@ -228,15 +240,15 @@ class SegmentFolder:
         return SegmentArrays(self._rows("observations", index), actions, mask)
 
     def rewards(self, indices: ArrayLike) -> NDArray[np.float64]:
-        """True rewards, float64 (B, T), 0 in the padding. Raises MissingPart where none are kept."""
+        """True rewards, float64 (B, T), 0 in the padding. Raises MissingPart if they are not stored."""
         return self._rows("rewards", self._index(indices))
 
     def qpos(self, indices: ArrayLike) -> NDArray[np.float64]:
-        """Simulator positions, float64 (B, T, nq). Raises MissingPart where none are kept."""
+        """Simulator positions, float64 (B, T, nq). Raises MissingPart if they are not stored."""
         return self._rows("qpos", self._index(indices))
 
     def qvel(self, indices: ArrayLike) -> NDArray[np.float64]:
-        """Simulator velocities, float64 (B, T, nv). Raises MissingPart where none are kept."""
+        """Simulator velocities, float64 (B, T, nv). Raises MissingPart if they are not stored."""
         return self._rows("qvel", self._index(indices))
 
     def _rows(self, name: str, index: IntArray) -> NDArray[Any]:
@@ -252,12 +264,12 @@ class SegmentFolder:
         index = index.astype(np.int64)
         outside = (index < 0) | (index >= len(self))
         if outside.any():
-            raise IndexError(f"there is no segment {index[outside][0]} among {len(self)}")
+            raise IndexError(f"segment {index[outside][0]} does not exist; there are {len(self)}")
         return index
 
 
 def _read_rows(folder: Path, name: str, column: Column, index: IntArray) -> NDArray[Any]:
-    """Rows of one array, successive ones in a single read."""
+    """Rows of one array; consecutive indices are read at once."""
     rows = np.empty((len(index), *column.shape), dtype=column.dtype)
     path = column_path(folder, name)
     bounds = [*np.flatnonzero(np.diff(index, prepend=-2) != 1).tolist(), len(index)]
@@ -269,13 +281,13 @@ def _read_rows(folder: Path, name: str, column: Column, index: IntArray) -> NDAr
 
 
 def _fill(file: BinaryIO, rows: NDArray[Any], path: Path) -> None:
-    rest = rows.reshape(-1).view(np.uint8).data
-    while rest:
-        # One system call gives at most 2 GiB.
-        n_bytes = file.readinto(rest)  # pyright: ignore[reportAttributeAccessIssue]
+    remaining = rows.reshape(-1).view(np.uint8).data
+    while remaining:
+        # One system call reads at most 2 GiB.
+        n_bytes = file.readinto(remaining)  # pyright: ignore[reportAttributeAccessIssue]
         if not n_bytes:
             raise TruncatedFile(path)
-        rest = rest[n_bytes:]
+        remaining = remaining[n_bytes:]
 
 
 def _one_hot(codes: NDArray[np.uint16], n_actions: int, mask: NDArray[np.bool_]) -> FloatArray:
@@ -286,14 +298,13 @@ def _one_hot(codes: NDArray[np.uint16], n_actions: int, mask: NDArray[np.bool_])
 
 
 class SegmentWriter:
-    """One writer of a folder of segments; make it with `create` or `resume`, end it with the block or `close`.
+    """Appends segments to a folder. Made by `create` or `resume`; ended by the `with` block or `close`.
 
-    A block that raises leaves the folder with what was committed before, and a folder that never had any as if
-    it had not been made.
+    If the block raises, the folder keeps the segments committed before; without a commit, the folder is removed.
     """
 
     def __init__(self, path: Path, manifest: Manifest) -> None:
-        """Use `create` or `resume`."""
+        """Call `create` or `resume` instead."""
         self.path, self.layout = path, manifest.layout
         self._about = manifest.about
         self._committed = self._count = manifest.n_segments
@@ -302,13 +313,13 @@ class SegmentWriter:
 
     @classmethod
     def create(cls, path: Path | str, layout: SegmentLayout, *, about: Mapping[str, Any] | None = None) -> Self:
-        """A new folder.
+        """Start a new folder.
 
         Args:
-            about: where the segments come from (task, versions, seeds); kept in the manifest as JSON.
+            about: JSON metadata for the manifest: task, versions, seeds.
 
         Raises:
-            AlreadyExists: if the folder holds segments, or anything that is not the rest of a write that crashed.
+            AlreadyExists: if the folder holds anything but the files of a writer that crashed before its first commit.
         """
         path = Path(path)
         names = {column_path(path, name).name for name in layout.columns}
@@ -319,10 +330,10 @@ class SegmentWriter:
 
     @classmethod
     def resume(cls, path: Path | str) -> Self:
-        """Go on after the last committed segment of a folder.
+        """Continue after the last committed segment of a folder.
 
         Raises:
-            MissingPart, NewerFile, InvalidFile: see `SegmentFolder.open`.
+            MissingPart, NewerFile, InvalidFile: as `SegmentFolder.open`.
             TruncatedFile: if a file holds fewer segments than were committed.
         """
         return cls(Path(path), Manifest.read(Path(path)))
@@ -349,18 +360,18 @@ class SegmentWriter:
         qpos: ArrayLike | None = None,
         qvel: ArrayLike | None = None,
     ) -> IntArray:
-        """Add B segments behind those that are there.
+        """Append B segments.
 
         Args:
-            segments: of at most the layout's T steps; what they lack is padded.
-            rewards: (B, T'), qpos: (B, T', nq), qvel: (B, T', nv), T' the steps of `segments`; each is given
-                where the layout has it, and not otherwise. What lies in the padding is set to 0.
+            segments: of T' steps, at most the layout's T.
+            rewards, qpos, qvel: (B, T'), (B, T', nq) and (B, T', nv); exactly those that the layout stores. Padding is
+                set to 0.
 
         Returns:
-            int64 (B,): the indices they have got.
+            The indices of the new segments, int64 (B,).
 
         Raises:
-            ShapeError, NotFinite, NotOneHot: if an array is not the layout's; nothing is added then.
+            ShapeError, NotFinite, NotOneHot: if an array does not follow the layout. Nothing is appended.
         """
         given = {"rewards": rewards, "qpos": qpos, "qvel": qvel}
         columns = {
@@ -370,21 +381,20 @@ class SegmentWriter:
         }
         for name, values in given.items():
             if (values is None) != (name not in self.layout.columns):
-                raise ShapeError(
-                    name, () if values is None else np.shape(values), "an array exactly where the layout keeps one"
-                )
+                wanted = "an array" if name in self.layout.columns else "None: the layout does not store it"
+                raise ShapeError(name, () if values is None else np.shape(values), wanted)
             if values is not None:
                 columns[name] = self._checked(name, np.asarray(values), segments.mask)
         for name, values in columns.items():
             column = self.layout.columns[name]
-            # To its place, not merely behind the last byte: a write that failed half-way is then written over.
+            # Seek, because an append that failed half-way leaves bytes behind the last row.
             self._files[name].seek(self._count * column.row_bytes)
             self._files[name].write(_padded(values, column, segments.mask).data)
         first, self._count = self._count, self._count + len(segments)
         return np.arange(first, self._count)
 
     def commit(self) -> None:
-        """Make every segment so far survive a crash and be seen by those who open the folder from now on."""
+        """Flush all segments so far to disk and publish them in the manifest."""
         for file in self._files.values():
             file.flush()
             os.fsync(file.fileno())
@@ -392,12 +402,12 @@ class SegmentWriter:
         self._committed = self._count
 
     def close(self) -> None:
-        """Commit, and let go of the files."""
+        """Commit, and close the files."""
         with self._stack:
             self.commit()
 
     def rollback(self) -> None:
-        """Let go of the files without committing; a folder that was never committed is removed."""
+        """Close the files and discard what was not committed; a folder without any commit is removed."""
         self._stack.close()
         if (self.path / MANIFEST).exists():
             for name, column in self.layout.columns.items():
@@ -416,7 +426,7 @@ class SegmentWriter:
         except BaseException:
             self._stack.close()
             raise
-        # What lies behind the committed rows is the rest of a write that never ended.
+        # Rows behind the committed ones come from a writer that crashed.
         file.truncate(self._committed * column.row_bytes)
         return file
 
@@ -424,22 +434,22 @@ class SegmentWriter:
         layout, actions = self.layout, segments.actions
         if actions.shape[2:] != (layout.n_agents, layout.action_dim):
             raise ShapeError("actions", actions.shape, f"(B, T, {layout.n_agents}, {layout.action_dim})")
-        return action_numbers(segments) if layout.discrete else actions
+        return action_indices(segments) if layout.discrete else actions
 
     def _checked(self, name: str, values: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[Any]:
-        """`values`, if they have the layout's dimensions, at most its steps, and no NaN where the step is real."""
+        """Return `values` if they fit the layout and are finite outside of the padding."""
         row = self.layout.columns[name].shape
         if values.shape[:2] != mask.shape or values.shape[1] > row[0] or values.shape[2:] != row[1:]:
             raise ShapeError(name, values.shape, f"({', '.join(map(str, (*mask.shape, *row[1:])))}), T <= {row[0]}")
         finite = np.isfinite(values).all(axis=tuple(range(2, values.ndim)))
-        broken = (~finite & mask).any(axis=1)
-        if broken.any():
-            raise NotFinite(name, int(broken.argmax()))
+        invalid = (~finite & mask).any(axis=1)
+        if invalid.any():
+            raise NotFinite(name, int(invalid.argmax()))
         return values
 
 
 def _padded(values: NDArray[Any], column: Column, mask: NDArray[np.bool_]) -> NDArray[Any]:
-    """(B, T', ...) as the column's (B, T, ...), with zeros where the mask (B, T') is false and beyond it."""
+    """Pad (B, T', ...) to the column's (B, T, ...), with zeros where the mask (B, T') is false and beyond it."""
     rows = np.zeros((len(values), *column.shape), dtype=column.dtype)
     if not column.shape:
         rows[:] = values

@@ -23,30 +23,31 @@ def test_loss_is_the_cross_entropy_of_the_logistic_of_the_score_difference(score
 
 
 @given(finite, finite, probability)
-def test_swapping_segments_and_label_leaves_the_loss(score_0, score_1, label):
+def test_swapping_segments_and_label_does_not_change_the_loss(score_0, score_1, label):
     first, second, target = torch.tensor([score_0]), torch.tensor([score_1]), torch.tensor([label])
     swapped = preference_loss(second, first, 1 - target)
     torch.testing.assert_close(preference_loss(first, second, target), swapped, rtol=1e-4, atol=1e-5)
 
 
-def test_label_one_says_that_segment_0_is_better():
+def test_label_one_prefers_segment_0():
     better, worse, label = torch.tensor([2.0]), torch.tensor([-2.0]), torch.ones(1)
     assert preference_loss(better, worse, label) < preference_loss(worse, better, label)
 
 
-def test_loss_stays_finite_for_scores_far_apart():
+def test_loss_is_finite_for_scores_far_apart():
     loss = preference_loss(torch.tensor([-1e6]), torch.tensor([1e6]), torch.ones(1))
     assert loss.item() == pytest.approx(2e6)
 
 
-@pytest.mark.parametrize(("n_scores", "n_labels"), [(2, 3), (3, 2)])
-def test_shapes_that_disagree_are_refused(n_scores, n_labels):
-    with pytest.raises(ShapeError, match="expected that of"):
+@pytest.mark.parametrize(("n_scores", "n_labels", "name"), [(2, 3, "label"), (3, 2, "score_1")])
+def test_different_shapes_are_refused(n_scores, n_labels, name):
+    with pytest.raises(ShapeError) as refused:
         preference_loss(torch.zeros(2), torch.zeros(n_scores), torch.zeros(n_labels))
+    assert refused.value.name == name
 
 
 @given(st.floats(-20, 20, width=32), probability, st.floats(0.01, 0.49))
-def test_noisy_labels_are_explained_by_a_mixture(logit, label, noise):
+def test_label_noise_mixes_the_two_likelihoods(logit, label, noise):
     p = 1 / (1 + math.exp(-logit))
     seen = (1 - noise) * p + noise * (1 - p)
     expected = -label * math.log(seen) - (1 - label) * math.log(1 - seen)
@@ -54,7 +55,7 @@ def test_noisy_labels_are_explained_by_a_mixture(logit, label, noise):
     assert loss.item() == pytest.approx(expected, rel=1e-3, abs=1e-4)
 
 
-def test_a_sure_mistake_costs_no_more_than_its_noise_allows_and_stops_pulling():
+def test_label_noise_bounds_the_loss_of_a_confident_error_and_removes_its_gradient():
     logit = torch.tensor([60.0], requires_grad=True)
     loss = preference_losses(logit, torch.zeros(1), 0.1).sum()
     loss.backward()
@@ -64,15 +65,15 @@ def test_a_sure_mistake_costs_no_more_than_its_noise_allows_and_stops_pulling():
 
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 @pytest.mark.parametrize(("sign", "label"), [(1, 1.0), (-1, 0.0)])
-def test_a_pair_told_rightly_and_surely_has_no_gradient_that_a_cpu_would_be_slow_with(sign, label, noise):
+def test_confident_correct_predictions_have_no_denormal_gradient(sign, label, noise):
     logit = (sign * torch.tensor([5.0, 29.0, 31.0, 90.0, 100.0])).requires_grad_()
     preference_losses(logit, torch.full((5,), label), noise).sum().backward()
-    assert (logit.grad[:2] * sign < 0).all(), "not sure enough to leave it"
-    assert (logit.grad[2:] == 0).all(), "tiny ones would become denormal further down"
+    assert (logit.grad[:2] * sign < 0).all()
+    assert (logit.grad[2:] == 0).all()
 
 
 @pytest.mark.parametrize(("sign", "label"), [(1, 0.0), (-1, 1.0)])
-def test_a_sure_mistake_pulls_with_all_its_weight(sign, label):
+def test_confident_errors_have_the_full_gradient(sign, label):
     logit = (sign * torch.tensor([40.0, 200.0])).requires_grad_()
     preference_losses(logit, torch.full((2,), label)).sum().backward()
     assert logit.grad.tolist() == [sign, sign]

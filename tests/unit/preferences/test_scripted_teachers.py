@@ -1,5 +1,3 @@
-"""Teachers by name, and the habits of B-Pref's."""
-
 import json
 import math
 
@@ -25,132 +23,132 @@ from mapt.preferences.teachers import (
 MANY = 20_000
 
 
-def evidence(rewards, mask=None):
+def view(rewards, mask=None):
     return TeacherView(np.array(rewards, dtype=np.float64), None if mask is None else np.array(mask))
 
 
 def many_pairs(gap, n_pairs=MANY, base=10.0):
     """Pairs of one-step segments whose returns differ by `gap`."""
-    return evidence(np.full((n_pairs, 1), base + gap)), evidence(np.full((n_pairs, 1), base))
+    return view(np.full((n_pairs, 1), base + gap)), view(np.full((n_pairs, 1), base))
 
 
 def random_pairs(n_pairs, seed=0, mean=5.0, n_steps=6):
     rng = np.random.default_rng(seed)
-    return tuple(evidence(rng.normal(mean, 1, size=(n_pairs, n_steps))) for _ in range(2))
+    return tuple(view(rng.normal(mean, 1, size=(n_pairs, n_steps))) for _ in range(2))
 
 
-def within_binomial_bounds(share, probability, n=MANY):
-    return abs(share - probability) < 4 * math.sqrt(probability * (1 - probability) / n)
+def within_binomial_bounds(fraction, probability, n=MANY):
+    return abs(fraction - probability) < 4 * math.sqrt(probability * (1 - probability) / n)
 
 
-def test_oracle_prefers_the_larger_return():
-    first, second = evidence([[1.0, 5.0], [0.0, 0.0], [2.0, 1.0]]), evidence([[3.0, 1.0], [1.0, 0.0], [1.0, 2.0]])
+def test_oracle_prefers_the_higher_return():
+    first, second = view([[1.0, 5.0], [0.0, 0.0], [2.0, 1.0]]), view([[3.0, 1.0], [1.0, 0.0], [1.0, 2.0]])
     for teacher in (OracleTeacher(), make_teacher("oracle")):
         labels = teacher.judge(first, second)
         assert labels.tolist() == [1.0, 0.0, 0.5]
         assert labels.dtype == np.float32
 
 
-def test_oracle_names_the_worse_segment_as_the_paper_does():
+def test_oracle_label_is_the_index_of_the_worse_segment():
     first, second = random_pairs(50)
     worse = np.argmin([first.rewards.sum(1), second.rewards.sum(1)], axis=0)
     assert make_teacher("oracle").judge(first, second).tolist() == worse.tolist()
 
 
-def test_oracle_counts_real_steps_alone():
-    labels = OracleTeacher().judge(evidence([[1.0, 99.0]], [[True, False]]), evidence([[1.0, 1.0]]))
+def test_oracle_ignores_padding():
+    labels = OracleTeacher().judge(view([[1.0, 99.0]], [[True, False]]), view([[1.0, 1.0]]))
     assert labels.tolist() == [0.0]
 
 
-def test_segments_may_differ_in_length():
-    assert OracleTeacher().judge(evidence([[1.0, 1.0, 1.0]]), evidence([[2.0]])).tolist() == [1.0]
+def test_segments_of_a_pair_may_differ_in_length():
+    assert OracleTeacher().judge(view([[1.0, 1.0, 1.0]]), view([[2.0]])).tolist() == [1.0]
 
 
-def test_sides_of_different_numbers_of_segments_are_refused():
+def test_views_of_different_numbers_of_segments_are_refused():
     with pytest.raises(ShapeError):
-        OracleTeacher().judge(evidence([[1.0]]), evidence([[1.0], [2.0]]))
+        OracleTeacher().judge(view([[1.0]]), view([[1.0], [2.0]]))
 
 
 @pytest.mark.parametrize("gap", [-2.0, -0.5, 0.0, 1.0])
 @pytest.mark.parametrize("beta", [0.5, 1.0, 3.0])
-def test_a_stochastic_teacher_follows_the_sigmoid(gap, beta):
+def test_stochastic_teacher_follows_the_boltzmann_model(gap, beta):
     labels = make_teacher("stochastic", beta=beta).judge(*many_pairs(gap))
     assert set(labels.tolist()) <= {0.0, 1.0}
     assert within_binomial_bounds(labels.mean(), 1 / (1 + math.exp(-beta * gap)))
 
 
-def test_differences_of_any_size_are_no_overflow():
+def test_large_differences_do_not_overflow():
     teacher = make_teacher("stochastic", beta=1e6)
     assert teacher.judge(*many_pairs(1e9, 10)).tolist() == [1.0] * 10
     assert teacher.judge(*many_pairs(-1e9, 10)).tolist() == [0.0] * 10
 
 
-def test_mistakes_come_at_their_rate_in_both_directions():
+def test_mistakes_have_their_rate_in_both_directions():
     for gap, right in ((1.0, 1.0), (-1.0, 0.0)):
         labels = make_teacher("mistake").judge(*many_pairs(gap))
         assert within_binomial_bounds((labels != right).mean(), 0.1)
 
 
-def test_a_mistake_about_equal_segments_is_none():
+def test_mistakes_do_not_change_equal_labels():
     assert set(make_teacher("mistake", mistake=1.0).judge(*many_pairs(0.0, 20)).tolist()) == {0.5}
 
 
-def test_mistakes_are_laid_over_noise():
+def test_mistakes_apply_after_boltzmann_noise():
     labels = make_teacher("stochastic", mistake=0.2).judge(*many_pairs(1.0))
     right = 1 / (1 + math.exp(-1))
     assert within_binomial_bounds(labels.mean(), 0.8 * right + 0.2 * (1 - right))
 
 
-def test_a_myopic_teacher_weighs_the_newest_step_by_one():
-    # 0.9 x 1.05 < 1: late rewards win against larger early ones, wherever the padding ends.
-    first, second = evidence([[0.0, 1.0, 0.0]], [[True, True, False]]), evidence([[0.0, 1.05, 0.0]])
+def test_myopic_teacher_does_not_discount_the_last_step():
+    # 0.9 x 1.05 < 1: the later reward wins, wherever the padding starts.
+    first, second = view([[0.0, 1.0, 0.0]], [[True, True, False]]), view([[0.0, 1.05, 0.0]])
     assert make_teacher("myopic").judge(first, second).tolist() == [1.0]
     assert make_teacher("oracle").judge(first, second).tolist() == [0.0]
 
 
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=6), st.floats(0, 1))
-def test_myopic_scores_are_a_slow_loops(rewards, gamma):
-    faded = sum(gamma ** (len(rewards) - 1 - step) * reward for step, reward in enumerate(rewards))
+def test_myopic_scores_equal_a_plain_loop(rewards, gamma):
+    discounted = sum(gamma ** (len(rewards) - 1 - step) * reward for step, reward in enumerate(rewards))
     judge = make_teacher("myopic", gamma=gamma).judge
-    assert judge(evidence([rewards]), evidence([[faded - 1e-6]])).tolist() == [1.0]
-    assert judge(evidence([rewards]), evidence([[faded + 1e-6]])).tolist() == [0.0]
+    assert judge(view([rewards]), view([[discounted - 1e-6]])).tolist() == [1.0]
+    assert judge(view([rewards]), view([[discounted + 1e-6]])).tolist() == [0.0]
 
 
-def test_a_skip_needs_both_segments_to_show_nothing():
+def test_pair_is_skipped_only_if_both_scores_are_below_the_threshold():
     teacher = make_teacher("skip", skip=0.1)
     teacher.set_episode_return(100.0, 20)
-    # T = 2 steps of 20: the threshold is 0.1 x 100 x 2 / 20 = 1.
-    first = evidence([[0.5, 0.5], [0.5, 0.5], [0.0, 0.0]])
-    second = evidence([[0.0, 0.0], [0.6, 0.5], [0.0, 1.0]])
+    # T = 2 of 20 steps: the threshold is 0.1 x 100 x 2 / 20 = 1.
+    first = view([[0.5, 0.5], [0.5, 0.5], [0.0, 0.0]])
+    second = view([[0.0, 0.0], [0.6, 0.5], [0.0, 1.0]])
     assert np.isnan(teacher.judge(first, second)).tolist() == [True, False, True]
 
 
-def test_equal_is_said_below_the_threshold_alone():
+def test_equal_applies_below_the_threshold():
     teacher = make_teacher("equal", equal=0.1)
     teacher.set_episode_return(100.0, 20)
-    first, second = evidence([[4.0, 0.9], [4.0, 1.0], [0.0, 0.0]]), evidence([[4.0, 0.0]] * 3)
+    first, second = view([[4.0, 0.9], [4.0, 1.0], [0.0, 0.0]]), view([[4.0, 0.0]] * 3)
     assert teacher.judge(first, second).tolist() == [0.5, 1.0, 0.0]
 
 
-def test_eps_enters_once():
+def test_thresholds_are_linear_in_eps():
     teacher = make_teacher("equal", equal=0.5)
     teacher.set_episode_return(8.0, 1)
-    assert teacher.judge(evidence([[13.9], [14.1]]), evidence([[10.0], [10.0]])).tolist() == [0.5, 1.0]
+    assert teacher.judge(view([[13.9], [14.1]]), view([[10.0], [10.0]])).tolist() == [0.5, 1.0]
     teacher.set_episode_return(8.0, 1)
-    assert teacher.judge(evidence([[13.9], [14.1]]), evidence([[10.0], [10.0]])).tolist() == [0.5, 1.0]
+    assert teacher.judge(view([[13.9], [14.1]]), view([[10.0], [10.0]])).tolist() == [0.5, 1.0]
 
 
-def test_equal_overrides_mistakes_and_skip_comes_before_all():
+def test_equal_overrides_mistakes_and_skip_overrides_both():
     teacher = make_teacher("equal", equal=0.1, mistake=1.0)
     teacher.set_episode_return(10.0, 1)
-    assert teacher.judge(evidence([[5.0], [5.0]]), evidence([[5.5], [7.0]])).tolist() == [0.5, 1.0]
+    assert teacher.judge(view([[5.0], [5.0]]), view([[5.5], [7.0]])).tolist() == [0.5, 1.0]
     teacher = make_teacher("equal", equal=10.0, skip=0.1, mistake=1.0)
     teacher.set_episode_return(10.0, 1)
-    assert np.isnan(teacher.judge(evidence([[0.9]]), evidence([[1.0]]))).all()
+    assert np.isnan(teacher.judge(view([[0.9]]), view([[1.0]]))).all()
 
 
-def test_skips_look_at_whole_returns_and_equal_at_faded_ones():
-    early, late = evidence([[2.0, 0.0]]), evidence([[0.0, 0.1]])
+def test_skip_compares_undiscounted_and_equal_discounted_returns():
+    early, late = view([[2.0, 0.0]]), view([[0.0, 0.1]])
     skipping = make_teacher("myopic", gamma=0.0, skip=1.0)
     skipping.set_episode_return(1.0, 2)
     assert skipping.judge(early, late).tolist() == [0.0]
@@ -159,37 +157,37 @@ def test_skips_look_at_whole_returns_and_equal_at_faded_ones():
     assert equalling.judge(early, late).tolist() == [0.5]
 
 
-def test_without_word_of_episodes_the_segments_seen_are_the_measure():
+def test_without_episode_returns_thresholds_follow_the_segments():
     first, second = random_pairs(400)
-    told, untold = make_teacher("equal", equal=0.02), make_teacher("equal", equal=0.02)
-    told.set_episode_return(5.0, 1)
-    same = told.judge(first, second) == untold.judge(first, second)
+    informed, uninformed = make_teacher("equal", equal=0.02), make_teacher("equal", equal=0.02)
+    informed.set_episode_return(5.0, 1)
+    same = informed.judge(first, second) == uninformed.judge(first, second)
     assert same.mean() > 0.98
-    assert 0.05 < (untold.judge(first, second) == 0.5).mean() < 0.5
+    assert 0.05 < (uninformed.judge(first, second) == 0.5).mean() < 0.5
 
 
 @pytest.mark.parametrize("mean", [-50.0, 0.0])
-def test_returns_that_are_not_positive_leave_skip_and_equal_at_work(mean):
+def test_skip_and_equal_work_with_returns_that_are_not_positive(mean):
     first, second = random_pairs(2000, mean=mean)
     skipping, equalling = make_teacher("skip", skip=0.1), make_teacher("equal", equal=0.1)
     if mean < 0:
-        # Both below mean - 0.9 spreads: 18.4 % of a normal distribution, squared.
+        # Both below m - 0.9 s: 18.4 % of a normal distribution, squared.
         assert np.isnan(skipping.judge(first, second)).mean() == pytest.approx(0.034, abs=0.02)
-        # |difference| < 0.1 spreads, where a difference has sqrt(2) of them.
+        # |difference| < 0.1 s, where a difference has standard deviation sqrt(2) s.
         assert (equalling.judge(first, second) == 0.5).mean() == pytest.approx(0.056, abs=0.025)
     assert 0 < np.isnan(skipping.judge(first, second)).mean() < 0.5
 
 
-def test_a_shift_of_negative_returns_changes_nothing():
+def test_thresholds_of_negative_returns_do_not_depend_on_a_constant_offset():
     rewards = [np.random.default_rng(side).normal(-3, 1, size=(300, 4)) for side in (0, 1)]
     labels = [
-        make_teacher("skip", skip=0.3, equal=0.2).judge(*(evidence(each - shift) for each in rewards))
+        make_teacher("skip", skip=0.3, equal=0.2).judge(*(view(each - shift) for each in rewards))
         for shift in (0.0, 100.0)
     ]
     np.testing.assert_array_equal(*labels)
 
 
-def test_the_scale_runs_with_the_last_pairs():
+def test_statistics_follow_the_last_pairs():
     teacher = make_teacher("equal", equal=0.1)
     teacher.judge(*random_pairs(500, mean=1000.0))
     before = (teacher.judge(*random_pairs(1, mean=5.0)) == 0.5).mean()
@@ -200,7 +198,7 @@ def test_the_scale_runs_with_the_last_pairs():
 
 
 @pytest.mark.parametrize("name", [*teacher_names(), "best-second+mistake", "phase+stochastic", "recency+skip"])
-def test_labels_do_not_depend_on_how_pairs_come_in_batches(name):
+def test_labels_do_not_depend_on_the_batch_size(name):
     rng = np.random.default_rng(3)
 
     def made():
@@ -216,17 +214,17 @@ def test_labels_do_not_depend_on_how_pairs_come_in_batches(name):
     )
 
 
-def test_chance_is_the_seeds():
+def test_labels_are_reproducible_from_the_seed():
     pairs = many_pairs(0.0, 100)
     labels = [make_teacher("stochastic", seed=seed).judge(*pairs).tolist() for seed in (0, 0, 1)]
     assert labels[0] == labels[1] != labels[2]
 
 
-def test_a_rules_noise_is_measured_in_spreads_of_its_scores():
+def test_boltzmann_noise_of_a_rule_does_not_depend_on_the_unit_of_its_scores():
     first, second = random_pairs(MANY)
     labels = [
         make_teacher("recency+stochastic", window_steps=2).judge(
-            *(evidence(each.rewards * unit) for each in (first, second))
+            *(view(each.rewards * unit) for each in (first, second))
         )
         for unit in (1.0, 1000.0)
     ]
@@ -235,7 +233,7 @@ def test_a_rules_noise_is_measured_in_spreads_of_its_scores():
     assert 0.6 < (labels[0] == right).mean() < 0.8
 
 
-def test_mistakes_over_a_rule_come_at_their_rate():
+def test_mistakes_of_a_rule_have_their_rate():
     first, second = random_pairs(MANY)
     mistaken, right = (
         make_teacher(name, window_steps=2).judge(first, second) for name in ("best-second+mistake", "best-second")
@@ -249,16 +247,16 @@ def test_names_are_presets_then_rules():
 
 
 @pytest.mark.parametrize("name", [*teacher_names(), "phase+mistake", "return+equal"])
-def test_parameters_are_plain_json_and_make_the_same_teacher(name):
+def test_parameters_are_json_and_make_the_same_teacher(name):
     changes = {"seed": 7, "equal": 0.25}
     parameters = make_teacher(name, **changes).parameters()
     assert json.loads(json.dumps(parameters, allow_nan=False)) == parameters
     assert (parameters["name"], parameters["seed"], parameters["equal"]) == (name, 7, 0.25)
-    told = {key: value for key, value in parameters.items() if key not in {"name", "rule"}}
-    assert make_teacher(name, **told).parameters() == parameters
+    arguments = {key: value for key, value in parameters.items() if key not in {"name", "rule"}}
+    assert make_teacher(name, **arguments).parameters() == parameters
 
 
-def test_parameters_name_rule_and_habits():
+def test_parameters_of_a_rule_with_a_preset():
     assert make_teacher("phase+mistake", column=3).parameters() == {
         "name": "phase+mistake",
         "rule": "phase",
@@ -276,9 +274,10 @@ def test_parameters_name_rule_and_habits():
 
 
 @pytest.mark.parametrize("name", ["", "nobody", "phase+", "+mistake", "mistake+phase", "phase+phase", "oracle+mistake"])
-def test_an_unknown_name_is_told_the_known_ones(name):
-    with pytest.raises(UnknownTeacher, match="best-second"):
+def test_unknown_name_is_refused_with_the_known_ones(name):
+    with pytest.raises(UnknownTeacher) as refused:
         make_teacher(name)
+    assert (refused.value.name, refused.value.known) == (name, teacher_names())
 
 
 @pytest.mark.parametrize(
@@ -310,18 +309,18 @@ def test_an_unknown_name_is_told_the_known_ones(name):
         ("phase+myopic", {}),
     ],
 )
-def test_parameters_that_make_no_sense_are_refused(name, parameters):
+def test_invalid_parameters_are_refused(name, parameters):
     with pytest.raises(InvalidTeacher):
         make_teacher(name, **parameters)
 
 
-def test_whole_numbers_pass_for_either_kind():
+def test_numbers_and_lists_are_converted_to_the_type_of_the_parameter():
     assert make_teacher("recency", window_steps=4.0, above_mean=1).parameters()["window_steps"] == 4
     assert make_teacher("recency", window_steps=np.int64(4)).parameters()["window_steps"] == 4
     assert make_teacher("smoothness", columns=[1, 2]).parameters()["columns"] == [1, 2]
 
 
-def test_a_teacher_may_be_put_together_by_hand():
+def test_teacher_can_be_made_from_a_rule_and_parameters():
     teacher = ScriptedTeacher(Phase(column=0), BPrefParameters(mistake=1.0), np.random.default_rng(0))
     assert teacher.parameters()["mistake"] == 1.0
     assert ScriptedTeacher(Return(), BPrefParameters(), np.random.default_rng(0)).judge(
@@ -330,6 +329,6 @@ def test_a_teacher_may_be_put_together_by_hand():
 
 
 @pytest.mark.parametrize(("mean", "length"), [(math.nan, 10), (1.0, 0), (1.0, math.inf)])
-def test_episodes_that_cannot_be_are_refused(mean, length):
+def test_invalid_episode_returns_are_refused(mean, length):
     with pytest.raises(InvalidTeacher):
         make_teacher("skip").set_episode_return(mean, length)

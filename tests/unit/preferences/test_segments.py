@@ -14,7 +14,7 @@ from mapt.preferences.segments import StepRange, cut_rollout, episode_ranges, on
     st.integers(2, 12),
     st.integers(0, 2**32),
 )
-def test_segments_overlap_neither_each_other_nor_two_episodes(episode_start, segment_steps, seed):
+def test_segments_neither_overlap_nor_cross_episodes(episode_start, segment_steps, seed):
     taken = np.zeros(episode_start.shape, dtype=int)
     places = cut_rollout(episode_start, np.zeros_like(episode_start), segment_steps, np.random.default_rng(seed))
     for env, first, end in places:
@@ -23,12 +23,13 @@ def test_segments_overlap_neither_each_other_nor_two_episodes(episode_start, seg
         taken[first:end, env] += 1
         assert not episode_start[first + 1 : end, env].any()
     assert taken.max(initial=0) <= 1
-    assert len(places) == sum(stretch.n_steps // segment_steps for stretch in episode_ranges(episode_start))
+    assert len(places) == sum(episode.n_steps // segment_steps for episode in episode_ranges(episode_start))
 
 
-def test_an_episode_that_terminates_too_early_for_a_segment_is_a_shorter_one():
+def test_episode_that_terminates_early_becomes_a_shorter_segment():
     starts, ends = np.zeros((40, 2), dtype=bool), np.zeros((40, 2), dtype=bool)
-    # Of the first environment: 12 steps, 1 step, 15 steps, and 12 that go on; of the second: 9 cut off by a time limit.
+    # Environment 0: terminated episodes of 12, 1 and 15 steps, and 12 steps of one that continues.
+    # Environment 1: 9 steps truncated by a time limit, and 31 that continue.
     starts[[0, 12, 13, 28], 0] = True
     ends[[11, 12, 27], 0] = True
     starts[[0, 9], 1] = True
@@ -44,7 +45,7 @@ def test_same_seed_cuts_the_same_segments():
     assert first != other
 
 
-def test_every_phase_of_an_episode_can_begin_a_segment():
+def test_segments_can_start_at_any_phase_of_an_episode():
     episode_start = never = np.zeros((100, 1), dtype=bool)
     firsts = {cut_rollout(episode_start, never, 30, np.random.default_rng(seed))[0].first for seed in range(300)}
     assert {0, 10, 70} <= firsts
@@ -53,12 +54,12 @@ def test_every_phase_of_an_episode_can_begin_a_segment():
 S, T, N, A = 2, 4, 3, 5
 
 
-def numbers() -> np.ndarray:
+def indices() -> np.ndarray:
     return np.random.default_rng(0).integers(0, A, (S, T, N))
 
 
 @given(arrays.arrays(np.int64, arrays.array_shapes(min_dims=1, max_dims=4, max_side=4), elements=st.integers(0, A - 1)))
-def test_numbers_come_back_from_their_one_hot_form(chosen):
+def test_indices_survive_the_conversion_to_one_hot(chosen):
     one_hot = one_hot_actions(chosen, A)
     assert one_hot.dtype == np.float32
     assert one_hot.shape == (*chosen.shape, A)
@@ -68,49 +69,54 @@ def test_numbers_come_back_from_their_one_hot_form(chosen):
     assert (one_hot_actions(one_hot.astype(bool), A) == one_hot).all()
 
 
-def test_segments_take_one_hot_actions():
-    actions = one_hot_actions(numbers(), A)
+def test_segments_accept_one_hot_actions():
+    actions = one_hot_actions(indices(), A)
     segments = SegmentArrays.stack(list(np.zeros((S, T, N, 6))), list(actions))
     assert segments.action_dim == A
 
 
-def test_an_available_action_is_taken():
+def test_available_actions_are_accepted():
     available = np.zeros((S, T, N, A), dtype=bool)
-    np.put_along_axis(available, numbers()[..., None], True, axis=-1)
-    assert (one_hot_actions(numbers(), A, available) == available).all()
+    np.put_along_axis(available, indices()[..., None], True, axis=-1)
+    assert (one_hot_actions(indices(), A, available) == available).all()
 
 
-def test_an_action_that_was_not_available_is_named_with_its_place():
+# The message is the only place where the position of an invalid action is reported.
+def test_message_gives_the_position_of_an_unavailable_action():
     available = np.ones((S, T, N, A), dtype=bool)
-    available[1, 2, 0, numbers()[1, 2, 0]] = False
-    said = rf"action {numbers()[1, 2, 0]} of agent 0 of step 2 of segment 1 is not available"
-    for actions in (numbers(), one_hot_actions(numbers(), A)):
-        with pytest.raises(InvalidAction, match=said):
+    available[1, 2, 0, indices()[1, 2, 0]] = False
+    message = rf"action {indices()[1, 2, 0]} of agent 0 of step 2 of segment 1 is not available"
+    for actions in (indices(), one_hot_actions(indices(), A)):
+        with pytest.raises(InvalidAction, match=message):
             one_hot_actions(actions, A, available)
 
 
 @pytest.mark.parametrize("wrong", [-1, A, A + 100])
-def test_an_action_that_does_not_exist_is_named(wrong):
-    actions = numbers()
+def test_message_gives_the_position_of_a_nonexistent_action(wrong):
+    actions = indices()
     actions[0, 3, 1] = wrong
     with pytest.raises(InvalidAction, match=f"action {wrong} of agent 1 of step 3 of segment 0 is not one of 0 to 4"):
         one_hot_actions(actions, A)
 
 
 @pytest.mark.parametrize("row", [[0, 0, 0, 0, 0], [1, 0, 1, 0, 0], [0.5, 0.5, 0, 0, 0], [2, 0, 0, -1, 0], [np.nan] * 5])
-def test_what_is_not_one_hot_is_refused(row):
-    actions = one_hot_actions(numbers(), A)
+def test_actions_that_are_not_one_hot_are_refused(row):
+    actions = one_hot_actions(indices(), A)
     actions[1, 0, 2] = row
     with pytest.raises(InvalidAction, match="agent 2 of step 0 of segment 1 is not one-hot"):
         one_hot_actions(actions, A)
 
 
-def test_arrays_of_another_shape_are_refused():
-    with pytest.raises(ShapeError, match="actions"):
-        one_hot_actions(np.zeros((S, T, N, A + 1)), A)
-    with pytest.raises(ShapeError, match="actions"):
-        one_hot_actions(3, A)
-    with pytest.raises(ShapeError, match="available"):
-        one_hot_actions(numbers(), A, np.ones((S, T, A), dtype=bool))
-    with pytest.raises(ShapeError, match="actions"):
-        one_hot_actions(np.array([["up"]]), A)
+@pytest.mark.parametrize(
+    ("actions", "available", "name"),
+    [
+        (np.zeros((S, T, N, A + 1)), None, "actions"),
+        (3, None, "actions"),
+        (np.array([["up"]]), None, "actions"),
+        (indices(), np.ones((S, T, A), dtype=bool), "available actions"),
+    ],
+)
+def test_arrays_with_the_wrong_shape_are_refused(actions, available, name):
+    with pytest.raises(ShapeError) as refused:
+        one_hot_actions(actions, A, available)
+    assert refused.value.name == name

@@ -32,7 +32,7 @@ def slow_entropy(scores, first, second):
 
 @pytest.mark.parametrize(("fast", "slow"), [(disagreement, slow_disagreement), (entropy, slow_entropy)])
 @given(st.integers(1, 5), st.integers(2, 8), st.integers(0, 2**16))
-def test_measures_equal_a_plain_loop(fast, slow, members, n_segments, seed):
+def test_uncertainty_equals_a_plain_loop(fast, slow, members, n_segments, seed):
     rng = np.random.default_rng(seed)
     scores = (4 * rng.normal(size=(members, n_segments))).astype(np.float32)
     pairs = rng.integers(n_segments, size=(10, 2))
@@ -41,7 +41,7 @@ def test_measures_equal_a_plain_loop(fast, slow, members, n_segments, seed):
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
-def test_large_scores_give_finite_measures_that_do_not_depend_on_the_order(a, b):
+def test_uncertainty_is_finite_and_symmetric_for_large_scores(a, b):
     scores = np.array([[a, 0.0], [b, 0.0]])
     pairs = np.array([[0, 1], [1, 0]])
     assert 0 <= disagreement(scores, pairs)[0] <= 0.5
@@ -52,21 +52,21 @@ def test_large_scores_give_finite_measures_that_do_not_depend_on_the_order(a, b)
 
 
 def odd_segments(n_odd=6, n_segments=40):
-    """Two members agree on all segments but the last few, which the one thinks best and the other worst."""
+    """Scores of two members that agree on all but the last few segments: best for one member, worst for the other."""
     scores = np.tile(np.linspace(-1, 1, n_segments), (2, 1))
     scores[0, -n_odd:], scores[1, -n_odd:] = 20, -20
     return SegmentView(scores=scores), set(range(n_segments - n_odd, n_segments))
 
 
-def test_disagreement_asks_what_the_members_disagree_about():
+def test_disagreement_chooses_pairs_that_members_contradict_each_other_on():
     view, odd = odd_segments()
     for seed in range(20):
         chosen = make_selector("disagreement", np.random.default_rng(seed)).select(range(40), [], 5, view)
-        # one of them against one that both know: of two of them, each member is as unsure as the other
+        # Between two odd segments, both members give the same probability.
         assert all(len(set(pair) & odd) == 1 for pair in chosen)
 
 
-def test_entropy_asks_about_pairs_that_every_member_takes_for_alike():
+def test_entropy_chooses_pairs_that_every_member_scores_alike():
     view, odd = odd_segments()
     chosen = make_selector("entropy", np.random.default_rng(0)).select(range(40), [], 10, view)
     assert all(set(pair).isdisjoint(odd) or set(pair) <= odd for pair in chosen)
@@ -74,7 +74,7 @@ def test_entropy_asks_about_pairs_that_every_member_takes_for_alike():
     assert max(gaps) < 10
 
 
-def test_the_most_uncertain_of_ten_times_as_many_candidates_are_asked():
+def test_the_most_uncertain_candidates_are_chosen():
     view = SegmentView(scores=np.random.default_rng(1).normal(size=(3, 50)))
     k = 7
     candidates = make_selector("uniform", np.random.default_rng(5)).select(range(50), [], CANDIDATES_PER_QUERY * k)
@@ -92,32 +92,40 @@ def test_the_most_uncertain_of_ten_times_as_many_candidates_are_asked():
         ("disagreement_k_center", SegmentView(scores=np.zeros((2, 9))), "features"),
     ],
 )
-def test_a_selector_that_is_told_too_little_says_what_it_needs(name, view, what):
-    with pytest.raises(MissingView, match=what):
+def test_missing_array_is_named(name, view, what):
+    with pytest.raises(MissingView) as refused:
         make_selector(name, np.random.default_rng(0)).select(range(9), [], 2, view)
-
-
-def test_a_view_of_other_segments_is_refused():
-    with pytest.raises(ShapeError, match="scores"):
-        make_selector("entropy", np.random.default_rng(0)).select(range(9), [], 2, SegmentView(scores=np.zeros((2, 8))))
-    with pytest.raises(ShapeError, match="features"):
-        make_selector("k_center", np.random.default_rng(0)).select(
-            range(9), [], 2, SegmentView(features=np.ones((8, 2)))
-        )
+    assert refused.value.what == what
 
 
 @pytest.mark.parametrize(
-    ("arrays", "error", "words"),
+    ("selector", "view", "name"),
     [
-        ({"scores": np.zeros(4)}, ShapeError, "scores"),
-        ({"scores": np.array([[0.0, np.nan]])}, NotFinite, "scores of segment 1"),
-        ({"features": np.zeros((3, 2)), "asked": np.zeros((5, 2, 3))}, ShapeError, "asked"),
-        ({"features": np.array([[0.0], [np.inf]])}, NotFinite, "features of segment 1"),
+        ("entropy", SegmentView(scores=np.zeros((2, 8))), "scores"),
+        ("k_center", SegmentView(features=np.ones((8, 2))), "features"),
     ],
 )
-def test_a_view_that_cannot_be_used_is_refused(arrays, error, words):
-    with pytest.raises(error, match=words):
+def test_view_of_another_number_of_segments_is_refused(selector, view, name):
+    with pytest.raises(ShapeError) as refused:
+        make_selector(selector, np.random.default_rng(0)).select(range(9), [], 2, view)
+    assert refused.value.name == name
+
+
+@pytest.mark.parametrize(
+    ("arrays", "name"),
+    [({"scores": np.zeros(4)}, "scores"), ({"features": np.zeros((3, 2)), "queried": np.zeros((5, 2, 3))}, "queried")],
+)
+def test_arrays_of_a_view_with_the_wrong_shape_are_refused(arrays, name):
+    with pytest.raises(ShapeError) as refused:
         SegmentView(**arrays)
+    assert refused.value.name == name
+
+
+@pytest.mark.parametrize(("name", "array"), [("scores", [[0.0, np.nan]]), ("features", [[0.0], [np.inf]])])
+def test_arrays_of_a_view_must_be_finite(name, array):
+    with pytest.raises(NotFinite) as refused:
+        SegmentView(**{name: np.array(array)})
+    assert (refused.value.name, refused.value.segment) == (name, 1)
 
 
 def slow_distance(pair, other):
@@ -126,55 +134,55 @@ def slow_distance(pair, other):
     return min(straight, crossed)
 
 
-def slow_k_center(candidates, asked, k):
+def slow_k_center(candidates, queried, k):
     chosen = []
-    centres = list(asked)
+    centers = list(queried)
     while len(chosen) < min(k, len(candidates)):
         rest = [place for place in range(len(candidates)) if place not in chosen]
-        if centres:
-            rest.sort(key=lambda place: -min(slow_distance(candidates[place], centre) for centre in centres))
+        if centers:
+            rest.sort(key=lambda place: -min(slow_distance(candidates[place], center) for center in centers))
         chosen.append(rest[0])
-        centres.append(candidates[rest[0]])
+        centers.append(candidates[rest[0]])
     return chosen
 
 
 @given(st.integers(0, 14), st.integers(0, 6), st.integers(0, 16), st.integers(0, 2**16))
-def test_k_center_equals_a_plain_loop(n_candidates, n_asked, k, seed):
+def test_k_center_equals_a_plain_loop(n_candidates, n_queried, k, seed):
     rng = np.random.default_rng(seed)
-    candidates, asked = rng.normal(size=(n_candidates, 2, 3)), rng.normal(size=(n_asked, 2, 3))
-    assert k_center(candidates, asked, k).tolist() == slow_k_center(candidates, asked, k)
+    candidates, queried = rng.normal(size=(n_candidates, 2, 3)), rng.normal(size=(n_queried, 2, 3))
+    assert k_center(candidates, queried, k).tolist() == slow_k_center(candidates, queried, k)
 
 
 @given(st.integers(0, 2**16))
-def test_which_segment_comes_first_makes_no_difference(seed):
+def test_k_center_does_not_depend_on_the_order_of_segments_in_a_pair(seed):
     rng = np.random.default_rng(seed)
-    candidates, asked = rng.normal(size=(12, 2, 3)), rng.normal(size=(4, 2, 3))
-    turned = candidates.copy()
-    turned[::2] = turned[::2, ::-1]
-    assert k_center(candidates, asked, 6).tolist() == k_center(turned, asked[:, ::-1], 6).tolist()
+    candidates, queried = rng.normal(size=(12, 2, 3)), rng.normal(size=(4, 2, 3))
+    swapped = candidates.copy()
+    swapped[::2] = swapped[::2, ::-1]
+    assert k_center(candidates, queried, 6).tolist() == k_center(swapped, queried[:, ::-1], 6).tolist()
 
 
-def test_asked_pairs_beyond_one_chunk_count_too(monkeypatch):
+def test_k_center_uses_centers_beyond_one_chunk(monkeypatch):
     rng = np.random.default_rng(0)
-    candidates, asked = rng.normal(size=(12, 2, 3)), rng.normal(size=(50, 2, 3))
-    whole = k_center(candidates, asked, 6).tolist()
+    candidates, queried = rng.normal(size=(12, 2, 3)), rng.normal(size=(50, 2, 3))
+    whole = k_center(candidates, queried, 6).tolist()
     monkeypatch.setattr("mapt.preferences.selection.criteria._CHUNK_PAIRS", 7)
-    assert k_center(candidates, asked, 6).tolist() == whole == slow_k_center(candidates, asked, 6)
+    assert k_center(candidates, queried, 6).tolist() == whole == slow_k_center(candidates, queried, 6)
 
 
 def clusters(n_clusters=4, each=10):
-    """Segments in tight, far clusters; which one each is of."""
+    """Features of segments in tight clusters that lie far apart, and the cluster of each."""
     rng = np.random.default_rng(0)
-    centres = 100 * np.eye(n_clusters)
+    centers = 100 * np.eye(n_clusters)
     of = np.repeat(np.arange(n_clusters), each)
-    return centres[of] + 0.1 * rng.normal(size=(len(of), n_clusters)), of
+    return centers[of] + 0.1 * rng.normal(size=(len(of), n_clusters)), of
 
 
 def kinds(pairs, of):
     return {tuple(sorted((int(of[first]), int(of[second])))) for first, second in pairs}
 
 
-def test_k_center_covers_every_pair_of_clusters_before_any_twice():
+def test_k_center_covers_every_pair_of_clusters_before_repeating_one():
     features, of = clusters()
     every = set(combinations_with_replacement(range(4), 2))
     for seed in range(10):
@@ -184,7 +192,7 @@ def test_k_center_covers_every_pair_of_clusters_before_any_twice():
         assert kinds(chosen, of) == every
 
 
-def test_k_center_keeps_away_from_what_was_asked():
+def test_k_center_avoids_the_neighbourhood_of_queried_pairs():
     features, of = clusters()
     inside = [(first, second) for first in range(10) for second in range(first)]
     view = SegmentView(features=features)
@@ -193,16 +201,16 @@ def test_k_center_keeps_away_from_what_was_asked():
         assert (0, 0) not in kinds(chosen, of)
 
 
-def test_k_center_keeps_away_from_asked_pairs_of_segments_not_offered():
+def test_k_center_avoids_queried_pairs_of_segments_not_offered():
     features, of = clusters()
-    asked = np.stack((features[:5], features[5:10]), axis=1)
-    view = SegmentView(features=features, asked=asked)
+    queried = np.stack((features[:5], features[5:10]), axis=1)
+    view = SegmentView(features=features, queried=queried)
     for seed in range(10):
         chosen = make_selector("k_center", np.random.default_rng(seed)).select(range(40), [], 9, view)
         assert (0, 0) not in kinds(chosen, of)
 
 
-def test_the_unit_of_a_feature_makes_no_difference():
+def test_k_center_does_not_depend_on_the_units_of_features():
     features, _ = clusters()
     units = np.array([1e-3, 1.0, 50.0, 1e4])
 
@@ -214,20 +222,20 @@ def test_the_unit_of_a_feature_makes_no_difference():
     assert chosen(features) == chosen(features * units)
 
 
-def test_copies_of_one_segment_are_still_chosen_when_more_are_wanted():
+def test_identical_segments_are_chosen_once_nothing_else_is_left():
     view = SegmentView(features=np.zeros((5, 3)))
     chosen = make_selector("k_center", np.random.default_rng(0)).select(range(5), [], 10, view)
     assert len({frozenset(pair) for pair in chosen}) == 10
 
 
 @pytest.mark.parametrize("name", ["disagreement_k_center", "entropy_k_center"])
-def test_the_combinations_spread_out_among_the_more_uncertain_half(name):
+def test_combined_selectors_cover_the_more_uncertain_half(name):
     features, of = clusters()
     rng = np.random.default_rng(3)
-    # The members differ on clusters 2 and 3 alone, by which entropy is high as well.
+    # The members differ only on clusters 2 and 3, where entropy is also high.
     scores = np.tile(10.0 * of, (2, 1)) + np.where(of < 2, 0.0, 1.0) * rng.normal(scale=8.0, size=(2, 40))
     view = SegmentView(scores=scores, features=features)
-    # as many as there are candidates: all 780 pairs; the uncertain half of them is 390
+    # All 780 pairs are candidates; the more uncertain half has 390.
     chosen = make_selector(name, np.random.default_rng(0)).select(range(40), [], 78, view)
     measures = disagreement(scores, np.array(chosen))
     everything = disagreement(scores, np.array([(a, b) for a in range(40) for b in range(a)]))
@@ -237,7 +245,7 @@ def test_the_combinations_spread_out_among_the_more_uncertain_half(name):
     assert len(kinds(spread, of)) >= 3
 
 
-def test_features_say_where_a_team_is_and_how_much_it_moves_whatever_the_phase():
+def test_segment_features_do_not_depend_on_the_phase_of_a_gait():
     rng = np.random.default_rng(0)
     steps = np.arange(40)
     gait = np.sin(2 * np.pi * steps / 10)[:, None, None] * rng.normal(size=(1, 3, 2))
@@ -250,7 +258,7 @@ def test_features_say_where_a_team_is_and_how_much_it_moves_whatever_the_phase()
     assert np.abs(features[0] - features[2]).max() > 0.1
 
 
-def test_padding_does_not_count_as_a_feature():
+def test_segment_features_ignore_padding():
     rng = np.random.default_rng(0)
     short, long = rng.normal(size=(4, 2, 3)), rng.normal(size=(9, 2, 3))
     acted = rng.normal(size=(9, 2, 1))

@@ -1,4 +1,4 @@
-"""Every rule against a slow loop over one segment's real steps."""
+"""Every rule against a plain loop over the steps of one segment."""
 
 from itertools import pairwise
 
@@ -29,7 +29,7 @@ every_rule = pytest.mark.parametrize("rule", RULES.values(), ids=RULES.keys())
 
 
 def segment(n_steps, rng):
-    """Arrays of one segment with some character, so that scores differ."""
+    """Random arrays with a trend per segment, so that scores differ."""
     drift = rng.normal(size=(1, N_AGENTS, OBSERVATION_DIM)) * np.linspace(-1, 1, n_steps)[:, None, None]
     return {
         "rewards": rng.normal(size=n_steps) + rng.normal(),
@@ -52,41 +52,41 @@ def slow_return(_rule, rewards, _observations, _actions):
     return sum(rewards)
 
 
-def slow_best(rule, rewards, _observations, _actions):
+def slow_best_window(rule, rewards, _observations, _actions):
     return max(windows(rewards, rule.window_steps)) - rule.above_mean * np.mean(rewards)
 
 
-def slow_worst(rule, rewards, _observations, _actions):
+def slow_worst_window(rule, rewards, _observations, _actions):
     return min(windows(rewards, rule.window_steps)) - rule.above_mean * np.mean(rewards)
 
 
-def slow_recency(rule, rewards, _observations, _actions):
+def slow_final_window(rule, rewards, _observations, _actions):
     return np.mean(rewards[-rule.window_steps :]) - rule.above_mean * np.mean(rewards)
 
 
 def slow_smoothness(rule, _rewards, observations, actions):
-    course = observations[..., list(rule.columns)] if rule.columns else actions
+    signal = observations[..., list(rule.columns)] if rule.columns else actions
     change = deviation = 0.0
     for agent in range(N_AGENTS):
-        for column in range(course.shape[2]):
-            values = course[:, agent, column]
+        for column in range(signal.shape[2]):
+            values = signal[:, agent, column]
             change += sum((after - before) ** 2 for before, after in pairwise(values))
             deviation += sum((value - np.mean(values)) ** 2 for value in values)
     return -change / deviation if deviation > 1e-20 else 0.0
 
 
-def slow_never(rule, _rewards, observations, _actions):
-    kept, broken, worst = None, 0, -np.inf
+def slow_never_exceeds(rule, _rewards, observations, _actions):
+    before, violated, worst = None, 0, -np.inf
     for step, team in enumerate(observations[..., rule.column]):
         amount = {"above": max(team), "below": -min(team), "beyond": max(abs(team))}[rule.side]
         excess = amount - (-rule.limit if rule.side == "below" else rule.limit)
         worst = max(worst, excess)
         if excess > 0:
-            kept, broken = step if kept is None else kept, broken + 1
+            before, violated = step if before is None else before, violated + 1
     length, distance = len(observations), abs(worst) / (1 + abs(worst))
-    if kept is None:
+    if before is None:
         return 1 + distance / 2 / length
-    return (kept - (broken - 1 + distance) / (length + 1) / 2) / length
+    return (before - (violated - 1 + distance) / (length + 1) / 2) / length
 
 
 def slow_phase(rule, _rewards, observations, _actions):
@@ -97,7 +97,7 @@ def slow_phase(rule, _rewards, observations, _actions):
     return np.corrcoef(first, other)[0, 1] * (-1 if rule.want == "opposite" else 1)
 
 
-def slow_finds_phase(rule, _rewards, observations, _actions):
+def slow_phase_improvement(rule, _rewards, observations, _actions):
     first, other = observations[:, rule.first_agent, rule.column], observations[:, N_AGENTS // 2, rule.column]
     if len(first) == 1:
         return 0.0
@@ -114,46 +114,46 @@ def slow_efforts(rule, observations, actions):
     return efforts
 
 
-def slow_shared_load(rule, _rewards, observations, actions):
+def slow_effort_balance(rule, _rewards, observations, actions):
     totals = slow_efforts(rule, observations, actions).sum(axis=0)
     return -np.std(totals) / np.mean(totals)
 
 
-def slow_nobody_idle(rule, _rewards, observations, actions):
+def slow_minimum_effort(rule, _rewards, observations, actions):
     return min(min(each) / np.mean(each) for each in windows(slow_efforts(rule, observations, actions), 3))
 
 
 CASES = [
     (Return(), slow_return),
-    (BestWindow(window_steps=3), slow_best),
-    (BestWindow(window_steps=5, above_mean=0.0), slow_best),
-    (WorstWindow(window_steps=3), slow_worst),
-    (WorstWindow(window_steps=1, above_mean=0.5), slow_worst),
-    (FinalWindow(window_steps=4), slow_recency),
-    (FinalWindow(window_steps=4, above_mean=0.0), slow_recency),
+    (BestWindow(window_steps=3), slow_best_window),
+    (BestWindow(window_steps=5, above_mean=0.0), slow_best_window),
+    (WorstWindow(window_steps=3), slow_worst_window),
+    (WorstWindow(window_steps=1, above_mean=0.5), slow_worst_window),
+    (FinalWindow(window_steps=4), slow_final_window),
+    (FinalWindow(window_steps=4, above_mean=0.0), slow_final_window),
     (Smoothness(), slow_smoothness),
     (Smoothness(columns=(1, 4)), slow_smoothness),
-    (NeverExceeds(column=4, limit=0.5, side="above"), slow_never),
-    (NeverExceeds(column=4, limit=-0.5, side="below"), slow_never),
-    (NeverExceeds(column=0, limit=0.9, side="beyond"), slow_never),
-    (NeverExceeds(column=0, limit=5.0, side="beyond"), slow_never),
+    (NeverExceeds(column=4, limit=0.5, side="above"), slow_never_exceeds),
+    (NeverExceeds(column=4, limit=-0.5, side="below"), slow_never_exceeds),
+    (NeverExceeds(column=0, limit=0.9, side="beyond"), slow_never_exceeds),
+    (NeverExceeds(column=0, limit=5.0, side="beyond"), slow_never_exceeds),
     (Phase(), slow_phase),
     (Phase(column=3, first_agent=1, second_agent=2, want="equal"), slow_phase),
-    (PhaseImprovement(window_steps=4), slow_finds_phase),
-    *((EffortBalance(effort), slow_shared_load) for effort in ("power", "action", "speed")),
-    *((MinimumEffort(effort, window_steps=3), slow_nobody_idle) for effort in ("power", "action", "speed")),
+    (PhaseImprovement(window_steps=4), slow_phase_improvement),
+    *((EffortBalance(effort), slow_effort_balance) for effort in ("power", "action", "speed")),
+    *((MinimumEffort(effort, window_steps=3), slow_minimum_effort) for effort in ("power", "action", "speed")),
 ]
 
 
 @pytest.mark.parametrize(("rule", "slow"), CASES)
-def test_scores_are_those_of_a_slow_loop(rule, slow):
+def test_scores_equal_a_plain_loop(rule, slow):
     made = segments(60)
     expected = [slow(rule, each["rewards"], each["observations"], each["actions"]) for each in made]
     np.testing.assert_allclose(rule.scores(TeacherView.stack(made)), expected, rtol=1e-9, atol=1e-9)
 
 
 @every_rule
-def test_padding_changes_no_score(rule):
+def test_scores_do_not_depend_on_padding(rule):
     made = TeacherView.stack(segments(20))
     wider = np.pad(made.mask, ((0, 0), (0, 5)))
     filled = {
@@ -175,7 +175,7 @@ def test_scores_of_a_segment_do_not_depend_on_the_others(rule):
 
 
 @every_rule
-def test_rules_read_what_they_say_and_no_more(rule):
+def test_rules_read_exactly_the_arrays_they_declare(rule):
     made = TeacherView.stack(segments(10))
     shown = {name: getattr(made, name) for name in ("observations", "actions") if name in rule.reads}
     rewards = made.rewards if "rewards" in rule.reads else np.zeros_like(made.rewards)
@@ -188,17 +188,17 @@ def test_rules_read_what_they_say_and_no_more(rule):
 
 @every_rule
 @given(seed=st.integers(0, 10_000))
-def test_turning_a_pair_round_turns_the_label_round(rule, seed):
+def test_swapping_a_pair_flips_the_label(rule, seed):
     name = next(name for name, each in RULES.items() if each is rule)
     first, second = (TeacherView.stack(segments(3, [seed, side])) for side in (0, 1))
-    labels, turned = (
+    labels, swapped = (
         make_teacher("oracle" if name == "return" else name).judge(*pair) for pair in ((first, second), (second, first))
     )
-    np.testing.assert_array_equal(labels + turned, 1)
+    np.testing.assert_array_equal(labels + swapped, 1)
 
 
 @every_rule
-def test_a_segment_of_one_step_and_a_team_at_rest_have_scores(rule):
+def test_scores_are_finite_for_one_step_and_for_a_team_at_rest(rule):
     one = TeacherView.stack([segment(1, np.random.default_rng(0))])
     rest = TeacherView(
         np.zeros((1, 5)),
@@ -209,14 +209,14 @@ def test_a_segment_of_one_step_and_a_team_at_rest_have_scores(rule):
     assert np.isfinite(rule.scores(rest)).all()
 
 
-def test_no_sum_over_steps_knows_the_best_second():
-    # The same rewards in another order: every sum over steps is the same.
+def test_best_window_is_not_a_sum_over_steps():
+    # The same rewards in another order have the same sum.
     together, apart = [0, 0, 1, 1, 0, 0], [1, 0, 0, 0, 0, 1]
     judge = make_teacher("best-second", window_steps=2).judge
     assert judge(TeacherView(np.array([together])), TeacherView(np.array([apart]))).tolist() == [1.0]
 
 
-def test_opposite_swings_are_in_phase_with_the_rule():
+def test_phase_is_one_in_antiphase_and_minus_one_in_phase():
     swing = np.sin(np.arange(20))
     observations = np.zeros((2, 20, 2, 2))
     observations[:, :, 0, 1] = swing
@@ -225,7 +225,7 @@ def test_opposite_swings_are_in_phase_with_the_rule():
     np.testing.assert_allclose(scores, [1, -1])
 
 
-def test_agents_that_end_in_phase_have_found_it_and_a_step_alone_tells_nothing_of_it():
+def test_phase_improvement_depends_on_the_order_of_steps():
     swing = np.tile(np.sin(np.linspace(0, 2 * np.pi, 20, endpoint=False)), 2)
     observations = np.zeros((2, 40, 2, 2))
     observations[:, :, 0, 1] = observations[:, :, 1, 1] = swing
@@ -234,19 +234,19 @@ def test_agents_that_end_in_phase_have_found_it_and_a_step_alone_tells_nothing_o
     first, last = PhaseImprovement().scores(TeacherView(np.zeros((2, 40)), observations=observations))
     assert first > 0.9
     assert last < -0.9
-    # The very same steps in another order: every sum over steps is the same.
+    # The two segments have the same steps in another order.
     steps = [sorted(map(tuple, each[..., 1].tolist())) for each in observations]
     assert steps[0] == steps[1]
 
 
-def test_among_those_that_fall_the_later_then_the_fewer_then_the_less_deep_is_better():
+def test_limit_violations_rank_by_time_then_count_then_excess():
     heights = np.array([[0, 0, -2, -2], [0, -2, 0, 0], [0, -2, 0, -2], [0, -9, 0, -2], [0, 0, 0, 0], [1, 1, 1, 1]])
-    evidence = TeacherView(np.zeros((6, 4)), observations=heights[:, :, None, None].astype(float))
-    scores = NeverExceeds(column=0, limit=-1.0, side="below").scores(evidence)
+    view = TeacherView(np.zeros((6, 4)), observations=heights[:, :, None, None].astype(float))
+    scores = NeverExceeds(column=0, limit=-1.0, side="below").scores(view)
     assert np.argsort(-scores).tolist() == [5, 4, 0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("rule", [BestWindow, WorstWindow, FinalWindow, PhaseImprovement, MinimumEffort])
-def test_a_window_has_a_step_at_least(rule):
+def test_windows_without_steps_are_refused(rule):
     with pytest.raises(InvalidTeacher):
         rule(window_steps=0)

@@ -20,7 +20,7 @@ from mapt.preferences.formats.arrays import finite_floats, numbered_actions
 from mapt.preferences.formats.pickle_writer import write_pickle
 from mapt.preferences.formats.pickles import MAX_BYTES, load_pickle
 from mapt.preferences.formats.records import Comparisons, SegmentRecords
-from mapt.preferences.segments import action_numbers
+from mapt.preferences.segments import action_indices
 
 _LABELS = {1: 1.0, -1: 0.0, 0: 0.5}
 _KNOWN = "1 (first better), -1 (second better) and 0 (equal)"
@@ -85,7 +85,7 @@ def _items(path: Path, dataset: PreferenceDataset, discrete: bool) -> Iterator[d
         if not segments.mask.all():
             # The reference cuts each trajectory to the length of the last: shorter ones would crash it.
             raise NotRepresentable(path, "segments of unequal length have no place in this format")
-        actions: NDArray[Any] = action_numbers(segments)[..., None] if discrete else segments.actions
+        actions: NDArray[Any] = action_indices(segments)[..., None] if discrete else segments.actions
         first, second = (
             {"obs": observed, "actions": acted} for observed, acted in zip(segments.observations, actions, strict=True)
         )

@@ -29,7 +29,7 @@ from mapt.preferences.formats.table_schemas import (
     array_shapes,
     schema_of,
 )
-from mapt.preferences.segments import action_numbers
+from mapt.preferences.segments import action_indices
 from mapt.preferences.storage import SegmentFolder, SegmentLayout
 
 #: A row group is what writer and reader hold at once.
@@ -148,7 +148,7 @@ def _array_columns(records: SegmentRecords, layout: SegmentLayout) -> dict[str, 
     mask, lengths = records.segments.mask, records.lengths
     arrays: dict[str, NDArray[Any]] = {
         "observations": records.segments.observations,
-        "actions": action_numbers(records.segments).astype(np.uint16) if layout.discrete else records.segments.actions,
+        "actions": action_indices(records.segments).astype(np.uint16) if layout.discrete else records.segments.actions,
         **records.extras(),
     }
     columns: dict[str, pa.Array] = {"length_steps": pa.array(lengths.astype(np.int32))}

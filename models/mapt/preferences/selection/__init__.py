@@ -1,6 +1,7 @@
-"""Which pairs of segments to ask about next. Numpy alone: an ensemble's scores come in as an array.
+"""Query selection: which pairs of segments to label next.
 
-`make_selector(name, rng)` gives a selector by name; `ControlledSelector` holds out a uniform share beside it.
+`make_selector(name, rng)` makes one of B-Pref's samplers; `ControlledSelector` mixes in uniformly drawn control pairs.
+Needs numpy only: the scores of the ensemble are passed in as an array.
 """
 
 from mapt.preferences.selection.criteria import segment_features

@@ -1,4 +1,4 @@
-"""Every pair with the same probability."""
+"""B-Pref's query selectors by name, and a mix of a selector with uniform control pairs."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
@@ -8,21 +8,21 @@ from typing import Generic
 import numpy as np
 
 from mapt.errors import InvalidConfig, MissingView, UnknownSelector
-from mapt.preferences.selection.criteria import disagreement, entropy, k_center, scaled
+from mapt.preferences.selection.criteria import disagreement, entropy, k_center, standardized
 from mapt.preferences.selection.protocol import (
     FloatArray,
-    FreePairs,
     IntArray,
     QuerySelector,
     SegmentId,
     SegmentView,
     SelectorName,
-    places_of,
+    UnqueriedPairs,
+    indices_of,
 )
 
 
 class UniformSelector:
-    """Draws every pair not asked about yet with the same probability."""
+    """Draws pairs that were not queried before, uniformly."""
 
     name: SelectorName = "uniform"
 
@@ -37,27 +37,28 @@ class UniformSelector:
         view: SegmentView | None = None,
     ) -> list[tuple[SegmentId, SegmentId]]:
         """See `QuerySelector.select`."""
-        free = FreePairs(len(segment_ids), places_of(segment_ids, paired))
-        return [(segment_ids[first], segment_ids[second]) for first, second in free.draw(k, self._rng).tolist()]
+        pairs = UnqueriedPairs(len(segment_ids), indices_of(segment_ids, paired))
+        return [(segment_ids[first], segment_ids[second]) for first, second in pairs.draw(k, self._rng).tolist()]
 
 
-#: candidates drawn for each query wanted (B-Pref's large_batch)
+#: Candidate pairs drawn per query (B-Pref's large_batch).
 CANDIDATES_PER_QUERY = 10
-#: the share of the candidates that a stage leaves to the next one (B-Pref)
-KEPT_SHARE = 0.5
+#: Fraction of the candidates that the first of two stages keeps (B-Pref).
+KEPT_FRACTION = 0.5
 
-#: (view, candidate pairs (K, 2), asked pairs (P, 2), k) -> places in the candidates of the k best, best first
+#: (view, candidate pairs (K, 2), queried pairs (P, 2), k) -> indices of the k best candidates, best first
 Stage = Callable[[SegmentView, IntArray, IntArray, int], IntArray]
 
 
 class CandidateSelector:
-    """Candidates from another selector, narrowed by one stage after the other."""
+    """Draws many candidate pairs and keeps the best by one or more criteria."""
 
     def __init__(self, name: SelectorName, propose: QuerySelector, stages: Sequence[Stage]) -> None:
-        """
+        """Make a selector.
+
         Args:
             propose: draws the candidates.
-            stages: each but the last keeps half of what it gets, the last as many as are wanted.
+            stages: applied in turn. Each but the last keeps `KEPT_FRACTION` of its candidates, the last keeps k.
         """
         self._name: SelectorName = name
         self._propose = propose
@@ -80,48 +81,48 @@ class CandidateSelector:
         candidates = self._propose.select(segment_ids, paired, CANDIDATES_PER_QUERY * k)
         if not candidates:
             return []
-        pairs, asked = places_of(segment_ids, candidates), places_of(segment_ids, paired)
-        left = np.arange(len(pairs))
+        pairs, queried = indices_of(segment_ids, candidates), indices_of(segment_ids, paired)
+        kept = np.arange(len(pairs))
         for turn, stage in enumerate(self._stages, start=1):
-            kept = k if turn == len(self._stages) else max(k, round(len(left) * KEPT_SHARE))
-            left = left[stage(view, pairs[left], asked, kept)]
-        return [candidates[place] for place in left.tolist()]
+            n_kept = k if turn == len(self._stages) else max(k, round(len(kept) * KEPT_FRACTION))
+            kept = kept[stage(view, pairs[kept], queried, n_kept)]
+        return [candidates[index] for index in kept.tolist()]
 
 
-def most_uncertain(measure: Callable[[FloatArray, IntArray], FloatArray]) -> Stage:
-    """Keeps the pairs of which the ensemble is least sure, by a measure of `uncertainty`."""
+def most_uncertain(criterion: Callable[[FloatArray, IntArray], FloatArray]) -> Stage:
+    """The stage that keeps the pairs with the highest `disagreement` or `entropy`."""
 
-    def keep(view: SegmentView, pairs: IntArray, asked: IntArray, k: int) -> IntArray:
+    def keep(view: SegmentView, pairs: IntArray, queried: IntArray, k: int) -> IntArray:
         if view.scores is None:
             raise MissingView("scores")
-        # stable: among equals, the candidate that was drawn first
-        return np.argsort(-measure(view.scores, pairs), kind="stable")[:k]
+        # Stable: among equal candidates, the one drawn first.
+        return np.argsort(-criterion(view.scores, pairs), kind="stable")[:k]
 
     return keep
 
 
-def farthest(view: SegmentView, pairs: IntArray, asked: IntArray, k: int) -> IntArray:
-    """Keeps the pairs that cover the segments best: see `coverage.k_center`."""
+def farthest(view: SegmentView, pairs: IntArray, queried: IntArray, k: int) -> IntArray:
+    """The stage that keeps the pairs chosen by `k_center`."""
     if view.features is None:
         raise MissingView("features")
-    asked_features = view.features[asked] if view.asked is None else view.asked
-    features, asked_features = scaled(view.features, asked_features)
-    return k_center(features[pairs], asked_features, k)
+    centers = view.features[queried] if view.queried is None else view.queried
+    features, centers = standardized(view.features, centers)
+    return k_center(features[pairs], centers, k)
 
 
 @dataclass(frozen=True, slots=True)
 class ChosenPair(Generic[SegmentId]):
-    """A pair, and how it was chosen."""
+    """A pair, and the name of the selector that chose it."""
 
     pair: tuple[SegmentId, SegmentId]
     selector: SelectorName
 
 
 def control_count(k: int, share: float, rng: np.random.Generator) -> int:
-    """How many of k pairs are control ones: k * share on average, and never off by one or more.
+    """Number of control pairs among k: k * share, rounded up or down at random so that its mean is exact.
 
     Raises:
-        InvalidConfig: unless the share lies in [0, 1].
+        InvalidConfig: if the share is not in [0, 1].
     """
     if not 0.0 <= share <= 1.0:
         raise InvalidConfig(f"the control share is {share}; it must lie in [0, 1]", "share")
@@ -129,19 +130,21 @@ def control_count(k: int, share: float, rng: np.random.Generator) -> int:
 
 
 class ControlledSelector:
-    """Chooses most pairs by one selector and a share of every batch by another, and says which is which.
+    """Chooses a share of every batch by a control selector, usually uniform, and the rest by an informed one.
 
-    Uncertainty sampling sometimes does worse than drawing at random, for it may chase what cannot be learned. Only
-    pairs drawn at random from the same segments can tell; they measure the reward model without bias besides.
+    Uncertainty sampling can do worse than uniform sampling, since it prefers pairs whose labels are noise. Uniform
+    pairs from the same segments reveal this, and are an unbiased test set for the reward model.
     """
 
     def __init__(
         self, informed: QuerySelector, control: QuerySelector, control_share: float, rng: np.random.Generator
     ) -> None:
-        """
+        """Make a selector.
+
         Args:
-            control: chooses without a view; it is the whole choice while there is none, as in the first round.
-            control_share: of every batch, in [0, 1].
+            informed: chooses by the `SegmentView`.
+            control: chooses without a `SegmentView`; chooses all pairs while there is none, as in the first round.
+            control_share: fraction of each batch that `control` chooses, in [0, 1].
         """
         self._informed = informed
         self._control = control
@@ -155,16 +158,16 @@ class ControlledSelector:
         k: int,
         view: SegmentView | None = None,
     ) -> list[ChosenPair[SegmentId]]:
-        """Choose up to k pairs; arguments, number and errors as in `QuerySelector.select`.
+        """Choose up to k pairs, with the arguments and errors of `QuerySelector.select`.
 
         Returns:
-            The control's pairs first, then the informed ones.
+            The control pairs, then the informed ones.
 
         Raises:
-            InvalidConfig: unless the control share lies in [0, 1].
+            InvalidConfig: if the control share is not in [0, 1].
         """
-        # The control goes first and is drawn from all pairs that are free: what the other takes does not skew it.
-        k = min(k, len(FreePairs(len(segment_ids), places_of(segment_ids, paired))))
+        # Control pairs are drawn first, so that the informed choice does not bias them.
+        k = min(k, len(UnqueriedPairs(len(segment_ids), indices_of(segment_ids, paired))))
         n_control = control_count(k, self._share, self._rng) if view is not None else k
         control = self._control.select(segment_ids, paired, n_control)
         informed: list[tuple[SegmentId, SegmentId]] = []
@@ -187,21 +190,21 @@ _STAGES: dict[SelectorName, tuple[Stage, ...]] = {
 
 
 def selector_names() -> tuple[SelectorName, ...]:
-    """Every name that `make_selector` knows."""
+    """The names that `make_selector` accepts."""
     return tuple(_STAGES)
 
 
 def make_selector(
     name: SelectorName, rng: np.random.Generator, *, propose: QuerySelector | None = None
 ) -> QuerySelector:
-    """The selector of this name.
+    """Make the selector with this name.
 
     Args:
-        rng: decides all its chance.
-        propose: draws the candidates of those that choose among some; uniform when not given.
+        rng: source of all randomness.
+        propose: draws the candidates; uniform if None.
 
     Raises:
-        UnknownSelector: naming the known ones.
+        UnknownSelector: if no selector has this name.
     """
     stages = _stages_of(name)
     propose = propose or UniformSelector(rng)
@@ -209,12 +212,12 @@ def make_selector(
 
 
 def needs_ensemble(name: SelectorName) -> bool:
-    """Whether it chooses by `SegmentView.scores`."""
+    """Whether the selector needs `SegmentView.scores`."""
     return not {_DISAGREEMENT, _ENTROPY}.isdisjoint(_stages_of(name))
 
 
 def needs_features(name: SelectorName) -> bool:
-    """Whether it chooses by `SegmentView.features`."""
+    """Whether the selector needs `SegmentView.features`."""
     return farthest in _stages_of(name)
 
 

@@ -1,6 +1,6 @@
-"""Scripted teachers: they see what a person would, and more, and label by a rule.
+"""Scripted teachers: label pairs of segments by a rule, with B-Pref's models of human error.
 
-`make_teacher("phase+mistake", seed=0, mistake=0.05).judge(first, second)` labels pairs of `TeacherView`.
+`make_teacher("phase+mistake", seed=0, mistake=0.05).judge(first, second)` labels the pairs of two `TeacherView`s.
 """
 
 from mapt.preferences.teachers.rules import (

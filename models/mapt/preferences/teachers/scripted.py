@@ -1,4 +1,4 @@
-"""The seam between teachers and everyone who asks them."""
+"""Scripted teachers by name: a rule plus B-Pref's models of human error (Lee et al. 2021)."""
 
 import math
 from dataclasses import asdict, dataclass, fields, replace
@@ -25,51 +25,50 @@ from mapt.preferences.teachers.view import Float64s, TeacherView
 
 
 class Teacher(Protocol):
-    """Judges pairs of segments."""
+    """Labels pairs of segments."""
 
     def judge(self, first: TeacherView, second: TeacherView) -> NDArray[np.float32]:
         """Label B pairs.
 
         Args:
-            first, second: segments 0 and segments 1, B each; the two sides may differ in T.
+            first, second: segment 0 and segment 1 of each pair; T may differ between the two.
 
         Returns:
-            float32 (B,): P(segment 0 preferred); NaN where the teacher skips the pair.
+            P(segment 0 preferred), float32 (B,): 1, 0 or 0.5; NaN for pairs that the teacher skips.
 
         Raises:
-            ShapeError: if the sides hold different numbers of segments.
-            MissingView: if they lack what this teacher judges by.
+            ShapeError: if the two views hold different numbers of segments.
+            MissingView: if they lack an array that the teacher needs.
         """
         ...
 
     def parameters(self) -> dict[str, Any]:
-        """Its name and every parameter, fit for JSON: what a label's record says of its teacher."""
+        """Name and parameters as JSON, stored with each label."""
         ...
 
 
-#: Pairs that a running mean reaches back over.
+#: Number of pairs in the running statistics.
 WINDOW_PAIRS = 500
 
 
 class RunningStatistics:
-    """Running mean, spread and length of the segments of the last `WINDOW_PAIRS` pairs.
+    """Running mean and standard deviation of scores, and mean length, over the last `WINDOW_PAIRS` pairs.
 
-    Pair i is measured by the pairs up to and including itself, so that labels do not depend on how pairs come in
-    batches.
+    The statistics of pair i include the pairs up to i, so that labels do not depend on the batch size.
     """
 
     def __init__(self) -> None:
-        #: of the pairs in reach: sum of both scores, of their squares, and of both lengths; (pairs, 3)
+        #: per pair in the window: sum of the two scores, of their squares, and of the two lengths; (pairs, 3)
         self._recent: Float64s = np.zeros((0, 3))
 
-    def see(self, scores: Float64s, lengths: NDArray[np.int64]) -> tuple[Float64s, Float64s, Float64s]:
-        """Take in B more pairs.
+    def update(self, scores: Float64s, lengths: NDArray[np.int64]) -> tuple[Float64s, Float64s, Float64s]:
+        """Add B pairs.
 
         Args:
-            scores, lengths: of both segments, (B, 2).
+            scores, lengths: of the two segments of each pair, (B, 2).
 
         Returns:
-            (B,) each: mean score, standard deviation of scores, and mean length, in steps.
+            Mean score, standard deviation of scores, and mean length in steps at each pair, (B,) each.
         """
         n_new = len(scores)
         new = np.stack((scores.sum(1), np.square(scores).sum(1), lengths.sum(1)), axis=1)
@@ -84,27 +83,27 @@ class RunningStatistics:
 
 @dataclass(frozen=True, slots=True)
 class BPrefParameters:
-    """How a teacher departs from its rule. The default does not.
+    """Parameters of B-Pref's simulated human teachers. The default is an oracle.
 
     Raises:
-        InvalidTeacher: if a number is out of its range.
+        InvalidTeacher: if a value is out of its range.
     """
 
-    #: P(segment 0 preferred) = sigmoid(beta x difference of scores); None prefers the larger score without fail.
-    #: Scores are true returns as they are, or those of another rule in units of their running spread.
+    #: rationality: P(segment 0 preferred) = sigmoid(beta x score difference); None always prefers the higher score.
+    #: Returns are used as they are, scores of other rules in units of their running standard deviation.
     beta: float | None = None
-    #: what a reward one step older weighs, relative to the next; below 1 for rules that read rewards alone
+    #: myopia: discount per step of older rewards; below 1 only for rules that read rewards
     gamma: float = 1.0
-    #: share of labels turned round
+    #: fraction of labels that are flipped
     mistake: float = 0.0
-    #: eps of the threshold below which neither segment shows anything; 0 never skips
+    #: eps of the skip threshold: a pair is skipped if both scores are below it; 0 never skips
     skip: float = 0.0
-    #: eps of the threshold below which a difference is none; 0 calls equal scores alone equal
+    #: eps of the equality threshold: a pair is labelled 0.5 if its scores differ by less
     equal: float = 0.0
 
     def __post_init__(self) -> None:
         if self.beta is not None and not 0 < self.beta < np.inf:
-            raise InvalidTeacher(f"beta must be above 0 and finite, or none for no noise; got {self.beta}")
+            raise InvalidTeacher(f"beta must be above 0 and finite, or None for no noise; got {self.beta}")
         for name, value, highest in (("gamma", self.gamma, 1.0), ("mistake", self.mistake, 1.0)):
             if not 0 <= value <= highest:
                 raise InvalidTeacher(f"{name} must lie in [0, 1], got {value}")
@@ -114,124 +113,124 @@ class BPrefParameters:
 
 
 class ScriptedTeacher:
-    """Judges by a rule, with habits, in B-Pref's order: skip, fade, choose, mistake, equal.
+    """Labels pairs by a rule and `BPrefParameters`, in B-Pref's order.
 
-    1. Skip the pair if neither score is above a threshold. Nothing is faded yet.
-    2. Myopic: older rewards fade by gamma per step before the rule sees them; the newest weighs 1.
-    3. Choose the larger score, or by chance with the Boltzmann probability of beta. Equal scores give 0.5.
-    4. Turn the choice round with probability `mistake`.
-    5. Say 0.5 whatever was chosen if the scores of step 2 differ by less than a threshold.
+    1. Skip the pair if both scores are below the skip threshold. Scores are not discounted here.
+    2. Myopia: discount rewards by gamma per step of age, and score the segments again.
+    3. Prefer the higher score, or sample from the Boltzmann model with beta. Equal scores give 0.5.
+    4. Flip the label with probability `mistake`.
+    5. Replace the label by 0.5 if the scores of step 2 differ by less than the equality threshold.
 
-    The thresholds are eps x running mean episode return x T / episode length, T the longer segment's. Without
-    `set_episode_return`, the mean reward of the segments seen so far stands for that of whole episodes.
-    eps enters once, unlike in B-Pref's code, which multiplies by it again after its first session.
+    A threshold is eps x mean episode return x T / episode length, where T is the length of the longer segment. Without
+    `set_episode_return`, the mean reward of the segments so far stands in for that of episodes. B-Pref's code
+    multiplies by eps again after the first session; this does not.
 
-    Where the mean is not positive, or scores are no returns, eps x mean says nothing: a threshold below 0 would switch
-    `equal` off and, with negative returns, skip everything. There the running spread (standard deviation) of segment
-    scores takes the mean's place, and one spread below their mean the place of 0: equal if they differ by less than
-    eps x spread; skip if neither is above mean - (1 - eps) x spread.
+    If the mean return is not positive, or scores are not returns, such a threshold is meaningless: with negative
+    returns, every pair would be skipped. The thresholds are then relative to the running mean m and standard deviation
+    s of the scores: equal if the scores differ by less than eps x s; skip if both are below m - (1 - eps) x s.
     """
 
     def __init__(
-        self, rule: Rule, habits: BPrefParameters, rng: np.random.Generator, record: dict[str, Any] | None = None
+        self, rule: Rule, bpref: BPrefParameters, rng: np.random.Generator, record: dict[str, Any] | None = None
     ) -> None:
-        """
+        """Make a teacher.
+
         Args:
-            record: what `parameters` says beside rule and habits, such as a name and a seed.
+            record: further entries of `parameters`, such as name and seed.
 
         Raises:
-            InvalidTeacher: if rewards should fade for a rule that reads none.
+            InvalidTeacher: if gamma is below 1 and the rule does not read rewards.
         """
-        if habits.gamma < 1 and "rewards" not in rule.reads:
-            raise InvalidTeacher(f"gamma fades rewards, and {type(rule).__name__} reads {', '.join(rule.reads)}")
+        if bpref.gamma < 1 and "rewards" not in rule.reads:
+            raise InvalidTeacher(f"gamma discounts rewards, but {type(rule).__name__} reads {', '.join(rule.reads)}")
         self.rule = rule
-        self.habits = habits
+        self.bpref = bpref
         self._rng = rng
         self._record = record or {}
-        self._scale = RunningStatistics()
+        self._statistics = RunningStatistics()
         self._episode_reward: float | None = None
 
     def judge(self, first: TeacherView, second: TeacherView) -> NDArray[np.float32]:
         """See `Teacher.judge`."""
         if len(first) != len(second):
-            raise ShapeError("second", (len(second),), f"as many segments as the first side, {len(first)}")
-        whole = np.stack((self.rule.scores(first), self.rule.scores(second)), axis=1)
-        faded = whole if self.habits.gamma == 1 else np.stack((self.scores(first), self.scores(second)), axis=1)
-        bounds = self._bounds(whole, np.stack((first.lengths, second.lengths), axis=1))
-        difference = faded[:, 0] - faded[:, 1]
-        # Two draws a pair whatever the habits: the same chance decides in batches of any size.
-        choosing, erring = self._rng.random((len(whole), 2)).T
-        label = self._choose(difference, bounds.unit, choosing)
-        label = np.where(erring < self.habits.mistake, 1.0 - label, label)
-        if self.habits.equal:
-            label[np.abs(difference) < bounds.equal] = 0.5
-        if self.habits.skip:
-            label[whole.max(axis=1) <= bounds.skip] = np.nan
+            raise ShapeError("second", (len(second),), f"as many segments as in first, {len(first)}")
+        scores = np.stack((self.rule.scores(first), self.rule.scores(second)), axis=1)
+        discounted = scores if self.bpref.gamma == 1 else np.stack((self.scores(first), self.scores(second)), axis=1)
+        thresholds = self._thresholds(scores, np.stack((first.lengths, second.lengths), axis=1))
+        difference = discounted[:, 0] - discounted[:, 1]
+        # Always two draws per pair, so that labels depend neither on the parameters nor on the batch size.
+        preference_draw, mistake_draw = self._rng.random((len(scores), 2)).T
+        label = self._prefer(difference, thresholds.unit, preference_draw)
+        label = np.where(mistake_draw < self.bpref.mistake, 1.0 - label, label)
+        if self.bpref.equal:
+            label[np.abs(difference) < thresholds.equal] = 0.5
+        if self.bpref.skip:
+            label[scores.max(axis=1) <= thresholds.skip] = np.nan
         return label.astype(np.float32)
 
-    def scores(self, evidence: TeacherView) -> Float64s:
-        """What it judges segments by, faded, without doubt or mistakes: float64 (B,).
+    def scores(self, view: TeacherView) -> Float64s:
+        """Score of each segment with discounted rewards, float64 (B,).
 
         Raises:
-            MissingView: if the evidence lacks what the rule reads.
+            MissingView: if the view lacks an array that the rule reads.
         """
-        if self.habits.gamma == 1:
-            return self.rule.scores(evidence)
-        age = evidence.lengths[:, None] - 1 - np.arange(evidence.mask.shape[1])
-        return self.rule.scores(evidence.with_rewards(evidence.rewards * self.habits.gamma ** np.maximum(age, 0)))
+        if self.bpref.gamma == 1:
+            return self.rule.scores(view)
+        age = view.lengths[:, None] - 1 - np.arange(view.mask.shape[1])
+        return self.rule.scores(view.with_rewards(view.rewards * self.bpref.gamma ** np.maximum(age, 0)))
 
     @property
-    def needs_episodes(self) -> bool:
-        """Whether its thresholds follow the returns of episodes, if told of them."""
-        return self.rule.is_return and (self.habits.skip > 0 or self.habits.equal > 0)
+    def uses_episode_return(self) -> bool:
+        """Whether `set_episode_return` affects the labels."""
+        return self.rule.is_return and (self.bpref.skip > 0 or self.bpref.equal > 0)
 
     def set_episode_return(self, mean_return: float, length_steps: float) -> None:
-        """From now on, thresholds follow this running mean return of episodes that long.
+        """Set the mean return and length of episodes, from which the thresholds are computed.
 
         Raises:
-            InvalidTeacher: if the return is not finite or the length not positive.
+            InvalidTeacher: if the return is not finite, or the length is not positive and finite.
         """
         if not np.isfinite(mean_return) or not 0 < length_steps < np.inf:
-            raise InvalidTeacher(f"no episode has return {mean_return} and {length_steps} steps")
+            raise InvalidTeacher(f"an episode cannot have return {mean_return} and {length_steps} steps")
         self._episode_reward = mean_return / length_steps
 
     def parameters(self) -> dict[str, Any]:
         """See `Teacher.parameters`."""
-        return {**self._record, **_fields(self.habits), **_fields(self.rule)}
+        return {**self._record, **_fields(self.bpref), **_fields(self.rule)}
 
-    def _choose(self, difference: Float64s, unit: Float64s, choosing: Float64s) -> Float64s:
-        if self.habits.beta is None:
+    def _prefer(self, difference: Float64s, unit: Float64s, draw: Float64s) -> Float64s:
+        if self.bpref.beta is None:
             return 0.5 + 0.5 * np.sign(difference)
-        logit = self.habits.beta * np.divide(difference, unit, out=np.zeros_like(difference), where=unit > 0)
-        # the sigmoid of any logit without overflow
-        return (choosing < 0.5 + 0.5 * np.tanh(logit / 2)).astype(np.float64)
+        logit = self.bpref.beta * np.divide(difference, unit, out=np.zeros_like(difference), where=unit > 0)
+        # sigmoid(logit) without overflow
+        return (draw < 0.5 + 0.5 * np.tanh(logit / 2)).astype(np.float64)
 
-    def _bounds(self, scores: Float64s, lengths: NDArray[np.int64]) -> "_Bounds":
-        mean, spread, length = self._scale.see(scores, lengths)
-        skip, equal = mean - (1 - self.habits.skip) * spread, self.habits.equal * spread
+    def _thresholds(self, scores: Float64s, lengths: NDArray[np.int64]) -> "_Thresholds":
+        mean, deviation, length = self._statistics.update(scores, lengths)
+        skip, equal = mean - (1 - self.bpref.skip) * deviation, self.bpref.equal * deviation
         if not self.rule.is_return:
-            return _Bounds(skip, equal, spread)
+            return _Thresholds(skip, equal, deviation)
         expected = mean / length if self._episode_reward is None else np.full_like(mean, self._episode_reward)
         expected = expected * lengths.max(axis=1)
-        return _Bounds(
-            np.where(expected > 0, self.habits.skip * expected, skip),
-            np.where(expected > 0, self.habits.equal * expected, equal),
+        return _Thresholds(
+            np.where(expected > 0, self.bpref.skip * expected, skip),
+            np.where(expected > 0, self.bpref.equal * expected, equal),
             np.ones_like(mean),
         )
 
 
 @dataclass(frozen=True, slots=True)
-class _Bounds:
-    """Of B pairs, (B,) each."""
+class _Thresholds:
+    """Thresholds of B pairs, (B,) each."""
 
     skip: Float64s
     equal: Float64s
-    #: what a difference of scores is divided by before beta
+    #: score differences are divided by this before beta is applied
     unit: Float64s
 
 
 class OracleTeacher(ScriptedTeacher):
-    """Prefers the segment with the larger true return, without error; equal returns give 0.5."""
+    """Prefers the segment with the higher true return; equal returns give 0.5."""
 
     def __init__(self) -> None:
         super().__init__(Return(), BPrefParameters(), np.random.default_rng(0), {"name": "oracle", "rule": "return"})
@@ -253,8 +252,8 @@ PRESETS = {
     "equal": BPrefParameters(equal=0.1),
 }
 
-#: Rules with the parameters they have when nobody says. Columns are those of HalfCheetah-6x1 with its neighbours in
-#: sight: 4 is the height of the torso over its rest, in metres, 5 its pitch, in radians.
+#: The rules with their default parameters. Observation columns are those of HalfCheetah-6x1 with agent_obsk 1: column 4
+#: is the height of the torso relative to its initial height, in metres, column 5 its pitch, in radians.
 RULES: dict[str, Rule] = {
     "return": Return(),
     "best-second": BestWindow(),
@@ -271,32 +270,32 @@ RULES: dict[str, Rule] = {
 
 
 def teacher_names() -> tuple[str, ...]:
-    """Names of the presets, then of the rules. One of each may be joined by a plus: `phase+mistake`."""
+    """Names of the presets, then of the rules. A rule and a preset combine with a plus: `phase+mistake`."""
     return (*PRESETS, *(name for name in RULES if name != "return"))
 
 
 def make_teacher(name: str, /, *, seed: int = 0, **parameters: Any) -> ScriptedTeacher:
-    """The teacher with this name.
+    """Make a teacher by name.
 
     Args:
-        name: a preset, which judges by true return; a rule, which it follows without fail; or `rule+preset`.
-        seed: of its chance, also for teachers that leave nothing to chance.
-        parameters: fields of `BPrefParameters` and of the rule, in place of the name's own.
+        name: a preset, which compares true returns; a rule, which is followed without error; or `rule+preset`.
+        seed: of the random number generator.
+        parameters: fields of `BPrefParameters` and of the rule, to override the defaults of the name.
 
     Raises:
         UnknownTeacher: if no teacher has this name.
-        InvalidTeacher: if it has no such parameter, or not with this value.
+        InvalidTeacher: if a parameter does not exist, has the wrong type or is out of range.
     """
     rule_name, preset_name = _parts(name)
     seed = _typed(name, "seed", int, seed)
     if seed < 0:
         raise InvalidTeacher(f"seed must be 0 or more, got {seed}")
-    habits, rule = PRESETS[preset_name], RULES[rule_name]
-    of_habits = {field.name for field in fields(BPrefParameters)}
-    habits = _changed(habits, {key: value for key, value in parameters.items() if key in of_habits}, name)
-    rule = _changed(rule, {key: value for key, value in parameters.items() if key not in of_habits}, name)
+    bpref, rule = PRESETS[preset_name], RULES[rule_name]
+    bpref_names = {field.name for field in fields(BPrefParameters)}
+    bpref = _changed(bpref, {key: value for key, value in parameters.items() if key in bpref_names}, name)
+    rule = _changed(rule, {key: value for key, value in parameters.items() if key not in bpref_names}, name)
     record = {"name": name, "rule": rule_name, "seed": seed}
-    return ScriptedTeacher(rule, habits, np.random.default_rng(seed), record)
+    return ScriptedTeacher(rule, bpref, np.random.default_rng(seed), record)
 
 
 def _parts(name: str) -> tuple[str, str]:
@@ -313,7 +312,7 @@ def _parts(name: str) -> tuple[str, str]:
 
 
 def _changed(settings: Settings, changes: dict[str, Any], name: str) -> Settings:
-    """These settings with some fields changed, each to a value of its type."""
+    """Replace fields after checking their names and types."""
     hints = get_type_hints(type(settings))
     known = [field.name for field in fields(settings)]
     if unknown := changes.keys() - set(known):
@@ -325,7 +324,7 @@ def _changed(settings: Settings, changes: dict[str, Any], name: str) -> Settings
 
 
 def _typed(name: str, key: str, hint: Any, value: Any) -> Any:
-    """This value as the type that the field asks for."""
+    """Convert a value to the type of its field."""
     choices = get_args(hint) if get_origin(hint) is Literal else ()
     number = isinstance(value, int | float | np.integer) and not isinstance(value, bool) and math.isfinite(value)
     if hint == (float | None) and value is None:
