@@ -13,7 +13,7 @@ def test_doctor_draws_and_encodes_and_ends_with_1_when_something_is_wrong(accord
         done = accord.run("doctor", "--port", str(port))
     assert done.returncode == 1
     lines = done.stdout.splitlines()
-    assert "ok     OpenGL without a display: egl drew a frame" in lines
+    assert "ok     OpenGL without a display: egl rendered a frame" in lines
     assert any(line.startswith("ok     H.264 encoder") for line in lines)
     place = lines.index(f"failed port: 127.0.0.1:{port} in use")
     assert "fix:" in lines[place + 1]

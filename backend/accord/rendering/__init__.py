@@ -1,1 +1,1 @@
-"""Clips by `mapt.rendering`, made in processes of their own. Never imports torch."""
+"""Make clips with `mapt.rendering` in child processes. Does not import torch."""

@@ -1,7 +1,4 @@
-"""Which OpenGL can draw here without a display.
-
-A driver may be missing, broken or hang, so each is tried in a child process that draws one frame.
-"""
+"""Checks that this machine can render without a display and encode clips."""
 
 import tempfile
 from pathlib import Path
@@ -17,54 +14,55 @@ from mapt.rendering.encode import CODEC, write_clip
 from mapt.rendering.offscreen import BACKENDS, INSTALL, Backend, run_rendering_module
 from mapt.rendering.settings import RenderSettings
 
-#: what the child prints when its frame shows what it should
-DREW = "drew a frame"
-#: the first frame takes 1 to 2 s; a busy machine may need ten times that
-PROBE_LIMIT_SECONDS = 60.0
+#: printed by the child process if its frame shows the expected colour
+PROBE_SUCCESS = "rendered a frame"
+#: the first frame takes 1 to 2 s, on a busy machine perhaps ten times as long
+PROBE_TIMEOUT_SECONDS = 60.0
 
 
-def probe_backend(limit_seconds: float = PROBE_LIMIT_SECONDS) -> Backend:
-    """The first of EGL and OSMesa that draws a frame.
+def probe_backend(timeout_seconds: float = PROBE_TIMEOUT_SECONDS) -> Backend:
+    """The first of EGL and OSMesa that renders a frame.
 
     Args:
-        limit_seconds: how long each may take.
+        timeout_seconds: for each backend.
 
     Raises:
-        RenderingUnavailable: if neither does; the message says what each said and what to install.
+        RenderingUnavailable: if neither does. The message gives both errors and says what to install.
     """
-    said: list[str] = []
+    failures: list[str] = []
     for backend in BACKENDS:
-        failure = try_backend(backend, limit_seconds)
+        failure = try_backend(backend, timeout_seconds)
         if failure is None:
             return backend
-        said.append(f"{backend}: {failure}")
+        failures.append(f"{backend}: {failure}")
     raise RenderingUnavailable(
-        f"No clip can be drawn: no OpenGL works here without a display ({'; '.join(said)}). Install one: {INSTALL}"
+        f"OpenGL does not render without a display here ({'; '.join(failures)}). To install it: {INSTALL}"
     )
 
 
-def try_backend(backend: Backend, limit_seconds: float) -> str | None:
-    """Draw one frame with this backend in a child process. None if it did, else what went wrong, in a line."""
+def try_backend(backend: Backend, timeout_seconds: float) -> str | None:
+    """Render one frame with this backend in a child process. Returns None, or one line that says why it failed."""
     return run_rendering_module(
-        backend, "accord.rendering.child", ["probe"], done=DREW, limit_seconds=limit_seconds, undone="no frame"
+        backend, "accord.rendering.child", ["probe"], success_text=PROBE_SUCCESS, timeout_seconds=timeout_seconds
     )
 
 
+#: frames of the encoder's check
 FRAMES = 5
 
 
 def check_rendering() -> Check:
-    """Whether a frame can be drawn without a display, and by what. Takes 1 to 2 s."""
+    """Check that a frame can be rendered without a display, and with which backend. Takes 1 to 2 s."""
     name = "OpenGL without a display"
     try:
         backend = probe_backend()
     except RenderingUnavailable as error:
         return Check(name, ok=False, detail=str(error), fix=INSTALL)
-    return Check(name, ok=True, detail=f"{backend} drew a frame")
+    return Check(name, ok=True, detail=f"{backend} rendered a frame")
 
 
 def check_encoder() -> Check:
-    """Whether a clip can be encoded and decoded again: five frames, for real."""
+    """Check that a clip of five frames can be encoded and decoded."""
     name = "H.264 encoder"
     settings = RenderSettings(width=64, height=48)
     shades = np.linspace(0, 255, FRAMES).astype(np.uint8)
@@ -78,5 +76,5 @@ def check_encoder() -> Check:
         except (ClipNotWritten, FFmpegError) as error:
             return Check(name, ok=False, detail=str(error), fix=reinstall)
     if decoded != FRAMES:
-        return Check(name, ok=False, detail=f"{FRAMES} frames in, {decoded} out", fix=reinstall)
-    return Check(name, ok=True, detail=f"PyAV {av.__version__}, {CODEC}: {FRAMES} frames in and out")
+        return Check(name, ok=False, detail=f"encoded {FRAMES} frames, decoded {decoded}", fix=reinstall)
+    return Check(name, ok=True, detail=f"PyAV {av.__version__}, {CODEC}: encoded and decoded {FRAMES} frames")

@@ -1,7 +1,10 @@
-"""The loop of a render process: `python -m accord.rendering.child <connection's descriptor> <parent's pid>`.
+"""The program of a render process.
 
-Started by `accord.rendering.process`, with the environment that `probe.render_environment` gives. Torch is
-never imported here: EGL and CUDA in one process deadlock on some drivers.
+`python -m accord.rendering.child DESCRIPTOR PARENT_PID` serves jobs over a connection.
+`python -m accord.rendering.child probe` renders one frame.
+
+Both need the environment of `render_environment`. This module must not import torch: EGL and CUDA in one process
+deadlock on some drivers.
 """
 
 # mujoco is compiled and ships no stubs.
@@ -16,65 +19,74 @@ from multiprocessing.connection import Connection
 
 import mujoco
 
-from accord.rendering.checks import DREW
+from accord.rendering.checks import PROBE_SUCCESS
 from accord.rendering.process import ClipJob, Reply, receive_job, send_reply
 from mapt.rendering.encode import write_clip
 from mapt.rendering.renderer import ClipRenderer
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model
 
-#: OpenGL contexts kept open, one for each task and look
+#: OpenGL contexts kept open, one per task and settings
 RENDERERS_KEPT = 4
 _PR_SET_PDEATHSIG = 1
+#: scene of the probe
+BALL = """
+<mujoco>
+  <visual><headlight ambient="1 1 1" diffuse="0 0 0" specular="0 0 0"/></visual>
+  <worldbody><geom type="sphere" size="1" rgba="1 0 0 1"/></worldbody>
+</mujoco>
+"""
 
 
 def main() -> None:
-    """Serve jobs until the parent closes the connection or dies."""
+    """Serve jobs until the parent closes the connection or ends, or render a frame and exit."""
     if sys.argv[1:] == ["probe"]:
         probe()
         return
     descriptor, parent = int(sys.argv[1]), int(sys.argv[2])
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer: it ends this process itself
-    die_with(parent)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and ends this process
+    end_with_parent(parent)
     with Connection(descriptor) as connection:
         serve(connection)
 
 
-def die_with(parent: int) -> None:
-    """Be killed when the parent's thread that started this process ends, even in the middle of a hung driver."""
+def end_with_parent(parent: int) -> None:
+    """Ask the kernel to kill this process when the thread that started it ends, even if a driver hangs."""
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:  # it died before the line above
-            raise SystemExit("the parent is gone")
+        if os.getppid() != parent:  # it ended before the line above
+            raise SystemExit("the parent process has ended")
 
 
 def serve(connection: Connection) -> None:
+    """Announce that this process is ready, then answer each job."""
     renderers = Renderers()
     send_reply(connection, Reply())
     while True:
         try:
             job = receive_job(connection)
-        except (EOFError, ConnectionError):  # the parent is gone, or has no more work
+        except (EOFError, ConnectionError):  # the parent has ended or closed the connection
             return
-        send_reply(connection, answer(job, renderers))
+        send_reply(connection, run_job(job, renderers))
 
 
-def answer(job: ClipJob, renderers: "Renderers") -> Reply:
+def run_job(job: ClipJob, renderers: "Renderers") -> Reply:
+    """Make one clip. Any error becomes the reply."""
     try:
         renderer = renderers.get(job.task, job.settings)
         return Reply(clip=write_clip(renderer.frames(job.qpos, job.qvel), job.path, job.settings))
-    except Exception as error:  # noqa: BLE001 - the edge of the loop: the parent hears what it was, and the next job may do
+    except Exception as error:  # noqa: BLE001 - the parent raises it; the next job may succeed
         return Reply(failure=f"{type(error).__name__}: {error}")
 
 
 class Renderers:
-    """One renderer for each task and look, the latest few."""
+    """A cache of the most recently used renderers, one per task and settings."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[tuple[str, RenderSettings], ClipRenderer] = OrderedDict()
 
     def get(self, task: str, settings: RenderSettings) -> ClipRenderer:
-        """The renderer for this look, opened if need be.
+        """Return the renderer for a task and settings, opening it if necessary.
 
         Raises:
             mapt.tasks.UnknownTask: if no task has this name.
@@ -89,16 +101,8 @@ class Renderers:
         return self._kept[key]
 
 
-BALL = """
-<mujoco>
-  <visual><headlight ambient="1 1 1" diffuse="0 0 0" specular="0 0 0"/></visual>
-  <worldbody><geom type="sphere" size="1" rgba="1 0 0 1"/></worldbody>
-</mujoco>
-"""
-
-
 def probe() -> None:
-    """Print that a frame was drawn, or what came instead of red."""
+    """Render a red ball and print `PROBE_SUCCESS`, or exit with the colour that appeared instead."""
     model = mujoco.MjModel.from_xml_string(BALL)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -106,9 +110,9 @@ def probe() -> None:
         renderer.update_scene(data)
         red, green, blue = (int(channel) for channel in renderer.render()[16, 16])
     if red > 200 and green < 50 and blue < 50:
-        print(DREW, flush=True)
+        print(PROBE_SUCCESS, flush=True)
     else:
-        raise SystemExit(f"a red ball came out as ({red}, {green}, {blue})")
+        raise SystemExit(f"a red ball was rendered as ({red}, {green}, {blue})")
 
 
 if __name__ == "__main__":

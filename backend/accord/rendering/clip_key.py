@@ -1,4 +1,4 @@
-"""The name of a clip: a key made from everything that goes into it."""
+"""The content key of a clip: a hash of everything that determines its frames."""
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mapt.rendering.settings import RenderSettings
 
-#: raise it when the same inputs give other frames: a change of colours, camera, scene or encoder
+#: increase it when equal inputs give different frames: a change of colours, camera, scene or encoder
 RENDERER_VERSION = 2
 
 
@@ -25,35 +25,35 @@ def clip_key(
     agent_geoms: Sequence[Sequence[int]],
     settings: RenderSettings,
 ) -> str:
-    """The name under which a clip is kept: equal inputs, equal key.
+    """Hash the inputs of a clip. Equal inputs give equal keys.
 
-    It is made from what goes in, since an encoder's bytes may differ from run to run.
+    The key does not depend on the encoded bytes, which can differ between runs.
 
     Args:
         qpos, qvel: simulator states, float64 (T,nq) and (T,nv).
-        model: the task's model as it is simulated.
+        model: the task's model.
         agent_geoms: ids of the geoms that each of the N agents moves.
-        settings: the look, the camera and the codec.
+        settings: size, frame rate, quality, camera and codec.
 
     Returns:
         64 hexadecimal digits (SHA-256).
     """
     digest = hashlib.sha256(model_bytes(model))
-    look = {
+    inputs = {
         "renderer": RENDERER_VERSION,
         "mujoco": mujoco.__version__,
         "agents": [[int(geom) for geom in geoms] for geoms in agent_geoms],
         "settings": asdict(settings),
         "shapes": [qpos.shape, qvel.shape],
     }
-    digest.update(json.dumps(look, sort_keys=True).encode())
+    digest.update(json.dumps(inputs, sort_keys=True).encode())
     for states in (qpos, qvel):
         digest.update(np.ascontiguousarray(states, dtype="<f8").tobytes())
     return digest.hexdigest()
 
 
 def model_bytes(model: mujoco.MjModel) -> bytes:
-    """The compiled model as MuJoCo saves it (MJB): every number of it."""
+    """The compiled model in MuJoCo's binary format (MJB), which contains all of its numbers."""
     buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
     return buffer.tobytes()

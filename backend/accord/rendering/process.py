@@ -1,9 +1,19 @@
-"""What can go wrong between simulator states and a clip.
+"""Make clips in a child process, which can hang or crash without harm to its parent.
+
+The child is started with `subprocess` and its own environment. `multiprocessing` would import the parent's main module
+in it, and with that torch.
+
+Messages are JSON, followed by arrays as raw bytes; there is no pickle:
+
+parent -> child   a job: header, qpos, qvel
+child -> parent   an empty reply once it is ready, then for each job the clip or an error message
+
+Errors:
 
 AccordError
 ├── Unavailable
 │   └── RenderingUnavailable     no OpenGL without a display on this machine
-└── RenderFailed                 this clip was not made; another may be
+└── RenderFailed                 this clip was not made; others may succeed
     └── RenderTimedOut
 """
 
@@ -30,19 +40,19 @@ from mapt.rendering.settings import CodecSettings, RenderSettings
 
 
 class RenderingUnavailable(Unavailable):
-    """No clip can be drawn on this machine. The message says what to install."""
+    """This machine cannot render. The message says what to install."""
 
     code = "rendering_unavailable"
 
 
 class RenderFailed(AccordError):
-    """A clip could not be drawn or encoded, or its process died. Nothing is left at the clip's path."""
+    """A clip could not be rendered or encoded, or its process died. No file is left at the clip's path."""
 
     code = "render_failed"
 
 
 class RenderTimedOut(RenderFailed):
-    """A clip took longer than its limit: its process was killed and replaced."""
+    """A clip took longer than its limit. Its process was killed and replaced."""
 
     code = "render_timed_out"
 
@@ -53,31 +63,31 @@ class RenderTimedOut(RenderFailed):
 
 @dataclass(frozen=True, slots=True)
 class ClipJob:
-    """One clip to make."""
+    """The inputs of one clip."""
 
-    #: a name that `mapt.tasks` knows
+    #: a task's name in `mapt.tasks`
     task: str
     #: simulator states, float64 (T,nq) and (T,nv)
     qpos: NDArray[np.float64]
     qvel: NDArray[np.float64]
     settings: RenderSettings
-    #: where the clip goes; its folder exists
+    #: file to write, in an existing folder
     path: Path
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What a child answers: exactly one of the two, or neither when it is ready."""
+    """A child's message: a clip or an error message, or neither when it is ready."""
 
     clip: ClipFile | None = None
     failure: str | None = None
 
 
 def send_job(connection: Connection, job: ClipJob) -> None:
-    """Hand a job over.
+    """Send a job to the child.
 
     Raises:
-        OSError: if the child is gone.
+        OSError: if the child has ended.
     """
     header = {
         "task": job.task,
@@ -91,10 +101,10 @@ def send_job(connection: Connection, job: ClipJob) -> None:
 
 
 def receive_job(connection: Connection) -> ClipJob:
-    """Wait for the next job.
+    """Wait for the next job, in the child.
 
     Raises:
-        EOFError: if the parent has closed the connection or is gone.
+        EOFError: if the parent has closed the connection or ended.
     """
     header = json.loads(connection.recv_bytes())
     qpos, qvel = (np.frombuffer(connection.recv_bytes(), "<f8").reshape(shape) for shape in header["shapes"])
@@ -107,10 +117,10 @@ def send_reply(connection: Connection, reply: Reply) -> None:
 
 
 def receive_reply(connection: Connection) -> Reply:
-    """Wait for the child's answer.
+    """Wait for the child's reply.
 
     Raises:
-        EOFError: if the child is gone.
+        EOFError: if the child has ended.
     """
     fields = json.loads(connection.recv_bytes())
     clip = fields["clip"] and ClipFile(**fields["clip"] | {"path": Path(fields["clip"]["path"])})
@@ -122,27 +132,27 @@ def _settings(fields: dict[str, Any]) -> RenderSettings:
     return RenderSettings(**fields, codec=codec)
 
 
-#: starting takes 1 to 2 s; a busy machine may need ten times that
+#: starting takes 1 to 2 s, on a busy machine perhaps ten times as long
 START_LIMIT_SECONDS = 60.0
-#: handing a job over takes milliseconds
+#: sending a job takes milliseconds
 SEND_LIMIT_SECONDS = 5
-#: an idle child ends as soon as its connection is closed
+#: an idle child ends when its connection is closed
 CLOSE_LIMIT_SECONDS = 5.0
 
 
 class RenderProcess:
-    """One render process, replaced whenever it hangs or dies.
+    """A render process that is replaced whenever it hangs or dies.
 
-    Belongs to one thread. That thread should live as long as the work lasts: on Linux the child is killed when the
-    thread that started it ends, and the next clip pays for a new one.
+    Use it in one thread, which should live as long as the work lasts: on Linux the child is killed when the thread that
+    started it ends, and the next clip has to wait for a new child.
     """
 
     def __init__(self, backend: Backend, clip_limit_seconds: float = 60.0) -> None:
-        """Start the process; it warms up while the caller does other things.
+        """Start the process. It gets ready in the background.
 
         Args:
-            backend: what `probe.probe_backend` found.
-            clip_limit_seconds: a clip that takes longer is given up.
+            backend: the result of `checks.probe_backend`.
+            clip_limit_seconds: time limit of each clip.
         """
         self._backend: Backend = backend
         self._clip_limit_seconds = clip_limit_seconds
@@ -150,18 +160,18 @@ class RenderProcess:
 
     @property
     def pid(self) -> int:
-        """Of the present child; another after a replacement."""
+        """Process id of the current child. It changes with each replacement."""
         return self._child.pid
 
     def render(self, job: ClipJob, limit_seconds: float | None = None) -> ClipFile:
-        """Make one clip. It is at `job.path` whole when this returns; on an error nothing of it is left.
+        """Make one clip. When this returns, the complete file is at `job.path`; after an error there is none.
 
         Args:
-            limit_seconds: for this clip, instead of the limit of all.
+            limit_seconds: time limit of this clip, instead of `clip_limit_seconds`.
 
         Raises:
             RenderTimedOut: if it took longer than the limit. The process has been replaced.
-            RenderFailed: if it could not be drawn or encoded, or the process died (and has been replaced).
+            RenderFailed: if it could not be rendered or encoded, or the process died and has been replaced.
         """
         limit_seconds = limit_seconds or self._clip_limit_seconds
         try:
@@ -173,7 +183,7 @@ class RenderProcess:
         except RenderTimedOut:
             self._replace(job)
             raise
-        except BlockingIOError as error:  # it did not even take the job
+        except BlockingIOError as error:  # the child did not receive the job in time
             self._replace(job)
             raise RenderTimedOut(SEND_LIMIT_SECONDS) from error
         except (EOFError, OSError) as error:
@@ -208,9 +218,9 @@ class RenderProcess:
                 env=render_environment(self._backend),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
-                start_new_session=True,  # a Ctrl-C at the terminal reaches the parent alone
+                start_new_session=True,  # so that Ctrl-C reaches only the parent
             )
-        # A long job does not fit a socket's buffer: without a limit, a child that hangs would hang its parent.
+        # A long job does not fit into the socket's buffer. Without a limit, a hung child would block its parent.
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", SEND_LIMIT_SECONDS, 0))
         self._connection = Connection(ours.detach())
         self._ready = False
@@ -221,7 +231,7 @@ class RenderProcess:
         return receive_reply(self._connection)
 
     def _replace(self, job: ClipJob) -> str:
-        """Kill the child, remove what it was writing, start another. Returns how the old one ended."""
+        """Kill the child, delete its partial file and start another child. Return how the old one ended."""
         self._child.kill()
         status = self._child.wait()
         self._connection.close()

@@ -1,1 +1,1 @@
-"""Simulator states to frames, and frames to H.264. Never imports torch."""
+"""Render simulator states to frames and encode frames to H.264. Does not import torch."""

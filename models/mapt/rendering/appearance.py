@@ -1,8 +1,8 @@
-"""The colours of a clip.
+"""How a clip looks: colours, the styled model, and the geoms that are added to each frame.
 
-Agents take the colours of Okabe and Ito's palette, which people with any of the common colour-vision
-deficiencies can tell apart, ordered so that neighbours in a leg differ in lightness as well as in hue. The legend of
-the page shows the same strings.
+Agents have the colours of Okabe and Ito's palette, which people with any of the common colour-vision deficiencies can
+distinguish. They are ordered so that neighbours in a leg differ in lightness as well as in hue. The page's legend shows
+the same colours.
 """
 
 # mujoco is compiled and ships no stubs.
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mapt.rendering.settings import RenderSettings
 
-#: colour of agent n is AGENT_COLOURS[n % 8]
+#: agent n has AGENT_COLOURS[n % 8]
 AGENT_COLOURS: tuple[str, ...] = (
     "#E69F00",  # orange
     "#0072B2",  # blue
@@ -29,18 +29,18 @@ AGENT_COLOURS: tuple[str, ...] = (
     "#FFFFFF",  # white
 )
 
-#: parts that no agent moves: the torso, the head
+#: parts that no agent moves, such as the torso
 BODY_COLOUR = "#AEB4BB"
 BACKDROP_COLOUR = "#252C36"
 FLOOR_COLOURS = ("#303945", "#48535F")
 SHADOW_COLOUR = "#14191F"
-#: posts at every metre, and the line where the clip began
+#: distance posts, and the line at the start position
 POST_COLOUR = "#717D8A"
 START_COLOUR = "#E8ECF0"
 
 
 def agent_colour(agent: int) -> str:
-    """The colour of one agent, as `#RRGGBB`. Teams larger than the palette go round again."""
+    """The colour of an agent as `#RRGGBB`. Colours repeat in teams larger than the palette."""
     return AGENT_COLOURS[agent % len(AGENT_COLOURS)]
 
 
@@ -50,45 +50,46 @@ def rgb_bytes(colour: str) -> tuple[int, int, int]:
 
 
 def rgba(colour: str) -> tuple[float, float, float, float]:
-    """`#RRGGBB` as MuJoCo wants it: four numbers from 0 to 1, opaque."""
+    """`#RRGGBB` as MuJoCo's four numbers from 0 to 1, opaque."""
     red, green, blue = rgb_bytes(colour)
     return red / 255, green / 255, blue / 255, 1.0
 
 
-#: vertical angle of view in degrees; narrow, so that the body's size does not change along the frame
+#: vertical angle of view in degrees; narrow, so that perspective hardly changes the body's size within the frame
 VIEW_ANGLE_DEGREES = 25.0
 
 
-def painted(
+def styled_model(
     model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]], settings: RenderSettings, square_metres: float = 0.5
 ) -> mujoco.MjModel:
-    """A copy of the model as clips show it.
+    """A copy of the model with the colours, light and quality of clips. Its dynamics are unchanged.
 
     Args:
-        model: any model with a floor plane or without.
-        agent_geoms: ids of the geoms that each of the N agents moves; the first of several colours a geom.
+        model: with or without a floor plane.
+        agent_geoms: ids of the geoms that each of the N agents moves. A geom of several agents gets the
+            first one's colour.
         settings: size and quality.
-        square_metres: side of the floor's squares; half a metre is passed in three frames of 20 Hz at 3 m/s.
+        square_metres: side of the floor's squares. At 3 m/s and 20 Hz, half a metre passes in three frames.
 
     Raises:
-        ValueError: if a geom is not of the model.
+        ValueError: if the model lacks a geom.
     """
     model = copy.copy(model)
     _colour_geoms(model, agent_geoms)
-    _paint_floors(model, square_metres)
-    _light_evenly(model)
+    _colour_floors(model, square_metres)
+    _set_light(model)
     _set_quality(model, settings)
     return model
 
 
 def has_squares(model: mujoco.MjModel) -> bool:
-    """Whether a floor of the model has a texture, which is painted in squares."""
+    """Whether a floor of the model has a texture; `styled_model` replaces it by squares."""
     materials = model.geom_matid[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE]
     return bool((model.mat_texid[materials[materials >= 0], mujoco.mjtTextureRole.mjTEXROLE_RGB] >= 0).any())
 
 
 def moving_geoms(model: mujoco.MjModel) -> np.ndarray:
-    """Ids of the geoms that belong to the body: not fixed to the world."""
+    """Ids of the geoms that are not fixed to the world."""
     return np.flatnonzero(model.body_weldid[model.geom_bodyid] != 0)
 
 
@@ -99,25 +100,25 @@ def _colour_geoms(model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]]) -
                 raise ValueError(f"Agent {agent} moves geom {geom}, but the model has {model.ngeom} geoms.")
     solid = np.flatnonzero(model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
     body = moving_geoms(model)
-    model.geom_matid[solid] = -1  # a material's texture would tint the colour
+    model.geom_matid[solid] = -1  # a material's texture changes the colour
     model.geom_rgba[np.setdiff1d(solid, body)] = rgba(POST_COLOUR)
-    # A target or a thing to be pushed is no part of the team's body: it keeps its own colour.
+    # A target or an object to push is not part of the robot and keeps its own colour.
     roots = model.body_rootid[model.geom_bodyid]
-    ours = np.isin(roots[body], roots[[geom for geoms in agent_geoms for geom in geoms]])
-    model.geom_rgba[body[ours]] = rgba(BODY_COLOUR)
+    of_robot = np.isin(roots[body], roots[[geom for geoms in agent_geoms for geom in geoms]])
+    model.geom_rgba[body[of_robot]] = rgba(BODY_COLOUR)
     model.geom_rgba[body, 3] = 1
     for agent, geoms in reversed(list(enumerate(agent_geoms))):
         model.geom_rgba[list(geoms)] = rgba(agent_colour(agent))
 
 
-def _paint_floors(model: mujoco.MjModel, square_metres: float) -> None:
+def _colour_floors(model: mujoco.MjModel, square_metres: float) -> None:
     model.mat_reflectance[:] = 0
     model.mat_specular[:] = 0
     for floor in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE):
-        _paint_floor(model, int(floor), square_metres)
+        _colour_floor(model, int(floor), square_metres)
 
 
-def _paint_floor(model: mujoco.MjModel, floor: int, square_metres: float) -> None:
+def _colour_floor(model: mujoco.MjModel, floor: int, square_metres: float) -> None:
     model.geom_rgba[floor] = 1
     material = model.geom_matid[floor]
     if material < 0:
@@ -131,7 +132,7 @@ def _paint_floor(model: mujoco.MjModel, floor: int, square_metres: float) -> Non
     rows, columns = np.indices(texels.shape[:2])
     light = (rows >= texels.shape[0] // 2) ^ (columns >= texels.shape[1] // 2)
     texels[:] = np.where(light[..., None], rgb_bytes(FLOOR_COLOURS[1]), rgb_bytes(FLOOR_COLOURS[0]))
-    # A texture holds two squares a side and is laid out over the whole plane (half sizes in geom_size).
+    # A texture has two squares per side and is repeated over the whole plane (geom_size holds half sizes).
     model.mat_texuniform[material] = False
     model.mat_texrepeat[material] = model.geom_size[floor, :2] / square_metres
 
@@ -143,8 +144,8 @@ def _texels(model: mujoco.MjModel, texture: int) -> np.ndarray:
     return model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
 
 
-def _light_evenly(model: mujoco.MjModel) -> None:
-    """Most light from everywhere, so that a limb has its legend's colour; some from above, so that it is round."""
+def _set_light(model: mujoco.MjModel) -> None:
+    """Mostly ambient light, so that limbs have the legend's colours; some from above, so that they look round."""
     model.vis.headlight.active = 1
     model.vis.headlight.ambient[:] = 0.55
     model.vis.headlight.diffuse[:] = 0.35
@@ -152,7 +153,7 @@ def _light_evenly(model: mujoco.MjModel) -> None:
     model.light_diffuse[:] = 0.25
     model.light_ambient[:] = 0
     model.light_specular[:] = 0
-    # The far floor fades into the backdrop: squares behind the body would distract, and cost bytes.
+    # The far floor fades into the backdrop: squares behind the body distract and cost bytes.
     model.vis.rgba.fog[:] = rgba(BACKDROP_COLOUR)
 
 
@@ -163,23 +164,26 @@ def _set_quality(model: mujoco.MjModel, settings: RenderSettings) -> None:
     if settings.quality == "pretty":
         quality.offsamples, quality.shadowsize = 4, 1024
     else:
-        # The default shadow map of 4096 pixels costs most of a frame on a software renderer, then anti-aliasing.
+        # On a software renderer, the default shadow map of 4096 pixels takes most of the time,
+        # anti-aliasing the next most.
         quality.offsamples, quality.shadowsize = 0, 0
         quality.numslices, quality.numstacks, quality.numquads = 12, 6, 1
 
 
-#: a part higher than this casts no shadow, in squares; the lower, the wider its shadow
-SHADOW_REACH = 0.7
-#: squares from post to post: a metre, for most bodies
+# Sizes below are in squares of the floor, so they scale with the robot.
+
+#: parts above this height have no contact shadow; lower parts have a larger one
+SHADOW_MAX_HEIGHT = 0.7
+#: distance between posts; a metre for most robots
 POST_SPACING = 2
-#: every so many posts one is tall
+#: one post of this many is tall
 TALL_POST_EVERY = 5
-#: how far behind the body's plane the posts stand, in squares
+#: distance of the posts behind the robot's plane
 POST_DISTANCE = 1.8
-#: how far behind the body the floor has faded into the backdrop, and ends, in squares
-BACKDROP = 10.0
-#: a band's radius against its limb's
-BAND_RADIUS = 1.06
+#: distance behind the robot at which the floor has faded into the backdrop and ends
+BACKDROP_DISTANCE = 10.0
+#: radius of a ring over that of its limb
+RING_RADIUS = 1.06
 
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
 _CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
@@ -193,48 +197,54 @@ _START = np.array(rgba(START_COLOUR), dtype=np.float32)
 
 
 def add_ground(scene: mujoco.MjvScene, centre: NDArray[np.float64], below: float, square: float) -> None:
-    """A plain ground under a floor that ends within the view, or is missing.
+    """Add a plain ground below the floor, for where the floor ends within the view or is missing.
 
     Args:
-        below: its height, metres.
+        below: its height in metres.
     """
     _add(scene, _BOX, (100 * square, 100 * square, 0.001), (centre[0], centre[1], below), _BACKDROP)
 
 
 def add_backdrop(scene: mujoco.MjvScene, centre: NDArray[np.float64], square: float) -> None:
-    """A wall where the floor has faded: cheaper than a sky's texture, and hides the floor that is too far to see.
+    """Add a wall where the floor has faded. It is cheaper than a sky texture and hides the rest of the floor.
 
     Args:
-        centre: what the camera looks at, metres (3,).
+        centre: the camera's target in metres (3,).
     """
-    _add(scene, _BOX, (100 * square, 0.01, 100 * square), (centre[0], centre[1] + BACKDROP * square, 0.0), _BACKDROP)
+    _add(
+        scene,
+        _BOX,
+        (100 * square, 0.01, 100 * square),
+        (centre[0], centre[1] + BACKDROP_DISTANCE * square, 0.0),
+        _BACKDROP,
+    )
 
 
 def add_shadows(
     scene: mujoco.MjvScene, boxes: tuple[NDArray[np.float64], NDArray[np.float64]], floor: float, square: float
 ) -> None:
-    """A flat dark spot under each part that is near the floor: limb and spot meet where it touches.
+    """Add a contact shadow under each part that is near the floor.
 
     Args:
-        boxes: centres and half sizes of the parts' bounding boxes, metres (parts,3).
-        floor: its height, metres.
+        boxes: centres and half sizes of the parts' bounding boxes in metres (parts,3).
+        floor: its height in metres.
     """
     centre, half = boxes
-    nearness = 1 - (centre[:, 2] - half[:, 2] - floor) / (SHADOW_REACH * square)
+    nearness = 1 - (centre[:, 2] - half[:, 2] - floor) / (SHADOW_MAX_HEIGHT * square)
     for box_centre, box_half, near in zip(centre, half, np.clip(nearness, 0, 1), strict=True):
         if near > 0:
-            # Wider than a thin limb, so that it shows from the side.
+            # Wider than a thin limb, so that it is visible from the side.
             across = max(box_half[1], min(0.09 * square + box_half[1], 1.8 * box_half[1]))
             size = (box_half[0] * near, across * near, 0.004 * square)
             _add(scene, _ELLIPSOID, size, (box_centre[0], box_centre[1], floor), _SHADOW)
 
 
 def add_posts(scene: mujoco.MjvScene, centre: NDArray[np.float64], reach: float, floor: float, square: float) -> None:
-    """Posts along what is in view of a body that keeps to its plane, counted from the world's origin.
+    """Add distance posts along the x axis within the view, at fixed places in the world.
 
     Args:
-        centre: what the camera looks at, metres (3,).
-        reach: from there to the last post, metres.
+        centre: the camera's target in metres (3,).
+        reach: distance in metres from there to the last post.
     """
     spacing = POST_SPACING * square
     first, last = (int(np.ceil((centre[0] + side * reach) / spacing)) for side in (-1, 1))
@@ -244,17 +254,17 @@ def add_posts(scene: mujoco.MjvScene, centre: NDArray[np.float64], reach: float,
         _add(scene, _BOX, (thickness, thickness, half_height), (post * spacing, behind, floor + half_height), _POST)
 
 
-def add_start(scene: mujoco.MjvScene, start: NDArray[np.float64], floor: float, square: float) -> None:
-    """The line across the way where the body was when the clip began, metres (3,)."""
+def add_start_line(scene: mujoco.MjvScene, start: NDArray[np.float64], floor: float, square: float) -> None:
+    """Add a line on the floor at the body's first position in the clip, `start` (3,) in metres."""
     _add(scene, _BOX, (0.05 * square, POST_DISTANCE * square, 0.002 * square), (start[0], start[1], floor), _START)
 
 
 def add_grid(scene: mujoco.MjvScene, centre: NDArray[np.float64], reach: float, floor: float, square: float) -> None:
-    """Lines on a floor that has no squares of its own, so that motion shows.
+    """Add a grid to a floor without squares, so that motion is visible.
 
     Args:
-        centre: what the camera looks at, metres (3,).
-        reach: from there to the end of the lines, metres.
+        centre: the camera's target in metres (3,).
+        reach: distance in metres from there to the end of the lines.
     """
     count = int(np.ceil(reach / square))
     middle = np.round(centre[:2] / square).astype(int)
@@ -265,20 +275,20 @@ def add_grid(scene: mujoco.MjvScene, centre: NDArray[np.float64], reach: float, 
         _add(scene, _BOX, (length, thin, 0.001 * square), (middle[0] * square, y, floor), _GRID)
 
 
-def add_bands(scene: mujoco.MjvScene, data: mujoco.MjData, shared: Mapping[int, Sequence[int]]) -> None:
-    """Rings around limbs that several agents move: the limb has the first one's colour, a ring each of the others'.
+def add_rings(scene: mujoco.MjvScene, data: mujoco.MjData, shared: Mapping[int, Sequence[int]]) -> None:
+    """Add a ring in the colour of each agent but the first around limbs that several agents move.
 
     Args:
-        shared: agents by geom, capsules and cylinders alone.
+        shared: agents by geom; capsules and cylinders only.
     """
     for geom, agents in shared.items():
         radius, half = data.model.geom_size[geom, :2]
-        turn, axis = data.geom_xmat[geom], data.geom_xmat[geom].reshape(3, 3)[:, 2]
-        for place, agent in enumerate(agents[1:], start=1):
-            along = half * ((2 * place + 1) / len(agents) - 1)
-            size = (radius * BAND_RADIUS, radius * BAND_RADIUS, half / len(agents) * 0.7)
+        rotation, axis = data.geom_xmat[geom], data.geom_xmat[geom].reshape(3, 3)[:, 2]
+        for position, agent in enumerate(agents[1:], start=1):
+            along = half * ((2 * position + 1) / len(agents) - 1)
+            size = (radius * RING_RADIUS, radius * RING_RADIUS, half / len(agents) * 0.7)
             colour = np.array(rgba(agent_colour(agent)), dtype=np.float32)
-            _add(scene, _CYLINDER, size, data.geom_xpos[geom] + along * axis, colour, turn=turn)
+            _add(scene, _CYLINDER, size, data.geom_xpos[geom] + along * axis, colour, rotation=rotation)
 
 
 def _add(
@@ -288,7 +298,7 @@ def _add(
     position: tuple[float, float, float] | NDArray[np.float64],
     colour: NDArray[np.float32],
     *,
-    turn: NDArray[np.float64] = _UPRIGHT,
+    rotation: NDArray[np.float64] = _UPRIGHT,
 ) -> None:
-    mujoco.mjv_initGeom(scene.geoms[scene.ngeom], shape, np.array(size), np.array(position), turn, colour)
+    mujoco.mjv_initGeom(scene.geoms[scene.ngeom], shape, np.array(size), np.array(position), rotation, colour)
     scene.ngeom += 1

@@ -1,7 +1,9 @@
-"""How a body is framed: from which side the camera looks, how much it sees, and whether it goes along.
+"""Where the camera looks: its direction and distance per task, and its path per clip.
 
-Found from the joints and the reach of the model, so that a task of one's own is framed too, and all clips of a task
-alike.
+The framing follows from the model's joints and reach, so it suits tasks that users register, and it is the same in all
+clips of a task. A labeller judges a gait by the body's motion against the frame, and speed by the floor's motion. So
+the camera keeps its height, distance and direction, and follows the smoothed path of the body instead of each jolt. It
+deviates from that path, smoothly, only where the body would leave the view.
 """
 
 # mujoco is compiled and ships no stubs.
@@ -16,83 +18,83 @@ from numpy.typing import NDArray
 
 from mapt.rendering.appearance import VIEW_ANGLE_DEGREES, moving_geoms
 
-Float64s = NDArray[np.float64]
-#: `side` suits what moves in an upright plane, `above` what moves in a level one, `slanted` the rest
-Kind = Literal["side", "above", "slanted"]
+FloatArray = NDArray[np.float64]
+#: `side` for bodies that move in a vertical plane, `above` for a horizontal plane, `slanted` for others
+ViewKind = Literal["side", "above", "slanted"]
 
-#: how far the camera looks down, degrees; from the side, enough to see the floor's squares
-LOOK_DOWN_DEGREES: dict[Kind, float] = {"side": 9.0, "slanted": 28.0, "above": 65.0}
-#: the view is so many times as large as the body ever gets
-ROOM: dict[Kind, float] = {"side": 1.2, "slanted": 1.3, "above": 1.2}
-#: of what stays in its place, the view is so many times as large as where nearly all of its poses are
-ROOM_ABOUT_A_PLACE, NEARLY_ALL = 1.1, 0.95
-#: from the side, part of the view's height that is below the floor's line
+#: angle below the horizon in degrees; from the side, enough to see the floor's squares
+LOOK_DOWN_DEGREES: dict[ViewKind, float] = {"side": 9.0, "slanted": 28.0, "above": 65.0}
+#: size of the view over the largest size of a body that travels
+MARGIN: dict[ViewKind, float] = {"side": 1.2, "slanted": 1.3, "above": 1.2}
+#: size of the view over the region that a stationary body reaches in this share of its poses
+STATIONARY_MARGIN, REACH_QUANTILE = 1.1, 0.95
+#: from the side, share of the view's height below the floor's line
 FLOOR_SHARE = 0.2
-#: a body this thin, against its length or height, hides nothing of itself from the side
-THIN = 0.3
-#: sides of the floor's squares, metres; the view is about five of them wide
+#: largest width over length or height at which a body is shown from the side, where it hides no part of itself
+MAX_SIDE_VIEW_WIDTH = 0.3
+#: possible sides of the floor's squares in metres; the view is about five squares wide
 SQUARES_METRES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 SQUARES_IN_VIEW = 5.0
 
 
-#: poses that are tried to find how far a body reaches
-TRIED_POSES = 200
+#: random poses from which the reach of a body is estimated
+SAMPLED_POSES = 200
 
 
-class Body:
-    """The geoms of a model that are not fixed to the world, G of them."""
+class BodyKinematics:
+    """Positions of the G geoms that are not fixed to the world, without dynamics."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
         self.data = mujoco.MjData(model)
         self._geoms = moving_geoms(model)
 
-    def place(self, qpos: Float64s) -> None:
+    def set_pose(self, qpos: FloatArray) -> None:
         self.data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
-    def boxes(self, axes: Float64s) -> tuple[Float64s, Float64s]:
-        """Centres and half sizes (G,3), metres, of the boxes around the geoms as they are placed.
+    def boxes(self, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Centres and half sizes (G,3) in metres of the geoms' bounding boxes in the current pose.
 
         Args:
-            axes: (3,3), rows are the directions along which boxes lie and are measured.
+            axes: (3,3), rows are the directions of the boxes' edges.
         """
-        turn = axes @ self.data.geom_xmat[self._geoms].reshape(-1, 3, 3)
+        rotation = axes @ self.data.geom_xmat[self._geoms].reshape(-1, 3, 3)
         centre, half = np.split(self.model.geom_aabb[self._geoms], 2, axis=1)
-        centre = self.data.geom_xpos[self._geoms] @ axes.T + np.einsum("gij,gj->gi", turn, centre)
-        return centre, np.einsum("gij,gj->gi", np.abs(turn), half)
+        centre = self.data.geom_xpos[self._geoms] @ axes.T + np.einsum("gij,gj->gi", rotation, centre)
+        return centre, np.einsum("gij,gj->gi", np.abs(rotation), half)
 
-    def extents(self, qpos: Float64s, axes: Float64s) -> tuple[Float64s, Float64s]:
-        """Lowest and highest corners (T,3), metres, of the box around all geoms in each pose (T,nq)."""
+    def extents(self, qpos: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corners (T,3) in metres of the box around all geoms in each pose (T,nq)."""
         corners = np.empty((2, len(qpos), 3))
         for step, state in enumerate(qpos):
-            self.place(state)
+            self.set_pose(state)
             centre, half = self.boxes(axes)
             corners[0, step] = (centre - half).min(axis=0)
             corners[1, step] = (centre + half).max(axis=0)
         return corners[0], corners[1]
 
-    def poses(self) -> Float64s:
-        """(P,nq): the model's own pose, and others with every driven hinge anywhere in its range. Always the same."""
+    def sample_poses(self) -> FloatArray:
+        """(P,nq): the model's default pose, and random poses of all driven hinges. The same in every call."""
         model, rng = self.model, np.random.default_rng(0)
-        poses = np.tile(model.qpos0, (1 + TRIED_POSES, 1))
+        poses = np.tile(model.qpos0, (1 + SAMPLED_POSES, 1))
         joints = model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, 0]
         for joint in joints[model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE]:
             low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.pi, np.pi)
-            poses[1:, model.jnt_qposadr[joint]] = rng.uniform(low, high, TRIED_POSES)
+            poses[1:, model.jnt_qposadr[joint]] = rng.uniform(low, high, SAMPLED_POSES)
         return poses
 
 
-#: half of the window over which the body's path is smoothed
+#: half width of the window that smooths the body's path
 SMOOTHING_SECONDS = 0.4
-#: part of the view's half that the body may fill
-SAFE_SHARE = 0.94
+#: share of the view that the body may fill
+FILLED_SHARE = 0.94
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the camera sees at the distance of the body, metres from the middle to an edge."""
+    """Half size in metres of the visible region at the distance of the body."""
 
     half_width: float
     half_height: float
@@ -101,35 +103,34 @@ class View:
 def camera_path(
     lowest: NDArray[np.float64],
     highest: NDArray[np.float64],
-    wished: NDArray[np.float64],
+    desired: NDArray[np.float64],
     view: View,
     window: int,
 ) -> NDArray[np.float64]:
-    """The points the camera looks at.
+    """The points that the camera looks at: near the desired path, and such that the body stays in view.
 
     Args:
-        lowest, highest: corners of the body's bounding box in the picture's plane, metres (T,2): right, up.
-        wished: (T,2), a smooth path that it takes as long as the body fits.
-        view: what is seen.
-        window: frames on each side over which giving way is smoothed.
+        lowest, highest: corners (T,2) of the body's bounding box in the image plane in metres: right, up.
+        desired: (T,2), a smooth path, which is taken where the body fits.
+        view: size of the visible region.
+        window: half width in frames of the smoothing of deviations.
 
     Returns:
-        (T,2) float64: right, up. The bounding box is within the view in every frame, if it fits at all.
+        (T,2) float64: right, up. The bounding box is within the view in every frame in which it fits.
     """
-    half = np.array([view.half_width, view.half_height]) * SAFE_SHARE
+    half = np.array([view.half_width, view.half_height]) * FILLED_SHARE
     middle = (lowest + highest) / 2
-    # Too far from the wish on one side or the other: how much the camera must give way, made smooth without
-    # becoming less than is needed.
-    ahead = envelope(np.maximum(highest - half - wished, 0.0), window)
-    behind = envelope(np.maximum(wished - (lowest + half), 0.0), window)
-    led = wished + ahead - behind
-    # Where both gave way at once neither is exact, and a body larger than the view has no room: its middle wins.
+    # The least deviations to either side that keep the body in view, smoothed without becoming smaller.
+    ahead = envelope(np.maximum(highest - half - desired, 0.0), window)
+    behind = envelope(np.maximum(desired - (lowest + half), 0.0), window)
+    path = desired + ahead - behind
+    # Where deviations to both sides overlap, the sum may be wrong, so clip it. Centre a body larger than the view.
     least, most = highest - half, lowest + half
-    return np.where(least > most, middle, np.clip(led, np.minimum(least, most), np.maximum(least, most)))
+    return np.where(least > most, middle, np.clip(path, np.minimum(least, most), np.maximum(least, most)))
 
 
 def smooth(path: NDArray[np.float64], window: int) -> NDArray[np.float64]:
-    """Moving average (T,) with mirrored ends, so that steady motion stays steady to the last frame."""
+    """Moving average (T,) with ends padded by odd reflection, so that constant velocity is preserved."""
     padded = np.pad(path, window, mode="reflect", reflect_type="odd") if len(path) > 1 else path
     if len(path) == 1 or window == 0:
         return path.copy()
@@ -138,7 +139,7 @@ def smooth(path: NDArray[np.float64], window: int) -> NDArray[np.float64]:
 
 
 def envelope(need: NDArray[np.float64], window: int) -> NDArray[np.float64]:
-    """A smooth curve (T,2) nowhere below `need`: the running maximum, then the moving average of it."""
+    """A smooth curve (T,2) that is at least `need` everywhere: the moving average of the running maximum."""
     if window == 0 or not need.any():
         return need
     padded = np.pad(need, ((2 * window, 2 * window), (0, 0)), mode="edge")
@@ -148,15 +149,15 @@ def envelope(need: NDArray[np.float64], window: int) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Framing:
-    """One look at a body, for all its clips."""
+    """Direction, size and target of the view, for all clips of a task."""
 
-    kind: Kind
+    kind: ViewKind
     view: View
-    #: (3,3): rows are the picture's directions to the right, up and away, in the world
-    axes: Float64s
-    #: (3,) metres: what the camera looks at while the body is where it is placed in the model
-    centre: Float64s
-    #: whether the camera goes along with the body over the floor
+    #: (3,3): rows are the directions right, up and away from the camera, in world coordinates
+    axes: FloatArray
+    #: (3,) metres: the camera's target in the model's default pose
+    centre: FloatArray
+    #: whether the camera follows the body over the floor
     follows: bool
     #: height of the floor, metres
     floor: float
@@ -165,62 +166,64 @@ class Framing:
 
     @property
     def distance(self) -> float:
-        """From the camera to what it looks at, metres."""
+        """Distance in metres from the camera to its target."""
         return self.view.half_height / float(np.tan(np.radians(VIEW_ANGLE_DEGREES / 2)))
 
-    def fitting(self, lowest: Float64s, highest: Float64s) -> "Framing":
-        """This framing, from farther away if the body in some pose (corners (T,2)) is larger than the view."""
-        room = 2 * SAFE_SHARE * np.array([self.view.half_width, self.view.half_height])
-        too_large = float(((highest - lowest) / room).max())
-        if too_large <= 1:
+    def zoomed_out_for(self, lowest: FloatArray, highest: FloatArray) -> "Framing":
+        """This framing, from farther away if the body (corners (T,2)) is ever larger than the view."""
+        available = 2 * FILLED_SHARE * np.array([self.view.half_width, self.view.half_height])
+        excess = float(((highest - lowest) / available).max())
+        if excess <= 1:
             return self
-        return replace(self, view=View(self.view.half_width * too_large, self.view.half_height * too_large))
+        return replace(self, view=View(self.view.half_width * excess, self.view.half_height * excess))
 
-    def wished(self, lowest: Float64s, highest: Float64s, window: int) -> Float64s:
-        """(T,3) along the axes: where the camera would look if the body always fitted.
+    def desired_path(self, lowest: FloatArray, highest: FloatArray, window: int) -> FloatArray:
+        """(T,3) along the axes: the targets of the camera if the body always fits.
 
         Args:
-            lowest, highest: (T,3), corners of the body's box along the axes.
-            window: frames on each side over which the path is smoothed.
+            lowest, highest: (T,3), corners of the body's bounding box along the axes.
+            window: half width of the smoothing in frames.
         """
-        wished = np.tile(self.centre, (len(lowest), 1))
+        desired = np.tile(self.centre, (len(lowest), 1))
         if self.follows:
             middle = (lowest + highest) / 2 @ self.axes
-            for level in (0, 1):
-                wished[:, level] = smooth(middle[:, level], window)
-        return wished @ self.axes.T
+            for axis in (0, 1):
+                desired[:, axis] = smooth(middle[:, axis], window)
+        return desired @ self.axes.T
 
-    def in_perspective(self, lowest: Float64s, highest: Float64s, wished: Float64s) -> tuple[Float64s, Float64s]:
-        """Corners (T,2) to the right and up as they look at the distance of what the camera looks at.
+    def in_perspective(
+        self, lowest: FloatArray, highest: FloatArray, desired: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Corners (T,2) projected onto the plane through the camera's target: right, up.
 
-        A body's nearest part is magnified most; here all of it is as much, so that what fits surely fits.
+        The whole body is magnified as much as its nearest part, so the result is never too small.
         """
-        nearer = np.clip(wished[:, 2] - lowest[:, 2], 0.0, self.distance / 2)
+        nearer = np.clip(desired[:, 2] - lowest[:, 2], 0.0, self.distance / 2)
         scale = (self.distance / (self.distance - nearer))[:, None]
-        around = wished[:, :2]
+        around = desired[:, :2]
         low, high = around + (lowest[:, :2] - around) * scale, around + (highest[:, :2] - around) * scale
-        # A part on the far side of the middle is drawn towards it, so its true place is the outermost.
+        # Perspective moves parts beyond the target inwards, so take the outer of both positions.
         return np.minimum(low, lowest[:, :2]), np.maximum(high, highest[:, :2])
 
 
-def frame(body: Body, aspect: float) -> Framing:
-    """The framing of a body.
+def frame_body(body: BodyKinematics, aspect: float) -> Framing:
+    """Choose the framing of a body.
 
     Args:
-        aspect: width of the picture over its height.
+        aspect: width of the image over its height.
     """
-    model, poses = body.model, body.poses()
+    model, poses = body.model, body.sample_poses()
     world = body.extents(poses, np.eye(3))
-    body.place(model.qpos0)
+    body.set_pose(model.qpos0)
     kind, follows, floor = _kind(body, world[1][0] - world[0][0]), _travels(model), _floor(body, world[0])
-    axes = directions(LOOK_DOWN_DEGREES[kind])
+    axes = camera_axes(LOOK_DOWN_DEGREES[kind])
     lowest, highest = body.extents(poses, axes)
     if follows:
-        width, height, _ = (highest - lowest).max(axis=0) * ROOM[kind]
+        width, height, _ = (highest - lowest).max(axis=0) * MARGIN[kind]
         centre = (world[0][0] + world[1][0]) / 2
     else:
-        least, most = np.quantile(lowest, 1 - NEARLY_ALL, axis=0), np.quantile(highest, NEARLY_ALL, axis=0)
-        width, height, _ = (most - least) * ROOM_ABOUT_A_PLACE
+        least, most = np.quantile(lowest, 1 - REACH_QUANTILE, axis=0), np.quantile(highest, REACH_QUANTILE, axis=0)
+        width, height, _ = (most - least) * STATIONARY_MARGIN
         centre = (least + most) / 2 @ axes
     half_width = float(max(width, height * aspect) / 2)
     view = View(half_width, half_width / aspect)
@@ -231,37 +234,37 @@ def frame(body: Body, aspect: float) -> Framing:
     return Framing(kind, view, axes, centre, follows, floor, _square(2 * half_width))
 
 
-def directions(look_down_degrees: float) -> Float64s:
-    """(3,3): right, up and away, of a camera that has the world's x to its right."""
+def camera_axes(look_down_degrees: float) -> FloatArray:
+    """(3,3): the directions right, up and away of a camera with the world's x to its right."""
     down = np.radians(look_down_degrees)
     return np.array([[1, 0, 0], [0, np.sin(down), np.cos(down)], [0, np.cos(down), -np.sin(down)]])
 
 
-def _kind(body: Body, size: Float64s) -> Kind:
+def _kind(body: BodyKinematics, size: FloatArray) -> ViewKind:
     model = body.model
     hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
     slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
     if not (hinges | slides).all():
         return "slanted"
 
-    def within(normal: int) -> bool:
+    def in_plane(normal: int) -> bool:
         along = np.abs(body.data.xaxis[:, normal])
         return bool((along[hinges] > 0.99).all() and (along[slides] < 0.01).all())
 
-    if within(1) and size[1] < THIN * max(size[0], size[2]):
+    if in_plane(1) and size[1] < MAX_SIDE_VIEW_WIDTH * max(size[0], size[2]):
         return "side"
-    return "above" if within(2) else "slanted"
+    return "above" if in_plane(2) else "slanted"
 
 
 def _travels(model: mujoco.MjModel) -> bool:
-    """Whether something can go as far as it likes."""
+    """Whether the body has a free joint or an unlimited slide."""
     free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
     endless = (model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE) & (model.jnt_limited == 0)
     return bool((free | endless).any())
 
 
-def _floor(body: Body, lowest: Float64s) -> float:
-    """Height of the highest plane; of the body's lowest point where there is none."""
+def _floor(body: BodyKinematics, lowest: FloatArray) -> float:
+    """Height of the highest plane; without a plane, of the body's lowest point."""
     planes = np.flatnonzero(body.model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
     return float(body.data.geom_xpos[planes, 2].max() if planes.size else lowest[0, 2])
 

@@ -1,6 +1,6 @@
-"""Frames to an H.264 clip that every browser plays, seeks and steps exactly.
+"""Encode frames to H.264 clips that browsers play and seek frame-exactly.
 
-PyAV is called directly: imageio's plugin for it has no way to set crf, preset or `faststart`.
+Uses PyAV directly, because imageio's PyAV plugin cannot set crf, preset or `faststart`.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -28,7 +28,7 @@ PIXEL_FORMAT = "yuv420p"
 
 @dataclass(frozen=True, slots=True)
 class ClipFile:
-    """A finished H.264 clip in a file."""
+    """A complete H.264 clip in a file."""
 
     path: Path
     frames: int
@@ -40,15 +40,15 @@ class ClipFile:
 
 
 def write_clip(frames: Iterable[NDArray[np.uint8]], path: Path, settings: RenderSettings) -> ClipFile:
-    """Encode frames as they come. The clip appears at `path` complete, or not at all.
+    """Encode an iterable of frames. The file appears at `path` when it is complete, or not at all.
 
     Args:
-        frames: uint8 (H,W,3), RGB, of the settings' size; at least one.
-        path: where the clip goes; its folder exists. A clip that is there is replaced.
+        frames: at least one, uint8 (H,W,3), RGB, of the settings' size.
+        path: in an existing folder. An existing file is replaced.
         settings: size, rate and codec.
 
     Raises:
-        ClipNotWritten: if the frames are of another size or none, or the encoder or the disk refuses.
+        ClipNotWritten: if there are no frames or one has another size, or if the encoder or the disk fails.
     """
     written = 0
     with open_clip(path, settings) as add:
@@ -61,7 +61,7 @@ def write_clip(frames: Iterable[NDArray[np.uint8]], path: Path, settings: Render
 
 @contextmanager
 def open_clip(path: Path, settings: RenderSettings) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
-    """For whoever has frames of several clips at a time: call what is given with each frame. See `write_clip`."""
+    """Yield a function that appends a frame, to write several clips at once. See `write_clip`."""
     try:
         with atomic_path(path, durable=False) as partial:
             yield from _encode(partial, settings)
@@ -71,7 +71,7 @@ def open_clip(path: Path, settings: RenderSettings) -> Iterator[Callable[[NDArra
 
 def _encode(path: Path, settings: RenderSettings) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
     shape = (settings.height, settings.width, 3)
-    # The index goes to the front (`faststart`), so that a browser can play after the first bytes.
+    # `faststart` moves the index to the front, so that browsers can start playing before the download ends.
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = _open_stream(container.add_stream(CODEC, _rate(settings)), settings)
         reformatter = VideoReformatter()
@@ -79,8 +79,8 @@ def _encode(path: Path, settings: RenderSettings) -> Iterator[Callable[[NDArray[
 
         def add(frame: NDArray[np.uint8]) -> None:
             if frame.shape != shape:
-                raise ClipNotWritten(f"A frame is {frame.shape}, but the clip is {shape}.")
-            container.mux(stream.encode(_picture(frame, next(numbers), stream, reformatter)))
+                raise ClipNotWritten(f"A frame has shape {frame.shape}, but the clip has {shape}.")
+            container.mux(stream.encode(_video_frame(frame, next(numbers), stream, reformatter)))
 
         yield add
         container.mux(stream.encode())
@@ -93,30 +93,30 @@ def _open_stream(stream: VideoStream, settings: RenderSettings) -> VideoStream:
     stream.width, stream.height, stream.pix_fmt = settings.width, settings.height, PIXEL_FORMAT
     context: VideoCodecContext = stream.codec_context
     context.time_base = 1 / _rate(settings)
-    # Short groups of pictures and no B-frames: frame k starts at exactly k/rate, and a seek decodes a handful.
+    # Without B-frames, frame k starts at exactly k/rate. Short groups of pictures make seeking fast.
     context.gop_size = settings.codec.keyframe_interval_frames
     context.max_b_frames = 0
-    # Rendering runs one process a core, so that threads inside the encoder would only contend.
+    # There is one render process per core already.
     context.thread_count = 1
-    # Browsers guess the matrix of an untagged video by its size; tagged, the colours are the legend's.
+    # Browsers guess the colour matrix of untagged video from its size. With tags, colours match the legend.
     context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
     context.color_primaries, context.color_trc = ColorPrimaries.BT709, ColorTrc.BT709
     context.options = {"preset": settings.codec.preset, "crf": str(settings.codec.crf)}
     return stream
 
 
-def _picture(
+def _video_frame(
     frame: NDArray[np.uint8], number: int, stream: VideoStream, reformatter: VideoReformatter
 ) -> av.VideoFrame:
-    picture = reformatter.reformat(
+    converted = reformatter.reformat(
         av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24"),
         format=PIXEL_FORMAT,
         dst_colorspace=Colorspace.ITU709,
         dst_color_range=ColorRange.MPEG,
         threads=1,
     )
-    picture.pts, picture.time_base = number, stream.codec_context.time_base
-    return picture
+    converted.pts, converted.time_base = number, stream.codec_context.time_base
+    return converted
 
 
 def _rate(settings: RenderSettings) -> Fraction:

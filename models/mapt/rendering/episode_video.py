@@ -2,7 +2,7 @@
 
 `python -m mapt.rendering.episode_video TASK STATES HZ VIDEO`.
 
-Started with the environment that `render_environment` gives. STATES is a safetensors file of `qpos` and `qvel`.
+Needs the environment of `render_environment`. STATES is a safetensors file of `qpos` (T,nq) and `qvel` (T,nv).
 """
 
 # mujoco is compiled and ships no stubs.
@@ -21,18 +21,18 @@ from mapt.rendering.renderer import ClipRenderer
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model
 
-#: what is printed when the video is there
-DONE = "filmed"
-#: a body that comes further than this share of its floor gets a larger one
-_SAFE_SHARE = 0.5
-#: floor beyond where it comes, metres: more than a camera sees
-_BEYOND_METRES = 50.0
-#: every so many states are looked at for how far it comes
+#: printed when the video is complete
+SUCCESS = "rendered the episode"
+#: a floor is enlarged if the body reaches further than this share of it
+_MAX_REACH_SHARE = 0.5
+#: floor in metres beyond the body's reach, more than the camera sees
+_MARGIN_METRES = 50.0
+#: the reach is computed from one state of this many
 _STRIDE = 10
 
 
 def main() -> None:
-    """Draw and encode; an error ends with its traceback, whose last line says what it was."""
+    """Render and encode. An error ends the process with a traceback, whose last line names it."""
     task, states, frame_rate_hz, video = sys.argv[1:]
     settings = RenderSettings(frame_rate_hz=float(frame_rate_hz))
     arrays = load_file(states)
@@ -40,14 +40,14 @@ def main() -> None:
     widen_floors(model, arrays["qpos"])
     with ClipRenderer(model, agent_geoms(task), settings) as renderer:
         write_clip(renderer.frames(arrays["qpos"], arrays["qvel"]), Path(video), settings)
-        print(DONE, flush=True)
+        print(SUCCESS, flush=True)
 
 
 def widen_floors(model: mujoco.MjModel, qpos: NDArray[np.float64]) -> None:
-    """Give the body floor to the end: it runs off a cheetah's 40 metres within one good episode.
+    """Enlarge the floors to the body's reach. A fast cheetah leaves its floor of 40 metres within one episode.
 
     Args:
-        model: its planes are changed, in looks alone.
+        model: the visible size of its planes is changed; physics treats planes as infinite.
         qpos: (T,nq).
     """
     data = mujoco.MjData(model)
@@ -57,9 +57,9 @@ def widen_floors(model: mujoco.MjModel, qpos: NDArray[np.float64]) -> None:
         mujoco.mj_kinematics(model, data)
         reach = max(reach, float(np.abs(data.xpos[:, :2]).max()))
     sizes = model.geom_size[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, :2]
-    # A size of 0 is drawn without end.
-    small = (sizes > 0) & (sizes * _SAFE_SHARE < reach)
-    model.geom_size[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, :2] = np.where(small, reach + _BEYOND_METRES, sizes)
+    # A size of 0 is rendered as infinite.
+    small = (sizes > 0) & (sizes * _MAX_REACH_SHARE < reach)
+    model.geom_size[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, :2] = np.where(small, reach + _MARGIN_METRES, sizes)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,8 @@
-"""What a process that draws without a display must find in its environment."""
+"""Rendering without a display: OpenGL backends, the environment they need, and child processes that render.
+
+Rendering runs in child processes, because a driver can be missing, crash or hang, and because EGL and CUDA in one
+process have hung.
+"""
 
 import os
 import subprocess
@@ -8,33 +12,32 @@ from typing import Literal
 
 Backend = Literal["egl", "osmesa"]
 
-#: in the order of preference
+#: in order of preference
 BACKENDS: tuple[Backend, ...] = ("egl", "osmesa")
 INSTALL = "apt-get install -y --no-install-recommends libegl1 libgl1"
 
 
 def render_environment(backend: Backend) -> dict[str, str]:
-    """The environment for a process that draws: this process's, with what must be set before mujoco's import."""
+    """This process's environment with the variables that must be set before mujoco is imported."""
     return os.environ | {
         "MUJOCO_GL": backend,
         "PYOPENGL_PLATFORM": backend,
-        # Mesa's rasteriser draws in the calling thread: one process a core is faster than threads.
+        # Mesa renders in the calling thread. One process per core is faster than threads.
         "LP_NUM_THREADS": "0",
     }
 
 
 def run_rendering_module(
-    backend: Backend, module: str, arguments: Sequence[str] = (), *, done: str, limit_seconds: float, undone: str
+    backend: Backend, module: str, arguments: Sequence[str] = (), *, success_text: str, timeout_seconds: float
 ) -> str | None:
-    """Run a module that draws with this backend.
+    """Run a module that renders with this backend in a child process.
 
     Args:
-        done: what it prints once it has drawn.
-        limit_seconds: how long it may take.
-        undone: what it has not done if it takes longer, as in "no frame".
+        success_text: what the module prints after it has rendered.
+        timeout_seconds: after this the process is killed.
 
     Returns:
-        None if it drew, else what went wrong, in a line.
+        None if it succeeded, else one line that says why it failed.
     """
     try:
         ended = subprocess.run(
@@ -44,12 +47,12 @@ def run_rendering_module(
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=limit_seconds,
+            timeout=timeout_seconds,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return f"{undone} in {limit_seconds:g} seconds"
-    if done in ended.stdout:  # OSMesa draws well and then fails at its exit
+        return f"timed out after {timeout_seconds:g} seconds"
+    if success_text in ended.stdout:  # OSMesa can fail at exit after rendering correctly
         return None
     lines = ended.stderr.strip().splitlines()
     return lines[-1] if lines else f"exit status {ended.returncode}"

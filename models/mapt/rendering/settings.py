@@ -1,4 +1,4 @@
-"""How a clip looks, how fast it plays and how it is encoded."""
+"""Settings of clips: size, frame rate, quality and encoding."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -9,40 +9,38 @@ Camera = Literal["follow"]
 
 @dataclass(frozen=True, slots=True)
 class CodecSettings:
-    """H.264 settings, named as libx264 names them."""
+    """H.264 settings with libx264's names."""
 
-    #: speed against size; `veryfast` costs half the time of `medium` for 5% more bytes
+    #: `veryfast` takes half the time of `medium` and produces 5% more bytes
     preset: str = "veryfast"
-    #: constant rate factor: lower is better and larger
+    #: constant rate factor; lower means better quality and larger files
     crf: int = 23
-    #: frames from one key frame to the next; a seek decodes at most so many frames
+    #: frames between key frames; a seek decodes at most this many
     keyframe_interval_frames: int = 5
 
 
 @dataclass(frozen=True, slots=True)
 class RenderSettings:
-    """One look for all clips of an experiment.
+    """Settings of all clips of an experiment.
 
     Raises:
-        ValueError: if the size is not positive and even (4:2:0 chroma needs even sizes), or the rate is not
-            positive.
+        ValueError: if the rate is not positive, or the size is not positive and even, as 4:2:0 chroma requires.
     """
 
     #: pixels; multiples of 16 fill whole macroblocks
     width: int = 448
     #: pixels
     height: int = 336
-    #: frames a second; one frame is one control step, so 20 is real time for a task of 0.05 s steps
+    #: frames per second. One frame is one environment step, so 20 is real time for steps of 0.05 s
     frame_rate_hz: float = 20.0
-    #: "fast" draws without anti-aliasing, shadow map or reflection; "pretty" with the first two, at 2 to 3 times
-    #: the cost
+    #: "fast" renders without anti-aliasing and shadow map; "pretty" renders with both and takes 2 to 3 times as long
     quality: Quality = "fast"
-    #: "follow" is a side view at a fixed height and distance that goes along with the body
+    #: "follow" follows the body at a fixed height and distance
     camera: Camera = "follow"
     codec: CodecSettings = CodecSettings()
 
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0 or self.width % 2 or self.height % 2:
-            raise ValueError(f"A clip of {self.width}x{self.height} cannot be encoded: both must be positive and even.")
+            raise ValueError(f"Width and height must be positive and even, got {self.width}x{self.height}.")
         if not self.frame_rate_hz > 0:
-            raise ValueError(f"A clip cannot play at {self.frame_rate_hz} frames a second.")
+            raise ValueError(f"The frame rate must be positive, got {self.frame_rate_hz}.")

@@ -12,7 +12,7 @@ from mapt.errors import NoRenderer, NotRenderable
 from mapt.policies import Policy
 from mapt.policies.rollout import available_actions
 from mapt.rendering.encode import write_clip
-from mapt.rendering.episode_video import DONE
+from mapt.rendering.episode_video import SUCCESS
 from mapt.rendering.offscreen import BACKENDS, INSTALL, run_rendering_module
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import RenderableTask, Task, make_task
@@ -92,9 +92,8 @@ def _film_states(
                 backend,
                 "mapt.rendering.episode_video",
                 [task_name, str(states), f"{frame_rate_hz:g}", str(path.resolve())],
-                done=DONE,
-                limit_seconds=_LIMIT_SECONDS,
-                undone="not finished",
+                success_text=SUCCESS,
+                timeout_seconds=_LIMIT_SECONDS,
             )
             if failure is None:
                 return

@@ -1,4 +1,4 @@
-"""OpenGL without a display, or a skip that says what to install."""
+"""A rendering backend, or a skip that says what to install."""
 
 from pathlib import Path
 

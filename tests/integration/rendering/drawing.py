@@ -1,6 +1,6 @@
-"""Raw frames of a task, drawn in a process of its own as in production: pytest's has mujoco without OpenGL.
+"""Renders frames in a child process, as in production; pytest's process imports mujoco without OpenGL.
 
-As a script: `drawing.py <folder with qpos.npy> <task> <agents' geoms> <settings>`, the last two as JSON.
+The child runs `drawing.py FOLDER TASK AGENT_GEOMS SETTINGS`, the last two as JSON. FOLDER contains qpos.npy.
 """
 
 import json
@@ -22,7 +22,7 @@ CHEETAH = "HalfCheetah-6x1"
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """Draws in child processes, with files in a folder."""
+    """Renders in child processes, which exchange files in a folder."""
 
     backend: Backend
     folder: Path
@@ -30,7 +30,7 @@ class Drawing:
     def frames(
         self, qpos: NDArray[np.float64], agents: list[list[int]], settings: RenderSettings, task: str = CHEETAH
     ) -> NDArray[np.uint8]:
-        """Frames (T,H,W,3) of states (T,nq), from a new process."""
+        """Frames (T,H,W,3) of states (T,nq), rendered by a new process."""
         np.save(self.folder / "qpos.npy", qpos)
         arguments = [str(self.folder), task, json.dumps(agents), json.dumps(asdict(settings))]
         subprocess.run([sys.executable, __file__, *arguments], env=render_environment(self.backend), check=True)
@@ -38,8 +38,8 @@ class Drawing:
 
 
 def main() -> None:
-    folder, task, agents, look = Path(sys.argv[1]), sys.argv[2], json.loads(sys.argv[3]), json.loads(sys.argv[4])
-    settings = RenderSettings(**look | {"codec": CodecSettings(**look["codec"])})
+    folder, task, agents, given = Path(sys.argv[1]), sys.argv[2], json.loads(sys.argv[3]), json.loads(sys.argv[4])
+    settings = RenderSettings(**given | {"codec": CodecSettings(**given["codec"])})
     qpos, model = np.load(folder / "qpos.npy"), load_model(task)
     with ClipRenderer(model, agents, settings) as renderer:
         np.save(folder / "frames.npy", np.stack(list(renderer.frames(qpos, np.zeros((len(qpos), model.nv))))))

@@ -1,10 +1,10 @@
-"""Cheetah states without a policy."""
+"""Motions of a cheetah, made without a policy."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 STEP_SECONDS = 0.05
-#: of the six joints, radians
+#: phases and amplitudes of the six joints in radians
 _PHASES = np.array([0.0, 0.9, 1.8, 2.4, 3.3, 4.2])
 _SWINGS = np.array([0.4, 0.5, 0.4, 0.4, 0.5, 0.3])
 
@@ -18,7 +18,7 @@ def trot(steps: int, metres_a_second: float = 2.0) -> NDArray[np.float64]:
 
 
 def wild_run(steps: int) -> NDArray[np.float64]:
-    """qpos (T,9) of the worst a camera meets: 0 to 14 m/s in jerks, leaps of 0.8 m, two somersaults."""
+    """qpos (T,9) of a motion that is hard to follow: 0 to 14 m/s in jerks, leaps of 0.8 m, two somersaults."""
     phase = np.linspace(0, 1, steps)
     qpos = trot(steps)
     qpos[:, 0] = np.cumsum(10 * phase * (1 + 0.4 * np.sin(20 * np.pi * phase))) * STEP_SECONDS

@@ -1,4 +1,4 @@
-"""Clips as a browser gets them."""
+"""Encoded clips: frames, times, key frames, colours and failures."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +16,7 @@ SETTINGS = RenderSettings(width=96, height=64, codec=CodecSettings(keyframe_inte
 
 
 def grey_ramp(count: int, settings: RenderSettings = SETTINGS) -> list[NDArray[np.uint8]]:
-    """Frames that can be told apart by their shade."""
+    """Frames with distinct shades."""
     shades = np.linspace(20, 230, count).astype(np.uint8)
     return [np.full((settings.height, settings.width, 3), shade, np.uint8) for shade in shades]
 
@@ -26,7 +26,7 @@ def decoded(path: Path) -> list[av.VideoFrame]:
         return list(container.decode(video=0))
 
 
-def test_clip_decodes_to_the_frames_that_went_in(tmp_path: Path) -> None:
+def test_clip_decodes_to_the_encoded_frames(tmp_path: Path) -> None:
     clip = write_clip(grey_ramp(50), tmp_path / "clip.mp4", SETTINGS)
     assert (clip.frames, clip.seconds, clip.width, clip.height) == (50, 2.5, 96, 64)
     assert clip.size_bytes == (tmp_path / "clip.mp4").stat().st_size
@@ -49,12 +49,12 @@ def test_seek_decodes_few_frames(tmp_path: Path) -> None:
     assert keys == [0, 4, 8, 12, 16]
 
 
-def test_index_comes_before_the_pictures(tmp_path: Path) -> None:
+def test_index_precedes_the_frames(tmp_path: Path) -> None:
     data = write_clip(grey_ramp(5), tmp_path / "clip.mp4", SETTINGS).path.read_bytes()
     assert data.index(b"moov") < data.index(b"mdat")
 
 
-def test_clip_is_h264_of_a_kind_that_browsers_play(tmp_path: Path) -> None:
+def test_clip_is_h264_with_a_pixel_format_that_browsers_play(tmp_path: Path) -> None:
     clip = write_clip(grey_ramp(5), tmp_path / "clip.mp4", SETTINGS)
     with av.open(str(clip.path)) as container:
         codec = container.streams.video[0].codec_context
@@ -62,14 +62,14 @@ def test_clip_is_h264_of_a_kind_that_browsers_play(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("colour", [(230, 159, 0), (0, 114, 178), (213, 94, 0)])
-def test_colours_survive_and_name_their_matrix(tmp_path: Path, colour: tuple[int, int, int]) -> None:
+def test_colours_are_preserved_and_tagged(tmp_path: Path, colour: tuple[int, int, int]) -> None:
     frames = [np.full((64, 96, 3), colour, np.uint8)] * 5
-    picture = decoded(write_clip(frames, tmp_path / "clip.mp4", SETTINGS).path)[0]
-    assert picture.colorspace == 1  # BT.709, as ISO 23091-2 numbers it
-    np.testing.assert_allclose(picture.to_ndarray(format="rgb24").mean(axis=(0, 1)), colour, atol=4)
+    frame = decoded(write_clip(frames, tmp_path / "clip.mp4", SETTINGS).path)[0]
+    assert frame.colorspace == 1  # BT.709 in ISO 23091-2
+    np.testing.assert_allclose(frame.to_ndarray(format="rgb24").mean(axis=(0, 1)), colour, atol=4)
 
 
-def test_error_in_the_middle_leaves_nothing(tmp_path: Path) -> None:
+def test_error_between_frames_leaves_no_file(tmp_path: Path) -> None:
     def broken() -> Iterator[NDArray[np.uint8]]:
         yield from grey_ramp(8)
         raise RuntimeError("the simulator went away")
@@ -83,13 +83,13 @@ def test_error_in_the_middle_leaves_nothing(tmp_path: Path) -> None:
     ("frames", "message"),
     [([], "at least one frame"), ([np.zeros((64, 64, 3), np.uint8)], r"\(64, 64, 3\)")],
 )
-def test_frames_that_are_no_clip_are_refused(tmp_path: Path, frames: list[NDArray[np.uint8]], message: str) -> None:
+def test_no_frames_or_wrong_size_is_rejected(tmp_path: Path, frames: list[NDArray[np.uint8]], message: str) -> None:
     with pytest.raises(ClipNotWritten, match=message):
         write_clip(frames, tmp_path / "clip.mp4", SETTINGS)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_failure_keeps_the_clip_that_was_there(tmp_path: Path) -> None:
+def test_failure_keeps_an_existing_clip(tmp_path: Path) -> None:
     path = write_clip(grey_ramp(5), tmp_path / "clip.mp4", SETTINGS).path
     before = path.read_bytes()
     with pytest.raises(ClipNotWritten):
@@ -97,6 +97,6 @@ def test_failure_keeps_the_clip_that_was_there(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
-def test_a_missing_folder_is_said_by_the_clips_name(tmp_path: Path) -> None:
+def test_error_of_a_missing_folder_names_the_clip(tmp_path: Path) -> None:
     with pytest.raises(ClipNotWritten, match=r"clip\.mp4"):
         write_clip(grey_ramp(5), tmp_path / "nowhere" / "clip.mp4", SETTINGS)

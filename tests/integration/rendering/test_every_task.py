@@ -1,4 +1,4 @@
-"""Real frames of every task: the body is in the picture, large enough, its agents in their colours."""
+"""Frames of every task: the whole body is visible and large enough, and agents have their colours."""
 
 import re
 from pathlib import Path
@@ -14,13 +14,13 @@ from mapt.tasks import agent_geoms, load_model, make_task, task_names, task_spec
 
 SMALL = RenderSettings(width=320, height=240)
 FRAMES = 8
-#: steps between two frames: an episode of many tasks is over after twenty steps of chance
+#: steps between frames; with random actions, episodes of many tasks end after twenty steps
 STRIDE = 6
 ORANGE, SKY_BLUE, WHITE = 0, 2, 7
 
 
 def states(task: str) -> NDArray[np.float64]:
-    """qpos (T,nq) of a team that sways to and fro for one episode, or until the clip is full."""
+    """qpos (T,nq) of a robot with oscillating actions, for one episode or FRAMES * STRIDE steps."""
     env = make_task(task, 1, n_threads=1)
     spec = env.spec
     env.reset(3)
@@ -34,8 +34,8 @@ def states(task: str) -> NDArray[np.float64]:
     return np.array(seen[:: max(1, len(seen) // FRAMES)])
 
 
-def shown(frames: NDArray[np.uint8], agents: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Where (T,H,W) the colour of one of these agents shows, in full light or less."""
+def pixels_of(frames: NDArray[np.uint8], agents: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(T,H,W): pixels with the colour of one of these agents, fully lit or darker."""
     found = np.zeros(frames.shape[:-1], dtype=bool)
     for agent in agents:
         colour = np.array(rgb_bytes(AGENT_COLOURS[agent]), dtype=float)
@@ -45,11 +45,11 @@ def shown(frames: NDArray[np.uint8], agents: tuple[int, ...]) -> NDArray[np.bool
 
 
 @pytest.mark.parametrize("task", task_names())
-def test_the_whole_body_is_in_every_frame_and_large_enough(drawing: Drawing, task: str) -> None:
+def test_whole_body_is_in_every_frame_and_large_enough(drawing: Drawing, task: str) -> None:
     qpos = states(task)
-    # One agent that moves all there is, so that every part is orange.
+    # One agent moves all geoms, so every part is orange.
     frames = drawing.frames(qpos, [moving_geoms(load_model(task)).tolist()], SMALL, task)
-    body = shown(frames, (ORANGE,))
+    body = pixels_of(frames, (ORANGE,))
     for frame in body:
         rows, columns = np.flatnonzero(frame.any(axis=1)), np.flatnonzero(frame.any(axis=0))
         assert rows[0] >= 2, "the body leaves the frame at the top"
@@ -61,11 +61,11 @@ def test_the_whole_body_is_in_every_frame_and_large_enough(drawing: Drawing, tas
 
 
 @pytest.mark.parametrize("task", [name for name in task_names() if task_spec(name).n_agents <= 6])
-def test_every_agent_of_a_small_team_shows_in_its_colour(drawing: Drawing, task: str) -> None:
+def test_every_agent_of_a_small_team_is_visible_in_its_colour(drawing: Drawing, task: str) -> None:
     geoms = [list(own) for own in agent_geoms(task)]
     frames = drawing.frames(states(task)[:3], geoms, SMALL, task)
     for agent in range(len(geoms)):
-        assert shown(frames, (agent,)).sum(axis=(1, 2)).max() > 25, AGENT_COLOURS[agent]
+        assert pixels_of(frames, (agent,)).sum(axis=(1, 2)).max() > 25, AGENT_COLOURS[agent]
 
 
 def test_rings_show_the_agents_that_share_a_limb(drawing: Drawing) -> None:
@@ -76,13 +76,13 @@ def test_rings_show_the_agents_that_share_a_limb(drawing: Drawing) -> None:
     alone = drawing.frames(model.qpos0[None], [*agents[:WHITE], [thigh]], SMALL, task)
     agents[SKY_BLUE] = [thigh]
     shared = drawing.frames(model.qpos0[None], [*agents[:WHITE], [thigh]], SMALL, task)
-    assert not shown(alone, (SKY_BLUE,)).any()
-    assert shown(shared, (SKY_BLUE,)).sum() > 20
-    assert shown(shared, (WHITE,)).sum() > 20
+    assert not pixels_of(alone, (SKY_BLUE,)).any()
+    assert pixels_of(shared, (SKY_BLUE,)).sum() > 20
+    assert pixels_of(shared, (WHITE,)).sum() > 20
 
 
 @pytest.mark.parametrize("task", ["Ant-4x2", "Humanoid-9|8", "Swimmer-2x1"])
-def test_the_floor_passes_a_body_that_travels(drawing: Drawing, task: str) -> None:
+def test_floor_moves_past_a_robot_that_travels(drawing: Drawing, task: str) -> None:
     standing = np.repeat(load_model(task).qpos0[None], 4, axis=0)
     going = standing.copy()
     going[:, 0] += 0.2 * np.arange(4)
@@ -94,21 +94,19 @@ def test_the_floor_passes_a_body_that_travels(drawing: Drawing, task: str) -> No
     assert (np.abs(np.diff(moving, axis=0)).max(axis=-1) > 10).mean() > 0.04
 
 
-def test_the_documented_task_of_ones_own_is_drawn(
-    drawing: Drawing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_documented_custom_task_is_rendered(drawing: Drawing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     document = (Path(__file__).parents[3] / "docs" / "tasks.md").read_text()
     block = re.search(r"```python\n(.*?)```", document, re.DOTALL)
     assert block is not None
     file = tmp_path / "tug.py"
-    # Under another name, for what another test has registered cannot be taken back.
+    # Another name, because another test registers this one and tasks cannot be unregistered.
     file.write_text(block[1].replace("Tug-2x1", "DrawnTug-2x1"))
     monkeypatch.setenv("MAPT_TASKS", str(file))
     geoms = [list(own) for own in agent_geoms("DrawnTug-2x1")]
     qpos = np.linspace([0.0, 0.0], [3.0, 0.5], 8)
     frames = drawing.frames(qpos, geoms, SMALL, "DrawnTug-2x1")
     for agent in range(2):
-        assert shown(frames, (agent,)).sum(axis=(1, 2)).min() > 200
-    ground = ~shown(frames, (0, 1))
+        assert pixels_of(frames, (agent,)).sum(axis=(1, 2)).min() > 200
+    ground = ~pixels_of(frames, (0, 1))
     moved = np.abs(np.diff(frames.astype(int), axis=0)).max(axis=-1) > 10
-    assert (moved & ground[1:] & ground[:-1]).mean() > 0.01  # it has no floor: a grid passes
+    assert (moved & ground[1:] & ground[:-1]).mean() > 0.01  # there is no floor, so the grid moves

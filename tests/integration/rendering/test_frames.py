@@ -1,4 +1,4 @@
-"""Real frames, looked at."""
+"""Frames of HalfCheetah: reproducibility, colours, view and floor."""
 
 import numpy as np
 import pytest
@@ -18,32 +18,32 @@ WHOLE_BODY = [*SIX, [1, 2]]
 
 
 def pixels_of(agent: int, frames: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Where (T,H,W) the colour of this agent shows, in full light or less."""
+    """(T,H,W): pixels with the colour of this agent, fully lit or darker."""
     colour = np.array(rgb_bytes(AGENT_COLOURS[agent]), dtype=float)
     shade = np.clip((frames @ colour) / (colour @ colour), 0.6, 1.05)
     return np.abs(frames - shade[..., None] * colour).max(axis=-1) < 10
 
 
 def count_of(agent: int, frames: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Pixels (T,) in which the colour of this agent shows."""
+    """(T,): number of pixels with the colour of this agent."""
     return pixels_of(agent, frames).sum(axis=(1, 2))
 
 
-def test_frames_are_the_same_bytes_from_process_to_process(drawing: Drawing) -> None:
+def test_two_processes_render_the_same_bytes(drawing: Drawing) -> None:
     first, second = (drawing.frames(trot(6), SIX, SMALL) for _ in range(2))
     assert first.shape == (6, 240, 320, 3)
     np.testing.assert_array_equal(first, second)
 
 
 @pytest.mark.parametrize("quality", ["fast", "pretty"])
-def test_each_of_six_agents_shows_in_its_own_colour(drawing: Drawing, quality: Quality) -> None:
+def test_each_of_six_agents_is_visible_in_its_colour(drawing: Drawing, quality: Quality) -> None:
     frames = drawing.frames(trot(10), SIX, RenderSettings(width=320, height=240, quality=quality))
     for agent in range(6):
         assert count_of(agent, frames).min() > 60, AGENT_COLOURS[agent]
     assert count_of(6, frames).max() == 0
 
 
-def test_two_agents_of_three_joints_show_in_two_colours(drawing: Drawing) -> None:
+def test_two_agents_of_three_joints_have_two_colours(drawing: Drawing) -> None:
     frames = drawing.frames(trot(10), TWO, SMALL)
     assert count_of(0, frames).min() > 400
     assert count_of(1, frames).min() > 400
@@ -52,14 +52,14 @@ def test_two_agents_of_three_joints_show_in_two_colours(drawing: Drawing) -> Non
 
 def test_colour_moves_with_the_limb_of_its_agent(drawing: Drawing) -> None:
     still = np.zeros((2, 9))
-    still[1, 8] = 0.5  # the front foot alone: agent 5
+    still[1, 8] = 0.5  # only the front foot, agent 5
     frames = drawing.frames(still, SIX, SMALL)
     changed = [int((pixels[0] ^ pixels[1]).sum()) for pixels in (pixels_of(agent, frames) for agent in range(6))]
     assert changed[:4] == [0, 0, 0, 0]
-    assert changed[5] > 5 * changed[4]  # the shin shows a little more or less of itself at the joint
+    assert changed[5] > 5 * changed[4]  # a little more or less of the shin is visible at the joint
 
 
-def test_whole_body_stays_in_view_over_a_wild_run(drawing: Drawing) -> None:
+def test_whole_body_stays_in_view_during_a_wild_run(drawing: Drawing) -> None:
     frames = drawing.frames(wild_run(60), WHOLE_BODY, SMALL)
     shown = np.any([pixels_of(agent, frames) for agent in range(7)], axis=0)
     edge = np.concatenate(
@@ -69,7 +69,7 @@ def test_whole_body_stays_in_view_over_a_wild_run(drawing: Drawing) -> None:
     assert shown.sum(axis=(1, 2)).min() > 3000
 
 
-def test_floor_shows_the_speed(drawing: Drawing) -> None:
+def test_floor_moves_with_the_speed(drawing: Drawing) -> None:
     standing = np.repeat(trot(1), 4, axis=0)
     running = standing.copy()
     running[:, 0] = 0.2 * np.arange(4)

@@ -1,4 +1,4 @@
-"""The render process: what it makes, and what its death does."""
+"""The render process: its clips, and how it recovers from hangs and crashes."""
 
 import os
 import signal
@@ -21,7 +21,7 @@ from integration.rendering.gaits import trot
 from mapt.rendering.offscreen import Backend
 from mapt.rendering.settings import RenderSettings
 
-#: for what must happen soon, on a machine that is busy
+#: patience for events that happen soon, on a busy machine
 DEADLINE_SECONDS = 60.0
 
 
@@ -33,7 +33,7 @@ def shared_process(backend: Backend) -> Iterator[RenderProcess]:
 
 @pytest.fixture
 def process(shared_process: RenderProcess) -> RenderProcess:
-    """One for all tests, whatever they do to it: each leaves a working one behind."""
+    """Shared by all tests. Each of them leaves a working process behind."""
     return shared_process
 
 
@@ -42,10 +42,10 @@ def job(folder: Path, steps: int = 5, task: str = "HalfCheetah-6x1") -> ClipJob:
     return ClipJob(task, qpos, np.zeros_like(qpos), RenderSettings(width=160, height=120), folder / "clip.mp4")
 
 
-def wait_until(true: Callable[[], bool]) -> None:
+def wait_until(condition: Callable[[], bool]) -> None:
     deadline = time.monotonic() + DEADLINE_SECONDS
-    while not true():
-        assert time.monotonic() < deadline, "waited in vain"
+    while not condition():
+        assert time.monotonic() < deadline, "the condition did not become true in time"
         time.sleep(0.005)
 
 
@@ -59,16 +59,16 @@ def size_bytes(path: Path) -> int:
 
 
 @contextmanager
-def struck_in_the_middle(process: RenderProcess, folder: Path, signal_number: int) -> Iterator[None]:
-    """Send a signal to the process once it is writing its clip."""
+def signal_while_writing(process: RenderProcess, folder: Path, signal_number: int) -> Iterator[None]:
+    """Send a signal to the process while it writes its clip."""
     pid = process.pid
 
-    def strike() -> None:
+    def send_signal() -> None:
         wait_until(lambda: is_gone(pid) or any(size_bytes(path) for path in folder.glob(f".clip.mp4.{pid}.*")))
         with suppress(ProcessLookupError):
             os.kill(pid, signal_number)
 
-    thread = threading.Thread(target=strike)
+    thread = threading.Thread(target=send_signal)
     thread.start()
     yield
     thread.join()
@@ -90,8 +90,8 @@ def test_clip_has_a_frame_for_every_state(process: RenderProcess, tmp_path: Path
     assert list(tmp_path.iterdir()) == [clip.path]
 
 
-def test_looks_in_turn_are_each_drawn_at_their_size(process: RenderProcess, tmp_path: Path) -> None:
-    for width in (160, 96, 128, 112, 144, 176, 160):  # more than the renderers it keeps
+def test_alternating_settings_each_get_their_size(process: RenderProcess, tmp_path: Path) -> None:
+    for width in (160, 96, 128, 112, 144, 176, 160):  # more settings than renderers kept
         settings = RenderSettings(width=width, height=96)
         clip = process.render(replace(job(tmp_path), settings=settings))
         with av.open(str(clip.path)) as container:
@@ -102,14 +102,14 @@ def test_looks_in_turn_are_each_drawn_at_their_size(process: RenderProcess, tmp_
     ("broken", "message"),
     [
         ({"task": "Walker-2x3"}, "Walker-2x3"),
-        ({"qpos": np.zeros((5, 7))}, "not of this model"),
-        ({"qvel": np.zeros((4, 9))}, "not of this model"),
+        ({"qpos": np.zeros((5, 7))}, "States must have shapes"),
+        ({"qvel": np.zeros((4, 9))}, "States must have shapes"),
         ({"qpos": np.full((5, 9), np.nan)}, "diverged"),
         ({"qpos": np.zeros((0, 9)), "qvel": np.zeros((0, 9))}, "at least one state"),
         ({"path": Path("/nowhere/clip.mp4")}, "could not be written"),
     ],
 )
-def test_job_that_makes_no_clip_fails_alone(
+def test_failed_job_does_not_affect_the_next(
     process: RenderProcess, tmp_path: Path, broken: dict[str, object], message: str
 ) -> None:
     pid = process.pid
@@ -120,38 +120,38 @@ def test_job_that_makes_no_clip_fails_alone(
     assert process.pid == pid
 
 
-def test_wedged_process_is_killed_and_replaced(process: RenderProcess, tmp_path: Path) -> None:
+def test_hung_process_is_killed_and_replaced(process: RenderProcess, tmp_path: Path) -> None:
     assert_makes_clips(process, tmp_path)
     (tmp_path / "clip.mp4").unlink()
-    wedged = process.pid
-    os.kill(wedged, signal.SIGSTOP)
+    hung = process.pid
+    os.kill(hung, signal.SIGSTOP)
     with pytest.raises(RenderTimedOut) as error:
         process.render(job(tmp_path), limit_seconds=0.5)
     assert error.value.code == "render_timed_out"
-    assert is_gone(wedged)
+    assert is_gone(hung)
     assert list(tmp_path.iterdir()) == []
     assert_makes_clips(process, tmp_path)
 
 
-def test_wedged_process_cannot_wedge_its_parent_with_a_long_job(process: RenderProcess, tmp_path: Path) -> None:
-    wedged = process.pid
+def test_hung_process_does_not_block_its_parent_with_a_long_job(process: RenderProcess, tmp_path: Path) -> None:
+    hung = process.pid
     assert_makes_clips(process, tmp_path)
-    os.kill(wedged, signal.SIGSTOP)
-    with pytest.raises(RenderTimedOut):  # 7 MB are more than a socket holds
+    os.kill(hung, signal.SIGSTOP)
+    with pytest.raises(RenderTimedOut):  # 7 MB do not fit into the socket's buffer
         process.render(job(tmp_path, steps=50_000), limit_seconds=0.5)
-    assert is_gone(wedged)
+    assert is_gone(hung)
     assert_makes_clips(process, tmp_path)
 
 
-def test_wedge_in_the_middle_of_a_clip_leaves_nothing(process: RenderProcess, tmp_path: Path) -> None:
-    with struck_in_the_middle(process, tmp_path, signal.SIGSTOP), pytest.raises(RenderTimedOut):
+def test_hang_during_a_clip_leaves_no_file(process: RenderProcess, tmp_path: Path) -> None:
+    with signal_while_writing(process, tmp_path, signal.SIGSTOP), pytest.raises(RenderTimedOut):
         process.render(job(tmp_path, steps=20_000), limit_seconds=3)
     assert list(tmp_path.iterdir()) == []
     assert_makes_clips(process, tmp_path)
 
 
-def test_kill_in_the_middle_of_a_clip_leaves_nothing(process: RenderProcess, tmp_path: Path) -> None:
-    with struck_in_the_middle(process, tmp_path, signal.SIGKILL), pytest.raises(RenderFailed, match="signal 9"):
+def test_kill_during_a_clip_leaves_no_file(process: RenderProcess, tmp_path: Path) -> None:
+    with signal_while_writing(process, tmp_path, signal.SIGKILL), pytest.raises(RenderFailed, match="signal 9"):
         process.render(job(tmp_path, steps=20_000))
     assert list(tmp_path.iterdir()) == []
     assert_makes_clips(process, tmp_path)
@@ -167,29 +167,29 @@ def test_process_killed_between_clips_is_replaced(process: RenderProcess, tmp_pa
     assert_makes_clips(process, tmp_path)
 
 
-def test_ctrl_c_is_left_to_the_parent(process: RenderProcess, tmp_path: Path) -> None:
+def test_child_ignores_ctrl_c(process: RenderProcess, tmp_path: Path) -> None:
     assert_makes_clips(process, tmp_path)
     pid = process.pid
     os.kill(pid, signal.SIGINT)
     assert_makes_clips(process, tmp_path)
     assert process.pid == pid
-    assert os.getpgid(pid) != os.getpgid(0)  # nor does the terminal send it one
+    assert os.getpgid(pid) != os.getpgid(0)  # so the terminal sends it no signal
 
 
-def test_torch_is_never_loaded(process: RenderProcess, tmp_path: Path) -> None:
+def test_torch_is_not_loaded(process: RenderProcess, tmp_path: Path) -> None:
     assert_makes_clips(process, tmp_path)
     libraries = Path(f"/proc/{process.pid}/maps").read_text()
     assert "mujoco" in libraries
     assert "torch" not in libraries
 
 
-def test_closed_process_is_gone(backend: Backend, tmp_path: Path) -> None:
+def test_close_ends_the_process(backend: Backend, tmp_path: Path) -> None:
     with RenderProcess(backend) as process:
         assert_makes_clips(process, tmp_path)
     assert is_gone(process.pid)
 
 
-def test_process_dies_with_a_parent_that_is_killed(backend: Backend, tmp_path: Path) -> None:
+def test_process_ends_when_its_parent_is_killed(backend: Backend, tmp_path: Path) -> None:
     parent = subprocess.Popen([sys.executable, "-c", PARENT, backend, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     with parent:
         assert parent.stdout is not None
@@ -200,13 +200,12 @@ def test_process_dies_with_a_parent_that_is_killed(backend: Backend, tmp_path: P
     assert not (tmp_path / "clip.mp4").exists()
 
 
-#: makes a clip that would take minutes
+#: a parent that makes a clip of several minutes
 PARENT = """
 import sys
 from pathlib import Path
 import numpy as np
-from accord.rendering.process import RenderProcess
-from accord.rendering.process import ClipJob
+from accord.rendering.process import ClipJob, RenderProcess
 from mapt.rendering.settings import RenderSettings
 
 process = RenderProcess(sys.argv[1])

@@ -1,4 +1,4 @@
-"""What a machine is told about itself."""
+"""The checks of rendering and encoding."""
 
 import os
 import sys
@@ -6,21 +6,21 @@ from pathlib import Path
 
 import pytest
 
-from accord.rendering import checks as probe
+from accord.rendering import checks
 from accord.rendering.checks import check_encoder, check_rendering, probe_backend, try_backend
 from accord.rendering.process import RenderingUnavailable
 from mapt.rendering.offscreen import Backend, render_environment
 
 
-def test_this_machine_can_draw_and_encode(backend: Backend) -> None:
+def test_checks_pass_on_this_machine(backend: Backend) -> None:
     assert check_rendering().ok
     assert backend in check_rendering().detail
     assert check_encoder().ok
     assert check_encoder().fix is None
 
 
-def test_machine_without_opengl_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(probe, "BACKENDS", ("glfw",))  # needs a display, and here is none
+def test_without_opengl_the_check_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checks, "BACKENDS", ("glfw",))  # needs a display, which is missing here
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(RenderingUnavailable, match=r"glfw: .+libegl1 libgl1") as error:
@@ -28,18 +28,18 @@ def test_machine_without_opengl_is_told_what_to_install(monkeypatch: pytest.Monk
     assert error.value.code == "rendering_unavailable"
     check = check_rendering()
     assert not check.ok
-    assert check.fix == probe.INSTALL
+    assert check.fix == checks.INSTALL
 
 
-def test_backend_that_hangs_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hung_backend_times_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sleeper = tmp_path / "python"
     sleeper.write_text("#!/bin/sh\nexec sleep 600\n")
     sleeper.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(sleeper))
-    assert try_backend("egl", limit_seconds=0.2) == "no frame in 0.2 seconds"
+    assert try_backend("egl", timeout_seconds=0.2) == "timed out after 0.2 seconds"
 
 
-def test_drawing_process_gets_its_environment_and_keeps_the_rest() -> None:
+def test_render_environment_adds_to_this_process_environment() -> None:
     environment = render_environment("osmesa")
     assert environment["MUJOCO_GL"] == environment["PYOPENGL_PLATFORM"] == "osmesa"
     assert environment["LP_NUM_THREADS"] == "0"

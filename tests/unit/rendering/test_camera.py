@@ -1,4 +1,4 @@
-"""Where the camera looks."""
+"""The camera's path."""
 
 import numpy as np
 from hypothesis import given
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mapt.rendering.camera import View, camera_path, smooth
 
 VIEW = View(half_width=1.3, half_height=1.0)
-#: metres above the floor that the camera looks at
+#: height in metres of the camera's target
 HEIGHT = 0.6
 WINDOW = 8
 
@@ -17,7 +17,7 @@ bodies = st.lists(st.tuples(st.floats(-1, 1), st.floats(0, 3), st.floats(0, 2), 
 
 
 def boxes(drawn: list[tuple[float, float, float, float]]) -> tuple[NDArray, NDArray]:
-    """Corners (T,2) of a body that goes by the drawn strides."""
+    """Corners (T,2) of a body that moves by the given strides."""
     stride, floor, length, height = np.array(drawn).T
     lowest = np.column_stack([np.cumsum(stride), floor])
     return lowest, lowest + np.column_stack([length, height])
@@ -29,13 +29,13 @@ def steady_run(metres_a_frame: float, steps: int = 60) -> tuple[NDArray, NDArray
 
 
 def follow(lowest: NDArray, highest: NDArray) -> NDArray:
-    """The path of a camera that goes along at one height."""
+    """The path of a camera that follows the body at a constant height."""
     along = smooth((lowest + highest)[:, 0] / 2, WINDOW)
     return camera_path(lowest, highest, np.column_stack([along, np.full(len(along), HEIGHT)]), VIEW, WINDOW)
 
 
 @given(bodies)
-def test_whole_body_is_in_view_however_it_moves(drawn: list[tuple[float, float, float, float]]) -> None:
+def test_whole_body_stays_in_view_for_any_motion(drawn: list[tuple[float, float, float, float]]) -> None:
     lowest, highest = boxes(drawn)
     path = follow(lowest, highest)
     half = np.array([VIEW.half_width, VIEW.half_height])
@@ -48,13 +48,13 @@ def test_body_larger_than_the_view_is_centred() -> None:
     np.testing.assert_allclose(follow(lowest, highest), [[4.5, 2.5]])
 
 
-def test_steady_run_is_followed_exactly_to_both_ends() -> None:
+def test_constant_velocity_is_followed_exactly_to_both_ends() -> None:
     lowest, highest = steady_run(0.25)
     path = follow(lowest, highest)
     np.testing.assert_allclose(path[:, 0], (lowest + highest)[:, 0] / 2, atol=1e-9)
 
 
-def test_height_stays_fixed_while_the_body_fits() -> None:
+def test_height_is_constant_while_the_body_fits() -> None:
     lowest, highest = steady_run(0.25)
     bounce = 0.3 * np.sin(np.arange(len(lowest)))
     lowest[:, 1] += bounce
@@ -70,7 +70,7 @@ def test_camera_moves_more_smoothly_than_a_jolting_body() -> None:
     assert np.abs(np.diff(path, 2)).max() < 0.2 * np.abs(np.diff(body, 2)).max()
 
 
-def test_camera_rises_smoothly_and_ahead_of_a_leap() -> None:
+def test_camera_rises_smoothly_before_a_leap() -> None:
     lowest, highest = steady_run(0.1)
     flight = np.linspace(0, 1, 18)
     leap = 0.9 * 4 * flight * (1 - flight)  # metres: 0.9 s in the air

@@ -1,4 +1,4 @@
-"""When two clips are the same clip."""
+"""Clip keys."""
 
 from dataclasses import replace
 

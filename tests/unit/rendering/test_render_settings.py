@@ -1,4 +1,4 @@
-"""Looks that cannot be, refused; looks that can, carried to the render process."""
+"""Validation of render settings, and messages to and from the render process."""
 
 from multiprocessing import Pipe
 from pathlib import Path
@@ -12,18 +12,18 @@ from mapt.rendering.settings import CodecSettings, RenderSettings
 
 
 @pytest.mark.parametrize("size", [(321, 240), (320, 0), (-2, 240)])
-def test_size_that_cannot_be_encoded_is_refused(size: tuple[int, int]) -> None:
+def test_size_that_cannot_be_encoded_is_rejected(size: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match="positive and even"):
         RenderSettings(width=size[0], height=size[1])
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, float("nan")])
-def test_rate_that_cannot_play_is_refused(rate: float) -> None:
-    with pytest.raises(ValueError, match="frames a second"):
+def test_invalid_frame_rate_is_rejected(rate: float) -> None:
+    with pytest.raises(ValueError, match="frame rate"):
         RenderSettings(frame_rate_hz=rate)
 
 
-def test_job_arrives_as_it_was_sent() -> None:
+def test_job_survives_the_connection() -> None:
     settings = RenderSettings(320, 240, 12.5, "pretty", codec=CodecSettings("fast", 20, 7))
     states = np.random.default_rng(0).standard_normal((2, 3, 9))
     job = ClipJob("HalfCheetah-6x1", states[0], states[1], settings, Path("/clips/a.mp4"))
@@ -40,7 +40,7 @@ def test_job_arrives_as_it_was_sent() -> None:
     "reply",
     [Reply(), Reply(failure="no"), Reply(clip=ClipFile(Path("/clips/a.mp4"), 50, 2.5, 320, 240, 1234))],
 )
-def test_reply_arrives_as_it_was_sent(reply: Reply) -> None:
+def test_reply_survives_the_connection(reply: Reply) -> None:
     parent, child = Pipe()
     with parent, child:
         send_reply(child, reply)
