@@ -7,9 +7,9 @@ from fastapi.routing import APIRoute
 
 from accord.api import errors
 from accord.api.body_limit import BodyLimit
+from accord.api.dependencies import House
 from accord.api.pages import Page
 from accord.api.routes import accounts, clips, events, experiments, health, labelling, segments
-from accord.api.visit import House
 from accord.settings import Settings
 from accord.store.blobs import BlobStore
 from accord.store.database import Database

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 from accord.domain.enums import Role
 from accord.domain.errors import NameTaken, Unauthenticated, UserNotFound
 from accord.domain.ids import new_id
-from accord.services.texts import check_line
+from accord.services.validation import check_line
 from accord.store import accounts
 from accord.store.accounts import User, UserSummary
 from accord.store.tables import TokenRow, UserRow, utc_now

@@ -6,7 +6,7 @@ from sqlalchemy.orm import Session
 
 from accord.domain.enums import ClipStatus, QueryStatus
 from accord.domain.errors import ClipNotFound
-from accord.services.clock import now_and_end
+from accord.services.lease import now_and_end
 from accord.store import clips, queries
 from accord.store.tables import ClipRow
 

@@ -9,7 +9,7 @@ from accord.domain.enums import ExperimentStatus, Phase, QueryStatus
 from accord.domain.errors import ExperimentNotActive, ExperimentNotFound, InvalidExperiment, NameTaken, UnknownTask
 from accord.domain.ids import new_id
 from accord.services.experiment_config import ExperimentConfig
-from accord.services.texts import check_line, check_lines
+from accord.services.validation import check_line, check_lines
 from accord.store import experiments
 from accord.store.tables import ExperimentRow, utc_now
 from mapt.errors import UnknownTask as TaskIsUnknown

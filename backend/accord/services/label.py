@@ -21,9 +21,9 @@ from accord.domain.errors import (
 from accord.domain.ids import new_id
 from accord.domain.permissions import may_label_in_batches
 from accord.services.accounts import Caller
-from accord.services.clock import now_and_end
 from accord.services.experiments import require_not_over
-from accord.services.texts import check_teacher
+from accord.services.lease import now_and_end
+from accord.services.validation import check_teacher
 from accord.store import labels, queries
 from accord.store.labels import StoredLabel
 from accord.store.queries import QueryInHand, Word

@@ -1,8 +1,9 @@
-"""What worker processes say of themselves, for the page."""
+"""Worker processes: the state they report, and the leases (claims) by which one worker at a time does a job."""
 
 from sqlalchemy.orm import Session
 
-from accord.store import processes
+from accord.services.lease import now_and_end
+from accord.store import workers
 from accord.store.tables import WorkerRow, utc_now
 
 
@@ -23,7 +24,7 @@ def report(  # noqa: PLR0917 (a row's fields in their order)
         restarts: how often its supervisor has restarted it; None leaves the number as it is.
     """
     now = utc_now()
-    row = processes.worker(session, worker_id)
+    row = workers.worker(session, worker_id)
     if row is None:
         session.add(WorkerRow(id=worker_id, role=role, pid=pid, state=state, detail=detail, restarts=restarts or 0))
         return
@@ -36,4 +37,21 @@ def report(  # noqa: PLR0917 (a row's fields in their order)
 
 def all(session: Session) -> list[WorkerRow]:
     """Every worker that ever reported, by id."""
-    return processes.workers(session)
+    return workers.workers(session)
+
+
+def claim(session: Session, subject: str, holder: str, lease_seconds: float) -> bool:
+    """Takes a subject, for example policy:exp_..., that nobody holds, or whose holder was silent for too long."""
+    now, until = now_and_end(lease_seconds)
+    return workers.take_claim(session, subject, holder, until, now)
+
+
+def heartbeat(session: Session, subject: str, holder: str, lease_seconds: float) -> bool:
+    """Holds on to a subject. Returns False if another has it by now: stop working on it."""
+    _, until = now_and_end(lease_seconds)
+    return workers.renew_claim(session, subject, holder, until)
+
+
+def release(session: Session, subject: str, holder: str) -> None:
+    """Gives a subject back; nothing happens where another holds it."""
+    workers.drop_claim(session, subject, holder)

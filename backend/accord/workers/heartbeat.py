@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 
 from accord.domain.enums import WorkerRole
 from accord.domain.errors import AccordError
-from accord.services import claims, workers
+from accord.services import workers
 from accord.store.database import Database
 
 log = logging.getLogger(__name__)
@@ -115,18 +115,18 @@ class Pulse:
     def hold(self, subject: str) -> Iterator[Claim | None]:
         """Claim `subject` for the block and release it after; None when another holds it."""
         with self._database.transaction() as session:
-            taken = claims.claim(session, subject, self._holder, self._lease_seconds)
+            taken = workers.claim(session, subject, self._holder, self._lease_seconds)
         if not taken:
             yield None
             return
         with self.keep(
-            subject, lambda session: claims.heartbeat(session, subject, self._holder, self._lease_seconds)
+            subject, lambda session: workers.heartbeat(session, subject, self._holder, self._lease_seconds)
         ) as claim:
             try:
                 yield claim
             finally:
                 with self._database.transaction() as session:
-                    claims.release(session, subject, self._holder)
+                    workers.release(session, subject, self._holder)
 
     @contextmanager
     def keep(self, subject: str, renew: Renew) -> Iterator[Claim]:

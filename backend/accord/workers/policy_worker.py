@@ -6,7 +6,7 @@ import time
 
 from accord.domain.enums import WorkerRole
 from accord.domain.errors import Invalid
-from accord.services import claims, experiments, publish
+from accord.services import experiments, publish, workers
 from accord.services.experiment_config import ExperimentConfig
 from accord.workers.heartbeat import Claim, ClaimLost
 from accord.workers.pacing import waits_for
@@ -92,8 +92,8 @@ class PolicyWorker:
 
     def _is_free(self, subject: str) -> bool:
         with self._context.database.transaction() as session:
-            free = claims.claim(session, subject, self._context.holder, self._context.settings.worker_lease_seconds)
-            claims.release(session, subject, self._context.holder)
+            free = workers.claim(session, subject, self._context.holder, self._context.settings.worker_lease_seconds)
+            workers.release(session, subject, self._context.holder)
         return free
 
 

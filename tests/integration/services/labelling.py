@@ -2,7 +2,7 @@
 
 import sys
 
-from accord.services import accounts, label, offer
+from accord.services import accounts, label, lease
 from accord.store.database import Database
 
 
@@ -12,7 +12,7 @@ def main() -> None:
     while True:
         with database.transaction() as session:
             user = accounts.authenticate(session, token)
-            found = offer.next_queries(session, user, experiment_id, 1, 60.0)
+            found = lease.next_queries(session, user, experiment_id, 1, 60.0)
         if not found.items:
             break
         with database.transaction() as session:

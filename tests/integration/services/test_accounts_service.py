@@ -9,7 +9,7 @@ from sqlalchemy import select as sql_select
 from accord.domain.enums import Role
 from accord.domain.errors import Invalid, NameTaken, Unauthenticated, UserNotFound
 from accord.domain.ids import new_id
-from accord.services import accounts, label, offer
+from accord.services import accounts, label, lease
 from accord.store.tables import TokenRow
 from support.scenes import scene
 from support.stores import Stores
@@ -146,7 +146,7 @@ def test_a_removed_user_with_labels_stays_on_record_and_a_new_link_lets_them_in(
     made = scene(both.database, both.blobs)
     with both.database.transaction() as session:
         ada, bearer = accounts.create_user(session, "Ada", Role.LABELLER)
-        first = offer.next_queries(session, ada, made.experiment.id, 2, 60.0).items[0]
+        first = lease.next_queries(session, ada, made.experiment.id, 2, 60.0).items[0]
         label.put_label(session, ada, first.id, 1.0)
         assert accounts.by_name(session, "Ada").id == ada.id
     with both.database.transaction() as session:
@@ -158,7 +158,7 @@ def test_a_removed_user_with_labels_stays_on_record_and_a_new_link_lets_them_in(
         assert (summary.labels, summary.browsers, summary.bearer_tokens) == (1, 0, 0)
         # the other query that was leased to Ada is free at once
         other, _ = accounts.create_user(session, "Grace", Role.LABELLER)
-        assert len(offer.next_queries(session, other, made.experiment.id, 3, 60.0).items) == 3
+        assert len(lease.next_queries(session, other, made.experiment.id, 3, 60.0).items) == 3
         link = accounts.make_link(session, ada.id, 5)
         assert accounts.redeem_link(session, link, 30)[0].id == ada.id
 

@@ -11,7 +11,7 @@ import pytest
 
 from accord.domain.enums import Role
 from accord.domain.errors import BlobMissing, ExperimentNotFound, Invalid, Unavailable
-from accord.services import collect, export, label, offer, publish
+from accord.services import collect, export, label, lease, publish
 from accord.store.tables import UserRow
 from mapt.preferences.formats.tables import PreferenceTables
 from support.scenes import Scene, scene, user
@@ -25,7 +25,7 @@ def labelled(made: Stores) -> tuple[Scene, UserRow, UserRow]:
         person, _ = user(session, "Ada Lovelace")
         program, _ = user(session, "program", Role.TEACHER)
     with made.database.transaction() as session:
-        offer.next_queries(session, person, shown.experiment.id, 4, 60.0)
+        lease.next_queries(session, person, shown.experiment.id, 4, 60.0)
     with made.database.transaction() as session:
         label.put_label(session, person, shown.query_ids[0], 1.0, "shown", response_seconds=2.5)
         label.put_label(session, person, shown.query_ids[2], None, "shown")

@@ -13,7 +13,7 @@ from sqlalchemy import select as sql_select
 
 from accord.domain.enums import Role
 from accord.domain.errors import LabelNotFound, LeaseLost, QueryClosed
-from accord.services import experiments, label, offer, publish
+from accord.services import experiments, label, lease, publish
 from accord.store.tables import LabelRevisionRow, LabelRow, QueryRow
 from support.scenes import scene, user
 from support.stores import stores
@@ -59,14 +59,14 @@ class Labelling(RuleBasedStateMachine):
         ]
         expected = sorted((mine + free)[:count])
         with self.stores.database.transaction() as session:
-            found = offer.next_queries(session, self.people[who], self.experiment_id, count, 3600.0)
+            found = lease.next_queries(session, self.people[who], self.experiment_id, count, 3600.0)
         assert [self.query_ids.index(item.id) for item in found.items] == expected
         self.holder |= dict.fromkeys(expected, who)
 
     @rule(who=st.integers(0, PEOPLE - 1), query=st.integers(0, QUERIES - 1))
     def give_back(self, who: int, query: int) -> None:
         with self.stores.database.transaction() as session:
-            offer.release(session, self.people[who], self.query_ids[query])
+            lease.release(session, self.people[who], self.query_ids[query])
         if self.holder.get(query) == who:
             del self.holder[query]
 

@@ -17,7 +17,7 @@ from accord.domain.errors import (
     QueryNotFound,
 )
 from accord.domain.ids import new_id
-from accord.services import experiments, label, offer, publish
+from accord.services import experiments, label, lease, publish
 from accord.services.label import LabelOutcome
 from accord.store.tables import LabelRevisionRow, LabelRow, QueryRow, UserRow
 from support.scenes import Scene, scene, user
@@ -29,9 +29,9 @@ def person(stores: Stores, name: str = "ada", role: Role = Role.LABELLER) -> Use
         return user(session, name, role)[0]
 
 
-def lease(stores: Stores, who: UserRow, made: Scene, count: int = 1) -> list[offer.OfferedQuery]:
+def leased(stores: Stores, who: UserRow, made: Scene, count: int = 1) -> list[lease.OfferedQuery]:
     with stores.database.transaction() as session:
-        return offer.next_queries(session, who, made.experiment.id, count, 60.0).items
+        return lease.next_queries(session, who, made.experiment.id, count, 60.0).items
 
 
 def put(stores: Stores, who: UserRow, query_id: str, value: float | None, **options: object) -> LabelOutcome:
@@ -56,7 +56,7 @@ def status(stores: Stores, query_id: str) -> str:
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
 def test_a_label_is_stored_and_closes_its_query(both: Stores, value: float) -> None:
     made, ada = scene(both.database, both.blobs), person(both)
-    (query,) = lease(both, ada, made)
+    (query,) = leased(both, ada, made)
     outcome = put(both, ada, query.id, value, response_seconds=2.5)
     assert (outcome.created, outcome.row.value, outcome.row.state, outcome.row.revision) == (True, value, "label", 1)
     assert outcome.row.left_segment == query.left_segment
@@ -69,7 +69,7 @@ def test_a_label_is_stored_and_closes_its_query(both: Stores, value: float) -> N
 
 def test_the_same_label_twice_is_one_label(both: Stores) -> None:
     made, ada = scene(both.database, both.blobs), person(both)
-    (query,) = lease(both, ada, made)
+    (query,) = leased(both, ada, made)
     first = put(both, ada, query.id, 1.0, response_seconds=1.0)
     again = put(both, ada, query.id, 1.0, response_seconds=9.0)
     assert (first.created, again.created) == (True, False)
@@ -83,7 +83,7 @@ def test_the_drawn_side_is_undone(
     sqlite: Stores, left: int, said: float | None, stored_if_left_is_0: float | None
 ) -> None:
     made, ada = scene(sqlite.database, sqlite.blobs, segments=10, queries=20), person(sqlite)
-    query = next(each for each in lease(sqlite, ada, made, 20) if each.left_segment == left)
+    query = next(each for each in leased(sqlite, ada, made, 20) if each.left_segment == left)
     stored = put(sqlite, ada, query.id, said, order="shown").row
     expected = stored_if_left_is_0 if said is None or left == 0 else 1.0 - said
     assert (stored.value, stored.left_segment) == (expected, left)
@@ -92,7 +92,7 @@ def test_the_drawn_side_is_undone(
 @pytest.mark.parametrize("value", [0.7, -1.0, 2.0, math.nan, math.inf, 0.49999999999])
 def test_any_other_number_is_refused(sqlite: Stores, value: float) -> None:
     made, ada = scene(sqlite.database, sqlite.blobs), person(sqlite)
-    (query,) = lease(sqlite, ada, made)
+    (query,) = leased(sqlite, ada, made)
     with pytest.raises(InvalidLabel, match="skip it"):
         put(sqlite, ada, query.id, value)
     assert counters(sqlite, made) == (0, 0)
@@ -100,18 +100,18 @@ def test_any_other_number_is_refused(sqlite: Stores, value: float) -> None:
 
 def test_a_skip_is_stored_does_not_count_and_leaves_the_query_to_others(both: Stores) -> None:
     made, ada, bob = scene(both.database, both.blobs, queries=1), person(both, "ada"), person(both, "bob")
-    (query,) = lease(both, ada, made)
+    (query,) = leased(both, ada, made)
     assert put(both, ada, query.id, None).row.state == "skip"
     assert not put(both, ada, query.id, None).created
     assert (status(both, query.id), counters(both, made)) == ("open", (0, 1))
-    assert [each.id for each in lease(both, bob, made)] == [query.id]
+    assert [each.id for each in leased(both, bob, made)] == [query.id]
     put(both, bob, query.id, 1.0)
     assert counters(both, made) == (1, 2)
 
 
 def test_an_author_may_think_again_and_every_word_is_kept(both: Stores) -> None:
     made, ada = scene(both.database, both.blobs), person(both)
-    (query,) = lease(both, ada, made)
+    (query,) = leased(both, ada, made)
     for value in (1.0, 0.0, None, 0.5):
         assert put(both, ada, query.id, value).created
     assert counters(both, made) == (1, 4)
@@ -131,7 +131,7 @@ def test_an_author_may_think_again_and_every_word_is_kept(both: Stores) -> None:
 
 def test_a_query_that_another_has_labelled_is_closed(both: Stores) -> None:
     made, ada, bob = scene(both.database, both.blobs, queries=1), person(both, "ada"), person(both, "bob", Role.TEACHER)
-    (query,) = lease(both, ada, made)
+    (query,) = leased(both, ada, made)
     put(both, ada, query.id, 1.0)
     with pytest.raises(QueryClosed, match=query.id):
         put(both, bob, query.id, 1.0)
@@ -139,7 +139,7 @@ def test_a_query_that_another_has_labelled_is_closed(both: Stores) -> None:
 
 def test_a_query_that_another_holds_cannot_be_labelled_not_even_by_an_admin(both: Stores) -> None:
     made, ada, root = scene(both.database, both.blobs, queries=1), person(both, "ada"), person(both, "root", Role.ADMIN)
-    (query,) = lease(both, ada, made)
+    (query,) = leased(both, ada, made)
     with pytest.raises(LeaseLost):
         put(both, root, query.id, 1.0)
 
@@ -179,7 +179,7 @@ def test_an_absent_query_and_one_of_another_experiment_are_named(both: Stores) -
 @pytest.mark.parametrize("verb", [experiments.cancel, experiments.finish])
 def test_labels_of_an_experiment_that_is_over_are_settled(both: Stores, verb: object) -> None:
     made, ada = scene(both.database, both.blobs), person(both)
-    first, second = lease(both, ada, made, 2)
+    first, second = leased(both, ada, made, 2)
     put(both, ada, first.id, 1.0)
     with both.database.transaction() as session:
         verb(session, made.experiment.id)  # type: ignore[operator]
@@ -193,7 +193,7 @@ def test_labels_of_an_experiment_that_is_over_are_settled(both: Stores, verb: ob
 
 def test_a_label_in_hand_when_the_experiment_is_paused_is_accepted(both: Stores) -> None:
     made, ada = scene(both.database, both.blobs), person(both)
-    (query,) = lease(both, ada, made)
+    (query,) = leased(both, ada, made)
     with both.database.transaction() as session:
         experiments.pause(session, made.experiment.id)
     assert put(both, ada, query.id, 1.0).created
@@ -201,21 +201,21 @@ def test_a_label_in_hand_when_the_experiment_is_paused_is_accepted(both: Stores)
 
 def test_undo_opens_the_query_again_for_its_author_on_the_same_side(both: Stores) -> None:
     made, ada, bob = scene(both.database, both.blobs, queries=1), person(both, "ada"), person(both, "bob")
-    (query,) = lease(both, ada, made)
+    (query,) = leased(both, ada, made)
     put(both, ada, query.id, 1.0)
     with both.database.transaction() as session:
         undone = label.undo(session, ada, query.id)
         assert (undone.state, undone.value, undone.revision) == ("undone", None, 2)
-        assert offer.offered(session, ada, query.id) == query
+        assert lease.offered(session, ada, query.id) == query
     assert (status(both, query.id), counters(both, made)) == ("open", (0, 2))
-    assert lease(both, bob, made) == []
+    assert leased(both, bob, made) == []
     assert put(both, ada, query.id, 1.0).created
     assert counters(both, made) == (1, 3)
 
 
 def test_only_what_was_said_can_be_undone_and_only_once(both: Stores) -> None:
     made, ada, bob = scene(both.database, both.blobs), person(both, "ada"), person(both, "bob")
-    (query,) = lease(both, ada, made)
+    (query,) = leased(both, ada, made)
     put(both, ada, query.id, 1.0)
     with both.database.transaction() as session:
         with pytest.raises(LabelNotFound):
@@ -229,9 +229,9 @@ def test_only_what_was_said_can_be_undone_and_only_once(both: Stores) -> None:
 
 def test_a_skip_that_another_has_answered_cannot_be_undone(both: Stores) -> None:
     made, ada, bob = scene(both.database, both.blobs, queries=1), person(both, "ada"), person(both, "bob")
-    (query,) = lease(both, ada, made)
+    (query,) = leased(both, ada, made)
     put(both, ada, query.id, None)
-    lease(both, bob, made)
+    leased(both, bob, made)
     with both.database.transaction() as session, pytest.raises(LeaseLost):
         label.undo(session, ada, query.id)
     put(both, bob, query.id, 0.0)

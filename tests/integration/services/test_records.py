@@ -8,7 +8,7 @@ import pytest
 from accord.domain.enums import Role
 from accord.domain.errors import ExperimentNotFound
 from accord.domain.ids import new_id
-from accord.services import checkpoints, claims, experiments, metrics, publish, workers
+from accord.services import checkpoints, experiments, metrics, publish, workers
 from support.scenes import scene
 from support.stores import Stores
 
@@ -145,11 +145,11 @@ def test_labellers_get_no_curve_that_tells_of_true_rewards(
 def test_a_claim_is_one_holders_until_it_runs_out_or_is_given_back(both: Stores) -> None:
     def claim(holder: str, seconds: float = 60.0) -> bool:
         with both.database.transaction() as session:
-            return claims.claim(session, "policy:exp", holder, seconds)
+            return workers.claim(session, "policy:exp", holder, seconds)
 
     def keep(holder: str) -> bool:
         with both.database.transaction() as session:
-            return claims.heartbeat(session, "policy:exp", holder, 60.0)
+            return workers.heartbeat(session, "policy:exp", holder, 60.0)
 
     assert not keep("a")
     assert claim("a")
@@ -158,10 +158,10 @@ def test_a_claim_is_one_holders_until_it_runs_out_or_is_given_back(both: Stores)
     assert not claim("a")
     assert (keep("a"), keep("b")) == (False, True)
     with both.database.transaction() as session:
-        claims.release(session, "policy:exp", "a")
+        workers.release(session, "policy:exp", "a")
     assert not claim("a")
     with both.database.transaction() as session:
-        claims.release(session, "policy:exp", "b")
+        workers.release(session, "policy:exp", "b")
     assert claim("a")
 
 
@@ -171,7 +171,7 @@ def test_of_many_that_claim_at_once_one_gets_it(both: Stores) -> None:
     def claim(holder: str) -> None:
         ready.wait()
         with both.database.transaction() as session:
-            got.append(claims.claim(session, "policy:exp", holder, 60.0))
+            got.append(workers.claim(session, "policy:exp", holder, 60.0))
 
     threads = [threading.Thread(target=claim, args=(f"worker {number}",)) for number in range(8)]
     for thread in threads:

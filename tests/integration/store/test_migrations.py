@@ -10,9 +10,9 @@ from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 from sqlalchemy import inspect, text
 
+from accord import store
 from accord.domain.errors import DatabaseTooNew
-from accord.store import migrate
-from accord.store.database import Database
+from accord.store.database import Database, alembic_config
 from accord.store.tables import Base
 from support.stores import Stores
 
@@ -33,7 +33,7 @@ def test_migrating_again_changes_nothing(both: Stores) -> None:
 
 def test_migrations_can_be_undone_and_done_again(both: Stores) -> None:
     with both.database.engine.begin() as connection:
-        command.downgrade(migrate.config(connection), "base")
+        command.downgrade(alembic_config(connection), "base")
     assert inspect(both.database.engine).get_table_names() == ["alembic_version"]
     both.database.migrate()
     with both.database.reading() as session:
@@ -71,7 +71,7 @@ def test_two_that_migrate_at_once_do_not_disturb_each_other(tmp_path: Path) -> N
 
 
 def test_every_migration_says_what_it_does() -> None:
-    scripts = list((Path(migrate.__file__).parent / "migrations" / "versions").glob("[0-9]*.py"))
+    scripts = list((Path(store.__file__).parent / "migrations" / "versions").glob("[0-9]*.py"))
     assert scripts
     for script in scripts:
         assert re.match(r'"""\w.+\."""', script.read_text()), script.name

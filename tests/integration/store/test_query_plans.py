@@ -5,7 +5,7 @@ from typing import Any
 from sqlalchemy import event
 
 from accord.domain.enums import Role
-from accord.services import accounts, label, offer
+from accord.services import accounts, label, lease
 from support.scenes import scene, user
 from support.stores import Stores
 
@@ -21,7 +21,7 @@ def statements_of_a_round_trip(stores: Stores) -> list[tuple[str, Any]]:
     )
     with stores.database.transaction() as session:
         ada = accounts.authenticate(session, token)
-        (query,) = offer.next_queries(session, ada, made.experiment.id, 1, 60.0).items
+        (query,) = lease.next_queries(session, ada, made.experiment.id, 1, 60.0).items
         label.put_label(session, ada, query.id, 1.0, "shown")
     return [each for each in found if each[0].startswith(("SELECT", "UPDATE"))]
 

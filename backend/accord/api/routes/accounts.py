@@ -6,7 +6,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
 from accord.api import schemas
-from accord.api.visit import COOKIE, VisitDep, house_of
+from accord.api.dependencies import COOKIE, VisitDep, house_of
 from accord.domain.enums import Role
 from accord.domain.errors import Unauthenticated
 from accord.domain.permissions import may_manage_users, require

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
-from accord.api.parameters import ClipId
-from accord.api.visit import VisitDep
+from accord.api.dependencies import ClipId, VisitDep
 from accord.services import clips
 
 router = APIRouter(tags=["clips"])

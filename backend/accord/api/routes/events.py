@@ -15,9 +15,8 @@ from fastapi import APIRouter, Header
 from pydantic import TypeAdapter
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
-from accord.api import schemas, views
-from accord.api.parameters import ExperimentId
-from accord.api.visit import Visit, VisitDep
+from accord.api import responses, schemas
+from accord.api.dependencies import ExperimentId, Visit, VisitDep
 from accord.domain.errors import Unauthenticated
 from accord.services import experiments, metrics, workers
 
@@ -49,17 +48,17 @@ class Watch:
         """
         with self.visit.reading() as signed:
             row = experiments.get(signed.session, self.experiment_id)
-            experiment = views.experiment_view(signed.session, row, signed.role).model_dump_json()
+            experiment = responses.experiment_view(signed.session, row, signed.role).model_dump_json()
             # all of them move the mark, so that hidden ones are not read again and again
             found = metrics.series(signed.session, self.experiment_id, None, self.after_id)
             self.after_id = max((point.id for curve in found for point in curve.points), default=self.after_id)
             curves = metrics.visible(found, row, signed.role)
-            crew = [views.worker_view(each, signed.role) for each in workers.all(signed.session)]
+            crew = [responses.worker_view(each, signed.role) for each in workers.all(signed.session)]
         events: list[ServerSentEvent] = []
         if self._is_news("experiment", experiment):
             events.append(self._event("experiment", experiment))
         if curves:
-            events.append(self._event("metrics", views.metrics_view(curves).model_dump_json()))
+            events.append(self._event("metrics", responses.metrics_view(curves).model_dump_json()))
         if self._is_news("workers", _standing(crew)):
             events.append(self._event("workers", _WORKERS.dump_json(crew).decode()))
         return events

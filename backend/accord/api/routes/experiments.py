@@ -6,9 +6,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from sqlalchemy.orm import Session
 
-from accord.api import schemas, views
-from accord.api.parameters import ExperimentId
-from accord.api.visit import Visit, VisitDep
+from accord.api import responses, schemas
+from accord.api.dependencies import ExperimentId, Visit, VisitDep
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_run_experiments, require
 from accord.services import experiments, metrics, publish, workers
@@ -22,7 +21,7 @@ router = APIRouter(tags=["experiments"])
 def list_tasks(visit: VisitDep) -> list[schemas.TaskSchema]:
     """Everything a policy can be taught here."""
     with visit.reading():
-        return views.task_views()
+        return responses.task_views()
 
 
 @router.post("/experiments", status_code=201, summary="Start an experiment")
@@ -32,7 +31,7 @@ def create_experiment(body: schemas.NewExperiment, visit: VisitDep) -> schemas.E
     with visit.writing() as signed:
         require(may_run_experiments(signed.role), signed.role, "start experiments")
         row = experiments.create(signed.session, signed.user.id, body.name, config, body.instructions)
-        return views.experiment_view(signed.session, row, signed.role)
+        return responses.experiment_view(signed.session, row, signed.role)
 
 
 @router.get("/experiments", summary="List experiments")
@@ -46,7 +45,7 @@ def list_experiments(
         check_id(cursor, "exp")
     with visit.reading() as signed:
         page = experiments.list_page(signed.session, limit, cursor)
-        items = views.experiment_views(signed.session, page.rows, signed.role)
+        items = responses.experiment_views(signed.session, page.rows, signed.role)
         return schemas.ExperimentPage(items=items, next_cursor=page.next_cursor)
 
 
@@ -55,7 +54,7 @@ def get_experiment(experiment_id: ExperimentId, visit: VisitDep) -> schemas.Expe
     """Its settings, what its policy is doing, and how far its labelling is."""
     with visit.reading() as signed:
         row = experiments.get(signed.session, experiment_id)
-        return views.experiment_view(signed.session, row, signed.role)
+        return responses.experiment_view(signed.session, row, signed.role)
 
 
 @router.post("/experiments/{experiment_id}/pause", summary="Pause an experiment")
@@ -86,7 +85,7 @@ def get_metrics(
     with visit.reading() as signed:
         row = experiments.get(signed.session, experiment_id)
         found = metrics.series(signed.session, experiment_id, names)
-        return views.metrics_view(metrics.visible(found, row, signed.role))
+        return responses.metrics_view(metrics.visible(found, row, signed.role))
 
 
 @router.get("/experiments/{experiment_id}/reward-versions", summary="List reward versions")
@@ -94,14 +93,14 @@ def list_reward_versions(experiment_id: ExperimentId, visit: VisitDep) -> schema
     """Every version of the reward model that was published, oldest first."""
     with visit.reading() as signed:
         rows = publish.versions(signed.session, experiment_id)
-        return schemas.RewardVersionPage(items=[views.reward_version_view(row, signed.role) for row in rows])
+        return schemas.RewardVersionPage(items=[responses.reward_version_view(row, signed.role) for row in rows])
 
 
 @router.get("/workers", tags=["service"], summary="List the workers")
 def list_workers(visit: VisitDep) -> list[schemas.Worker]:
     """Every worker process, what it does, and how long it has been silent."""
     with visit.reading() as signed:
-        return [views.worker_view(row, signed.role) for row in workers.all(signed.session)]
+        return [responses.worker_view(row, signed.role) for row in workers.all(signed.session)]
 
 
 def _steer(
@@ -110,4 +109,4 @@ def _steer(
     with visit.writing() as signed:
         require(may_run_experiments(signed.role), signed.role, doing)
         row = verb(signed.session, experiment_id)
-        return views.experiment_view(signed.session, row, signed.role)
+        return responses.experiment_view(signed.session, row, signed.role)

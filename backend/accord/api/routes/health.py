@@ -4,7 +4,7 @@ from fastapi import APIRouter, Request
 from sqlalchemy import text
 
 from accord.api import schemas
-from accord.api.visit import house_of
+from accord.api.dependencies import house_of
 
 router = APIRouter(tags=["service"])
 

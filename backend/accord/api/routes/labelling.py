@@ -5,13 +5,12 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
 
-from accord.api import schemas, views
-from accord.api.parameters import ExperimentId, QueryId, answer
-from accord.api.visit import Signed, VisitDep
+from accord.api import responses, schemas
+from accord.api.dependencies import ExperimentId, QueryId, Signed, VisitDep, answer
 from accord.domain.errors import AccordError
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_label_in_batches, require, require_returns
-from accord.services import experiments, label, offer
+from accord.services import experiments, label, lease
 
 router = APIRouter(tags=["labelling"])
 
@@ -34,9 +33,9 @@ def next_queries(
     with visit.writing() as signed:
         if returns:
             require_returns(signed.role)
-        found = offer.next_queries(signed.session, signed.user, experiment_id, count, lease_seconds)
+        found = lease.next_queries(signed.session, signed.user, experiment_id, count, lease_seconds)
         blobs = house.blobs if returns else None
-        items = [views.query_view(item, found.task, lease_seconds, blobs) for item in found.items]
+        items = [responses.query_view(item, found.task, lease_seconds, blobs) for item in found.items]
         return answer(schemas.Queries(items=items, reason=found.reason))
 
 
@@ -45,7 +44,7 @@ def heartbeat(query_id: QueryId, visit: VisitDep) -> schemas.Lease:
     """Lengthens the lease, for someone who looks at the clips for long."""
     lease_seconds = visit.house.settings.lease_seconds
     with visit.writing() as signed:
-        offer.heartbeat(signed.session, signed.user, query_id, lease_seconds)
+        lease.heartbeat(signed.session, signed.user, query_id, lease_seconds)
         return schemas.Lease(query_id=query_id, lease_seconds=lease_seconds)
 
 
@@ -53,7 +52,7 @@ def heartbeat(query_id: QueryId, visit: VisitDep) -> schemas.Lease:
 def release(query_id: QueryId, visit: VisitDep) -> Response:
     """Ends the caller's lease, so that another may have the query at once."""
     with visit.writing() as signed:
-        offer.release(signed.session, signed.user, query_id)
+        lease.release(signed.session, signed.user, query_id)
         return Response(status_code=204)
 
 
@@ -67,7 +66,7 @@ def put_label(query_id: QueryId, body: schemas.NewLabel, visit: VisitDep) -> Res
     """Writes the caller's label, or changes it. 201 when something changed, 200 when the same was there already."""
     with visit.writing() as signed:
         outcome = _put(signed, query_id, body, None)
-        return answer(views.label_view(outcome), 201 if outcome.created else 200)
+        return answer(responses.label_view(outcome), 201 if outcome.created else 200)
 
 
 @router.delete("/queries/{query_id}/label", response_model=schemas.Query, summary="Undo a label")
@@ -76,9 +75,9 @@ def undo_label(query_id: QueryId, visit: VisitDep) -> Response:
     lease_seconds = visit.house.settings.lease_seconds
     with visit.writing() as signed:
         row = label.undo(signed.session, signed.user, query_id, lease_seconds)
-        item = offer.offered(signed.session, signed.user, query_id)
+        item = lease.offered(signed.session, signed.user, query_id)
         task = experiments.get(signed.session, row.experiment_id).config["task"]
-        return answer(views.query_view(item, task, lease_seconds))
+        return answer(responses.query_view(item, task, lease_seconds))
 
 
 @router.post(
@@ -103,7 +102,7 @@ def _outcome(signed: Signed, experiment_id: str, each: schemas.BatchLabel) -> sc
         outcome = _put(signed, each.query_id, each, experiment_id)
     except AccordError as error:
         return schemas.BatchOutcome(query_id=each.query_id, ok=False, code=error.code, message=str(error))
-    return schemas.BatchOutcome(query_id=each.query_id, ok=True, label=views.label_view(outcome))
+    return schemas.BatchOutcome(query_id=each.query_id, ok=True, label=responses.label_view(outcome))
 
 
 def _put(signed: Signed, query_id: str, body: schemas.NewLabel, experiment_id: str | None) -> label.LabelOutcome:

@@ -3,8 +3,7 @@
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
-from accord.api.parameters import SegmentId
-from accord.api.visit import VisitDep
+from accord.api.dependencies import SegmentId, VisitDep
 from accord.domain.permissions import require_returns
 from accord.services import collect
 

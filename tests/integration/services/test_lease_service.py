@@ -11,8 +11,8 @@ import pytest
 from accord.domain.enums import Role
 from accord.domain.errors import ExperimentNotFound, LeaseLost, QueryClosed, QueryNotFound
 from accord.domain.ids import new_id
-from accord.services import experiments, label, offer
-from accord.services.offer import Offer
+from accord.services import experiments, label, lease
+from accord.services.lease import Offer
 from accord.store.tables import QueryRow, UserRow
 from support.scenes import Scene, scene, user
 from support.stores import Stores
@@ -28,7 +28,7 @@ def person(stores: Stores, name: str = "ada", role: Role = Role.LABELLER) -> Use
 
 def ask(stores: Stores, who: UserRow, made: Scene, count: int = 1, lease_seconds: float = 60.0) -> Offer:
     with stores.database.transaction() as session:
-        return offer.next_queries(session, who, made.experiment.id, count, lease_seconds)
+        return lease.next_queries(session, who, made.experiment.id, count, lease_seconds)
 
 
 def ids(found: Offer) -> list[str]:
@@ -72,7 +72,7 @@ def test_a_lease_that_ran_out_is_anothers_to_take_and_lost_to_the_first(both: St
     ask(both, ada, made, lease_seconds=0.0)
     assert ids(ask(both, bob, made)) == made.query_ids
     with both.database.transaction() as session, pytest.raises(LeaseLost):
-        offer.heartbeat(session, ada, made.query_ids[0], 60)
+        lease.heartbeat(session, ada, made.query_ids[0], 60)
     with both.database.transaction() as session, pytest.raises(LeaseLost):
         label.put_label(session, ada, made.query_ids[0], 1.0)
 
@@ -82,7 +82,7 @@ def test_a_lease_that_ran_out_and_nobody_took_is_still_good(both: Stores) -> Non
     ada = person(both)
     ask(both, ada, made, lease_seconds=0.0)
     with both.database.transaction() as session:
-        offer.heartbeat(session, ada, made.query_ids[0], 0.0)
+        lease.heartbeat(session, ada, made.query_ids[0], 0.0)
         assert label.put_label(session, ada, made.query_ids[0], 1.0).created
 
 
@@ -91,7 +91,7 @@ def test_a_heartbeat_keeps_a_query(both: Stores) -> None:
     ada, bob = person(both, "ada"), person(both, "bob")
     ask(both, ada, made, lease_seconds=0.0)
     with both.database.transaction() as session:
-        offer.heartbeat(session, ada, made.query_ids[0], 60.0)
+        lease.heartbeat(session, ada, made.query_ids[0], 60.0)
     assert ids(ask(both, bob, made)) == []
 
 
@@ -101,11 +101,11 @@ def test_heartbeats_for_what_is_not_held_are_refused(both: Stores) -> None:
     with both.database.transaction() as session:
         label.put_label(session, ada, made.query_ids[0], 1.0)
         with pytest.raises(QueryClosed):
-            offer.heartbeat(session, ada, made.query_ids[0], 60.0)
+            lease.heartbeat(session, ada, made.query_ids[0], 60.0)
         with pytest.raises(LeaseLost):
-            offer.heartbeat(session, ada, made.query_ids[1], 60.0)
+            lease.heartbeat(session, ada, made.query_ids[1], 60.0)
         with pytest.raises(QueryNotFound, match=absent):
-            offer.heartbeat(session, ada, absent, 60.0)
+            lease.heartbeat(session, ada, absent, 60.0)
 
 
 def test_a_query_given_back_is_free_at_once(both: Stores) -> None:
@@ -113,10 +113,10 @@ def test_a_query_given_back_is_free_at_once(both: Stores) -> None:
     ada, bob = person(both, "ada"), person(both, "bob")
     ask(both, ada, made)
     with both.database.transaction() as session:
-        offer.release(session, bob, made.query_ids[0])
+        lease.release(session, bob, made.query_ids[0])
     assert ids(ask(both, bob, made)) == []
     with both.database.transaction() as session:
-        offer.release(session, ada, made.query_ids[0])
+        lease.release(session, ada, made.query_ids[0])
     assert ids(ask(both, bob, made)) == made.query_ids
 
 
@@ -174,7 +174,7 @@ def test_fewer_than_asked_for_come_with_a_reason(both: Stores) -> None:
 def test_an_absent_experiment_offers_nothing(both: Stores) -> None:
     ada = person(both)
     with both.database.transaction() as session, pytest.raises(ExperimentNotFound):
-        offer.next_queries(session, ada, new_id("exp"), 1, 60)
+        lease.next_queries(session, ada, new_id("exp"), 1, 60)
 
 
 def test_labellers_that_ask_at_once_never_get_the_same_query(both: Stores) -> None:

@@ -1,12 +1,12 @@
-"""Rows of worker processes and of the claims they hold."""
+"""Rows of worker processes and of their claims."""
 
 from datetime import datetime
 
 from sqlalchemy import delete, or_, select, update
+from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
-from accord.store.tables import ClaimRow, WorkerRow
-from accord.store.upsert import insert
+from accord.store.tables import Base, ClaimRow, WorkerRow
 
 
 def worker(session: Session, worker_id: str) -> WorkerRow | None:
@@ -43,3 +43,10 @@ def renew_claim(session: Session, subject: str, holder: str, until: datetime) ->
 
 def drop_claim(session: Session, subject: str, holder: str) -> None:
     session.execute(delete(ClaimRow).where(ClaimRow.subject == subject, ClaimRow.holder == holder))
+
+
+def insert(session: Session, table: type[Base]) -> sqlite.Insert | postgresql.Insert:
+    """An INSERT that knows on_conflict_do_nothing and on_conflict_do_update."""
+    if session.get_bind().dialect.name == "postgresql":
+        return postgresql.insert(table)
+    return sqlite.insert(table)

@@ -1,8 +1,12 @@
-"""Hands queries to labellers: each to one at a time, under a lease, on a side drawn by lot."""
+"""Leases of queries: each query is reserved for one labeller at a time, who sees its segments on random sides.
+
+`now_and_end` serves every other lease too.
+"""
 
 import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from typing import Literal
 
 from sqlalchemy.orm import Session
@@ -10,10 +14,10 @@ from sqlalchemy.orm import Session
 from accord.domain.enums import ExperimentStatus, QueryStatus
 from accord.domain.errors import ExperimentNotFound, LeaseLost, QueryClosed, QueryNotFound
 from accord.services.accounts import Caller
-from accord.services.clock import now_and_end
 from accord.store import experiments, queries
 from accord.store.experiments import Standing
 from accord.store.queries import SideRow
+from accord.store.tables import utc_now
 
 Reason = Literal["", "rendering", "policy_training", "all_labelled", "experiment_over", "paused"]
 
@@ -138,3 +142,9 @@ def _closed_reason(standing: Standing) -> Reason:
 
 def _waiting_reason(session: Session, experiment_id: str) -> Reason:
     return "rendering" if queries.count_rendering(session, experiment_id) else "policy_training"
+
+
+def now_and_end(lease_seconds: float) -> tuple[datetime, datetime]:
+    """This moment, and the moment at which a lease taken now is over."""
+    now = utc_now()
+    return now, now + timedelta(seconds=lease_seconds)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accord.domain.errors import Invalid
-from accord.services.texts import check_line, check_lines, check_teacher
+from accord.services.validation import check_line, check_lines, check_teacher
 
 
 @given(st.text(max_size=50))

@@ -11,8 +11,8 @@ from accord.domain.permissions import may_see_returns
 from accord.services import experiments, metrics
 from accord.services.collect import load_arrays
 from accord.services.label import LabelOutcome
+from accord.services.lease import OfferedQuery
 from accord.services.metrics import Series
-from accord.services.offer import OfferedQuery
 from accord.store.blobs import BlobStore
 from accord.store.queries import SideRow
 from accord.store.tables import ExperimentRow, RewardVersionRow, WorkerRow, utc_now

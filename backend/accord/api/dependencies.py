@@ -12,11 +12,14 @@ from dataclasses import dataclass
 from typing import Annotated, cast
 from urllib.parse import urlsplit
 
-from fastapi import Depends, Request
+from fastapi import Depends, Path, Request
+from fastapi.responses import Response
+from pydantic import AfterValidator, BaseModel
 from sqlalchemy.orm import Session
 
 from accord.domain.enums import Role
 from accord.domain.errors import Forbidden, Unauthenticated
+from accord.domain.ids import check_id
 from accord.services import accounts
 from accord.settings import Settings
 from accord.store.accounts import User
@@ -108,3 +111,30 @@ def _require_same_origin(request: Request) -> None:
 
 
 VisitDep = Annotated[Visit, Depends(visit_of)]
+
+
+def _experiment_id(id: str) -> str:
+    return check_id(id, "exp")
+
+
+def _query_id(id: str) -> str:
+    return check_id(id, "qry")
+
+
+def _clip_id(id: str) -> str:
+    return check_id(id, "clp")
+
+
+def _segment_id(id: str) -> str:
+    return check_id(id, "seg")
+
+
+ExperimentId = Annotated[str, AfterValidator(_experiment_id), Path(description="The experiment, exp_...")]
+QueryId = Annotated[str, AfterValidator(_query_id), Path(description="The query, qry_...")]
+ClipId = Annotated[str, AfterValidator(_clip_id), Path(description="The clip, clp_...")]
+SegmentId = Annotated[str, AfterValidator(_segment_id), Path(description="The segment, seg_...")]
+
+
+def answer(model: BaseModel, status: int = 200) -> Response:
+    """A model as JSON, written once: a model that a route returns as it is would be validated a second time."""
+    return Response(model.model_dump_json(), status, media_type="application/json")
