@@ -1,8 +1,16 @@
-"""Child processes: jobs in parallel, sharing of cores, requests to stop."""
+"""Child processes: jobs in parallel workers, sharing of cores, requests to stop.
 
+Imports neither torch nor anything else of this library, so that every package and command can use it.
+"""
+
+import ctypes
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
+import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -13,88 +21,134 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Generic, TypeVar
 
-import torch
-
-#: For processes whose OpenMP threads should be good neighbours. By default they spin for milliseconds while they
+#: Environment of processes that share cores with others. By default OpenMP threads spin for milliseconds while they
 #: wait for each other: where other programs use the same cores, that made a training of two threads ten times slower
 #: (127 s beside 12 s with sleeping threads, 8 processes on 2 cores). Threads that sleep at once are slow where cores
-#: are idle: two train on 98 pairs a second, one on 104, two that spin on 167. These spin for tenths of a millisecond
-#: (148), and lose nothing beside other programs (37 to 41; asleep 34 to 37).
-PATIENT_THREADS = {"GOMP_SPINCOUNT": "10000"}
+#: are idle: two train on 98 pairs a second, one on 104, two that spin on 167. With this setting they spin for tenths of
+#: a millisecond (148 pairs a second), and lose nothing beside other programs (37 to 41; sleeping 34 to 37).
+SHARED_CORES_ENVIRONMENT = {"GOMP_SPINCOUNT": "10000"}
 
-
-def at_once(asked: int, n_jobs: int) -> int:
-    """How many of some jobs are done at once where `asked` are asked for: 0 is for one per core."""
-    return max(1, min(asked or os.cpu_count() or 1, n_jobs))
-
-
-def cores_of_each(n_at_once: int) -> int:
-    """Threads that step the task of each of so many jobs."""
-    return max(1, (os.cpu_count() or 1) // n_at_once)
-
-
-@contextmanager
-def stop_requests() -> Iterator[Callable[[], bool]]:
-    """Gives a function that tells whether a stop was asked for; the second request interrupts. Main thread only."""
-    asked = False
-
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked:
-            raise KeyboardInterrupt
-        asked = True
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-_ENVIRONMENT = PATIENT_THREADS | {"OMP_NUM_THREADS": "1"}
-# Forked processes cannot use CUDA, nor the threads of torch that their parent had.
+_WORKER_ENVIRONMENT = SHARED_CORES_ENVIRONMENT | {"OMP_NUM_THREADS": "1"}
+# Forked processes cannot use CUDA, nor the torch threads of their parent.
 _SPAWN = multiprocessing.get_context("spawn")
+#: how long a process that was asked to end may take before it is killed
 _END_SECONDS = 10.0
-#: how soon workers hear of a wish to stop
+#: how often `run_jobs` calls `should_stop`
 _POLL_SECONDS = 0.2
+_PR_SET_PDEATHSIG = 1
 
 J = TypeVar("J")
 R = TypeVar("R")
 
 
-class Desk:
-    """Where a worker does a job: its line to the parent."""
+def parallel_jobs(requested: int, n_jobs: int) -> int:
+    """How many of `n_jobs` jobs to run at the same time; a request of 0 means one per core."""
+    return max(1, min(requested or os.cpu_count() or 1, n_jobs))
+
+
+def cores_per_job(n_parallel: int) -> int:
+    """Cores for each of `n_parallel` jobs, at least 1."""
+    return max(1, (os.cpu_count() or 1) // n_parallel)
+
+
+@contextmanager
+def stop_requests() -> Iterator[Callable[[], bool]]:
+    """Turn Ctrl-C and SIGTERM into a flag, so that work can end at a good place. Main thread only.
+
+    Yields:
+        A function that returns whether a stop was requested. The second request raises KeyboardInterrupt.
+    """
+    requested = False
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        nonlocal requested
+        if requested:
+            raise KeyboardInterrupt
+        requested = True
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: requested
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def follow_parent(parent_pid: int, *, grace_seconds: float = 8.0, check_seconds: float = 0.5) -> None:
+    """End this process when its parent ends, even if the parent was killed: SIGTERM, then a hard exit after the grace.
+
+    Linux signals the child at once. Elsewhere, and if the parent ended before this call, a thread notices that the
+    parent's process id changed.
+
+    Args:
+        parent_pid: the process that started this one; 0 to follow nobody.
+        grace_seconds: how long this process may take to end after SIGTERM.
+        check_seconds: how often the thread checks.
+    """
+    if not parent_pid:
+        return
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    threading.Thread(
+        target=_watch_parent, args=(parent_pid, grace_seconds, check_seconds), name="parent-watch", daemon=True
+    ).start()
+
+
+def _watch_parent(parent_pid: int, grace_seconds: float, check_seconds: float) -> None:
+    while os.getppid() == parent_pid:
+        time.sleep(check_seconds)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(grace_seconds)
+    os._exit(1)
+
+
+def describe_exit(status: int | None) -> str:
+    """How a process ended, from its exit status: "exit status 1", "killed by SIGKILL"."""
+    if status is not None and status < 0:
+        return f"killed by {signal.Signals(-status).name}"
+    return f"exit status {status}"
+
+
+def end_process(process: "subprocess.Popen[Any]", seconds: float) -> int:
+    """Wait for a process that was asked to end, and kill it if that takes too long. Returns its exit status."""
+    try:
+        return process.wait(max(0.0, seconds))
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
+
+
+class ParentConnection:
+    """The connection of a worker of `run_jobs` to its parent process."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
 
-    def tell(self, news: object) -> None:
-        """Give the parent something that can be pickled."""
-        # A parent that is gone needs no news; `unwanted` says so.
+    def send(self, message: object) -> None:
+        """Send the parent an object that can be pickled. Does nothing if the parent is gone; see `cancelled`."""
         with suppress(BrokenPipeError, ConnectionResetError):
-            self._connection.send(_News(news))
+            self._connection.send(_Message(message))
 
-    def unwanted(self) -> bool:
-        """Whether the job should end: the parent asks for it, or is gone."""
-        # Nothing but that comes while a job is in hand, and the end of the line counts as something.
+    def cancelled(self) -> bool:
+        """Whether the job should end, because the parent requests it or is gone."""
+        # While a job runs, the parent sends nothing but this request; a closed connection counts as one too.
         return self._connection.poll()
 
 
 @dataclass(frozen=True, slots=True)
-class Done(Generic[J, R]):
-    """What became of a job."""
+class JobResult(Generic[J, R]):
+    """The end of a job."""
 
     job: J
-    #: what the work gave; None if it failed
+    #: what the job function returned; None if it failed
     result: R | None
-    #: why it failed; None where it did not
+    #: why it failed; None if it did not
     failure: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class _News:
-    news: object
+class _Message:
+    content: object
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,42 +165,43 @@ class _Worker(Generic[J]):
 
 
 def run_jobs(
-    work: Callable[[J, Desk], R],
+    do_job: Callable[[J, ParentConnection], R],
     jobs: Sequence[J],
     n_workers: int,
     *,
-    started: Callable[[J], None] = lambda job: None,
-    told: Callable[[J, Any], None] = lambda job, news: None,
-    stopped: Callable[[], bool] = lambda: False,
-) -> Iterator[Done[J, R]]:
-    """Do `jobs`, in that order, `n_workers` at once; yields each as it is done.
+    on_start: Callable[[J], None] = lambda job: None,
+    on_message: Callable[[J, Any], None] = lambda job, message: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> Iterator[JobResult[J, R]]:
+    """Run jobs in order, `n_workers` at the same time, in processes of one thread each; yield each when it ends.
 
-    A worker that dies fails its own job alone; another takes its place.
+    A worker that dies fails its own job only, and is replaced. Workers end soon after their parent, however that ends.
 
     Args:
-        work: a function of a module, or a partial of one; it, the jobs and the results can be pickled.
-        started: called when a worker takes a job.
-        told: called with what `Desk.tell` was given.
-        stopped: when it comes true, no further job begins and those in hand are asked to end; they are yielded too.
+        do_job: a function of a module, or a partial of one; it, the jobs and the results can be pickled.
+        on_start: called when a worker takes a job.
+        on_message: called with each job and message that the job gives to `ParentConnection.send`.
+        should_stop: when it becomes true, no further job starts and the running ones are asked to end; those are
+            yielded too.
 
     Raises:
-        ValueError: if nobody would do them.
+        ValueError: if `n_workers` is below 1.
     """
     if n_workers < 1:
         raise ValueError(f"n_workers must be 1 or more, got {n_workers}.")
     waiting = list(reversed(jobs))
-    workers: list[_Worker[J]] = [_start(work) for _ in range(min(n_workers, len(jobs)))]
+    workers: list[_Worker[J]] = [_start(do_job) for _ in range(min(n_workers, len(jobs)))]
     try:
-        asked = False
+        stopping = False
         while True:
-            if not asked and stopped():
-                asked = True
+            if not stopping and should_stop():
+                stopping = True
                 for worker in workers:
                     _send(worker, None)
             for worker in workers:
-                if worker.job is None and waiting and not asked:
+                if worker.job is None and waiting and not stopping:
                     worker.job = waiting.pop()
-                    started(worker.job)
+                    on_start(worker.job)
                     _send(worker, worker.job)
             busy = [worker for worker in workers if worker.job is not None]
             if not busy:
@@ -155,21 +210,21 @@ def run_jobs(
             for worker in busy:
                 if worker.connection not in ready or worker.job is None:
                     continue
-                job, message = worker.job, _receive(worker)
-                if isinstance(message, _News):
-                    told(job, message.news)
+                job, received = worker.job, _receive(worker)
+                if isinstance(received, _Message):
+                    on_message(job, received.content)
                     continue
                 worker.job = None
-                if not worker.process.is_alive() and waiting and not asked:
-                    workers[workers.index(worker)] = _start(work)
-                yield Done(job, message.result, message.failure)
+                if not worker.process.is_alive() and waiting and not stopping:
+                    workers[workers.index(worker)] = _start(do_job)
+                yield JobResult(job, received.result, received.failure)
     finally:
         _end(workers)
 
 
-def _start(work: Callable[[J, Desk], Any]) -> _Worker[J]:
+def _start(do_job: Callable[[J, ParentConnection], Any]) -> _Worker[J]:
     ours, theirs = _SPAWN.Pipe()
-    process = _SPAWN.Process(target=_work, args=(theirs, work), daemon=True)
+    process = _SPAWN.Process(target=_work, args=(theirs, do_job), daemon=True)
     with _environment():
         process.start()
     theirs.close()
@@ -177,7 +232,7 @@ def _start(work: Callable[[J, Desk], Any]) -> _Worker[J]:
 
 
 def _end(workers: Sequence[_Worker[Any]]) -> None:
-    """Who is still busy is killed if it does not end its job in time."""
+    """Ask all workers to end, and kill those that are still busy after a while."""
     for worker in workers:
         worker.connection.close()
     for worker in workers:
@@ -188,23 +243,23 @@ def _end(workers: Sequence[_Worker[Any]]) -> None:
 
 
 def _send(worker: _Worker[J], job: J | None) -> None:
-    # If it died while idle, what `wait` finds at its end of the pipe says so.
+    # If the worker died while idle, the next `wait` on its connection reports it.
     with suppress(BrokenPipeError, ConnectionResetError):
         worker.connection.send(job)
 
 
-def _receive(worker: _Worker[Any]) -> _News | _Outcome:
+def _receive(worker: _Worker[Any]) -> _Message | _Outcome:
     try:
         return worker.connection.recv()
     except (EOFError, ConnectionResetError):
         worker.process.join(_END_SECONDS)
-        return _Outcome(failure=f"its worker process died (exit status {worker.process.exitcode})")
+        return _Outcome(failure=f"its worker process died ({describe_exit(worker.process.exitcode)})")
 
 
 @contextmanager
 def _environment() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _ENVIRONMENT}
-    os.environ.update(_ENVIRONMENT)
+    before = {name: os.environ.get(name) for name in _WORKER_ENVIRONMENT}
+    os.environ.update(_WORKER_ENVIRONMENT)
     try:
         yield
     finally:
@@ -215,25 +270,24 @@ def _environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _work(connection: Connection, work: Callable[[Any, Desk], object]) -> None:
-    """The life of a worker: jobs in, news and outcomes out; None, or the end of the line, ends it."""
-    torch.set_num_threads(1)
-    desk = Desk(connection)
-    # The parent may be gone before it hears of a job's end, and Ctrl-C is for all processes of a terminal.
+def _work(connection: Connection, do_job: Callable[[Any, ParentConnection], object]) -> None:
+    """The main function of a worker: receive a job, send its outcome; None or a closed connection ends the process."""
+    parent = ParentConnection(connection)
+    # The parent may be gone when a job ends, and Ctrl-C reaches all processes of a terminal.
     with suppress(EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
         while (job := connection.recv()) is not None:
-            connection.send(_outcome(work, job, desk))
+            connection.send(_outcome(do_job, job, parent))
 
 
-def _outcome(work: Callable[[Any, Desk], object], job: object, desk: Desk) -> _Outcome:
+def _outcome(do_job: Callable[[Any, ParentConnection], object], job: object, parent: ParentConnection) -> _Outcome:
     try:
-        return _Outcome(work(job, desk))
-    except Exception as error:  # noqa: BLE001  (one job's failure must not take the others with it)
-        return _Outcome(failure=_sentence(error))
+        return _Outcome(do_job(job, parent))
+    except Exception as error:  # noqa: BLE001  (one job's failure must not end the others)
+        return _Outcome(failure=_describe_error(error))
 
 
-def _sentence(error: Exception) -> str:
-    """What went wrong; where, too, unless it is an error of this library, which says all that helps."""
+def _describe_error(error: Exception) -> str:
+    """The error in a line, with its place in the code unless it is one of this library, whose text says enough."""
     if type(error).__module__.startswith("mapt."):
         return str(error)
     where = traceback.extract_tb(error.__traceback__)[-1]

@@ -25,7 +25,7 @@ import torch
 from turns import median_seconds
 
 from mapt.policies import Algorithm, Learner, PolicyConfig
-from mapt.processes import Desk, run_jobs
+from mapt.processes import ParentConnection, run_jobs
 from mapt.tasks import make_task
 
 N_CORES = 2
@@ -74,7 +74,7 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def rate_of(way: Way, desk: Desk) -> float:
+def rate_of(way: Way, parent: ParentConnection) -> float:
     """Steps a second of one run; a worker does it."""
     return _rates(way)[0]
 

@@ -34,7 +34,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils.flop_counter import FlopCounterMode
 from turns import median_seconds
 
-from mapt.policies import Algorithm, Learner, PolicyConfig, Rollout, true_reward
+from mapt.policies import Algorithm, Learner, PolicyConfig, Rollout
 from mapt.policies.ppo import checked_rewards, prepare
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.relabelling import RolloutRelabeller
@@ -79,7 +79,7 @@ class Run:
         self.name = reward
         self._task = TimedTask(make_task(task_name, config.n_envs, n_threads=physics_threads))
         self.learner = Learner(self._task, config)
-        self._reward = true_reward if reward == "true" else self._mapt()
+        self._reward = (lambda rollout: rollout.rewards) if reward == "true" else self._mapt()
         self.clocks: list[Clock] = []
 
     def iterate(self) -> None:

@@ -9,8 +9,9 @@ import torch
 
 from learning.choice_task import ChoiceTask
 from learning.identity_task import IdentityTask
-from mapt.policies import Learner, PolicyConfig, Rollout, evaluate, train, true_reward
+from mapt.policies import Learner, PolicyConfig, Rollout, evaluate
 from mapt.tasks import Task, make_task
+from support.policy_training import train, true_reward
 
 HORIZON_STEPS = 8
 CONFIG = PolicyConfig(
@@ -140,7 +141,7 @@ def test_a_resumed_run_equals_one_that_never_stopped(
     total_steps = 18 * config.steps_per_rollout
     whole = Learner(cheetahs(8), config)
     ends: list[np.ndarray] = []
-    train(whole, true_reward, total_steps, lambda _, rollout, __: ends.append(rollout.episode_returns))
+    train(whole, true_reward, total_steps, lambda rollout: ends.append(rollout.episode_returns))
 
     stopped = Learner(cheetahs(8), config)
     train(stopped, true_reward, stop_after_updates * config.steps_per_rollout)
@@ -148,7 +149,7 @@ def test_a_resumed_run_equals_one_that_never_stopped(
     del stopped
     resumed = Learner.load(tmp_path / "policy.safetensors", cheetahs(8))
     resumed_ends: list[np.ndarray] = []
-    train(resumed, true_reward, total_steps, lambda _, rollout, __: resumed_ends.append(rollout.episode_returns))
+    train(resumed, true_reward, total_steps, lambda rollout: resumed_ends.append(rollout.episode_returns))
 
     np.testing.assert_array_equal(np.concatenate(resumed_ends), np.concatenate(ends))
     assert len(np.concatenate(ends)) == 8

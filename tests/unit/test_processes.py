@@ -7,29 +7,29 @@ from multiprocessing import active_children
 import pytest
 
 from mapt.errors import InvalidConfig
-from mapt.processes import Desk, run_jobs
+from mapt.processes import ParentConnection, run_jobs
 
 
-def count(job: int, desk: Desk) -> int:
+def count(job: int, parent: ParentConnection) -> int:
     for number in range(job):
-        desk.tell(number)
+        parent.send(number)
     return 10 * job
 
 
-def wait_until_unwanted(job: str, desk: Desk) -> str:
-    desk.tell(os.getpid())
-    while not desk.unwanted():
+def wait_until_cancelled(job: str, parent: ParentConnection) -> str:
+    parent.send(os.getpid())
+    while not parent.cancelled():
         time.sleep(0.01)
     return f"{job} ended"
 
 
-def fail(job: str, desk: Desk) -> None:
+def fail(job: str, parent: ParentConnection) -> None:
     raise InvalidConfig("a sentence") if job == "ours" else LookupError("nothing there")
 
 
 def test_what_is_told_comes_in_order_and_before_the_result():
     heard: list[tuple[int, int]] = []
-    done = list(run_jobs(count, [3, 0, 2], 1, told=lambda job, news: heard.append((job, news))))
+    done = list(run_jobs(count, [3, 0, 2], 1, on_message=lambda job, news: heard.append((job, news))))
     assert heard == [(3, 0), (3, 1), (3, 2), (2, 0), (2, 1)]
     assert [(each.job, each.result, each.failure) for each in done] == [(3, 30, None), (0, 0, None), (2, 20, None)]
 
@@ -38,12 +38,12 @@ def test_a_wish_to_stop_ends_what_is_in_hand_and_begins_nothing():
     begun: list[str] = []
     heard: list[int] = []
     running = run_jobs(
-        wait_until_unwanted,
+        wait_until_cancelled,
         ["a", "b", "c"],
         2,
-        started=begun.append,
-        told=lambda job, news: heard.append(news),
-        stopped=lambda: len(heard) == 2,
+        on_start=begun.append,
+        on_message=lambda job, news: heard.append(news),
+        should_stop=lambda: len(heard) == 2,
     )
     assert sorted(done.result or "" for done in running) == ["a ended", "b ended"]
     assert begun == ["a", "b"]
@@ -65,5 +65,5 @@ def test_leaving_early_ends_the_workers():
         raise RuntimeError("enough")
 
     with pytest.raises(RuntimeError, match="enough"):
-        list(run_jobs(wait_until_unwanted, ["a"], 1, told=leave))
+        list(run_jobs(wait_until_cancelled, ["a"], 1, on_message=leave))
     assert not active_children()

@@ -29,7 +29,7 @@ from accord.cli.results import rows_of, table, write
 from accord.cli.teach import TeacherChoice, parse_teacher
 from accord.domain.enums import Role
 from accord.workers.runner import Stop
-from mapt.processes import at_once as n_at_once
+from mapt.processes import parallel_jobs
 
 #: without a terminal, a line each time so much more of a run is done
 _NOTED_SHARE = 0.1
@@ -93,7 +93,7 @@ def demo(
     folder = output or Path(datetime.now().astimezone().strftime("demo-%Y%m%d-%H%M%S"))
     stop = Stop()
     stop.install()
-    n_runs = n_at_once(at_once, len(plans))
+    n_runs = parallel_jobs(at_once, len(plans))
     with OwnService(home or folder / "home", _environment(clips, n_runs), lambda: stop.requested) as service:
         lesson = _lesson(service, choice, stop)
         try:

@@ -11,7 +11,7 @@ import sys
 
 from accord.api.server import end_by_exception, serve_on
 from accord.settings import Settings
-from accord.workers.runner import follow_parent
+from mapt.processes import follow_parent
 
 
 def main() -> int:

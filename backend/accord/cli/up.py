@@ -22,9 +22,9 @@ from accord.services.experiment_config import ExperimentConfig
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
-from accord.workers.runner import RETRY_WORDS, Stop, follow_parent
+from accord.workers.runner import RETRY_TEXT, Stop
 from accord.workers.supervisor import ChildSpec, Death, Supervisor
-from mapt.processes import PATIENT_THREADS
+from mapt.processes import SHARED_CORES_ENVIRONMENT, follow_parent
 
 #: how often the supervisor looks after its children
 _TICK_SECONDS = 0.2
@@ -117,7 +117,7 @@ def child_specs(ready: Ready) -> list[ChildSpec]:
             f"{role}-{slot}",
             (f"accord.workers.{role}_worker", "--slot", str(slot)),
             role=role,
-            environment=environment | PATIENT_THREADS | {"OMP_NUM_THREADS": str(threads[role])},
+            environment=environment | SHARED_CORES_ENVIRONMENT | {"OMP_NUM_THREADS": str(threads[role])},
             nice=_RENDER_NICE if role == "render" else 0,
         )
         for role, count in counts.items()
@@ -227,8 +227,8 @@ class Watch:
 
     def died(self, death: Death) -> None:
         """Print a death and write it on the worker's row, where the page finds it."""
-        note(death.name, death.sentence)
-        self._said[death.name] = death.sentence
+        note(death.name, death.description)
+        self._said[death.name] = death.description
         if not death.role:
             return
         try:
@@ -239,7 +239,7 @@ class Watch:
                     WorkerRole(death.role),
                     0,
                     "backing_off",
-                    death.sentence,
+                    death.description,
                     restarts=death.restarts,
                 )
         except (AccordError, SQLAlchemyError) as error:
@@ -265,7 +265,7 @@ class Watch:
         if state != "backing_off":
             return
         # The pause grows with every try; the failure is the same.
-        failure = detail.partition(RETRY_WORDS)[0].strip()
+        failure = detail.partition(RETRY_TEXT)[0].strip()
         if failure and self._said.get(id) != failure:
             self._said[id] = failure
             note(id, failure)

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from accord.domain.errors import InvalidExperiment
-from accord.domain.schedule import LabelSchedule, LabelScheduleName
 from mapt.errors import InvalidConfig
 from mapt.policies.config import Device, PolicyConfig
 from mapt.settings import Settings, setting, within
+from mapt.training.schedule import LabelSchedule, LabelScheduleName
 
 Pacing = Literal["wait", "free"]
 RewardSource = Literal["preferences", "true"]
@@ -166,8 +166,16 @@ class ExperimentConfig(Settings):
 
     @property
     def schedule(self) -> LabelSchedule:
-        """When labels are due."""
-        return LabelSchedule(self.label_budget, self.initial_labels, self.total_steps, name=self.label_schedule)
+        """The label budget and how it is spent."""
+        return LabelSchedule(
+            self.label_budget,
+            self.initial_labels,
+            self.total_steps,
+            per_version=self.labels_per_version,
+            lookahead=self.lookahead_queries,
+            wait=self.pacing == "wait",
+            name=self.label_schedule,
+        )
 
 
 def read_config(settings: Mapping[str, object]) -> ExperimentConfig:

@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from accord.domain.enums import ClipStatus, ExperimentStatus, QueryStatus
 from accord.domain.errors import SegmentNotFound
 from accord.domain.ids import new_id
-from accord.services.experiments import config_of, labels_due
+from accord.services.experiments import config_of
 from accord.store import clips, experiments, queries, segments
 from accord.store.tables import ClipRow, ExperimentRow, QueryRow
 
@@ -21,8 +21,7 @@ def queries_wanted(session: Session, row: ExperimentRow) -> int:
     config = config_of(row)
     if row.status != ExperimentStatus.RUNNING or config.reward_source == "true":
         return 0
-    target = min(labels_due(row) + config.lookahead_queries, config.label_budget)
-    return max(0, target - queries.count_standing(session, row.id))
+    return config.schedule.queries_wanted(row.steps, queries.count_standing(session, row.id))
 
 
 def queries_left(session: Session, row: ExperimentRow) -> int:

@@ -1,7 +1,7 @@
-"""The thread that says a worker is alive: its row for the page, and its claims for the other workers.
+"""The heartbeat thread of a worker process: reports the worker's state and renews the leases of its claims.
 
-A thread, because one call of training lasts longer than a lease; short transactions of its own, because the worker's
-may be long.
+A thread, because one call of training lasts longer than a lease. It uses its own short transactions, because the
+worker's may be long.
 """
 
 import logging
@@ -22,31 +22,32 @@ from accord.store.database import Database
 
 log = logging.getLogger(__name__)
 
-#: the page learns of a change of state at most this often
-_SHORTEST_SECONDS = 0.1
+#: least time between two reports of a changed state
+_REPORT_SECONDS = 0.1
 
 
 class ClaimLost(AccordError):
-    """Another worker took this work over, since no heartbeat of this one arrived in time."""
+    """The claim expired before a heartbeat renewed it; another worker may hold it."""
 
     code = "claim_lost"
 
     def __init__(self, subject: str) -> None:
-        super().__init__(f"The claim on {subject} expired and may be another's: this worker lets it go.")
+        super().__init__(f"The claim on {subject} expired, so another worker may hold it. This worker stops its work.")
+        self.subject = subject
 
 
-#: renews a lease in an open transaction; False if it is another's by now
+#: renews a lease in an open transaction; False if another worker holds it
 Renew = Callable[[Session], bool]
 
 
 @dataclass(slots=True)
 class Claim:
-    """A piece of work this process holds, as far as it knows."""
+    """A claim that this process holds, as far as it knows."""
 
     subject: str
     lease_seconds: float
-    renew: Renew
-    #: when the last heartbeat that succeeded was sent (monotonic)
+    renew_lease: Renew
+    #: start of the last renewal that succeeded (monotonic)
     confirmed_at: float
     _lost: threading.Event = field(default_factory=threading.Event)
 
@@ -54,33 +55,37 @@ class Claim:
     def lost(self) -> bool:
         return self._lost.is_set() or time.monotonic() - self.confirmed_at > self.lease_seconds
 
-    def beat(self, session: Session) -> bool:
-        """Renew the lease. Returns whether it still was this process's."""
-        if not self.renew(session):
+    def renew(self, session: Session) -> bool:
+        """Renew the lease. Returns whether this process still held it."""
+        if not self.renew_lease(session):
             self._lost.set()
         return not self._lost.is_set()
 
     def check(self) -> None:
-        """Raises ClaimLost if the work may be another's by now."""
+        """Raises ClaimLost if another worker may hold the claim."""
         if self.lost:
             raise ClaimLost(self.subject)
 
     def check_within(self, session: Session) -> None:
-        """The same, certain: renewed in the transaction that publishes. Raises ClaimLost, which rolls it back."""
+        """Renew the lease in the transaction that publishes results.
+
+        Raises:
+            ClaimLost: if another worker holds the claim; the transaction then rolls back.
+        """
         self.check()
-        if not self.beat(session):
+        if not self.renew(session):
             raise ClaimLost(self.subject)
 
 
-class Pulse:
-    """Heartbeats of one worker process."""
+class Heartbeat:
+    """Reports the state of one worker process and renews its claims, four times in each lease."""
 
     def __init__(self, database: Database, worker_id: str, role: WorkerRole, holder: str, lease_seconds: float) -> None:
         """
         Args:
-            worker_id: role and slot; a restarted process takes its predecessor's row.
-            holder: unique to this process, so that it cannot be taken for a predecessor that still lives.
-            lease_seconds: how long a claim lasts without a heartbeat; it gets four in that time.
+            worker_id: role and number; a restarted process uses the row of the one before.
+            holder: unique to this process, so that its claims differ from those of the process before.
+            lease_seconds: how long a claim lasts without renewal.
         """
         self._database = database
         self._worker_id = worker_id
@@ -88,38 +93,47 @@ class Pulse:
         self._holder = holder
         self._lease_seconds = lease_seconds
         self._state, self._detail = "starting", ""
+        #: failure of a background thread of the worker; see `set_background_failure`
+        self._background_failure = ""
         self._claims: dict[str, Claim] = {}
         self._lock = threading.Lock()
         self._wake = threading.Event()
-        self._ended = False
-        self._thread = threading.Thread(target=self._run, name="pulse", daemon=True)
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
 
     def close(self) -> None:
-        """Say "stopped" and end the thread."""
-        self._ended = True
+        """Report the state "stopped" and end the thread."""
+        self._closed = True
         self._wake.set()
         self._thread.join(timeout=self._lease_seconds)
-        self.say("stopped")
-        self._beat()
+        self._background_failure = ""
+        self.set_state("stopped")
+        self._send()
 
-    def say(self, state: str, detail: str = "") -> None:
-        """Show this on the page soon. Never waits."""
+    def set_state(self, state: str, detail: str = "") -> None:
+        """Report this state soon, without blocking."""
         if (state, detail) != (self._state, self._detail):
             self._state, self._detail = state, detail
             self._wake.set()
 
+    def set_background_failure(self, failure: str) -> None:
+        """Report the worker as backing off with this sentence, whatever its main thread does; "" ends that."""
+        if failure != self._background_failure:
+            self._background_failure = failure
+            self._wake.set()
+
     @contextmanager
-    def hold(self, subject: str) -> Iterator[Claim | None]:
-        """Claim `subject` for the block and release it after; None when another holds it."""
+    def claim(self, subject: str) -> Iterator[Claim | None]:
+        """Claim `subject` for the block, then release it. Yields None if another worker holds the claim."""
         with self._database.transaction() as session:
             taken = workers.claim(session, subject, self._holder, self._lease_seconds)
         if not taken:
             yield None
             return
-        with self.keep(
+        with self.renewing(
             subject, lambda session: workers.heartbeat(session, subject, self._holder, self._lease_seconds)
         ) as claim:
             try:
@@ -129,9 +143,9 @@ class Pulse:
                     workers.release(session, subject, self._holder)
 
     @contextmanager
-    def keep(self, subject: str, renew: Renew) -> Iterator[Claim]:
-        """Renew a lease that was just taken, for as long as the block lasts."""
-        claim = Claim(subject, self._lease_seconds, renew, time.monotonic())
+    def renewing(self, subject: str, renew_lease: Renew) -> Iterator[Claim]:
+        """Renew a lease that was just taken for as long as the block lasts."""
+        claim = Claim(subject, self._lease_seconds, renew_lease, time.monotonic())
         with self._lock:
             self._claims[subject] = claim
         try:
@@ -141,24 +155,27 @@ class Pulse:
                 del self._claims[subject]
 
     def _run(self) -> None:
-        while not self._ended:
-            self._beat()
-            # A change of state is shown soon, a burst of changes as one.
+        while not self._closed:
+            self._send()
+            # Several changes of state within `_REPORT_SECONDS` are reported as one.
             self._wake.wait(self._lease_seconds / 4)
-            time.sleep(_SHORTEST_SECONDS)
+            time.sleep(_REPORT_SECONDS)
             self._wake.clear()
 
-    def _beat(self) -> None:
+    def _send(self) -> None:
         sent_at = time.monotonic()
+        state, detail = self._state, self._detail
+        if self._background_failure:
+            state, detail = "backing_off", self._background_failure
         try:
             with self._database.transaction() as session:
-                workers.report(session, self._worker_id, self._role, os.getpid(), self._state, self._detail)
+                workers.report(session, self._worker_id, self._role, os.getpid(), state, detail)
                 with self._lock:
                     held = list(self._claims.values())
-                kept = [claim for claim in held if claim.beat(session)]
+                renewed = [claim for claim in held if claim.renew(session)]
         except (SQLAlchemyError, AccordError):
-            # The claims grow old meanwhile and are given up when their leases are over.
-            log.exception("No heartbeat")
+            # Claims that are not renewed count as lost when their leases end.
+            log.exception("The heartbeat failed")
             return
-        for claim in kept:
+        for claim in renewed:
             claim.confirmed_at = sent_at

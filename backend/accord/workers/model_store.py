@@ -2,6 +2,7 @@
 
 import logging
 import secrets
+import threading
 from collections.abc import Mapping
 
 from accord.domain.ids import new_id
@@ -13,13 +14,15 @@ from mapt.rewards.ensemble import RewardEnsemble, load_reward_ensemble, save_rew
 from mapt.rewards.model import RewardModel
 from mapt.training.run_folder import PolicyCheckpoint
 
+log = logging.getLogger(__name__)
+
 _WEIGHTS, _CARD = ".safetensors", ".json"
 
 
 def store_reward_model(
     blobs: BlobStore, experiment_id: str, model: RewardModel, metrics: Mapping[str, float], segment_steps: int
 ) -> str:
-    """Write a model. Returns the key of its weights, for the row that comes after.
+    """Write a model's weights and card. Returns the key of the weights, for the row of the reward version.
 
     Raises:
         BlobsNotWritable: if the blobs are read-only or full.
@@ -32,10 +35,10 @@ def store_reward_model(
 
 
 def read_reward_model(blobs: BlobStore, weights_key: str) -> RewardModel:
-    """The model whose row names this key.
+    """The model of the reward version whose row holds this key.
 
     Raises:
-        BlobMissing: if a blob of it is gone.
+        BlobMissing: if a blob is missing.
         CheckpointError: if it is damaged, or newer than this program.
     """
     card_key = weights_key.removesuffix(_WEIGHTS) + _CARD
@@ -43,12 +46,12 @@ def read_reward_model(blobs: BlobStore, weights_key: str) -> RewardModel:
 
 
 def store_checkpoint(blobs: BlobStore, experiment_id: str, steps: int, checkpoint: PolicyCheckpoint) -> str:
-    """Write a checkpoint under a key of its own; returns the key.
+    """Write a policy checkpoint. Returns its key, which is new.
 
     Raises:
         BlobsNotWritable: if the blobs are read-only or full.
     """
-    # A restarted worker may come to the same step again, with other bytes.
+    # A restarted worker may write another checkpoint at the same step.
     key = f"policies/{experiment_id}/{steps:012d}-{secrets.token_hex(4)}.safetensors"
     blobs.put(key, checkpoint.to_bytes())
     return key
@@ -59,71 +62,52 @@ def read_checkpoint(blobs: BlobStore, key: str) -> PolicyCheckpoint:
     return PolicyCheckpoint.from_bytes(blobs.read(key))
 
 
-log = logging.getLogger(__name__)
+class EnsembleStore:
+    """The ensembles of reward versions, which some query selectors need. Shared by threads.
 
-#: ensembles kept in memory, over all experiments
-_KEPT = 4
-
-
-class Ensembles:
-    """What was trained once is read again after a restart, so that a new process chooses as its predecessor would.
-
-    No row names an ensemble: its blob's key follows from its version's. It is written once and whole; a process killed
-    before that leaves nothing, and its successor trains the ensemble again.
+    No row names an ensemble: its key follows from that of its version. It is written once; if the process is killed
+    before that, the next one trains the ensemble again.
     """
 
     def __init__(self, blobs: BlobStore) -> None:
         self._blobs = blobs
-        #: by version id, the one used longest ago first
-        self._kept: dict[str, RewardEnsemble] = {}
-        #: ids of versions whose ensemble is stored: asked with every poll
+        self._lock = threading.Lock()
+        #: ids of versions whose ensemble is stored, so that a poll need not ask the blob store
         self._stored: set[str] = set()
 
     def has(self, version: RewardVersionRow) -> bool:
         """Whether the version's ensemble is stored."""
-        if version.id not in self._stored and self._blobs.exists(_key(version)):
-            self._stored.add(version.id)
-        return version.id in self._stored
+        with self._lock:
+            if version.id not in self._stored and self._blobs.exists(_ensemble_key(version)):
+                self._stored.add(version.id)
+            return version.id in self._stored
 
-    def of(self, version: RewardVersionRow) -> RewardEnsemble | None:
-        """The version's ensemble; None if it is to be trained (again).
+    def load(self, version: RewardVersionRow) -> RewardEnsemble | None:
+        """The version's ensemble; None if it is not stored, or is damaged (it is then deleted and trained again).
 
         Raises:
             NewerCheckpoint: if a later version of this program wrote it.
         """
-        ensemble = self._kept.get(version.id) or self._read(version)
-        if ensemble is not None:
-            self._keep(version.id, ensemble)
-        return ensemble
+        if not self.has(version):
+            return None
+        key = _ensemble_key(version)
+        try:
+            return load_reward_ensemble(self._blobs.read(key))
+        except DamagedCheckpoint:
+            log.exception("%s is damaged; it is deleted and trained again from the labels", key)
+            with self._lock:
+                self._blobs.delete(key)
+                self._stored.discard(version.id)
+            return None
 
     def store(self, version: RewardVersionRow, ensemble: RewardEnsemble) -> None:
-        """Write a version's ensemble. Where there is one already, that one stays.
+        """Write a version's ensemble; one that is already stored stays.
 
         Raises:
             BlobsNotWritable: if the blobs are read-only or full.
         """
-        self._blobs.put(_key(version), save_reward_ensemble(ensemble))
-        self._kept.pop(version.id, None)
-
-    def _read(self, version: RewardVersionRow) -> RewardEnsemble | None:
-        if not self.has(version):
-            return None
-        key = _key(version)
-        try:
-            return load_reward_ensemble(self._blobs.read(key))
-        except DamagedCheckpoint:
-            # Nothing is lost that the labels do not bring back.
-            log.exception("%s is removed, to be trained again", key)
-            self._blobs.delete(key)
-            self._stored.discard(version.id)
-            return None
-
-    def _keep(self, version_id: str, ensemble: RewardEnsemble) -> None:
-        self._kept.pop(version_id, None)
-        self._kept[version_id] = ensemble
-        while len(self._kept) > _KEPT:
-            del self._kept[next(iter(self._kept))]
+        self._blobs.put(_ensemble_key(version), save_reward_ensemble(ensemble))
 
 
-def _key(version: RewardVersionRow) -> str:
+def _ensemble_key(version: RewardVersionRow) -> str:
     return version.blob_key.rpartition(".")[0] + ".ensemble.safetensors"

@@ -1,297 +1,223 @@
-"""Chooses the pairs to ask about next and writes their query rows."""
+"""Creates queries: how many are wanted, what is known of the segments, which pairs, their rows.
 
-from collections.abc import Collection, Sequence
+Runs in a thread of the reward worker's process, under its own claim on each experiment, so that labellers never wait
+for a training to end.
+"""
+
+import logging
+import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 from sqlalchemy.orm import Session
 
 from accord.services import experiments, publish, select
 from accord.services.collect import load_arrays
 from accord.services.experiment_config import ExperimentConfig
-from accord.store.blobs import BlobStore
 from accord.store.tables import RewardVersionRow
 from accord.workers.heartbeat import Claim
-from accord.workers.model_store import Ensembles
-from accord.workers.runner import Context
+from accord.workers.model_store import EnsembleStore
+from accord.workers.runner import Context, error_sentence, work_until_stopped
+from mapt.errors import UnknownSelector
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.selection import (
     ChosenPair,
-    ControlledSelector,
     SegmentView,
     SelectorName,
-    UniformSelector,
-    make_selector,
     needs_ensemble,
     needs_features,
-    segment_features,
     selector_names,
 )
-from mapt.preferences.selection.protocol import SegmentId
 from mapt.rewards.ensemble import RewardEnsemble
+from mapt.training.pair_selection import CANDIDATES, SCORED_SEGMENTS, SegmentScorer, choose_pairs, newest_pairs
+from mapt.training.schedule import QUERY_STREAM
 
-#: the newest share of the pool counts as recent, at least so many segments
-RECENT_SHARE = 0.25
-FEWEST_RECENT = 16
+log = logging.getLogger(__name__)
 
-
-class RecentPairs:
-    """Uniform, but half of the pairs compare two recent segments and half a recent one with any.
-
-    Labels on what the policy does now matter most, and a bridge to older behaviour keeps the reward's scale.
-    """
-
-    name: SelectorName = "uniform"
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._rng = rng
-        self._uniform = UniformSelector(rng)
-
-    def select(
-        self,
-        segment_ids: Sequence[SegmentId],
-        paired: Collection[tuple[SegmentId, SegmentId]],
-        k: int,
-        view: SegmentView | None = None,
-    ) -> list[tuple[SegmentId, SegmentId]]:
-        """See `mapt.preferences.selection.QuerySelector.select`; the newest segments come first."""
-        recent = segment_ids[: max(FEWEST_RECENT, round(len(segment_ids) * RECENT_SHARE))]
-        chosen = self._uniform.select(recent, paired, k // 2)
-        taken = {frozenset(pair) for pair in [*paired, *chosen]}
-        chosen += self._bridges(recent, segment_ids, taken, k - len(chosen))
-        # A small pool may hold no such pair any more.
-        rest = k - len(chosen)
-        return chosen + self._uniform.select(segment_ids, [*paired, *chosen], rest) if rest else chosen
-
-    def _bridges(
-        self, recent: Sequence[SegmentId], pool: Sequence[SegmentId], taken: set[frozenset[SegmentId]], k: int
-    ) -> list[tuple[SegmentId, SegmentId]]:
-        chosen: list[tuple[SegmentId, SegmentId]] = []
-        for _ in range(20 * k):
-            if len(chosen) == k:
-                break
-            new, other = recent[int(self._rng.integers(len(recent)))], pool[int(self._rng.integers(len(pool)))]
-            if new == other or frozenset((new, other)) in taken:
-                continue
-            taken.add(frozenset((new, other)))
-            chosen.append((new, other) if self._rng.integers(2) else (other, new))
-        return chosen
-
-
-def choose_pairs(
-    config: ExperimentConfig,
-    segment_ids: Sequence[str],
-    paired: Collection[frozenset[str]],
-    k: int,
-    *,
-    view: SegmentView | None,
-    first_round: bool,
-    rng: np.random.Generator,
-) -> list[ChosenPair[str]]:
-    """Choose up to k pairs that were never asked about, each with how it was chosen.
-
-    The first round draws from all segments alike; so does, but for `RecentPairs`, every round without a view.
-
-    Args:
-        segment_ids: the pool, newest first.
-        paired: pairs that have a query, in either order.
-        view: what is known of the first of `segment_ids`, as many as it tells of; the others are chosen only when
-            those are used up.
-
-    Raises:
-        mapt.preferences.selection.UnknownSelector: if `config.query_selection` is none.
-    """
-    known = [(min(pair), max(pair)) for pair in paired]
-    control = UniformSelector(rng) if first_round else RecentPairs(rng)
-    informed = make_selector(config.query_selection, rng, propose=control)
-    chosen: list[ChosenPair[str]] = []
-    if view is not None:
-        selector = ControlledSelector(informed, control, config.control_share, rng)
-        chosen = selector.choose(segment_ids[: view.n_segments], known, k, view)
-    rest = control.select(segment_ids, [*known, *(each.pair for each in chosen)], k - len(chosen))
-    return chosen + [ChosenPair(pair, control.name) for pair in rest]
-
-
-#: segments read at once
-_CHUNK = 64
-
-_Vector = NDArray[np.float32]
-
-
-class Scout:
-    """Looks into the segments of one experiment."""
-
-    def __init__(self, blobs: BlobStore) -> None:
-        self._blobs = blobs
-        #: by blob key, (F,); a segment never changes
-        self._features: dict[str, _Vector] = {}
-        #: of which version's ensemble the scores are
-        self._version_id = ""
-        #: by blob key, (M,)
-        self._scores: dict[str, _Vector] = {}
-
-    def scores(
-        self, version_id: str, ensemble: RewardEnsemble, keys: Sequence[str], device: str
-    ) -> NDArray[np.float32]:
-        """Score of each segment by each member, (M, S); computed once for a version's ensemble.
-
-        Raises:
-            BlobMissing: if a segment's arrays are gone.
-        """
-        if version_id != self._version_id:
-            self._version_id, self._scores = version_id, {}
-        for chunk in self._new(keys, self._scores):
-            self._scores.update(zip(chunk, ensemble.scores(self._read(chunk), device).T, strict=True))
-        return np.stack([self._scores[key] for key in keys], axis=1)
-
-    def features(self, keys: Sequence[str]) -> NDArray[np.float32]:
-        """`segment_features` of each segment, (S, F).
-
-        Raises:
-            BlobMissing: if a segment's arrays are gone.
-        """
-        for chunk in self._new(keys, self._features):
-            self._features.update(zip(chunk, segment_features(self._read(chunk)), strict=True))
-        return np.stack([self._features[key] for key in keys])
-
-    def _new(self, keys: Sequence[str], known: dict[str, _Vector]) -> list[list[str]]:
-        new = [key for key in dict.fromkeys(keys) if key not in known]
-        return [new[start : start + _CHUNK] for start in range(0, len(new), _CHUNK)]
-
-    def _read(self, keys: Sequence[str]) -> SegmentArrays:
-        arrays = [load_arrays(self._blobs, key) for key in keys]
-        return SegmentArrays.stack([each["observations"] for each in arrays], [each["actions"] for each in arrays])
-
-
-#: which draws of an experiment's seed choose the queries
-_QUERY_STREAM = 11
-#: an informed choice is among so many of the newest segments: they are read, and scored again for every version
-SCORED_SEGMENTS = 512
-#: k-center keeps away from so many of the pairs asked about last
-ASKED_PAIRS = 1000
+#: ensembles kept in memory, over all experiments
+_KEPT_ENSEMBLES = 4
 
 
 @dataclass(frozen=True, slots=True)
-class _Round:
-    """What one choice starts from."""
+class _Candidates:
+    """What the rows say before a choice, read in one transaction."""
 
     config: ExperimentConfig
     wanted: int
-    #: newest first
+    #: from new to old
     segment_ids: list[str]
+    #: pairs that have a query
     paired: set[frozenset[str]]
-    #: newest first, at most two
+    #: from new to old, at most two
     versions: list[RewardVersionRow]
-    #: the pairs that a choice by features keeps away from
-    asked: Sequence[frozenset[str]]
-    #: of the segments to look into
+    #: the newest of them, where features are needed
+    newest_pairs: Sequence[tuple[str, str]]
+    #: segment id -> blob key, of the segments whose arrays are needed
     blob_keys: dict[str, str]
 
 
-class Asker:
-    """Adds queries for one experiment after the other."""
+class QueryPlanner:
+    """Keeps the wanted number of queries open in every running experiment."""
 
-    def __init__(self, context: Context, ensembles: Ensembles) -> None:
+    def __init__(self, context: Context, ensembles: EnsembleStore) -> None:
         self._context = context
         self._ensembles = ensembles
-        self._scouts: dict[str, Scout] = {}
+        #: by version id, least recently used first
+        self._loaded: dict[str, RewardEnsemble] = {}
+        self._scorers: dict[str, SegmentScorer[str]] = {}
 
-    def forget_all_but(self, experiment_ids: Collection[str]) -> None:
-        """Frees what was kept of experiments that run no more."""
-        self._scouts = {id: scout for id, scout in self._scouts.items() if id in experiment_ids}
+    def work(self) -> bool:
+        """Create the queries that are wanted. Returns whether there were any."""
+        with self._context.database.reading() as session:
+            rows = experiments.running(session)
+            ids = [row.id for row in rows if experiments.config_of(row).reward_source == "preferences"]
+        self._scorers = {id: scorer for id, scorer in self._scorers.items() if id in ids}
+        did = [self._plan(id) for id in ids]
+        return any(did)
 
-    def add_queries(self, experiment_id: str, claim: Claim) -> bool:
+    def close(self) -> None:
+        """Nothing stays open between two calls of `work`."""
+
+    def _plan(self, experiment_id: str) -> bool:
+        with self._context.database.reading() as session:
+            row = experiments.get(session, experiment_id)
+            if not select.queries_wanted(session, row) or len(select.askable(session, experiment_id, 2)) < 2:
+                return False
+        with self._context.heartbeat.claim(f"queries:{experiment_id}") as claim:
+            if claim is None:
+                return False
+            try:
+                return self._add_queries(experiment_id, claim)
+            except UnknownSelector as error:
+                # A setting of another version of Accord: trying again would fail again.
+                log.exception("Experiment %s failed", experiment_id)
+                with self._context.database.transaction() as session:
+                    claim.check_within(session)
+                    experiments.fail(session, experiment_id, error_sentence(error))
+                return True
+
+    def _add_queries(self, experiment_id: str, claim: Claim) -> bool:
         """Choose the next pairs and write their rows. Returns whether any were added.
 
         Raises:
-            ClaimLost: if the experiment may be another worker's by now.
-            mapt.preferences.selection.UnknownSelector: if its settings name one.
+            ClaimLost: if another worker holds the claim.
         """
         with self._context.database.reading() as session:
-            found = _read_round(session, experiment_id)
+            found = _read_candidates(session, experiment_id)
         if found is None:
             return False
-        # Segments are read and scored outside of any transaction: nobody's label waits for it.
-        view, version = self._look(experiment_id, found)
+        # Segments are read and scored outside any transaction, so that no label waits for it.
+        view, version = self._view(experiment_id, found)
         chosen = choose_pairs(
-            found.config,
             found.segment_ids,
             found.paired,
             found.wanted,
+            selector=found.config.query_selection,
+            control_share=found.config.control_share,
             view=view,
             first_round=not found.versions,
-            rng=np.random.default_rng([found.config.seed, _QUERY_STREAM, len(found.paired)]),
+            rng=np.random.default_rng([found.config.seed, QUERY_STREAM, len(found.paired)]),
         )
         added = 0
         with self._context.database.transaction() as session:
             claim.check_within(session)
             row = experiments.get(session, experiment_id)
             if select.queries_wanted(session, row) == 0:
-                return False  # paused, or ended, meanwhile
+                return False  # paused or ended meanwhile
             for name, group in groupby(chosen, key=_selector_of):
                 scored_by = version.id if version is not None and needs_ensemble(name) else None
                 added += len(select.add_queries(session, row, [each.pair for each in group], name, scored_by))
         return added > 0
 
-    def _look(self, experiment_id: str, found: _Round) -> tuple[SegmentView | None, RewardVersionRow | None]:
-        """What is known of the newest segments, and by which version's ensemble; None before there is one."""
+    def _view(self, experiment_id: str, found: _Candidates) -> tuple[SegmentView | None, RewardVersionRow | None]:
+        """What the selector needs of the newest segments, and the version whose ensemble scored them."""
         name = found.config.query_selection
         if not found.blob_keys:
             return None, None
-        scout = self._scouts.setdefault(experiment_id, Scout(self._context.blobs))
+        scorer = self._scorers.setdefault(experiment_id, SegmentScorer(self._read))
         keys = [found.blob_keys[id] for id in found.segment_ids[:SCORED_SEGMENTS]]
-        scores = features = asked = version = None
-        if needs_ensemble(name):
-            # Until the newest version has its ensemble, its parent's serves.
-            known = ((each, self._ensembles.of(each)) for each in found.versions)
-            version, ensemble = next((each for each in known if each[1] is not None), (None, None))
-            if version is None or ensemble is None:
-                return None, None
-            scores = scout.scores(version.id, ensemble, keys, found.config.device)
+        pairs = None
         if needs_features(name):
-            features = scout.features(keys)
-            pairs = [found.blob_keys[id] for pair in found.asked for id in sorted(pair)]
-            asked = scout.features(pairs).reshape(-1, 2, features.shape[1]) if pairs else None
-        return SegmentView(scores, features, asked), version
+            pairs = [(found.blob_keys[first], found.blob_keys[second]) for first, second in found.newest_pairs]
+        if not needs_ensemble(name):
+            return scorer.view(keys, "", None, pairs), None
+        # Until the newest version has its ensemble, that of its parent is used.
+        loaded = ((each, self._ensemble(each)) for each in found.versions)
+        version, ensemble = next((each for each in loaded if each[1] is not None), (None, None))
+        if version is None or ensemble is None:
+            return None, None
+        device = found.config.device
+        return scorer.view(keys, version.id, lambda segments: ensemble.scores(segments, device), pairs), version
+
+    def _read(self, blob_keys: Sequence[str]) -> SegmentArrays:
+        """Raises BlobMissing."""
+        arrays = [load_arrays(self._context.blobs, key) for key in blob_keys]
+        return SegmentArrays.stack([each["observations"] for each in arrays], [each["actions"] for each in arrays])
+
+    def _ensemble(self, version: RewardVersionRow) -> RewardEnsemble | None:
+        ensemble = self._loaded.pop(version.id, None) or self._ensembles.load(version)
+        if ensemble is not None:
+            self._loaded[version.id] = ensemble
+            while len(self._loaded) > _KEPT_ENSEMBLES:
+                del self._loaded[next(iter(self._loaded))]
+        return ensemble
+
+
+class PlannerThread:
+    """Runs a `QueryPlanner` until a stop is requested; its failures show in the worker's row."""
+
+    def __init__(self, context: Context, planner: QueryPlanner) -> None:
+        self._context, self._planner = context, planner
+        self._thread = threading.Thread(target=self._run, name="query-planner", daemon=True)
+        self._thread.start()
+
+    def join(self, seconds: float) -> None:
+        """Wait for the thread to end, after a stop was requested."""
+        self._thread.join(seconds)
+
+    def _run(self) -> None:
+        heartbeat = self._context.heartbeat
+        work_until_stopped(
+            self._planner,
+            self._context.stop,
+            self._context.settings.poll_seconds,
+            on_failure=lambda failure: heartbeat.set_background_failure(f"Creating queries: {failure}"),
+            on_success=lambda _: heartbeat.set_background_failure(""),
+        )
 
 
 def wants_ensemble(config: ExperimentConfig) -> bool:
-    """Whether an experiment's versions each get an ensemble; not where its selector is an unknown one."""
+    """Whether the selector needs an ensemble of each version; false for an unknown selector."""
     return config.query_selection in selector_names() and needs_ensemble(config.query_selection)
 
 
-def _read_round(session: Session, experiment_id: str) -> _Round | None:
-    """None where no query is wanted, or there is nothing to ask about."""
+def _read_candidates(session: Session, experiment_id: str) -> _Candidates | None:
+    """None if no query is wanted, or there are too few segments."""
     row = experiments.get(session, experiment_id)
     config = experiments.config_of(row)
     wanted = select.queries_wanted(session, row)
-    segment_ids = select.askable(session, experiment_id) if wanted else []
+    segment_ids = select.askable(session, experiment_id, CANDIDATES) if wanted else []
     if len(segment_ids) < 2:
         return None
     paired = select.paired(session, experiment_id)
     versions = publish.versions(session, experiment_id)[:-3:-1]
-    looked_into: list[str] = []
-    asked: Sequence[frozenset[str]] = ()
+    needed: list[str] = []
+    newest: Sequence[tuple[str, str]] = ()
     if versions and config.query_selection != "uniform":
-        asked = _asked(paired) if needs_features(config.query_selection) else ()
-        looked_into = [*segment_ids[:SCORED_SEGMENTS], *(id for pair in asked for id in pair)]
-    return _Round(
+        newest = newest_pairs(paired) if needs_features(config.query_selection) else ()
+        needed = [*segment_ids[:SCORED_SEGMENTS], *(id for pair in newest for id in pair)]
+    return _Candidates(
         config,
         wanted,
         segment_ids,
         paired,
         versions,
-        asked,
-        select.segment_blobs(session, list(dict.fromkeys(looked_into))),
+        newest,
+        select.segment_blobs(session, list(dict.fromkeys(needed))),
     )
 
 
 def _selector_of(chosen: ChosenPair[str]) -> SelectorName:
     return chosen.selector
-
-
-def _asked(paired: Collection[frozenset[str]]) -> Sequence[frozenset[str]]:
-    """The pairs of the newest segments: identifiers sort by time of making."""
-    return sorted(paired, key=lambda pair: (max(pair), min(pair)))[-ASKED_PAIRS:]

@@ -28,42 +28,43 @@ from mapt.tasks import agent_geoms, load_model, task_spec
 
 
 @dataclass(frozen=True, slots=True)
-class _Look:
-    """What is the same for all clips of a task."""
+class _TaskRendering:
+    """What all clips of a task share."""
 
     settings: RenderSettings
-    #: of the model as it is simulated
+    #: the simulated model
     model: MjModel
+    #: geom ids of each agent
     agents: tuple[tuple[int, ...], ...]
 
 
 class RenderWorker:
-    """Makes clips in a process of its own, which it replaces when it hangs."""
+    """Renders clips in a separate process, which is replaced when it hangs."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
         self._process: RenderProcess | None = None
-        self._looks: dict[str, _Look] = {}
+        self._tasks: dict[str, _TaskRendering] = {}
         self._folder = tempfile.TemporaryDirectory(prefix="accord-clips-")
 
     def work(self) -> bool:
-        """Make the clip that is wanted soonest.
+        """Render the most urgent clip. Returns whether there was one.
 
         Raises:
-            RenderingUnavailable: if this machine cannot draw; looked for again at every try.
+            RenderingUnavailable: if this machine cannot render; checked again at every call.
         """
         process = self._ready_process()
         context = self._context
+        lease = context.settings.worker_lease_seconds
         with context.database.transaction() as session:
-            job = clips.claim_pending(session, context.holder, context.settings.worker_lease_seconds)
+            job = clips.claim_pending(session, context.holder, lease)
         if job is None:
             return False
-        context.pulse.say("working", f"clip of {job.task}")
-        lease = context.settings.worker_lease_seconds
-        with context.pulse.keep(
+        context.heartbeat.set_state("working", f"Rendering a clip of {job.task}.")
+        with context.heartbeat.renewing(
             job.clip_id, lambda session: clips.heartbeat(session, job.clip_id, context.holder, lease)
         ):
-            self._make(process, job)
+            self._render(process, job)
         return True
 
     def close(self) -> None:
@@ -73,31 +74,31 @@ class RenderWorker:
 
     def _ready_process(self) -> RenderProcess:
         if self._process is None:
-            # Started before there is anything to draw, so that the first clip does not wait for OpenGL.
+            # Started before there is a clip to render, so that the first clip does not wait for OpenGL.
             self._process = RenderProcess(probe_backend(), self._context.settings.render_timeout_seconds)
         return self._process
 
-    def _make(self, process: RenderProcess, job: ClipJob) -> None:
-        """Draw, store, then say so: the row comes after the blob."""
+    def _render(self, process: RenderProcess, job: ClipJob) -> None:
+        """Render and store the clip, then update its row."""
         try:
-            made = self._draw_and_store(process, job)
+            made = self._render_and_store(process, job)
         except RenderFailed as error:
-            # The segment's own fault, as like as not: others are made meanwhile.
+            # Probably the segment's own fault: other clips are rendered before it is tried again.
             with self._context.database.transaction() as session:
                 clips.fail(session, job.clip_id, str(error), retry=True)
             return
         with self._context.database.transaction() as session:
             clips.finish(session, job.clip_id, made)
 
-    def _draw_and_store(self, process: RenderProcess, job: ClipJob) -> MadeClip:
+    def _render_and_store(self, process: RenderProcess, job: ClipJob) -> MadeClip:
         if task_spec(job.task).nq == 0:
-            return self._drawn(job)
+            return self._replayed_clip(job)
         arrays = load_arrays(self._context.blobs, job.segment_blob_key)
-        look = self._look(job.task)
+        task = self._task(job.task)
         qpos, qvel = (arrays[name].astype(np.float64, copy=False) for name in ("qpos", "qvel"))
-        key = clip_key(qpos, qvel, look.model, look.agents, look.settings)
+        key = clip_key(qpos, qvel, task.model, task.agents, task.settings)
         path = Path(self._folder.name) / f"{job.clip_id}.mp4"
-        clip: ClipFile = process.render(DrawJob(job.task, qpos, qvel, look.settings, path))
+        clip: ClipFile = process.render(DrawJob(job.task, qpos, qvel, task.settings, path))
         blob_key = f"clips/{key[:2]}/{key}.mp4"
         try:
             content = path.read_bytes()
@@ -107,7 +108,7 @@ class RenderWorker:
         return MadeClip(
             cache_key=key,
             blob_key=blob_key,
-            # Of the blob: bytes differ from run to run, and a key that was there keeps its first ones.
+            # The size of the stored blob: encoding varies from run to run, and an existing blob is not replaced.
             size_bytes=self._context.blobs.size(blob_key),
             frames=clip.frames,
             seconds=clip.seconds,
@@ -115,11 +116,11 @@ class RenderWorker:
             height=clip.height,
         )
 
-    def _drawn(self, job: ClipJob) -> MadeClip:
-        """The clip that the task drew of itself while the segment was played.
+    def _replayed_clip(self, job: ClipJob) -> MadeClip:
+        """The clip that `accord.workers.replayed_clips` stored with the segment.
 
         Raises:
-            RenderFailed: if it is not there, or is no clip.
+            RenderFailed: if it is missing or not a video.
         """
         key = drawn_blob_key(job.segment_blob_key)
         try:
@@ -128,7 +129,7 @@ class RenderWorker:
                 video = container.streams.video[0]
                 frames, width, height = video.frames, video.width, video.height
         except (BlobMissing, FFmpegError) as error:
-            raise RenderFailed(f"{job.task} draws itself, and drew no clip of this segment: {error}") from error
+            raise RenderFailed(f"{job.task} renders itself, but stored no clip with this segment: {error}") from error
         return MadeClip(
             cache_key=hashlib.sha256(content).hexdigest(),
             blob_key=key,
@@ -139,11 +140,11 @@ class RenderWorker:
             height=height,
         )
 
-    def _look(self, task: str) -> _Look:
-        if task not in self._looks:
-            settings = RenderSettings(frame_rate_hz=1.0 / task_spec(task).step_seconds)
-            self._looks[task] = _Look(settings, load_model(task), agent_geoms(task))
-        return self._looks[task]
+    def _task(self, name: str) -> _TaskRendering:
+        if name not in self._tasks:
+            settings = RenderSettings(frame_rate_hz=1.0 / task_spec(name).step_seconds)
+            self._tasks[name] = _TaskRendering(settings, load_model(name), agent_geoms(name))
+        return self._tasks[name]
 
 
 if __name__ == "__main__":

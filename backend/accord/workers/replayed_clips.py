@@ -1,7 +1,7 @@
-"""Clips of tasks that draw themselves, made while the policy worker still knows how their segments came about.
+"""Clips of tasks that only render themselves, made by playing the rollout again.
 
-Nothing can be drawn from such a task's states later. So the rollout is played again, from the snapshot before it and by
-its own actions, and what became segments is drawn on the way: nothing is drawn that nobody asked for.
+Such a task has no simulator state that could be rendered later. The policy worker therefore restores the task's
+snapshot from before the rollout, repeats the rollout's actions, and records the steps that became segments.
 """
 
 import tempfile
@@ -22,11 +22,11 @@ from mapt.rendering.settings import RenderSettings
 from mapt.tasks import RenderableTask, Task, make_task
 
 
-def draws_itself(task: Task) -> bool:
-    """Whether clips of this task must be drawn by itself.
+def needs_replay(task: Task) -> bool:
+    """Whether clips of this task can only be made by playing the rollout again.
 
     Raises:
-        NoSimulator: if it has no states to draw from, and does not draw itself either.
+        NoSimulator: if the task has no simulator state and does not render itself either.
     """
     if task.spec.nq > 0:
         return False
@@ -35,8 +35,8 @@ def draws_itself(task: Task) -> bool:
     return True
 
 
-class Redrawing:
-    """Plays a rollout again and draws parts of it.
+class RolloutReplay:
+    """Plays a rollout again and records parts of it.
 
     Args:
         before: snapshot of the task before the rollout.
@@ -46,50 +46,50 @@ class Redrawing:
         self._spec, self._n_envs = task.spec, task.n_envs
         self._before, self._rollout = dict(before), rollout
 
-    def store(self, blobs: BlobStore, places: Sequence[StepRange], segment_blob_keys: Sequence[str]) -> None:
-        """Put a clip beside each segment's blob.
+    def store_clips(self, blobs: BlobStore, places: Sequence[StepRange], segment_blob_keys: Sequence[str]) -> None:
+        """Store a clip beside the blob of each segment.
 
         Args:
             places: of the segments, in the order of their keys.
 
         Raises:
-            NotRenderable: if the task draws nothing.
-            UnusableEnvironment: if it does not play again as it did.
-            ClipNotWritten: if its pictures change in size, or cannot be encoded.
+            NotRenderable: if the task renders nothing.
+            UnusableEnvironment: if the task does not repeat its rewards.
+            ClipNotWritten: if the frames change in size, or cannot be encoded.
         """
-        with tempfile.TemporaryDirectory(prefix="accord-drawn-") as folder:
+        with tempfile.TemporaryDirectory(prefix="accord-replayed-") as folder:
             paths = {place: Path(folder) / f"{number}.mp4" for number, place in enumerate(places)}
-            # The team's own options do not matter: actions are given, and nothing is observed.
+            # Options of the team's observations do not matter: the actions are given.
             task = make_task(self._spec.name, self._n_envs)
             try:
                 task.restore(self._before)
                 assert isinstance(task, RenderableTask)
-                self._draw(task, paths)
+                self._record(task, paths)
             finally:
                 task.close()
             for place, key in zip(places, segment_blob_keys, strict=True):
                 blobs.put(drawn_blob_key(key), paths[place].read_bytes())
 
-    def _draw(self, task: RenderableTask, paths: Mapping[StepRange, Path]) -> None:
-        settings = self._settings(even(task.render(0)))
-        with ExitStack() as unfinished:
+    def _record(self, task: RenderableTask, paths: Mapping[StepRange, Path]) -> None:
+        settings = self._settings(even_size(task.render(0)))
+        with ExitStack() as open_clips:
             writing: dict[int, tuple[Callable[[NDArray[np.uint8]], None], ExitStack, int]] = {}
             for step in range(max((place.end for place in paths), default=0)):
                 for place, path in paths.items():
                     if place.first == step:
-                        clip = unfinished.enter_context(ExitStack())
+                        clip = open_clips.enter_context(ExitStack())
                         add = clip.enter_context(open_clip(path, settings))
                         writing[place.env] = add, clip, place.end
                 for env, (add, clip, end) in list(writing.items()):
-                    add(even(task.render(env)))
+                    add(even_size(task.render(env)))
                     if step + 1 == end:
                         clip.close()
                         del writing[env]
                 rewards = task.step(self._rollout.actions[step]).reward
                 if not np.array_equal(rewards, self._rollout.rewards[step]):
                     raise UnusableEnvironment(
-                        f"{self._spec.name} does not follow from its seed and its actions: played again, it gave other "
-                        "rewards, so no clip of it can be drawn. Let every chance in it come from reset's seed."
+                        f"{self._spec.name} is not deterministic given its seed and actions: replayed, it gave other "
+                        "rewards, so no clip of it can be made. Draw all its randomness from the seed of reset."
                     )
 
     def _settings(self, picture: NDArray[np.uint8]) -> RenderSettings:
@@ -97,7 +97,7 @@ class Redrawing:
         return RenderSettings(width=width, height=height, frame_rate_hz=1.0 / self._spec.step_seconds)
 
 
-def even(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The picture (H,W,3) with its last row or column doubled where their number is odd: a codec needs even ones."""
+def even_size(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The picture (H, W, 3) with its last row or column repeated where their number is odd: codecs need even sizes."""
     height, width, _ = picture.shape
     return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

@@ -1,9 +1,8 @@
-"""The reward worker: `python -m accord.workers.reward_worker`. Creates queries and retrains on new labels."""
+"""The reward worker: `python -m accord.workers.reward_worker`. Trains reward versions; a thread creates queries."""
 
 import logging
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,22 +15,27 @@ from accord.services.publish import TrainingLabel
 from accord.store.blobs import BlobStore
 from accord.store.tables import ExperimentRow, RewardVersionRow
 from accord.workers.heartbeat import Claim
-from accord.workers.model_store import Ensembles, read_reward_model, store_reward_model
-from accord.workers.pacing import version_is_due
-from accord.workers.query_planner import Asker, wants_ensemble
-from accord.workers.runner import Context, run_worker, sentence
-from mapt.errors import InvalidConfig, ModelMismatch, UnknownSelector
-from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.rewards.config import RewardConfig, TrainConfig
+from accord.workers.model_store import EnsembleStore, read_reward_model, store_reward_model
+from accord.workers.query_planner import PlannerThread, QueryPlanner, wants_ensemble
+from accord.workers.runner import Context, error_sentence, run_worker
+from mapt.errors import InvalidConfig, ModelMismatch
+from mapt.preferences.dataset import PreferenceDataset
+from mapt.rewards.config import RewardConfig
 from mapt.rewards.ensemble import train_reward_ensemble
 from mapt.rewards.model import RewardModel
 from mapt.rewards.trainer import TrainedReward, TrainProgress, train_reward_model
+from mapt.training.preference_loop import RewardSettings, labelled_dataset
+
+log = logging.getLogger(__name__)
+
+#: how long the process waits for the query planner at its end
+_PLANNER_END_SECONDS = 2.0
 
 _Arrays = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
-class LabelledSegments:
-    """Keeps the arrays of one experiment in memory between two trainings: 20 kB a segment, two segments a label."""
+class SegmentCache:
+    """The arrays of one experiment's labelled segments, kept between two trainings: 20 kB a segment."""
 
     def __init__(self, blobs: BlobStore) -> None:
         self._blobs = blobs
@@ -40,19 +44,15 @@ class LabelledSegments:
         self._arrays: dict[str, _Arrays] = {}
 
     def dataset(self, experiment_id: str, labels: Sequence[TrainingLabel]) -> PreferenceDataset:
-        """The labels with their segments, each segment once, in the order of its first label.
+        """The labelled pairs of an experiment.
 
         Raises:
-            BlobMissing: if a segment's arrays are gone.
+            BlobMissing: if a segment's arrays are missing.
         """
         if experiment_id != self._experiment_id:
             self._experiment_id, self._arrays = experiment_id, {}
-        keys = [key for label in labels for key in (label.segment_0_blob, label.segment_1_blob)]
-        place = {key: index for index, key in enumerate(dict.fromkeys(keys))}
-        arrays = [self._read(key) for key in place]
-        segments = SegmentArrays.stack([each[0] for each in arrays], [each[1] for each in arrays])
-        pairs = np.array([place[key] for key in keys]).reshape(-1, 2)
-        return PreferenceDataset(segments, pairs, np.array([label.value for label in labels], dtype=np.float32))
+        pairs = [(label.segment_0_blob, label.segment_1_blob) for label in labels]
+        return labelled_dataset(pairs, [label.value for label in labels], self._read)
 
     def _read(self, key: str) -> _Arrays:
         if key not in self._arrays:
@@ -61,69 +61,71 @@ class LabelledSegments:
         return self._arrays[key]
 
 
-log = logging.getLogger(__name__)
-
-
 class RewardWorker:
-    """Looks after every running experiment in turn."""
+    """Trains the reward versions of all running experiments, one at a time."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._segments = LabelledSegments(context.blobs)
-        self._ensembles = Ensembles(context.blobs)
-        self._asker = Asker(context, self._ensembles)
+        self._segments = SegmentCache(context.blobs)
+        self._ensembles = EnsembleStore(context.blobs)
+        #: creates queries; runs in its own thread after `start_planner`
+        self.planner = QueryPlanner(context, self._ensembles)
+        self._planner_thread: PlannerThread | None = None
         self._round = 0
 
+    def start_planner(self) -> None:
+        """Create queries in a thread from now on."""
+        self._planner_thread = PlannerThread(self._context, self.planner)
+
     def work(self) -> bool:
-        """Whatever one experiment needs, queries before training. False if none needs anything."""
+        """Train what is due in each experiment. Returns whether anything was."""
         with self._context.database.reading() as session:
             rows = experiments.running(session)
         rows = [row for row in rows if experiments.config_of(row).reward_source == "preferences"]
-        self._asker.forget_all_but({row.id for row in rows})
-        # Another one first each time: where one fails, the others still get their turn.
+        # Start with another experiment each time: if one raises, the others still get their turn.
         self._round += 1
         first = self._round % max(1, len(rows))
-        did = [self._look_after(row) for row in rows[first:] + rows[:first]]
+        did = [self._train_if_due(row) for row in rows[first:] + rows[:first]]
         return any(did)
 
     def close(self) -> None:
-        """Nothing is open between two calls of `work`."""
+        """Wait a little for the planner's thread, so that it does not use a closed database."""
+        if self._planner_thread is not None:
+            self._planner_thread.join(_PLANNER_END_SECONDS)
 
-    def _look_after(self, row: ExperimentRow) -> bool:
+    def _train_if_due(self, row: ExperimentRow) -> bool:
         config = experiments.config_of(row)
         with self._context.database.reading() as session:
-            wants_queries = bool(select.queries_wanted(session, row) and len(select.askable(session, row.id, 2)) > 1)
             newest = publish.newest(session, row.id)
             changed = publish.new_labels(session, row.id, newest.label_watermark if newest else 0)
-            # once the last query is made, there is nothing to choose
-            chooses = wants_ensemble(config) and select.queries_left(session, row) > 0
-        due = version_is_due(
-            config, labels=row.label_count, trained_on=newest.label_count if newest else 0, changed=changed
+            # Without queries left to create, nothing needs an ensemble.
+            needs_ensembles = wants_ensemble(config) and select.queries_left(session, row) > 0
+        due = config.schedule.version_is_due(
+            labels=row.label_count, trained_on=newest.label_count if newest else 0, changed=changed
         )
-        unscored = newest if newest and chooses and not self._ensembles.has(newest) else None
-        if not (wants_queries or due or unscored):
+        without_ensemble = newest if newest and needs_ensembles and not self._ensembles.has(newest) else None
+        if not (due or without_ensemble):
             return False
-        with self._context.pulse.hold(f"reward:{row.id}") as claim:
+        with self._context.heartbeat.claim(f"reward:{row.id}") as claim:
             if claim is None:
                 return False
             try:
-                did = wants_queries and self._asker.add_queries(row.id, claim)
-                # The policy may wait for a version; queries can be chosen without the newest one's ensemble.
+                # A version first: the policy may wait for it, and the parent's ensemble serves meanwhile.
                 if due:
-                    return self._train(row, newest, claim) or did
-                return (unscored is not None and self._train_ensemble(row, unscored, claim)) or did
-            except (InvalidConfig, ModelMismatch, UnknownSelector) as error:
-                # Its settings will not do the next time either.
+                    return self._train_version(row, newest, claim)
+                return without_ensemble is not None and self._train_ensemble(row, without_ensemble, claim)
+            except (InvalidConfig, ModelMismatch) as error:
+                # Trying again would fail again.
                 log.exception("Experiment %s failed", row.id)
                 with self._context.database.transaction() as session:
                     claim.check_within(session)
-                    experiments.fail(session, row.id, sentence(error))
+                    experiments.fail(session, row.id, error_sentence(error))
                 return True
 
-    def _train(self, row: ExperimentRow, newest: RewardVersionRow | None, claim: Claim) -> bool:
-        """Train the next version on all labels, warm from the newest, and publish it."""
+    def _train_version(self, row: ExperimentRow, newest: RewardVersionRow | None, claim: Claim) -> bool:
+        """Train the next version on all labels, starting from the newest one, and publish it."""
         context, number = self._context, (newest.number if newest else 0) + 1
-        context.pulse.say("working", f"reward version {number}: reads the labels")
+        context.heartbeat.set_state("working", f"Reward version {number}: reading the labels.")
         with context.database.reading() as session:
             labels = publish.training_labels(session, row.id)
         if len(labels.items) < 2:
@@ -160,18 +162,18 @@ class RewardWorker:
         claim: Claim,
         number: int,
     ) -> TrainedReward:
-        config, training = _plans(experiments.config_of(row), dataset)
+        config, training = reward_settings(experiments.config_of(row)).training(dataset)
         return train_reward_model(
             dataset,
             config,
             training,
             initial=self._parent(newest, config),
-            progress=self._reporting(row.id, claim, f"reward version {number}", len(dataset)),
+            progress=self._reporter(f"Reward version {number}", len(dataset)),
             stop=lambda: self._context.stop.requested or claim.lost,
         )
 
     def _train_ensemble(self, row: ExperimentRow, version: RewardVersionRow, claim: Claim) -> bool:
-        """Train the ensemble of a published version, on its labels, and store it."""
+        """Train the ensemble of a published version on the version's labels, and store it."""
         with self._context.database.reading() as session:
             labels = publish.version_labels(session, version)
             parents = [each for each in publish.versions(session, row.id) if each.id == version.parent_id]
@@ -179,16 +181,16 @@ class RewardWorker:
             return False
         settings = experiments.config_of(row)
         dataset = self._segments.dataset(row.id, labels)
-        config, training = _plans(settings, dataset)
-        before = self._ensembles.of(parents[0]) if parents else None
-        fits = before is not None and before.config == config and len(before) == settings.ensemble_members
+        config, training = reward_settings(settings).training(dataset)
+        parent = self._ensembles.load(parents[0]) if parents else None
+        fits = parent is not None and parent.config == config and len(parent) == settings.ensemble_members
         ensemble = train_reward_ensemble(
             dataset,
             config,
             training,
             settings.ensemble_members,
-            initial=before if fits else None,
-            progress=self._reporting(row.id, claim, f"ensemble of reward version {version.number}", len(dataset)),
+            initial=parent if fits else None,
+            progress=self._reporter(f"Ensemble of reward version {version.number}", len(dataset)),
             stop=lambda: self._context.stop.requested or claim.lost,
         )
         claim.check()
@@ -197,40 +199,38 @@ class RewardWorker:
         self._ensembles.store(version, ensemble)
         return True
 
-    def _reporting(self, experiment_id: str, claim: Claim, what: str, n_labels: int) -> Callable[[TrainProgress], None]:
-        """Says on the page where a training is, and keeps queries coming meanwhile: no labeller waits for it."""
-
-        def report(at: TrainProgress) -> None:
-            self._context.pulse.say("working", f"{what}: epoch {at.epoch}, {n_labels} labels")
-            self._asker.add_queries(experiment_id, claim)
-
-        return report
+    def _reporter(self, what: str, n_labels: int) -> Callable[[TrainProgress], None]:
+        """Shows the progress of a training in the worker's row."""
+        return lambda at: self._context.heartbeat.set_state("working", f"{what}: epoch {at.epoch}, {n_labels} labels.")
 
     def _parent(self, newest: RewardVersionRow | None, config: RewardConfig) -> RewardModel | None:
-        """The model to go on from, if it is of the same shape."""
+        """The newest model, if it has the settings of the next one."""
         if newest is None:
             return None
         model = read_reward_model(self._context.blobs, newest.blob_key)
         return model if model.config == config else None
 
 
-def _plans(settings: ExperimentConfig, dataset: PreferenceDataset) -> tuple[RewardConfig, TrainConfig]:
-    """The network and its training.
-
-    Raises:
-        InvalidConfig: if the model or the preset is none that this version knows.
-    """
-    config = RewardConfig.named(
-        settings.reward_model,
-        settings.reward_preset,
-        observation_dim=dataset.segments.observation_dim,
-        action_dim=dataset.segments.action_dim,
-        n_agents=dataset.segments.n_agents,
+def reward_settings(config: ExperimentConfig) -> RewardSettings:
+    """The settings of an experiment's reward model."""
+    return RewardSettings(
+        segment_steps=config.segment_steps,
+        model=config.reward_model,
+        preset=config.reward_preset,
+        label_noise=config.label_noise,
+        ensemble_members=config.ensemble_members,
+        kind=config.policy_reward,
+        credit=config.credit,
+        seed=config.seed,
+        device=config.device,
     )
-    training = TrainConfig.preset(settings.reward_preset)
-    training = replace(training, seed=settings.seed, device=settings.device, label_noise=settings.label_noise)
-    return config, training
+
+
+def _start(context: Context) -> RewardWorker:
+    worker = RewardWorker(context)
+    worker.start_planner()
+    return worker
 
 
 if __name__ == "__main__":
-    sys.exit(run_worker(WorkerRole.REWARD, RewardWorker, sys.argv[1:]))
+    sys.exit(run_worker(WorkerRole.REWARD, _start, sys.argv[1:]))

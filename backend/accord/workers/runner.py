@@ -1,7 +1,6 @@
-"""The process of a worker: signals, the work loop with backoff, and the link to the parent process."""
+"""The process of a worker: signals, the work loop with backoff, and what every worker is given."""
 
 import argparse
-import ctypes
 import logging
 import os
 import random
@@ -9,8 +8,6 @@ import secrets
 import select
 import signal
 import sys
-import threading
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import FrameType
@@ -21,27 +18,34 @@ from accord.domain.errors import AccordError
 from accord.settings import Settings
 from accord.store.blobs import BlobStore, open_blobs
 from accord.store.database import Database
-from accord.workers.heartbeat import Pulse
+from accord.workers.heartbeat import Heartbeat
+from mapt.processes import follow_parent
+
+log = logging.getLogger(__name__)
+
+#: stands after the failure in the detail of a worker that backs off
+RETRY_TEXT = "Retrying in"
+_LONGEST_ERROR = 400
 
 
 @dataclass(frozen=True, slots=True)
 class Backoff:
-    """Doubling pauses with jitter, so that what failed together is not tried again together."""
+    """Exponential backoff with jitter, so that workers that failed together do not retry together."""
 
     first_seconds: float = 0.5
     longest_seconds: float = 30.0
 
     def seconds(self, failures: int, rng: random.Random) -> float:
-        """The pause after so many failures in a row, at least 1: between a half and the whole of the step."""
+        """The pause after `failures` failures in a row (at least 1): between half of the step and the whole step."""
         step = min(self.longest_seconds, self.first_seconds * 2.0 ** min(failures - 1, 30))
         return step * rng.uniform(0.5, 1.0)
 
 
 class Stop:
-    """Set once, by SIGTERM, SIGINT or a call; never cleared.
+    """A request to end, from SIGTERM, SIGINT or a call; never withdrawn. Any thread may wait for it.
 
-    Waiting is done on a pipe. `threading.Event` takes a lock to set, and a signal handler that runs while the main
-    thread holds that lock in `wait` would wait for it for ever.
+    Waiting uses a pipe. `threading.Event` takes a lock to set, and a signal handler that runs while the main thread
+    holds that lock in `wait` would block for ever.
     """
 
     def __init__(self) -> None:
@@ -50,7 +54,7 @@ class Stop:
         self._count = 0
 
     def install(self) -> None:
-        """Take SIGTERM and SIGINT of this process. Main thread only."""
+        """Handle SIGTERM and SIGINT of this process. Main thread only."""
         signal.signal(signal.SIGTERM, self._handle)
         signal.signal(signal.SIGINT, self._handle)
 
@@ -58,7 +62,7 @@ class Stop:
         self.request()
 
     def request(self) -> None:
-        """Ask to end. The second time means: at once."""
+        """Ask to end. A second request asks to end at once."""
         self._count += 1
         if self._count == 1:
             os.write(self._write, b"x")
@@ -68,12 +72,12 @@ class Stop:
         return self._count > 0
 
     @property
-    def insisted(self) -> bool:
-        """Whether it was asked for more than once."""
+    def immediate(self) -> bool:
+        """Whether there was more than one request."""
         return self._count > 1
 
     def wait(self, seconds: float) -> bool:
-        """Wait until asked to end, at most so long. Returns whether it was."""
+        """Wait for a request, at most `seconds`. Returns whether there was one."""
         if not self.requested:
             select.select([self._read], [], [], max(0.0, seconds))
         return self.requested
@@ -83,67 +87,16 @@ class Stop:
         os.close(self._write)
 
 
-_PR_SET_PDEATHSIG = 1
-
-
-def follow_parent(parent_pid: int, *, grace_seconds: float = 8.0, check_seconds: float = 0.5) -> None:
-    """End this process when its parent does: SIGTERM to itself, then, after the grace, a hard exit.
-
-    Linux tells the child at once. Elsewhere, and if the parent had gone before this was called, a thread that
-    looks at the parent's pid finds out.
-
-    Args:
-        parent_pid: who started this process, as the parent knows it; 0 to follow nobody.
-        grace_seconds: how long the process may take to end by itself.
-        check_seconds: how often the thread looks.
-    """
-    if not parent_pid:
-        return
-    if sys.platform == "linux":
-        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-    threading.Thread(
-        target=_watch, args=(parent_pid, grace_seconds, check_seconds), name="lifeline", daemon=True
-    ).start()
-
-
-def _watch(parent_pid: int, grace_seconds: float, check_seconds: float) -> None:
-    while os.getppid() == parent_pid:
-        time.sleep(check_seconds)
-    os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(grace_seconds)
-    os._exit(1)
-
-
-_LONGEST = 400
-
-
-def sentence(error: BaseException) -> str:
-    """The first line of what went wrong; the kind of error too, unless it is one of ours."""
-    lines = str(error).strip().splitlines()
-    words = lines[0] if lines else ""
-    if not isinstance(error, AccordError):
-        words = f"{type(error).__name__}: {words}" if words else type(error).__name__
-    if words and words[-1] not in ".!?":
-        words += "."
-    return words if len(words) <= _LONGEST else words[: _LONGEST - 1] + "…"
-
-
-log = logging.getLogger(__name__)
-
-#: what follows the failure in a worker's detail
-RETRY_WORDS = "Tries again in"
-
-
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What a worker works with."""
+    """What every worker is given."""
 
     settings: Settings
     database: Database
     blobs: BlobStore
-    pulse: Pulse
+    heartbeat: Heartbeat
     stop: Stop
-    #: unique to this process
+    #: names this process in its claims
     holder: str
 
 
@@ -151,40 +104,65 @@ class Worker(Protocol):
     """One role."""
 
     def work(self) -> bool:
-        """Do one piece of work if there is any. Returns whether there was.
+        """Do one piece of work, if there is any. Returns whether there was.
 
-        Level-triggered: it looks at the rows, not at a message, so a poll that comes late finds the same work.
+        Level-triggered: the rows say what there is to do, so a poll that comes late finds the same work.
         """
         ...
 
     def close(self) -> None:
-        """Free what a process's end would not, in a second or two."""
+        """Free what the end of the process does not, within a second or two."""
         ...
 
 
-def run_loop(context: Context, worker: Worker, backoff: Backoff, rng: random.Random) -> None:
-    """Work until asked to end. A failure is recorded on the worker's row and in the log, then tried again later."""
+def work_until_stopped(
+    worker: Worker,
+    stop: Stop,
+    poll_seconds: float,
+    *,
+    on_failure: Callable[[str], None],
+    on_success: Callable[[bool], None],
+) -> None:
+    """Call `worker.work` until a stop is requested, with a pause when there is nothing to do or after a failure.
+
+    Args:
+        on_failure: called with a sentence after each failure.
+        on_success: called after each call that did not fail, with its result.
+    """
+    backoff, rng = Backoff(), random.Random()
     failures = 0
-    while not context.stop.requested:
+    while not stop.requested:
         try:
             worked = worker.work()
         except Exception as error:
             failures += 1
             pause = backoff.seconds(failures, rng)
-            log.error("Failure %d in a row; next try in %.1f s", failures, pause, exc_info=error)
-            context.pulse.say("backing_off", f"{sentence(error)} {RETRY_WORDS} {pause:.0f} s.")
-            context.stop.wait(pause)
+            log.error("Failure %d in a row; retrying in %.1f s", failures, pause, exc_info=error)
+            on_failure(f"{error_sentence(error)} {RETRY_TEXT} {pause:.0f} s.")
+            stop.wait(pause)
             continue
         failures = 0
+        on_success(worked)
         if not worked:
-            context.pulse.say("idle")
-            context.stop.wait(context.settings.poll_seconds)
+            stop.wait(poll_seconds)
+
+
+def run_loop(context: Context, worker: Worker) -> None:
+    """Work until a stop is requested; the worker's row shows failures and idleness."""
+    heartbeat = context.heartbeat
+    work_until_stopped(
+        worker,
+        context.stop,
+        context.settings.poll_seconds,
+        on_failure=lambda failure: heartbeat.set_state("backing_off", failure),
+        on_success=lambda worked: None if worked else heartbeat.set_state("idle"),
+    )
 
 
 def run_worker(role: WorkerRole, make_worker: Callable[[Context], Worker], argv: Sequence[str]) -> int:
-    """A worker's process from start to end. Returns its exit status.
+    """Run a worker's process from start to end. Returns its exit status.
 
-    SIGTERM and SIGINT end it after the step it is at: a long one asks `context.stop` now and then.
+    SIGTERM and SIGINT end it after its current step; long steps check `context.stop`.
     """
     arguments = _parser(role).parse_args(argv)
     stop = Stop()
@@ -195,28 +173,39 @@ def run_worker(role: WorkerRole, make_worker: Callable[[Context], Worker], argv:
     worker_id = f"{role.value}-{arguments.slot}"
     holder = f"{worker_id}:{os.getpid()}:{secrets.token_hex(4)}"
     database = Database.open(settings.resolved_database_url)
-    pulse = Pulse(database, worker_id, role, holder, settings.worker_lease_seconds)
-    pulse.start()
-    context = Context(settings, database, open_blobs(settings.resolved_blob_url), pulse, stop, holder)
+    heartbeat = Heartbeat(database, worker_id, role, holder, settings.worker_lease_seconds)
+    heartbeat.start()
+    context = Context(settings, database, open_blobs(settings.resolved_blob_url), heartbeat, stop, holder)
     log.info("%s started as %s", worker_id, holder)
     try:
         worker = make_worker(context)
         try:
-            run_loop(context, worker, Backoff(), random.Random())
+            run_loop(context, worker)
         finally:
             worker.close()
     finally:
-        pulse.close()
+        heartbeat.close()
         database.close()
     log.info("%s stopped", worker_id)
     return 0
 
 
+def error_sentence(error: BaseException) -> str:
+    """An error as one sentence for people: its first line, after its class name unless it is an error of Accord."""
+    lines = str(error).strip().splitlines()
+    text = lines[0] if lines else ""
+    if not isinstance(error, AccordError):
+        text = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    if text and text[-1] not in ".!?":
+        text += "."
+    return text if len(text) <= _LONGEST_ERROR else text[: _LONGEST_ERROR - 1] + "…"
+
+
 def _parser(role: WorkerRole) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"python -m accord.workers.{role.value}_worker",
-        description=f"The {role.value} worker. Its settings are ACCORD_* variables.",
+        description=f"The {role.value} worker. ACCORD_* environment variables configure it.",
     )
     parser.add_argument("--slot", type=int, default=0, help="number among the workers of this role")
-    parser.add_argument("--parent", type=int, default=0, help="pid to end with; 0 for none")
+    parser.add_argument("--parent", type=int, default=0, help="process id to end with; 0 for none")
     return parser

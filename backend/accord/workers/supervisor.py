@@ -12,9 +12,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from accord.workers.runner import Backoff, Stop
+from mapt.processes import describe_exit
 
-#: a log that has grown beyond this is put aside at the next start
+#: a larger log is renamed at the next start
 _LOG_BYTES = 10_000_000
+#: a process that ran this long has recovered: its next death counts as the first in a row
+_RECOVERED_SECONDS = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,26 +26,26 @@ class ChildSpec:
 
     #: unique, and the name of its log: api, render-0, ...
     name: str
-    #: what follows `python -m`; ` --parent <pid>` is appended
+    #: arguments after `python -m`; `--parent <pid>` is appended
     arguments: tuple[str, ...]
     #: role of a worker; empty for the API, which has no row
     role: str = ""
-    #: variables on top of the supervisor's own
+    #: environment variables on top of the supervisor's own
     environment: Mapping[str, str] = field(default_factory=dict[str, str])
     #: file descriptors it inherits
     descriptors: tuple[int, ...] = ()
-    #: added to its niceness: above 0, others come first
+    #: added to its niceness: above 0, other processes come first
     nice: int = 0
 
 
 class Child:
-    """One process that runs, or did."""
+    """One child process, running or ended."""
 
     def __init__(self, spec: ChildSpec, log_folder: Path) -> None:
         """Start it. Its standard output and error go to `<name>.log`."""
         self.spec = spec
         self.log_path = log_folder / f"{spec.name}.log"
-        _put_aside(self.log_path)
+        _rotate(self.log_path)
         with self.log_path.open("ab") as log:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", *spec.arguments, "--parent", str(os.getpid())],
@@ -51,7 +54,7 @@ class Child:
                 stderr=log,
                 env={**os.environ, **spec.environment},
                 pass_fds=spec.descriptors,
-                # Its own session: Ctrl-C on the terminal reaches the supervisor alone, which ends the others in order.
+                # Its own session: Ctrl-C on the terminal reaches the supervisor only, which stops the others in order.
                 start_new_session=True,
             )
         if spec.nice:
@@ -62,20 +65,17 @@ class Child:
     def pid(self) -> int:
         return self._process.pid
 
-    def ended(self) -> str | None:
-        """How it ended, in words; None while it runs."""
-        status = self._process.poll()
-        if status is None:
-            return None
-        return f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended with status {status}"
+    def exit_status(self) -> int | None:
+        """Its exit status, negative for a signal; None while it runs."""
+        return self._process.poll()
 
     def terminate(self) -> None:
-        """Ask it to end."""
+        """Send SIGTERM if it runs."""
         if self._process.poll() is None:
             self._process.terminate()
 
     def wait(self, seconds: float) -> bool:
-        """Wait for its end, at most so long. Returns whether it has ended."""
+        """Wait for its end, at most `seconds`. Returns whether it has ended."""
         try:
             self._process.wait(max(0.0, seconds))
         except subprocess.TimeoutExpired:
@@ -83,43 +83,39 @@ class Child:
         return True
 
     def kill_group(self) -> None:
-        """Kill it and whatever it started that still runs."""
+        """Kill it and every process it started."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
 
-    def last_words(self) -> str:
-        """The last line of its log, empty if there is none."""
+    def last_log_line(self) -> str:
+        """The last line of its log; empty if there is none."""
         with self.log_path.open("rb") as log:
             log.seek(max(0, log.seek(0, os.SEEK_END) - 4096))
             lines = log.read().decode(errors="replace").strip().splitlines()
         return lines[-1].strip() if lines else ""
 
 
-def _put_aside(path: Path) -> None:
+def _rotate(path: Path) -> None:
     if path.exists() and path.stat().st_size > _LOG_BYTES:
         path.replace(path.with_suffix(".log.1"))
 
 
-#: a child that ran this long has recovered: its next death counts as the first
-_RECOVERED_SECONDS = 30.0
-
-
 @dataclass(frozen=True, slots=True)
 class Death:
-    """A child ended although nobody asked it to."""
+    """An unexpected end of a child process."""
 
     name: str
     role: str
-    #: a sentence: how it ended, and when it is started again
-    sentence: str
-    #: how often it has been started again, this time counted
+    #: how it ended and when it restarts, for people
+    description: str
+    #: how many times it was restarted, including this time
     restarts: int
 
 
 @dataclass(frozen=True, slots=True)
 class _Slot:
-    """One child's place."""
+    """The state of one child process."""
 
     spec: ChildSpec
     child: Child | None = None
@@ -127,12 +123,12 @@ class _Slot:
     #: deaths in a row
     failures: int = 0
     restarts: int = 0
-    #: when to start it again, while there is no child
+    #: when to start it again, while there is no process
     due_at: float = 0.0
 
 
 class Supervisor:
-    """Keeps one process per spec running. Single-threaded: `tick` does all the watching."""
+    """Keeps one process per spec running. It has no thread of its own: call `tick` a few times a second."""
 
     def __init__(
         self,
@@ -150,40 +146,40 @@ class Supervisor:
         self._slots = [_Slot(spec) for spec in specs]
 
     def pids(self) -> dict[str, int]:
-        """Process ids of the children that run, by name."""
+        """Process ids of the running children, by name."""
         return {slot.spec.name: slot.child.pid for slot in self._slots if slot.child}
 
     def tick(self) -> None:
-        """Start what is due, notice what died. Call it a few times a second."""
+        """Start the processes that are due and handle those that died."""
         now = time.monotonic()
-        self._slots = [self._look_after(slot, now) for slot in self._slots]
+        self._slots = [self._check(slot, now) for slot in self._slots]
 
-    def _look_after(self, slot: _Slot, now: float) -> _Slot:
+    def _check(self, slot: _Slot, now: float) -> _Slot:
         if slot.child is None:
             if now < slot.due_at:
                 return slot
             return replace(slot, child=Child(slot.spec, self._log_folder), started_at=now)
-        ended = slot.child.ended()
-        if ended is None:
+        status = slot.child.exit_status()
+        if status is None:
             return slot
-        return self._bury(slot, slot.child, ended, now)
+        return self._handle_death(slot, slot.child, status, now)
 
-    def _bury(self, slot: _Slot, child: Child, ended: str, now: float) -> _Slot:
-        # What a killed worker had started, a render process for example, would go on without it.
+    def _handle_death(self, slot: _Slot, child: Child, status: int, now: float) -> _Slot:
+        # Processes that it started, such as a render process, would otherwise continue.
         child.kill_group()
         failures = 1 if now - slot.started_at > _RECOVERED_SECONDS else slot.failures + 1
         pause = self._backoff.seconds(failures, self._rng)
-        words = f"It {ended}; it starts again in {pause:.1f} s."
-        if last := child.last_words():
-            words += f" Its last words: {last}"
-        self._on_death(Death(slot.spec.name, slot.spec.role, words, slot.restarts + 1))
+        description = f"The process ended ({describe_exit(status)}); it restarts in {pause:.1f} s."
+        if last := child.last_log_line():
+            description += f" Last line of its log: {last}"
+        self._on_death(Death(slot.spec.name, slot.spec.role, description, slot.restarts + 1))
         return replace(slot, child=None, failures=failures, restarts=slot.restarts + 1, due_at=now + pause)
 
     def shutdown(self, stop: Stop, grace_seconds: float = 8.0) -> list[str]:
-        """End all children: ask, wait, and kill what is left. Asked twice to stop, kill at once.
+        """Stop all children: SIGTERM, wait, then kill those that still run; kill at once if `stop` is immediate.
 
         Returns:
-            names of those that had to be killed.
+            names of the children that had to be killed.
         """
         children = [slot.child for slot in self._slots if slot.child]
         self._slots = [replace(slot, child=None, due_at=float("inf")) for slot in self._slots]
@@ -191,7 +187,7 @@ class Supervisor:
             child.terminate()
         deadline = time.monotonic() + grace_seconds
         alive = children
-        while alive and time.monotonic() < deadline and not stop.insisted:
+        while alive and time.monotonic() < deadline and not stop.immediate:
             alive = [child for child in alive if not child.wait(0.05)]
         for child in children:
             child.kill_group()

@@ -20,7 +20,7 @@ from mapt.benchmarks.specification import Written
 from mapt.errors import DamagedCell, InvalidConfig
 from mapt.io import atomic_write
 from mapt.preferences.storage import SegmentLayout
-from mapt.processes import Desk
+from mapt.processes import ParentConnection
 from mapt.rewards.checkpoints import save_reward_model
 from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
 from mapt.rewards.model import RewardModel
@@ -172,10 +172,10 @@ class CellJob:
     model: Path | None = None
 
 
-def make_cell(cells: Path, job: CellJob, desk: Desk) -> None:
+def make_cell(cells: Path, job: CellJob, parent: ParentConnection) -> None:
     """Make a cell into the folder `cells`, unless it is no longer wanted; `run_jobs` has a worker do it."""
     replay, code = Replay.open(job.replay), _code()
-    result = run_cell(job.settings, replay, desk.unwanted, partial(_keep, job.model, replay.source.n_steps))
+    result = run_cell(job.settings, replay, parent.cancelled, partial(_keep, job.model, replay.source.n_steps))
     if result is not None:
         CellFolder(cells).write(job.settings, result, code)
 

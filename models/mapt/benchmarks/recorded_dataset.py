@@ -11,13 +11,14 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from mapt.errors import InvalidConfig, NoTrueRewards, RecordingStopped, ReplayNotFound
-from mapt.policies import Learner, Policy, PolicyConfig, Rollout, train, true_reward
+from mapt.policies import Learner, Policy, PolicyConfig, Rollout
 from mapt.policies.rollout import Collector
 from mapt.preferences.dataset import SegmentArrays, SegmentSource
 from mapt.preferences.segments import StepRange, cut_rollout
 from mapt.preferences.storage import MANIFEST, SegmentFolder, SegmentLayout, SegmentWriter, column_path
-from mapt.processes import Desk
+from mapt.processes import ParentConnection
 from mapt.tasks import TaskSpec, make_task
+from mapt.training.policy_trainer import PolicyTrainer
 
 _BYTES_AT_ONCE = 1 << 20
 
@@ -172,16 +173,16 @@ def record_replay(
     task = make_task(recording.task, config.n_envs, n_threads=physics_threads)
     try:
         with SegmentWriter.create(path, layout_of(task.spec, recording.segment_steps), about=about) as writer:
+            learner = Learner(task, config)
 
-            def keep(learner: Learner, rollout: Rollout, _metrics: dict[str, float]) -> None:
+            def keep(rollout: Rollout, _metrics: dict[str, float]) -> None:
                 done = min(1.0, learner.steps / recording.policy_steps)
                 wanted = round(recording.segments * done) - len(writer)
                 append(writer, rollout, draw_places(rollout, recording.segment_steps, wanted, rng))
                 if progress is not None:
                     progress(learner.steps, float(rollout.rewards.mean()))
 
-            learner = Learner(task, config)
-            train(learner, true_reward, recording.policy_steps, keep)
+            PolicyTrainer(learner).train(recording.policy_steps, keep)
         record_episodes(recording.task, learner.policy, episodes_path(path), recording.seed)
     finally:
         task.close()
@@ -277,7 +278,7 @@ class RecordingProgress:
     reward: float
 
 
-def make_replay(job: ReplayJob, desk: Desk) -> None:
+def make_replay(job: ReplayJob, parent: ParentConnection) -> None:
     """`record_replay` by a worker of `run_jobs`, which is told a `RecordingProgress` after each rollout.
 
     Raises:
@@ -286,8 +287,8 @@ def make_replay(job: ReplayJob, desk: Desk) -> None:
     """
 
     def tell(steps: int, reward: float) -> None:
-        desk.tell(RecordingProgress(steps, reward))
-        if desk.unwanted():
+        parent.send(RecordingProgress(steps, reward))
+        if parent.cancelled():
             raise RecordingStopped(job.folder)
 
     record_replay(job.recording, job.folder, tell, physics_threads=job.physics_threads)

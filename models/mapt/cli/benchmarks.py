@@ -18,7 +18,7 @@ from mapt.benchmarks.tables import Summary, markdown, summarise, write_cells, wr
 from mapt.cli.options import PolicySteps, Preset, Seeds, Segments, SegmentSteps, Task, Workers
 from mapt.cli.output import Bars, complain, note, on_terminal, out, say
 from mapt.errors import InvalidConfig
-from mapt.processes import at_once, cores_of_each, run_jobs
+from mapt.processes import cores_per_job, parallel_jobs, run_jobs
 from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model
 from mapt.rewards.config import MODEL_NAMES
 from mapt.rewards.model import RewardModel
@@ -47,8 +47,8 @@ def record_all(recordings: Sequence[Recording], root: Path, workers: int) -> Non
     Raises:
         typer.Exit: if one could not be recorded; the others are.
     """
-    n_workers = at_once(workers, len(recordings))
-    threads = cores_of_each(n_workers)
+    n_workers = parallel_jobs(workers, len(recordings))
+    threads = cores_per_job(n_workers)
     jobs = [ReplayJob(recording, replay_folder(root, recording.seed), threads) for recording in recordings]
     failed = False
     with Bars(_NOTED_SHARE) as bars:
@@ -59,7 +59,7 @@ def record_all(recordings: Sequence[Recording], root: Path, workers: int) -> Non
         def tell(job: ReplayJob, news: RecordingProgress) -> None:
             bars.show(job, news.steps, f"true reward of a step {news.reward:.2f}")
 
-        for done in run_jobs(make_replay, jobs, n_workers, started=begin, told=tell):
+        for done in run_jobs(make_replay, jobs, n_workers, on_start=begin, on_message=tell):
             bars.end(done.job)
             if done.failure is not None:
                 failed = True
@@ -163,7 +163,7 @@ def _replays(recordings: Sequence[Recording], root: Path, workers: int) -> dict[
 
 def _make(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: bool) -> None:
     wanted = [job for job in jobs if not _finished(job, folder, same_code)]
-    n_workers = at_once(workers, len(wanted))
+    n_workers = parallel_jobs(workers, len(wanted))
     note(f"{len(jobs)} cells, {len(jobs) - len(wanted)} of them finished; {n_workers} at once")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(
@@ -173,7 +173,7 @@ def _make(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: 
         started: dict[str, float] = {}
         make = partial(make_cell, folder.path)
         for done in run_jobs(
-            make, wanted, n_workers, started=lambda job: started.update({job.settings.key: time.time()})
+            make, wanted, n_workers, on_start=lambda job: started.update({job.settings.key: time.time()})
         ):
             settings = done.job.settings
             name = f"{settings.model}, {settings.teacher}, {settings.labels:,} labels, seed {settings.seed}"

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from mapt.training.evaluation import Evaluation
 from mapt.training.metrics import Metrics
-from mapt.training.run import News, RunJob
+from mapt.training.run import RunJob, RunReport
 
 #: what was asked for
 out = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 100)
@@ -101,7 +101,7 @@ class RunBars:
     def begin(self, job: RunJob) -> None:
         self._bars.begin(job, _name(job), job.settings.steps)
 
-    def tell(self, job: RunJob, news: News) -> None:
+    def tell(self, job: RunJob, news: RunReport) -> None:
         if isinstance(news, str):
             note(f"{_name(job)}: {news}")
         else:

@@ -12,14 +12,14 @@ from mapt.cli.options import Device, Task, Workers
 from mapt.cli.output import Bars, RunBars, complain
 from mapt.errors import InvalidConfig
 from mapt.policies import Algorithm, PolicyConfig
-from mapt.processes import Done, at_once, cores_of_each, run_jobs, stop_requests
+from mapt.processes import JobResult, cores_per_job, parallel_jobs, run_jobs, stop_requests
 from mapt.rewards.checkpoints import load_reward_model
 from mapt.rewards.model import PolicyReward
 from mapt.rewards.relabelling import Credit
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 from mapt.training.evaluation import Evaluation
 from mapt.training.reward_source import reward_files
-from mapt.training.run import RunJob, make_run, make_run_apart
+from mapt.training.run import RunJob, do_run, do_run_in_worker
 from mapt.training.settings import TRUE, LearnedRewardSettings, RunSettings
 
 _NOTED_SHARE = 0.1
@@ -92,8 +92,8 @@ def train(
         )
         for number in numbers("--seed", seed, 0)
     ]
-    n_workers = at_once(workers, len(runs))
-    threads = physics_threads or cores_of_each(n_workers)
+    n_workers = parallel_jobs(workers, len(runs))
+    threads = physics_threads or cores_per_job(n_workers)
     jobs = [RunJob(run, output / f"seed-{run.policy.seed}", checkpoint_minutes * 60, video, threads) for run in runs]
     _train_all(jobs, n_workers)
 
@@ -119,7 +119,7 @@ def _train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
 
     Raises:
         typer.Exit: if not all were finished.
-        See `make_run` for what else, of runs in turn.
+        See `do_run` for what else, of runs in turn.
     """
     n_finished = n_failed = 0
     with Bars(_NOTED_SHARE) as drawn, stop_requests() as stopped:
@@ -140,16 +140,16 @@ def _train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
 
 def _make_in_turn(
     jobs: Sequence[RunJob], bars: RunBars, stopped: Callable[[], bool]
-) -> Iterator[Done[RunJob, Evaluation | None]]:
+) -> Iterator[JobResult[RunJob, Evaluation | None]]:
     """In this process."""
     for job in jobs:
         if stopped():
             return
         bars.begin(job)
-        yield Done(job, make_run(job, partial(bars.tell, job), stopped))
+        yield JobResult(job, do_run(job, partial(bars.tell, job), stopped))
 
 
 def _make_at_once(
     n_workers: int, jobs: Sequence[RunJob], bars: RunBars, stopped: Callable[[], bool]
-) -> Iterator[Done[RunJob, Evaluation | None]]:
-    return run_jobs(make_run_apart, jobs, n_workers, started=bars.begin, told=bars.tell, stopped=stopped)
+) -> Iterator[JobResult[RunJob, Evaluation | None]]:
+    return run_jobs(do_run_in_worker, jobs, n_workers, on_start=bars.begin, on_message=bars.tell, should_stop=stopped)

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from mapt.policies.learner import Learner
     from mapt.policies.networks import Policy
     from mapt.policies.rollout import Rollout
-    from mapt.policies.training import train, true_reward
 
 __all__ = [
     "Algorithm",
@@ -24,8 +23,6 @@ __all__ = [
     "Rollout",
     "evaluate",
     "play",
-    "train",
-    "true_reward",
 ]
 
 _MODULE_OF = {
@@ -35,8 +32,6 @@ _MODULE_OF = {
     "Rollout": "rollout",
     "evaluate": "evaluation",
     "play": "evaluation",
-    "train": "training",
-    "true_reward": "training",
 }
 
 

@@ -131,10 +131,10 @@ def model_with_weights(config: RewardConfig, state: Mapping[str, Tensor]) -> Rew
         DamagedCheckpoint: if names or shapes do not fit the config.
     """
     try:
-        # The initial weights are overwritten: drawing them must not advance the caller's generator.
-        with torch.random.fork_rng(devices=[]):
+        # On the meta device no initial weights are drawn: another thread may draw from torch's generator in a training.
+        with torch.device("meta"):
             model = build_reward_model(config)
-        model.load_state_dict(dict(state))
+        model.load_state_dict({name: tensor.clone() for name, tensor in state.items()}, assign=True)
     except InvalidConfig as error:
         raise DamagedCheckpoint(str(error)) from error
     except RuntimeError as error:

@@ -23,7 +23,7 @@ from torch import Tensor
 from mapt.device import resolve_device
 from mapt.errors import DamagedCheckpoint, InvalidConfig, MemberTrainingFailed, ModelMismatch
 from mapt.preferences.dataset import PreferenceDataset, SegmentSource, in_batches
-from mapt.processes import Desk, run_jobs
+from mapt.processes import ParentConnection, run_jobs
 from mapt.rewards.checkpoints import (
     POLARITY,
     SavedRewardModel,
@@ -233,8 +233,8 @@ def _train_in_processes(
         partial(_train_in_process, shared),
         jobs,
         workers,
-        told=lambda job, at: progress(at),
-        stopped=stop or (lambda: False),
+        on_message=lambda job, at: progress(at),
+        should_stop=stop or (lambda: False),
     ):
         if done.result is None:
             raise MemberTrainingFailed(done.job.member, done.failure or "")
@@ -243,8 +243,8 @@ def _train_in_processes(
     return [trained.get(job.member) or _train_member(shared, job, stop=lambda: True) for job in jobs]
 
 
-def _train_in_process(shared: _Shared, job: _Job, desk: Desk) -> SavedRewardModel:
-    return _train_member(shared, job, desk.tell, desk.unwanted)
+def _train_in_process(shared: _Shared, job: _Job, parent: ParentConnection) -> SavedRewardModel:
+    return _train_member(shared, job, parent.send, parent.cancelled)
 
 
 class _TotalProgress:

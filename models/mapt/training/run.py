@@ -12,18 +12,34 @@ from numpy.typing import NDArray
 from mapt.errors import RenderingError
 from mapt.io import atomic_write
 from mapt.policies import Learner
-from mapt.processes import Desk, stop_requests
+from mapt.processes import ParentConnection, stop_requests
 from mapt.tasks import Task, TaskStep, WrappedTask, make_task
 from mapt.training.evaluation import Evaluation, evaluate_policy
-from mapt.training.metrics import EventFile, Metrics, MetricsFile, iteration_metrics, read_metrics
-from mapt.training.reward_source import RewardSource, make_reward_source
+from mapt.training.metrics import EventFile, Metrics, MetricsFile, read_metrics
+from mapt.training.policy_trainer import PolicyTrainer
+from mapt.training.reward_source import LearnedReward, RewardFiles, RewardSource, TrueReward, save_version
 from mapt.training.run_folder import PolicyCheckpoint, RunFolder
 from mapt.training.settings import RunSettings
 from mapt.training.video import record_video
 
+#: digits of a reward model's SHA-256 in the metrics
+_SHA_DIGITS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class RunCallbacks:
+    """Functions that a run calls while it trains."""
+
+    #: after each iteration, with its metrics
+    on_iteration: Callable[[Metrics], None] = lambda metrics: None
+    #: with a sentence about what the metrics do not show, such as a video that cannot be made
+    on_message: Callable[[str], None] = lambda message: None
+    #: asked after each iteration; true ends the training at a checkpoint
+    should_stop: Callable[[], bool] = lambda: False
+
 
 class TimedTask(WrappedTask):
-    """Adds up the seconds that its steps take: physics, and what a task makes of them."""
+    """A task that measures how long its steps take."""
 
     def __init__(self, task: Task) -> None:
         super().__init__(task)
@@ -42,29 +58,16 @@ class TimedTask(WrappedTask):
         return seconds
 
 
-@dataclass(frozen=True, slots=True)
-class Watch:
-    """Whoever looks on while a run is trained."""
-
-    #: after each iteration, with what was written down of it
-    on_iteration: Callable[[Metrics], None] = lambda metrics: None
-    #: told in a sentence what the metrics do not show
-    note: Callable[[str], None] = lambda sentence: None
-    #: asked after each iteration; true ends the training, to be gone on with
-    stopped: Callable[[], bool] = lambda: False
-
-
 class Run:
-    """A learner, its rewards and its files, between two iterations. Hold `folder.locked()` meanwhile.
+    """A run in memory, between two iterations. Hold `folder.locked()` while it exists.
 
     Args:
-        settings: as the folder's run has them, or of a new run.
-        folder: where the run is, or will be.
-        checkpoint_seconds: between two checkpoints at least.
-        physics_threads: as `n_threads` of `make_task`; nothing that is learned depends on it.
+        settings: equal to those of the run in the folder, but for `steps`; any in a new folder.
+        checkpoint_seconds: least time between two checkpoints.
+        physics_threads: as `n_threads` of `make_task`; it does not affect results.
 
     Raises:
-        RunMismatch, DamagedRun: if the folder holds another run, or one that cannot be read.
+        RunMismatch, DamagedRun: if the folder holds a run with other settings, or one that cannot be read.
         UnknownTask, InvalidConfig, CheckpointError, ModelMismatch: if the settings cannot be met.
     """
 
@@ -73,18 +76,22 @@ class Run:
         settings: RunSettings,
         folder: RunFolder,
         checkpoint_seconds: float,
-        watch: Watch,
+        callbacks: RunCallbacks,
         *,
         physics_threads: int = 0,
     ) -> None:
-        self._settings, self._folder, self._watch = settings, folder, watch
+        self._settings, self._folder, self._callbacks = settings, folder, callbacks
         self._checkpoint_seconds, self._physics_threads = checkpoint_seconds, physics_threads
         folder.check(settings)
         self._task = TimedTask(
             make_task(settings.task, settings.policy.n_envs, n_threads=physics_threads, agent_obsk=settings.agent_obsk)
         )
+        #: reward versions so far, and the files that newer ones are read from
+        self._reward_number = 0
+        self._reward_files: RewardFiles | None = None
         try:
-            self.learner, self._source, self.iteration = self._start_or_restore()
+            self._trainer = self._start_or_restore()
+            self._read_reward_version()
         except BaseException:
             self._task.close()
             raise
@@ -101,131 +108,145 @@ class Run:
         self._metrics.close()
         self._task.close()
 
+    @property
+    def learner(self) -> Learner:
+        return self._trainer.learner
+
+    @property
+    def iteration(self) -> int:
+        """Iterations done."""
+        return self._trainer.iteration
+
     def train(self) -> bool:
-        """Iterate until the steps are done, or a stop is asked for; the checkpoint is then of the last iteration.
+        """Iterate until the steps are done or `should_stop` asks to stop, and save a checkpoint of the last iteration.
 
         Returns:
             Whether the steps are done.
         """
-        while self.learner.steps < self._settings.steps and not self._watch.stopped():
+        while self.learner.steps < self._settings.steps and not self._callbacks.should_stop():
             metrics = self._iterate()
             self._metrics.append(metrics)
             self._events.append(metrics)
-            self._watch.on_iteration(metrics)
+            self._callbacks.on_iteration(metrics)
             if time.monotonic() - self._saved_at >= self._checkpoint_seconds:
                 self._save()
         if self.iteration > self._saved_iteration:
             self._save()
         return self.learner.steps >= self._settings.steps
 
-    def _start_or_restore(self) -> tuple[Learner, RewardSource, int]:
-        settings, folder = self._settings, self._folder
-        stored = folder.last_checkpoint()
+    def evaluate(self) -> Evaluation:
+        """Evaluate the current policy; training is not affected."""
+        settings = self._settings
+        return evaluate_policy(
+            self.learner.policy,
+            settings.task,
+            agent_obsk=settings.agent_obsk,
+            seed=settings.policy.seed,
+            n_threads=self._physics_threads,
+        )
+
+    def _start_or_restore(self) -> PolicyTrainer:
+        settings = self._settings
+        stored = self._folder.last_checkpoint()
         if stored is None:
             stored, learner = PolicyCheckpoint(b"", {}), Learner(self._task, settings.policy)
         else:
             learner = Learner.from_bytes(stored.learner, self._task)
-        source = make_reward_source(
-            settings,
-            self._task.spec,
-            stored.progress,
-            stored.context,
-            keep=folder.rewards,
-            note=self._watch.note,
+        iteration, number = (stored.progress.get(name, 0) for name in ("iteration", "reward_version"))
+        self._reward_number = number if isinstance(number, int) else 0
+        return PolicyTrainer(learner, self._reward_source(stored), iteration if isinstance(iteration, int) else 0)
+
+    def _reward_source(self, stored: PolicyCheckpoint) -> RewardSource:
+        reward = self._settings.reward
+        if reward is None:
+            return TrueReward()
+        self._reward_files = RewardFiles(Path(reward.path), self._task.spec, self._callbacks.on_message)
+        sha = stored.progress.get("reward_sha")
+        return LearnedReward(
+            reward.segment_steps,
+            self._settings.policy.n_envs,
+            credit=reward.credit,
+            kind=reward.kind,
+            device=self._settings.policy.device,
+            version=str(sha) if sha else None,
+            context=stored.context,
         )
-        iteration = stored.progress.get("iteration", 0)
-        return learner, source, iteration if isinstance(iteration, int) else 0
+
+    def _read_reward_version(self) -> None:
+        """Use the newest version of the reward files, and keep a copy of it with the run."""
+        loaded = self._reward_files.newest() if self._reward_files else None
+        if loaded is not None and self._trainer.set_reward_version(loaded.sha256, lambda: loaded.model):
+            self._reward_number += 1
+            save_version(loaded, self._folder.rewards / f"version-{self._reward_number}")
+
+    def _reward_progress(self) -> dict[str, int | str]:
+        """Which reward version is in use; empty for the true reward."""
+        if self._reward_files is None:
+            return {}
+        return {"reward_version": self._reward_number, "reward_sha": self._trainer.source.version or ""}
 
     def _iterate(self) -> Metrics:
-        """Collect a rollout, reward it by one version, learn from it. Returns the line that tells of it."""
-        learner, clock = self.learner, Clock()
+        """One iteration. Returns its line in metrics.jsonl."""
+        trainer = self._trainer
         self._task.take_seconds()
-        rollout = learner.collect()
+        rollout = trainer.collect()
         physics = self._task.take_seconds()
-        collecting = clock.lap()
-        if self._source.refresh():
-            learner.reward_changed()
-        rewards = self._source.rewards(rollout)
-        rewarding = clock.lap()
-        losses = learner.update(rollout, rewards)
-        updating = clock.lap()
-        self.iteration += 1
+        self._read_reward_version()
+        metrics = trainer.update(rollout)
+        reward = self._reward_progress()
+        if reward:
+            reward["reward_sha"] = str(reward["reward_sha"])[:_SHA_DIGITS]
         return {
-            "iteration": self.iteration,
-            "steps": learner.steps,
-            **iteration_metrics(rollout, rewards, losses, self._task.spec.horizon_steps),
-            **self._source.metrics(),
-            **self._evaluate_now_and_then(),
+            "iteration": trainer.iteration,
+            "steps": trainer.steps,
+            **metrics,
+            **reward,
+            **self._evaluation_if_due(),
             "time": time.time(),
-            "steps_per_second": learner.config.steps_per_rollout / (collecting + rewarding + updating),
             "seconds_physics": physics,
-            "seconds_inference": collecting - physics,
-            "seconds_reward": rewarding,
-            "seconds_update": updating,
+            "seconds_inference": trainer.seconds.collect - physics,
+            "seconds_reward": trainer.seconds.reward,
+            "seconds_update": trainer.seconds.update,
         }
 
-    def _evaluate_now_and_then(self) -> dict[str, float]:
+    def _evaluation_if_due(self) -> dict[str, float]:
         every, done = self._settings.evaluate_every_steps, self.learner.steps
         if not every or done // every == (done - self.learner.config.steps_per_rollout) // every:
             return {}
         return {f"evaluation_{name}": value for name, value in self.evaluate().summary().items()}
 
-    def evaluate(self) -> Evaluation:
-        """Episodes of the policy as it is; nothing that is learned from is touched."""
-        settings = self._settings
-        seed = settings.policy.seed
-        return evaluate_policy(
-            self.learner.policy,
-            settings.task,
-            agent_obsk=settings.agent_obsk,
-            seed=seed,
-            n_threads=self._physics_threads,
-        )
-
     def _save(self) -> None:
-        progress = {"iteration": self.iteration, **self._source.progress}
-        # Lines first: a checkpoint vouches for those before it.
+        progress: dict[str, object] = {"iteration": self.iteration, **self._reward_progress()}
+        # Lines first: a checkpoint promises that the lines before it are on disk.
         self._metrics.sync()
-        stored = PolicyCheckpoint(self.learner.to_bytes(), self._source.context(), progress)
+        stored = PolicyCheckpoint(self.learner.to_bytes(), self._trainer.source.context(), progress)
         atomic_write(self._folder.checkpoint, stored.to_bytes())
         self._saved_at, self._saved_iteration = time.monotonic(), self.iteration
-
-
-class Clock:
-    """Seconds from one call to the next."""
-
-    def __init__(self) -> None:
-        self._since = time.perf_counter()
-
-    def lap(self) -> float:
-        now = time.perf_counter()
-        seconds, self._since = now - self._since, now
-        return seconds
 
 
 def complete_run(
     settings: RunSettings,
     folder: RunFolder,
     checkpoint_seconds: float,
-    watch: Watch,
+    callbacks: RunCallbacks,
     *,
     video: bool = True,
     physics_threads: int = 0,
 ) -> Evaluation | None:
-    """Train, evaluate and film; whatever of it is done already is not done again.
+    """Train, evaluate and record a video, skipping what is done already.
 
-    A video that cannot be made is told to `watch`, and missing.
+    A video that cannot be made is reported to `callbacks.on_message`; the run is complete without it.
 
     Returns:
-        What the final policy did; None if `watch` stopped the training before its steps were done.
+        The evaluation of the final policy; None if `callbacks.should_stop` ended the training early.
 
     Raises:
         RunBusy: if another process trains in this folder.
-        See `Run` for what else.
+        And the errors of `Run`.
     """
     with (
         folder.locked(),
-        Run(settings, folder, checkpoint_seconds, watch, physics_threads=physics_threads) as run,
+        Run(settings, folder, checkpoint_seconds, callbacks, physics_threads=physics_threads) as run,
     ):
         if not run.train():
             return None
@@ -235,49 +256,49 @@ def complete_run(
             evaluation = run.evaluate()
             folder.write_evaluation(run.learner.steps, evaluation)
         if video and not folder.video.exists():
-            _film(run, settings, folder, watch)
+            _record_video(run, settings, folder, callbacks)
         return evaluation
 
 
-def _film(run: Run, settings: RunSettings, folder: RunFolder, watch: Watch) -> None:
+def _record_video(run: Run, settings: RunSettings, folder: RunFolder, callbacks: RunCallbacks) -> None:
     seed = settings.policy.seed
     try:
         record_video(run.learner.policy, settings.task, folder.video, agent_obsk=settings.agent_obsk, seed=seed)
     except RenderingError as error:
-        watch.note(f"No video: {error}")
+        callbacks.on_message(f"No video: {error}")
 
 
-#: what is told of a run on its way: what was written down of an iteration, or a sentence
-News = Metrics | str
+#: what a run reports while it trains: the metrics of an iteration, or a message
+RunReport = Metrics | str
 
 
 @dataclass(frozen=True, slots=True)
 class RunJob:
-    """A run to be made."""
+    """A run to train, in this process or in a worker of `run_jobs`."""
 
     settings: RunSettings
     folder: Path
-    #: between two checkpoints at least
+    #: least time between two checkpoints
     checkpoint_seconds: float
-    #: film the final policy
+    #: whether to record a video of the final policy
     video: bool
     #: as `n_threads` of `make_task`
     physics_threads: int
 
 
-def make_run(job: RunJob, told: Callable[[News], None], stopped: Callable[[], bool]) -> Evaluation | None:
-    """What `complete_run` gives and raises."""
+def do_run(job: RunJob, on_report: Callable[[RunReport], None], should_stop: Callable[[], bool]) -> Evaluation | None:
+    """Train in this process; returns and raises as `complete_run` does."""
     return complete_run(
         job.settings,
         RunFolder(job.folder),
         job.checkpoint_seconds,
-        Watch(on_iteration=told, note=told, stopped=stopped),
+        RunCallbacks(on_iteration=on_report, on_message=on_report, should_stop=should_stop),
         video=job.video,
         physics_threads=job.physics_threads,
     )
 
 
-def make_run_apart(job: RunJob, desk: Desk) -> Evaluation | None:
-    """`make_run` by a worker of `run_jobs`, which Ctrl-C and SIGTERM reach as well as its parent."""
-    with stop_requests() as asked:
-        return make_run(job, desk.tell, lambda: asked() or desk.unwanted())
+def do_run_in_worker(job: RunJob, parent: ParentConnection) -> Evaluation | None:
+    """`do_run` in a worker of `run_jobs`; Ctrl-C and SIGTERM reach the worker as well as its parent."""
+    with stop_requests() as stop_requested:
+        return do_run(job, parent.send, lambda: stop_requested() or parent.cancelled())

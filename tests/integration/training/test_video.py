@@ -14,7 +14,7 @@ from mapt.policies.learner import make_policy
 from mapt.rendering.episode_video import widen_floors
 from mapt.tasks import PettingZooDefinition, load_model, register_task, task_spec
 from mapt.training import video
-from mapt.training.run import Watch, complete_run
+from mapt.training.run import RunCallbacks, complete_run
 from mapt.training.run_folder import RunFolder
 from mapt.training.settings import RunSettings
 from mapt.training.video import record_video
@@ -85,7 +85,7 @@ def test_a_machine_without_opengl_trains_and_says_what_to_install(monkeypatch, t
         RunFolder(tmp_path),
         RunSettings(task=SHORTEST_NAME, policy=PolicyConfig.from_dict(SMALL), steps=16),
     )
-    assert complete_run(settings, folder, 0.0, Watch(note=said.append)) is not None
+    assert complete_run(settings, folder, 0.0, RunCallbacks(on_message=said.append)) is not None
     assert len(said) == 1
     assert "libegl1" in said[0]
     assert not folder.video.exists()
@@ -97,12 +97,12 @@ def test_a_video_that_was_missing_is_made_by_the_same_command(egl, tmp_path):
         RunFolder(tmp_path),
         RunSettings(task=SHORTEST_NAME, policy=PolicyConfig.from_dict(SMALL), steps=16),
     )
-    complete_run(settings, folder, 0.0, Watch(), video=False)
+    complete_run(settings, folder, 0.0, RunCallbacks(), video=False)
     evaluated = folder.evaluation.stat().st_mtime_ns
-    complete_run(settings, folder, 0.0, Watch())
+    complete_run(settings, folder, 0.0, RunCallbacks())
     assert folder.evaluation.stat().st_mtime_ns == evaluated
     filmed = folder.video.stat().st_mtime_ns
-    complete_run(settings, folder, 0.0, Watch())
+    complete_run(settings, folder, 0.0, RunCallbacks())
     assert folder.video.stat().st_mtime_ns == filmed
 
 

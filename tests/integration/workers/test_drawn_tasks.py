@@ -12,9 +12,8 @@ from safetensors.numpy import load
 from accord.services import experiments
 from accord.services.collect import drawn_blob_key
 from accord.workers.policy_worker import PolicyWorker
-from accord.workers.replayed_clips import Redrawing, even
-from accord.workers.reward_worker import RewardWorker
-from integration.workers.workplace import Workplace
+from accord.workers.replayed_clips import RolloutReplay, even_size
+from integration.workers.workplace import SingleThreadedRewardWorker, Workplace
 from mapt.policies import Learner, PolicyConfig
 from mapt.preferences.segments import StepRange
 from mapt.tasks import make_task
@@ -61,7 +60,7 @@ def test_a_clip_shows_each_state_in_which_an_action_was_taken(place: Workplace) 
 
 def test_queries_of_a_task_that_draws_itself_open_with_its_clips(place: Workplace) -> None:
     collect(place, "Buttons-2")
-    assert RewardWorker(place.context).work()
+    assert SingleThreadedRewardWorker(place.context).work()
     place.make_clips()
     assert place.rows("SELECT DISTINCT status FROM queries") == [("open",)]
     clips = place.rows("SELECT frames, seconds, width, height, size_bytes, blob_key FROM clips")
@@ -79,7 +78,7 @@ def test_a_later_rollout_is_drawn_from_the_middle_of_its_episodes(place: Workpla
     rollout = learner.collect()
     assert not rollout.episode_start[0].any()
     places, keys = [(0, 0, 10), (1, 12, 22), (2, 43, 50)], [f"segments/{name}.safetensors" for name in "abc"]
-    Redrawing(task, before, rollout).store(place.context.blobs, [StepRange(*each) for each in places], keys)
+    RolloutReplay(task, before, rollout).store_clips(place.context.blobs, [StepRange(*each) for each in places], keys)
     for (env, first, end), key in zip(places, keys, strict=True):
         levels = np.round(rollout.observations[first:end, env, 0, 0] * buttons.LEVELS).astype(int)
         assert_shows(place.context.blobs.read(drawn_blob_key(key)), levels)
@@ -93,7 +92,7 @@ def test_nothing_is_drawn_where_programs_alone_label(place: Workplace) -> None:
 
 @pytest.mark.parametrize(
     ("task", "words"),
-    [("BlindButtons-2", "render_mode='rgb_array'"), ("DicedButtons-2", "does not follow from its seed")],
+    [("BlindButtons-2", "render_mode='rgb_array'"), ("DicedButtons-2", "is not deterministic given its seed")],
 )
 def test_a_task_that_cannot_be_drawn_ends_its_experiment_with_a_sentence(
     place: Workplace, task: str, words: str
@@ -110,7 +109,7 @@ def test_a_task_that_cannot_be_drawn_ends_its_experiment_with_a_sentence(
 
 def test_a_clip_that_was_lost_fails_its_query_and_no_other(place: Workplace) -> None:
     collect(place, "Buttons-2")
-    assert RewardWorker(place.context).work()
+    assert SingleThreadedRewardWorker(place.context).work()
     [(lost, key), *_] = place.rows(
         "SELECT s.id, s.blob_key FROM segments s JOIN clips c ON c.segment_id = s.id ORDER BY s.id"
     )
@@ -118,7 +117,7 @@ def test_a_clip_that_was_lost_fails_its_query_and_no_other(place: Workplace) -> 
     place.make_clips()
     assert place.rows("SELECT status FROM clips WHERE segment_id = ?", lost) == [("failed",)]
     [(detail,)] = place.rows("SELECT detail FROM clips WHERE segment_id = ?", lost)
-    assert "drew no clip" in detail
+    assert "stored no clip" in detail
     others = "SELECT DISTINCT status FROM queries WHERE NOT ? IN (segment_0_id, segment_1_id)"
     assert place.rows(others, lost) == [("open",)]
 
@@ -126,6 +125,6 @@ def test_a_clip_that_was_lost_fails_its_query_and_no_other(place: Workplace) -> 
 @pytest.mark.parametrize(("shape", "expected"), [((4, 6), (4, 6)), ((5, 6), (6, 6)), ((5, 7), (6, 8))])
 def test_pictures_of_any_size_become_even(shape: tuple[int, int], expected: tuple[int, int]) -> None:
     picture = np.arange(shape[0] * shape[1] * 3, dtype=np.uint8).reshape(*shape, 3)
-    made = even(picture)
+    made = even_size(picture)
     assert made.shape == (*expected, 3)
     np.testing.assert_array_equal(made[: shape[0], : shape[1]], picture)

@@ -7,8 +7,7 @@ import av
 import pytest
 from safetensors.numpy import load
 
-from accord.workers.reward_worker import RewardWorker
-from integration.workers.workplace import Workplace
+from integration.workers.workplace import SingleThreadedRewardWorker, Workplace
 
 # An untrained walker falls after some fifteen steps.
 WALKER: dict[str, Any] = {
@@ -29,7 +28,7 @@ def test_a_policy_learns_from_labels_on_segments_of_unequal_length(place: Workpl
     place.train(id)
     found = set(lengths(place).values())
     assert min(found) < 15 < max(found) <= 30
-    reward = RewardWorker(place.context)
+    reward = SingleThreadedRewardWorker(place.context)
     while place.rows("SELECT status FROM experiments") == [("running",)]:
         reward.work()
         [(n_open,)] = place.rows("SELECT count(*) FROM queries WHERE status = 'open'")
@@ -43,7 +42,7 @@ def test_a_policy_learns_from_labels_on_segments_of_unequal_length(place: Workpl
 def test_a_clip_ends_where_its_segment_does(place: Workplace) -> None:
     id = place.begin(**WALKER, render_clips=True)
     place.train(id)
-    assert RewardWorker(place.context).work()
+    assert SingleThreadedRewardWorker(place.context).work()
     place.make_clips()
     clips = place.rows("SELECT segment_id, blob_key, frames FROM clips WHERE status = 'ready'")
     steps = lengths(place)

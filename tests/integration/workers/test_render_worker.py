@@ -9,8 +9,7 @@ from safetensors.numpy import load, save
 
 from accord.domain.enums import WorkerRole
 from accord.workers.render_worker import RenderWorker
-from accord.workers.reward_worker import RewardWorker
-from integration.workers.workplace import Workplace, workplace
+from integration.workers.workplace import SingleThreadedRewardWorker, Workplace, workplace
 
 
 @pytest.fixture
@@ -20,7 +19,7 @@ def drawing(tmp_path: Path) -> Iterator[tuple[Workplace, RenderWorker]]:
         id = place.begin(render_clips=True)
         with place.training(id) as run:
             run.step()
-        assert RewardWorker(place.context).work()
+        assert SingleThreadedRewardWorker(place.context).work()
         worker = RenderWorker(place.context)
         yield place, worker
         worker.close()

@@ -1,16 +1,15 @@
 import pytest
 
-from accord.workers.reward_worker import RewardWorker
-from integration.workers.workplace import Workplace
+from integration.workers.workplace import SingleThreadedRewardWorker, Workplace
 
 
 @pytest.fixture
-def asked(place: Workplace) -> tuple[RewardWorker, str]:
+def asked(place: Workplace) -> tuple[SingleThreadedRewardWorker, str]:
     """An experiment whose first queries are open."""
     id = place.begin()
     with place.training(id) as run:
         run.step()
-    worker = RewardWorker(place.context)
+    worker = SingleThreadedRewardWorker(place.context)
     assert worker.work()
     return worker, id
 
@@ -29,7 +28,7 @@ def test_it_asks_about_what_is_due_and_a_few_ahead_and_no_more(place: Workplace,
 
 def test_it_asks_nothing_without_segments(place: Workplace):
     place.begin()
-    assert not RewardWorker(place.context).work()
+    assert not SingleThreadedRewardWorker(place.context).work()
 
 
 def test_first_version_comes_with_the_first_labels_and_not_before(place: Workplace, asked):
@@ -89,7 +88,7 @@ def test_a_word_of_another_version_fails_the_experiment_with_a_sentence(place: W
         session.connection().exec_driver_sql(f"UPDATE experiments SET config = json_set(config, '$.{setting}', 'huge')")
     with place.training(id) as run:
         run.step()
-    worker = RewardWorker(place.context)
+    worker = SingleThreadedRewardWorker(place.context)
     worker.work()
     if setting == "reward_preset":
         place.label(id, 8)

@@ -1,11 +1,10 @@
-import random
 from pathlib import Path
 
 import pytest
 
 from accord.domain.enums import WorkerRole
-from accord.workers.heartbeat import Pulse
-from accord.workers.runner import Backoff, Context, run_loop
+from accord.workers.heartbeat import Heartbeat
+from accord.workers.runner import Context, run_loop
 from integration.workers.workplace import Workplace, workplace
 from support.waiting import until
 
@@ -30,7 +29,7 @@ class Moody:
         if self.tries < 3:
             raise RuntimeError("the cable is loose\nand more")
         if self.tries == 3:
-            self._place.context.pulse.say("working", "on it")
+            self._place.context.heartbeat.set_state("working", "on it")
             return True
         self._place.context.stop.request()
         return False
@@ -41,52 +40,52 @@ class Moody:
 
 def test_a_failure_is_recorded_left_alone_and_tried_again(place: Workplace):
     worker = Moody(place)
-    run_loop(place.context, worker, Backoff(first_seconds=0.02), random.Random(0))
+    run_loop(place.context, worker)
     assert worker.tries == 4
     assert [state for state, _ in worker.seen] == ["backing_off", "backing_off", "working"]
-    assert worker.seen[0][1].startswith("RuntimeError: the cable is loose. Tries again in")
+    assert worker.seen[0][1].startswith("RuntimeError: the cable is loose. Retrying in")
 
 
 def test_the_row_says_stopped_in_the_end(tmp_path: Path):
     with workplace(tmp_path) as place:
-        place.context.pulse.say("working", "hard")
+        place.context.heartbeat.set_state("working", "hard")
     assert place.rows("SELECT state FROM workers") == [("stopped",)]
 
 
-def second(context: Context) -> Pulse:
-    return Pulse(context.database, "policy-1", WorkerRole.POLICY, "second", context.settings.worker_lease_seconds)
+def second(context: Context) -> Heartbeat:
+    return Heartbeat(context.database, "policy-1", WorkerRole.POLICY, "second", context.settings.worker_lease_seconds)
 
 
 def test_a_claim_is_one_workers_at_a_time(place: Workplace):
-    with place.context.pulse.hold("policy:exp_1") as mine:
+    with place.context.heartbeat.claim("policy:exp_1") as mine:
         assert mine is not None
-        with second(place.context).hold("policy:exp_1") as theirs:
+        with second(place.context).claim("policy:exp_1") as theirs:
             assert theirs is None
-    with second(place.context).hold("policy:exp_1") as theirs:
+    with second(place.context).claim("policy:exp_1") as theirs:
         assert theirs is not None
 
 
 def test_a_claim_that_was_taken_over_is_noticed_without_asking(tmp_path: Path):
     with workplace(tmp_path) as place:
-        pulse = Pulse(place.database, "policy-2", WorkerRole.POLICY, "third", 0.4)
-        pulse.start()
-        with pulse.hold("policy:exp_1") as claim:
+        heartbeat = Heartbeat(place.database, "policy-2", WorkerRole.POLICY, "third", 0.4)
+        heartbeat.start()
+        with heartbeat.claim("policy:exp_1") as claim:
             assert claim is not None
             until(lambda: claim.confirmed_at and not claim.lost)
             with place.database.transaction() as session:
                 session.connection().exec_driver_sql("UPDATE claims SET holder = 'another'")
             until(lambda: claim.lost)
-        pulse.close()
+        heartbeat.close()
 
 
 def test_heartbeats_outlast_the_lease(tmp_path: Path):
     with workplace(tmp_path) as place:
-        pulse = Pulse(place.database, "policy-2", WorkerRole.POLICY, "third", 0.4)
-        pulse.start()
-        with pulse.hold("policy:exp_1") as claim:
+        heartbeat = Heartbeat(place.database, "policy-2", WorkerRole.POLICY, "third", 0.4)
+        heartbeat.start()
+        with heartbeat.claim("policy:exp_1") as claim:
             assert claim is not None
             taken_at = claim.confirmed_at
             until(lambda: claim.confirmed_at > taken_at + 1.0)
-            with pytest.raises(AssertionError), second(place.context).hold("policy:exp_1") as theirs:
+            with pytest.raises(AssertionError), second(place.context).claim("policy:exp_1") as theirs:
                 assert theirs is not None
-        pulse.close()
+        heartbeat.close()

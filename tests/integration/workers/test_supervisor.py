@@ -57,15 +57,15 @@ def test_a_killed_child_is_started_again_and_its_death_told(make, deaths, tmp_pa
     os.kill(supervisor.pids()["calm-0"], signal.SIGKILL)
     tick_until(supervisor, lambda: len(starts(tmp_path)) == 2)
     assert [(death.name, death.role, death.restarts) for death in deaths] == [("calm-0", "policy", 1)]
-    assert "was ended by SIGKILL" in deaths[0].sentence
+    assert "killed by SIGKILL" in deaths[0].description
 
 
-def test_a_child_that_fails_at_once_is_tried_again_with_its_last_words(make, deaths, tmp_path):
+def test_a_child_that_fails_at_once_restarts_and_the_last_log_line_is_reported(make, deaths, tmp_path):
     supervisor = make("broken")
     tick_until(supervisor, lambda: len(deaths) == 3)
     assert [death.restarts for death in deaths] == [1, 2, 3]
-    assert "ended with status 3" in deaths[0].sentence
-    assert deaths[0].sentence.endswith("the cable is loose")
+    assert "exit status 3" in deaths[0].description
+    assert deaths[0].description.endswith("the cable is loose")
 
 
 def test_shutdown_ends_children_that_listen(make, tmp_path):

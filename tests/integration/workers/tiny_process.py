@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from accord.workers.runner import follow_parent
+from mapt.processes import follow_parent
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""What a worker finds around it, in the test's own process: a migrated database, blobs, a pulse."""
+"""The surroundings of a worker in the test's own process: a migrated database, blobs, a heartbeat."""
 
 import sqlite3
 from collections.abc import Iterator
@@ -14,9 +14,10 @@ from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
 from accord.store.tables import UserRow
-from accord.workers.heartbeat import Claim, Pulse
+from accord.workers.heartbeat import Claim, Heartbeat
 from accord.workers.policy_run import PolicyRun
 from accord.workers.render_worker import RenderWorker
+from accord.workers.reward_worker import RewardWorker
 from accord.workers.runner import Context, Stop
 from support import short_tasks
 
@@ -31,6 +32,14 @@ TINY: dict[str, Any] = {
     "render_clips": False,
     "policy": {"n_envs": 4, "rollout_steps": 25, "epochs": 2, "minibatches": 2},
 }
+
+
+class SingleThreadedRewardWorker(RewardWorker):
+    """The reward worker without its planner's thread: each call of `work` creates queries, then trains."""
+
+    def work(self) -> bool:
+        planned = self.planner.work()
+        return super().work() or planned
 
 
 @dataclass(slots=True)
@@ -56,7 +65,7 @@ class Workplace:
         """A policy's run under its claim, as after the start of a process."""
         with self.database.reading() as session:
             config = experiments.config_of(experiments.get(session, id))
-        with self.context.pulse.hold(f"policy:{id}") as claim:
+        with self.context.heartbeat.claim(f"policy:{id}") as claim:
             assert isinstance(claim, Claim)
             run = PolicyRun(self.context, id, config, claim)
             try:
@@ -117,12 +126,12 @@ def workplace(home: Path, role: WorkerRole = WorkerRole.POLICY) -> Iterator[Work
     database.migrate()
     with database.transaction() as session:
         teacher, _ = accounts.create_user(session, "oracle", Role.TEACHER)
-    pulse = Pulse(database, f"{role.value}-0", role, "holder", settings.worker_lease_seconds)
-    pulse.start()
-    context = Context(settings, database, open_blobs(settings.resolved_blob_url), pulse, Stop(), "holder")
+    heartbeat = Heartbeat(database, f"{role.value}-0", role, "holder", settings.worker_lease_seconds)
+    heartbeat.start()
+    context = Context(settings, database, open_blobs(settings.resolved_blob_url), heartbeat, Stop(), "holder")
     try:
         yield Workplace(home, context, teacher)
     finally:
-        pulse.close()
+        heartbeat.close()
         context.stop.close()
         database.close()

@@ -140,7 +140,7 @@ def jobs_of(replay, *models: str) -> list[CellJob]:
 def test_a_cell_of_a_worker_is_the_one_made_here(tmp_path, replay):
     (job,) = jobs_of(replay, QUICK)
     started: list[CellJob] = []
-    (done,) = run_jobs(partial(make_cell, tmp_path / "cells"), [job], 1, started=started.append)
+    (done,) = run_jobs(partial(make_cell, tmp_path / "cells"), [job], 1, on_start=started.append)
     assert (done.job, done.failure, started) == (job, None, [job])
     np.testing.assert_array_equal(
         CellFolder(tmp_path / "cells").read(job.settings).result.logits, run_cell(job.settings, replay).logits
@@ -169,7 +169,7 @@ def test_a_killed_worker_fails_its_own_cell_alone(tmp_path, replay):
 
     done = {
         each.job.settings.key: each.failure
-        for each in run_jobs(partial(make_cell, tmp_path / "cells"), [slow, quick], 1, started=kill_the_slow)
+        for each in run_jobs(partial(make_cell, tmp_path / "cells"), [slow, quick], 1, on_start=kill_the_slow)
     }
     assert "died" in done[slow.settings.key]
     assert done[quick.settings.key] is None

@@ -161,7 +161,7 @@ IN_WORKER = Recording("HalfCheetah-2x3", policy_steps=8192, segment_steps=30, se
 def test_a_worker_records_what_is_recorded_here_and_tells_how_far_it_is(tmp_path):
     told: list[RecordingProgress] = []
     (done,) = run_jobs(
-        make_replay, [ReplayJob(IN_WORKER, tmp_path / "there")], 1, told=lambda job, news: told.append(news)
+        make_replay, [ReplayJob(IN_WORKER, tmp_path / "there")], 1, on_message=lambda job, news: told.append(news)
     )
     assert done.failure is None
     assert [news.steps for news in told] == [4096, 8192]
@@ -175,8 +175,8 @@ def test_of_a_recording_that_is_stopped_nothing_is_kept(tmp_path):
         make_replay,
         [ReplayJob(Recording("HalfCheetah-2x3", 10**9, 30, 12, 1), tmp_path / "replay")],
         1,
-        told=lambda job, news: told.append(news),
-        stopped=lambda: bool(told),
+        on_message=lambda job, news: told.append(news),
+        should_stop=lambda: bool(told),
     )
     assert "was stopped" in (done.failure or "")
     assert not (tmp_path / "replay").exists()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from learning.identity_task import IdentityTask
-from mapt.policies import Learner, PolicyConfig, evaluate, play, train, true_reward
+from mapt.policies import Learner, PolicyConfig, evaluate, play
 from mapt.tasks import make_task
 
 
@@ -41,17 +41,3 @@ def test_a_seed_decides_the_returns_also_with_draws() -> None:
     first, again, other = (evaluate(policy, IdentityTask(4), 8, deterministic=False, seed=seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
-
-
-def test_training_stops_at_its_steps_or_when_told() -> None:
-    seen: list[int] = []
-
-    def note(trained: Learner, _rollout, metrics) -> bool:
-        seen.append(trained.steps)
-        return trained.steps >= 96
-
-    trained = learner()
-    train(trained, true_reward, total_steps=64, callback=note)
-    assert seen == [32, 64]
-    train(trained, true_reward, total_steps=10_000, callback=note)
-    assert seen == [32, 64, 96]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from learning.identity_task import IdentityTask
 from mapt.errors import InvalidConfig, InvalidRollout
-from mapt.policies import Learner, PolicyConfig, true_reward
+from mapt.policies import Learner, PolicyConfig
 from mapt.policies.device import torch_threads
 from mapt.tasks import TaskStep
 
@@ -48,7 +48,7 @@ def test_the_true_reward_is_never_read() -> None:
     """Two learners given the same rewards learn the same, though one's rollouts say otherwise."""
     honest, lied_to = learner(), learner()
     rollout, other = honest.collect(), lied_to.collect()
-    rewards = true_reward(rollout)
+    rewards = rollout.rewards
     honest.update(rollout, rewards)
     lied_to.update(dataclasses.replace(other, rewards=np.full_like(other.rewards, np.nan)), rewards)
     torch.testing.assert_close(weights(honest), weights(lied_to), rtol=0, atol=0)

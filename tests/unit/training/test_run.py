@@ -9,7 +9,7 @@ from mapt.policies import Learner
 from mapt.policies.checkpoint import unpack
 from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import TIMINGS, read_metrics
-from mapt.training.run import Run, Watch, complete_run
+from mapt.training.run import Run, RunCallbacks, complete_run
 from mapt.training.run_folder import PolicyCheckpoint, RunFolder, load_policy
 from mapt.training.settings import LearnedRewardSettings
 from support.short_tasks import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
@@ -23,9 +23,9 @@ def lines(folder: RunFolder) -> list[dict[str, float | str]]:
     ]
 
 
-def train(settings, path, checkpoint_seconds=0.0, watch=None) -> RunFolder:
+def train(settings, path, checkpoint_seconds=0.0, callbacks=None) -> RunFolder:
     folder = RunFolder(path)
-    complete_run(settings, folder, checkpoint_seconds, watch or Watch(), video=False)
+    complete_run(settings, folder, checkpoint_seconds, callbacks or RunCallbacks(), video=False)
     return folder
 
 
@@ -48,8 +48,10 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(settings, tmp_path
     run = settings(iterations=5, reward=write_reward(tmp_path / "reward", reward_model()), evaluate_every_steps=200)
     whole = train(run, tmp_path / "whole", checkpoint_seconds=1e9)
     seen: list[float] = []
-    stopping = Watch(on_iteration=lambda metrics: seen.append(float(metrics["steps"])), stopped=lambda: len(seen) == 2)
-    stopped = train(run, tmp_path / "stopped", checkpoint_seconds=1e9, watch=stopping)
+    stopping = RunCallbacks(
+        on_iteration=lambda metrics: seen.append(float(metrics["steps"])), should_stop=lambda: len(seen) == 2
+    )
+    stopped = train(run, tmp_path / "stopped", checkpoint_seconds=1e9, callbacks=stopping)
     assert len(seen) == 2
     assert not stopped.evaluation.exists()
     train(run, tmp_path / "stopped", checkpoint_seconds=1e9)
@@ -70,7 +72,7 @@ def test_a_finished_run_is_made_longer_and_is_then_the_long_run(settings, tmp_pa
 def test_threads_of_the_physics_change_nothing_that_is_learned(settings, tmp_path):
     folders = [RunFolder(tmp_path / str(threads)) for threads in (1, 3)]
     for folder, threads in zip(folders, (1, 3), strict=True):
-        complete_run(settings(iterations=2), folder, 0.0, Watch(), video=False, physics_threads=threads)
+        complete_run(settings(iterations=2), folder, 0.0, RunCallbacks(), video=False, physics_threads=threads)
     assert folders[0].checkpoint.read_bytes() == folders[1].checkpoint.read_bytes()
     assert folders[0].evaluation.read_bytes() == folders[1].evaluation.read_bytes()
 
@@ -115,7 +117,7 @@ def test_a_version_of_another_scale_does_not_corrupt_the_values(settings, tmp_pa
         if metrics["iteration"] == 21:
             before = folder.checkpoint.read_bytes()  # of the iteration before
 
-    train(run, folder.path, watch=Watch(on_iteration=replace))
+    train(run, folder.path, callbacks=RunCallbacks(on_iteration=replace))
     found = lines(folder)
     assert [line["reward_version"] for line in found] == [1] * 20 + [2]
     assert len({line["reward_sha"] for line in found}) == 2
@@ -136,10 +138,10 @@ def test_a_version_that_cannot_be_used_is_told_once_and_the_old_one_stays(settin
         if metrics["iteration"] == 4:
             write_reward(reward, reward_model(seed=1))
 
-    folder = train(run, tmp_path / "run", watch=Watch(on_iteration=spoil, note=said.append))
+    folder = train(run, tmp_path / "run", callbacks=RunCallbacks(on_iteration=spoil, on_message=said.append))
     assert [line["reward_version"] for line in lines(folder)] == [1, 1, 1, 1, 2, 2]
     assert len(said) == 1
-    assert "cannot be used" in said[0]
+    assert str(reward) in said[0]
 
 
 def test_a_version_that_came_while_no_process_ran_is_taken_up(settings, tmp_path):
@@ -177,6 +179,6 @@ def test_a_run_that_fails_at_its_start_leaves_no_settings_behind(settings, tmp_p
 
 def test_a_run_can_be_closed_in_the_middle(settings, tmp_path):
     folder = RunFolder(tmp_path)
-    with folder.locked(), Run(settings(), folder, 0.0, Watch()) as run:
+    with folder.locked(), Run(settings(), folder, 0.0, RunCallbacks()) as run:
         assert run.iteration == 0
     assert read_metrics(folder.metrics) == []

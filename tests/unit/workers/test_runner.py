@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accord.domain.errors import BlobMissing
-from accord.workers.runner import Backoff, Stop, sentence
+from accord.workers.runner import Backoff, Stop, error_sentence
 
 
 @pytest.fixture
@@ -29,13 +29,13 @@ def test_a_signal_asks_to_stop(stop, number):
     os.kill(os.getpid(), number)
     assert stop.wait(0)
     assert stop.requested
-    assert not stop.insisted
+    assert not stop.immediate
 
 
 def test_the_second_signal_insists(stop):
     for _ in range(2):
         os.kill(os.getpid(), signal.SIGINT)
-    assert stop.insisted
+    assert stop.immediate
 
 
 def test_a_signal_ends_a_wait_that_has_begun(stop):
@@ -64,7 +64,7 @@ def test_pauses_double_with_jitter_up_to_the_longest(failures, seed):
 
 
 def test_our_own_errors_speak_for_themselves_and_others_name_their_kind():
-    assert sentence(BlobMissing("a/b")).startswith("The blob 'a/b'")
-    assert sentence(ValueError("bad\nsecond line")) == "ValueError: bad."
-    assert sentence(KeyError()) == "KeyError."
-    assert len(sentence(ValueError("x" * 5000))) == 400
+    assert error_sentence(BlobMissing("a/b")).startswith("The blob 'a/b'")
+    assert error_sentence(ValueError("bad\nsecond line")) == "ValueError: bad."
+    assert error_sentence(KeyError()) == "KeyError."
+    assert len(error_sentence(ValueError("x" * 5000))) == 400

@@ -1,0 +1,102 @@
+"""The steps of one training iteration: collect a rollout, relabel it with a reward version, update the policy.
+
+`Run` (mapt train), `PreferenceLoop` and the service's policy worker all train through `PolicyTrainer`; they differ in
+where reward versions come from and where results are stored.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mapt.policies import Learner, Rollout
+from mapt.rewards.model import RewardModel
+from mapt.training.metrics import iteration_metrics
+from mapt.training.reward_source import RewardSource, TrueReward
+
+
+@dataclass(slots=True)
+class IterationSeconds:
+    """Where the time of one iteration goes."""
+
+    collect: float = 0.0
+    #: loading a new reward version and relabelling the rollout
+    reward: float = 0.0
+    update: float = 0.0
+
+    @property
+    def total(self) -> float:
+        return self.collect + self.reward + self.update
+
+
+class PolicyTrainer:
+    """Trains a policy, one call per step.
+
+    Args:
+        learner: new, or restored from a checkpoint between two iterations.
+        source: the rewards; the task's own when not given.
+        iteration: iterations that the learner has done.
+    """
+
+    def __init__(self, learner: Learner, source: RewardSource | None = None, iteration: int = 0) -> None:
+        self.learner = learner
+        self.source: RewardSource = TrueReward() if source is None else source
+        self.iteration = iteration
+        #: environment steps of the rollouts that the policy was updated on
+        self.steps = learner.steps
+        #: of the current or the last iteration
+        self.seconds = IterationSeconds()
+
+    def collect(self) -> Rollout:
+        """Play a rollout with the policy as it is."""
+        started = time.perf_counter()
+        rollout = self.learner.collect()
+        self.seconds = IterationSeconds(collect=time.perf_counter() - started)
+        return rollout
+
+    def set_reward_version(self, version: str, load: Callable[[], RewardModel]) -> bool:
+        """Take the rewards of the next update from this version; arguments and errors as in `RewardSource.set_version`.
+
+        Returns:
+            Whether it is another version than before.
+        """
+        started = time.perf_counter()
+        changed = self.source.set_version(version, load)
+        if changed:
+            self.learner.reward_changed()
+        self.seconds.reward += time.perf_counter() - started
+        return changed
+
+    def update(self, rollout: Rollout) -> dict[str, float]:
+        """Relabel the whole rollout with the current reward version and update the policy on it.
+
+        Args:
+            rollout: the newest one of `collect`.
+
+        Returns:
+            `iteration_metrics`, and `steps_per_second` over all steps of the iteration.
+        """
+        learner = self.learner
+        started = time.perf_counter()
+        rewards = self.source.rewards(rollout)
+        relabelled = time.perf_counter()
+        losses = learner.update(rollout, rewards)
+        self.seconds.reward += relabelled - started
+        self.seconds.update = time.perf_counter() - relabelled
+        self.iteration += 1
+        self.steps += learner.config.steps_per_rollout
+        metrics = iteration_metrics(rollout, rewards, losses, learner.task.spec.horizon_steps)
+        return metrics | {"steps_per_second": learner.config.steps_per_rollout / self.seconds.total}
+
+    def train(
+        self, total_steps: int, on_iteration: Callable[[Rollout, dict[str, float]], bool | None] | None = None
+    ) -> None:
+        """Iterate with the current reward until `total_steps` environment steps are done.
+
+        Args:
+            on_iteration: called after each update with the rollout and its metrics; true ends the training.
+        """
+        while self.steps < total_steps:
+            rollout = self.collect()
+            metrics = self.update(rollout)
+            if on_iteration is not None and on_iteration(rollout, metrics):
+                return

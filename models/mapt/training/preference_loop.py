@@ -1,0 +1,340 @@
+"""The method's outer loop without a server: collect, ask, label, train the reward model, train the policy.
+
+Christiano et al. (2017) with a multi-agent policy and reward model. The service does the same with workers in place of
+methods and rows in place of lists: its policy worker calls `collect` and `train_policy`, its query planner `ask`, its
+labellers `label`, its reward worker `train_reward`.
+"""
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapt.errors import RunError
+from mapt.policies import Learner, Rollout
+from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
+from mapt.preferences.segments import StepRange, cut_rollout
+from mapt.preferences.selection import SegmentView, SelectorName, needs_ensemble, needs_features
+from mapt.preferences.teachers import ScriptedTeacher, Teacher, TeacherView
+from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
+from mapt.rewards.ensemble import RewardEnsemble, train_reward_ensemble
+from mapt.rewards.model import PolicyReward, RewardModel
+from mapt.rewards.relabelling import Credit
+from mapt.rewards.trainer import train_reward_model
+from mapt.training.pair_selection import CANDIDATES, SCORED_SEGMENTS, SegmentScorer, choose_pairs, newest_pairs
+from mapt.training.policy_trainer import PolicyTrainer
+from mapt.training.reward_source import LearnedReward
+from mapt.training.schedule import QUERY_STREAM, SEGMENT_STREAM, LabelSchedule, Progress
+
+#: iterations whose true returns tell a teacher what an episode is worth
+_RETURN_POINTS = 10
+
+SegmentKey = TypeVar("SegmentKey", bound=Hashable)
+FloatArray = NDArray[np.floating]
+
+
+@dataclass(frozen=True, slots=True)
+class RewardSettings:
+    """The reward model, its training, and what the policy is given of it."""
+
+    #: T, steps of a segment
+    segment_steps: int = 50
+    #: a name of `RewardConfig.named`
+    model: str = "MAPT"
+    preset: PresetName = "small"
+    #: share of the labels that the loss takes to be mistakes
+    label_noise: float = 0.0
+    #: members of the ensemble, for selectors that need one
+    ensemble_members: int = 3
+    #: see `RewardModel.policy_rewards`
+    kind: PolicyReward = "value"
+    #: see `RolloutRelabeller`
+    credit: Credit = "shared"
+    #: decides the training and the choice of segments and queries
+    seed: int = 0
+    device: str = "auto"
+
+    def training(self, dataset: PreferenceDataset) -> tuple[RewardConfig, TrainConfig]:
+        """The network for a dataset, and how to train it.
+
+        Raises:
+            InvalidConfig: if there is no such model or preset.
+        """
+        config = RewardConfig.named(
+            self.model,
+            self.preset,
+            observation_dim=dataset.segments.observation_dim,
+            action_dim=dataset.segments.action_dim,
+            n_agents=dataset.segments.n_agents,
+        )
+        train = TrainConfig.preset(self.preset)
+        return config, replace(train, seed=self.seed, device=self.device, label_noise=self.label_noise)
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """T consecutive steps of one environment within one episode."""
+
+    #: (T, N, C)
+    observations: FloatArray
+    #: (T, N, A)
+    actions: FloatArray
+    #: (T,) true rewards, for teachers only
+    rewards: FloatArray
+    #: (T, nq) and (T, nv), simulator states in which the actions were taken
+    qpos: FloatArray
+    qvel: FloatArray
+
+    @classmethod
+    def of(cls, rollout: Rollout, place: StepRange) -> "Segment":
+        """The segment at a place of a rollout."""
+        at = slice(place.first, place.end), place.env
+        return cls(
+            rollout.observations[at], rollout.actions[at], rollout.rewards[at], rollout.qpos[at], rollout.qvel[at]
+        )
+
+
+@dataclass(slots=True)
+class Query:
+    """Two segments, by their index, and their label."""
+
+    segment_0: int
+    segment_1: int
+    #: P(segment 0 preferred); None before it is labelled, NaN if the teacher skipped it
+    label: float | None = None
+
+    @property
+    def counts(self) -> bool:
+        """Whether it has a label to train on."""
+        return self.label is not None and not np.isnan(self.label)
+
+
+@dataclass(frozen=True, slots=True)
+class RewardVersion:
+    """A trained reward model."""
+
+    #: from 1
+    number: int
+    model: RewardModel
+    #: labels that it was trained on
+    labels: int
+    metrics: dict[str, float]
+    #: for selectors that need one
+    ensemble: RewardEnsemble | None = None
+
+
+class PreferenceLoop:
+    """Learns a task from preferences over segments.
+
+    Args:
+        learner: a new learner; its task's own reward is read by the teacher only.
+        teacher: labels the queries.
+        schedule: the label budget, and when labels and reward versions are due.
+        reward: the reward model.
+        selector: how pairs are chosen from the second round on; the first round is uniform.
+        control_share: share of the pairs that stays uniform whatever the selector.
+        on_iteration: called after each iteration with its metrics.
+    """
+
+    def __init__(
+        self,
+        learner: Learner,
+        teacher: Teacher,
+        schedule: LabelSchedule,
+        reward: RewardSettings | None = None,
+        *,
+        selector: SelectorName = "uniform",
+        control_share: float = 0.2,
+        on_iteration: Callable[[dict[str, float]], None] = lambda metrics: None,
+    ) -> None:
+        self.reward = reward or RewardSettings()
+        self.schedule, self._teacher = schedule, teacher
+        self._selector: SelectorName = selector
+        self._control_share, self._on_iteration = control_share, on_iteration
+        source = LearnedReward(
+            self.reward.segment_steps,
+            learner.config.n_envs,
+            credit=self.reward.credit,
+            kind=self.reward.kind,
+            device=self.reward.device,
+        )
+        self.trainer = PolicyTrainer(learner, source)
+        #: from old to new
+        self.segments: list[Segment] = []
+        self.queries: list[Query] = []
+        self.versions: list[RewardVersion] = []
+        #: metrics of each iteration
+        self.history: list[dict[str, float]] = []
+        self._scorer = SegmentScorer(self._arrays_of)
+
+    def run(self) -> list[dict[str, float]]:
+        """Train until the schedule's steps are done. Returns the metrics of each iteration.
+
+        Raises:
+            RunError: if the first rollout holds too few pairs for the first reward version.
+        """
+        # The first queries are about the first rollout, which waits for the first reward version.
+        rollout = self.collect()
+        self.learn_reward()
+        self.train_policy(rollout)
+        while self.trainer.steps < self.schedule.total_steps:
+            self.learn_reward()
+            self.train_policy(self.collect())
+        return self.history
+
+    def learn_reward(self) -> None:
+        """Ask the teacher what is due, and train the next reward version if it is due."""
+        while self.ask():
+            self.label()
+        self.train_reward()
+
+    def collect(self) -> Rollout:
+        """Play a rollout, and store some of its segments as candidates for queries."""
+        trainer = self.trainer
+        rollout = trainer.collect()
+        rng = np.random.default_rng([self.reward.seed, SEGMENT_STREAM, trainer.iteration])
+        places = cut_rollout(rollout.episode_start, rollout.terminated, self.reward.segment_steps, rng)
+        wanted = self.schedule.segments_to_store(
+            iteration=trainer.iteration,
+            rollout_steps=trainer.learner.config.steps_per_rollout,
+            available=len(places),
+        )
+        self.segments += [Segment.of(rollout, place) for place in places[:wanted]]
+        return rollout
+
+    def ask(self) -> bool:
+        """Create the queries that are due, and a few more. Returns whether there are any."""
+        wanted = self.schedule.queries_wanted(self.trainer.steps, self._standing())
+        newest_first = range(len(self.segments))[: -CANDIDATES - 1 : -1]
+        if not wanted or len(newest_first) < 2:
+            return False
+        paired = {frozenset((query.segment_0, query.segment_1)) for query in self.queries}
+        chosen = choose_pairs(
+            newest_first,
+            paired,
+            wanted,
+            selector=self._selector,
+            control_share=self._control_share,
+            view=self._view(newest_first, paired),
+            first_round=not self.versions,
+            rng=np.random.default_rng([self.reward.seed, QUERY_STREAM, len(paired)]),
+        )
+        self.queries += [Query(*each.pair) for each in chosen]
+        return bool(chosen)
+
+    def label(self) -> None:
+        """Let the teacher label the open queries."""
+        open_queries = [query for query in self.queries if query.label is None]
+        self._show_returns()
+        first, second = (
+            TeacherView.stack([_teacher_view(self.segments[index]) for index in side])
+            for side in zip(*((query.segment_0, query.segment_1) for query in open_queries), strict=True)
+        )
+        for query, label in zip(open_queries, self._teacher.judge(first, second).tolist(), strict=True):
+            query.label = label
+
+    def train_reward(self) -> None:
+        """Train the next reward version on all labels, starting from the newest one, if it is due."""
+        labelled = [query for query in self.queries if query.counts]
+        newest = self.versions[-1] if self.versions else None
+        trained_on = newest.labels if newest else 0
+        if not self.schedule.version_is_due(
+            labels=len(labelled), trained_on=trained_on, changed=len(labelled) - trained_on
+        ):
+            return
+        dataset = labelled_dataset(
+            [(query.segment_0, query.segment_1) for query in labelled],
+            [query.label or 0.0 for query in labelled],
+            lambda index: (self.segments[index].observations, self.segments[index].actions),
+        )
+        config, train = self.reward.training(dataset)
+        trained = train_reward_model(dataset, config, train, initial=newest.model if newest else None)
+        ensemble = None
+        if needs_ensemble(self._selector) and self._standing() < self.schedule.budget:
+            ensemble = train_reward_ensemble(
+                dataset, config, train, self.reward.ensemble_members, initial=newest.ensemble if newest else None
+            )
+        number = len(self.versions) + 1
+        self.versions.append(RewardVersion(number, trained.model, len(labelled), trained.metrics, ensemble))
+
+    def train_policy(self, rollout: Rollout) -> None:
+        """Relabel the rollout with the newest reward version and update the policy on it.
+
+        Raises:
+            RunError: if there is no reward version.
+        """
+        labels = sum(query.counts for query in self.queries)
+        if not self.versions:
+            raise RunError(
+                f"The first rollout's segments form too few pairs: they gave {labels} labels, and the first reward "
+                f"version needs {self.schedule.initial}. Collect longer rollouts, or lower the initial labels."
+            )
+        newest = self.versions[-1]
+        self.trainer.set_reward_version(str(newest.number), lambda: newest.model)
+        metrics = self.trainer.update(rollout)
+        metrics |= {"steps": self.trainer.steps, "labels": labels, "reward_version": newest.number}
+        self.history.append(metrics)
+        self._on_iteration(metrics)
+
+    @property
+    def progress(self) -> Progress:
+        """Steps, labels and reward versions so far."""
+        labels = sum(query.counts for query in self.queries)
+        return Progress(self.trainer.steps, labels, self.versions[-1].labels if self.versions else None)
+
+    def _standing(self) -> int:
+        """Queries that have a label or wait for one; skipped ones are replaced."""
+        return sum(query.label is None or query.counts for query in self.queries)
+
+    def _view(self, newest_first: Sequence[int], paired: set[frozenset[int]]) -> SegmentView | None:
+        """What the selector needs of the newest segments; None for a uniform choice."""
+        if not self.versions or self._selector == "uniform":
+            return None
+        newest, shown = self.versions[-1], newest_first[:SCORED_SEGMENTS]
+        score = None
+        if needs_ensemble(self._selector):
+            ensemble = newest.ensemble
+            if ensemble is None:
+                return None
+            score = lambda segments: ensemble.scores(segments, self.reward.device)  # noqa: E731
+        pairs = newest_pairs(paired) if needs_features(self._selector) else None
+        return self._scorer.view(shown, str(newest.number), score, pairs)
+
+    def _arrays_of(self, indices: Sequence[int]) -> SegmentArrays:
+        segments = [self.segments[index] for index in indices]
+        return SegmentArrays.stack([each.observations for each in segments], [each.actions for each in segments])
+
+    def _show_returns(self) -> None:
+        """Tell a teacher whose thresholds depend on it the mean return of the latest episodes."""
+        teacher = self._teacher
+        returns = [metrics["true_return"] for metrics in self.history if "true_return" in metrics][-_RETURN_POINTS:]
+        if isinstance(teacher, ScriptedTeacher) and teacher.needs_episodes and returns:
+            teacher.set_episode_return(float(np.mean(returns)), self.trainer.learner.task.spec.horizon_steps)
+
+
+def labelled_dataset(
+    pairs: Sequence[tuple[SegmentKey, SegmentKey]],
+    labels: Sequence[float],
+    read: Callable[[SegmentKey], tuple[FloatArray, FloatArray]],
+) -> PreferenceDataset:
+    """Labelled pairs as a dataset, which holds each segment once, in the order of its first pair.
+
+    Args:
+        pairs: (segment 0, segment 1) of each label.
+        labels: P(segment 0 preferred).
+        read: observations (T, N, C) and actions (T, N, A) of a segment.
+    """
+    keys = [key for pair in pairs for key in pair]
+    index_of = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+    arrays = [read(key) for key in index_of]
+    segments = SegmentArrays.stack([each[0] for each in arrays], [each[1] for each in arrays])
+    indices = np.array([index_of[key] for key in keys]).reshape(-1, 2)
+    return PreferenceDataset(segments, indices, np.array(labels, dtype=np.float32))
+
+
+def _teacher_view(segment: Segment) -> dict[str, FloatArray]:
+    """What a teacher sees of a segment."""
+    arrays = {"rewards": segment.rewards, "observations": segment.observations, "actions": segment.actions}
+    return {**arrays, "qpos": segment.qpos, "qvel": segment.qvel}

@@ -1,0 +1,150 @@
+"""When to ask for labels, when to train a reward version, and when the policy waits: rules over counts alone.
+
+`PreferenceLoop` and the workers of the service apply the same rules. Labels are spread over the run: labels given only
+before training worked badly, since the policy leaves the states they were given on (Christiano et al. 2017).
+"""
+
+from dataclasses import dataclass
+from math import ceil, floor, log1p
+from typing import Literal
+
+#: random streams of an experiment: `default_rng([seed, stream, ...])` draws its segments and its queries
+SEGMENT_STREAM, QUERY_STREAM = 7, 11
+
+#: How labels accumulate over a run. power: the rate falls slowly, as progress^-0.3; constant: the rate stays;
+#: decaying: the rate falls as 1 / (steps + a tenth of the run) (Christiano et al. 2017).
+LabelScheduleName = Literal["power", "constant", "decaying"]
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far the policy, the labels and the reward model are."""
+
+    #: environment steps trained
+    steps: int
+    #: labels given, skips not counted
+    labels: int
+    #: labels that the newest reward version was trained on; None before the first version
+    trained_on: int | None
+    #: whether every pair of the stored segments is labelled: more labels need more segments
+    exhausted: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class LabelSchedule:
+    """The label budget and how it is spent over a run."""
+
+    #: labels in all
+    budget: int
+    #: labels before the first reward version
+    initial: int
+    #: environment steps of the whole run
+    total_steps: int
+    #: new labels between two reward versions
+    per_version: int = 50
+    #: queries created ahead of those due
+    lookahead: int = 8
+    #: False: the policy waits for the first reward version only and then trains with the newest one
+    wait: bool = True
+    #: share of the run at which the last label is due: later labels could hardly change the policy
+    last_at: float = 0.75
+    #: of `power`: below 1, early steps ask for more labels than late ones
+    exponent: float = 0.7
+    #: see `LabelScheduleName`; any other name counts as `power`
+    name: LabelScheduleName = "power"
+    #: of `decaying`: share of the run after which the rate is half its first value
+    halved_at: float = 0.1
+
+    def due(self, steps: int) -> int:
+        """Labels due after `steps` environment steps: from `initial` up to `budget`."""
+        progress = min(1.0, steps / (self.last_at * self.total_steps))
+        return self.initial + floor((self.budget - self.initial) * self._share(progress))
+
+    def _share(self, progress: float) -> float:
+        """Share of the labels after the first ones that are due; 0 to 1 as progress goes from 0 to 1."""
+        if self.name == "constant":
+            return progress
+        if self.name == "decaying":
+            # the integral of 1 / (t + c) from 0, relative to that over the whole range
+            c = self.halved_at / self.last_at
+            return log1p(progress / c) / log1p(1 / c)
+        return progress**self.exponent
+
+    def queries_wanted(self, steps: int, existing: int) -> int:
+        """Queries to create now, so that those due and `lookahead` more exist.
+
+        Args:
+            existing: queries that have a label or may still get one.
+        """
+        return max(0, min(self.due(steps) + self.lookahead, self.budget) - existing)
+
+    def version_labels(self, labels: int) -> int:
+        """Labels on which the newest reward version should be trained; 0 before the first version is due.
+
+        Versions are due at `initial` labels, after every `per_version` more, and at the whole budget. Training and
+        waiting both use this number, so they never wait for each other: while the policy waits for a version although
+        the labels are in, `version_is_due` holds.
+        """
+        if labels < self.initial:
+            return 0
+        if labels >= self.budget:
+            return self.budget
+        return self.initial + (labels - self.initial) // self.per_version * self.per_version
+
+    def version_is_due(self, *, labels: int, trained_on: int, changed: int) -> bool:
+        """Whether to train the next reward version.
+
+        Args:
+            labels: labels given, skips not counted.
+            trained_on: labels of the newest version; 0 if there is none.
+            changed: labels given, changed or withdrawn since that version.
+        """
+        if labels < min(self.initial, self.budget) or changed == 0:
+            return False
+        if self.version_labels(labels) > self.version_labels(trained_on):
+            return True
+        # A labeller changed earlier labels. Once the budget is used up, every change gives a new version.
+        return changed >= self.per_version or labels >= self.budget
+
+    def waiting_reason(self, progress: Progress) -> str | None:
+        """Why the policy must wait, as a sentence for people; None if it may train."""
+        due = self.due(progress.steps)
+        if progress.exhausted:
+            # No label can come before the next rollout brings segments.
+            due = min(due, progress.labels)
+        if progress.trained_on is None:
+            return _missing(progress.labels, self.initial, "the first reward version")
+        if not self.wait:
+            return None
+        if progress.labels < due:
+            return _missing(progress.labels, due, "training to continue")
+        if self.version_labels(progress.trained_on) < self.version_labels(due):
+            return f"The labels are in; the reward model trains on {progress.labels} of them."
+        return None
+
+    def cannot_start(self, progress: Progress) -> bool:
+        """Whether the first rollout holds too few pairs for the first reward version."""
+        return progress.trained_on is None and progress.exhausted and progress.labels < self.initial
+
+    def segments_to_store(self, *, iteration: int, rollout_steps: int, available: int) -> int:
+        """Segments of a rollout to store, as candidates for queries.
+
+        Over a run about four segments a label are stored, twice what the pairs need, so that selectors have a choice.
+        The first rollout gives what the first queries need, at least 64.
+
+        Args:
+            iteration: of the policy, from 0.
+            rollout_steps: environment steps of one rollout.
+            available: segments without overlap in this rollout.
+        """
+        first = max(64, 2 * (self.initial + self.lookahead))
+        if iteration == 0:
+            return min(available, first)
+        later_rollouts = max(1, ceil(self.total_steps / rollout_steps) - 1)
+        return min(available, max(2, ceil((4 * self.budget - first) / later_rollouts)))
+
+
+def _missing(labels: int, wanted: int, purpose: str) -> str:
+    if labels >= wanted:
+        return "The labels are in; the reward model trains on them."
+    return f"{labels} of {wanted} labels for {purpose}."
