@@ -65,9 +65,9 @@ def new_experiment(service: Service, researcher: str) -> Iterator[NewExperiment]
     with service.api(researcher) as api:
 
         def start(name: str, **changes: Any) -> str:
-            answer = api.post("/experiments", json=SMALL | {"name": name} | changes)
-            assert answer.status_code == 201, answer.text
-            created.append(answer.json()["id"])
+            response = api.post("/experiments", json=SMALL | {"name": name} | changes)
+            assert response.status_code == 201, response.text
+            created.append(response.json()["id"])
             return created[-1]
 
         yield start

@@ -46,7 +46,7 @@ def test_leaving_releases_the_pairs_for_the_next_labeller(
     experiment = new_experiment("Leaving")
     anna, berta = Labeller(sign_in("Anna")), Labeller(sign_in("Berta"))
     pair = anna.open(service.url, experiment)
-    anna.page.get_by_role("link", name="Progress").click()
+    anna.page.get_by_role("link", name="Progress", exact=True).click()
     expect(anna.page.get_by_role("heading", name="Leaving")).to_be_visible()
     assert berta.open(service.url, experiment).query == pair.query
 

@@ -43,7 +43,7 @@ def test_twenty_labels_with_an_undo_and_a_skip_train_a_reward_version(
 def test_the_policy_trains_on_the_reward_version_and_new_pairs_follow(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
-    experiment = new_experiment("The policy goes on")
+    experiment = new_experiment("Policy training continues")
     labeller = Labeller(sign_in("Lena"))
     labeller.open(service.url, experiment)
     for key in KEYS:

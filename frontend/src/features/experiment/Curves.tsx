@@ -55,7 +55,7 @@ export function Curves({ experiment, metrics, versions, showTrueReturn }: Curves
         formatX={(value) => (Number.isInteger(value) ? String(value) : "")}
         format={formatPercent}
         colour="d"
-        yMin={0.4}
+        yMin={0}
         yMax={1}
         perVersion
       />

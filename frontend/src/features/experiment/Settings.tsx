@@ -1,5 +1,6 @@
 import type { Experiment } from "@/shared/api/types";
 import { formatCount } from "@/shared/ui/format";
+import { settingLabel } from "@/shared/ui/settingLabels";
 
 /** The settings of the experiment, which do not change after it starts. */
 export function Settings({ experiment }: { experiment: Experiment }) {
@@ -12,12 +13,12 @@ export function Settings({ experiment }: { experiment: Experiment }) {
         <tbody>
           {Object.entries(experiment.config).map(([name, value]) => (
             <tr key={name}>
-              <th scope="row">{name.replaceAll("_", " ")}</th>
+              <th scope="row">{settingLabel(name)}</th>
               <td>{formatSetting(value)}</td>
             </tr>
           ))}
           <tr>
-            <th scope="row">started</th>
+            <th scope="row">Started</th>
             <td>{new Date(experiment.created_at).toLocaleString()}</td>
           </tr>
         </tbody>
@@ -30,9 +31,8 @@ function formatSetting(value: unknown): string {
   if (typeof value === "number") return formatCount(value);
   if (typeof value === "boolean") return value ? "yes" : "no";
   if (typeof value === "object" && value !== null) {
-    return Object.entries(value)
-      .map(([name, inner]) => `${name} = ${String(inner)}`)
-      .join(", ");
+    const entries = Object.entries(value).map(([name, inner]) => `${name} = ${String(inner)}`);
+    return entries.join(", ") || "Defaults";
   }
   return String(value);
 }

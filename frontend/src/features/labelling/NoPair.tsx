@@ -25,7 +25,7 @@ export function NoPair({ experiment, reason, error, aspectRatio }: NoPairProps) 
         <h2>{title}</h2>
         <p>{text}</p>
         <p>
-          <Link to={paths.experiment(experiment.id)}>View training progress</Link>
+          <Link to={paths.experiment(experiment.id)}>View the experiment</Link>
         </p>
       </div>
     </section>

@@ -1,6 +1,7 @@
 import { ApiError } from "@/shared/api/errors";
 import type { NewExperiment } from "@/shared/api/types";
 import { formatCount } from "@/shared/ui/format";
+import { settingLabel } from "@/shared/ui/settingLabels";
 import settings from "./settings.json";
 
 /** The part of JSON Schema that describes a setting. `unit` is an extension of the API. */
@@ -45,24 +46,6 @@ export interface FieldSpec {
 
 /** What the user typed, by the name of the field. Fields that were never edited are missing. */
 export type FormValues = Readonly<Record<string, string>>;
-
-/** Labels of settings whose name alone does not explain them. */
-const LABELS: Readonly<Record<string, string>> = {
-  instructions: "Instructions for labellers",
-  total_steps: "Training steps",
-  label_budget: "Label budget",
-  initial_labels: "Labels before the first reward model",
-  labels_per_version: "New labels per reward version",
-  segment_steps: "Steps per clip",
-  control_share: "Share of uniform queries",
-  credit: "Reward per agent",
-  "policy.n_envs": "Parallel environments",
-  "policy.n_threads": "Threads",
-  "policy.gamma": "Discount factor",
-  "policy.gae_lambda": "GAE lambda",
-  "policy.clip": "PPO clip range",
-  "policy.hidden": "Hidden layer widths",
-};
 
 /** Policy settings that follow those of the experiment or of its worker. They can be set over the API. */
 const HIDDEN = ["policy.seed", "policy.device", "policy.n_threads"];
@@ -120,7 +103,7 @@ function toField(name: string, schema: SettingSchema, required: boolean): FieldS
   const step = value.type === "integer" ? 1 : 0;
   return {
     name,
-    label: LABELS[name] ?? toLabel(name),
+    label: settingLabel(name),
     kind: kindOf(value),
     help: value.description ?? "",
     unit: value.unit ?? "",
@@ -152,11 +135,6 @@ function rangeOf({ minimum, maximum, exclusiveMinimum, exclusiveMaximum }: Setti
   ].filter(Boolean);
   const text = limits.join(", ");
   return text && `${text.charAt(0).toUpperCase()}${text.slice(1)}.`;
-}
-
-function toLabel(name: string): string {
-  const words = name.replace(/^.*\./, "").replaceAll("_", " ");
-  return words.charAt(0).toUpperCase() + words.slice(1);
 }
 
 function toText(value: unknown): string {

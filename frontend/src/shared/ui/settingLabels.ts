@@ -1,0 +1,23 @@
+/** Labels of settings whose name alone does not explain them. */
+const LABELS: Readonly<Record<string, string>> = {
+  instructions: "Instructions for labellers",
+  total_steps: "Training steps",
+  label_budget: "Label budget",
+  initial_labels: "Labels before the first reward model",
+  labels_per_version: "New labels per reward version",
+  segment_steps: "Steps per clip",
+  control_share: "Share of uniform queries",
+  credit: "Reward per agent",
+  "policy.n_envs": "Parallel environments",
+  "policy.n_threads": "Threads",
+  "policy.gamma": "Discount factor",
+  "policy.gae_lambda": "GAE lambda",
+  "policy.clip": "PPO clip range",
+  "policy.hidden": "Hidden layer widths",
+};
+
+/** The label of an experiment's setting, by its name in the API, for example "policy.n_envs". */
+export function settingLabel(name: string): string {
+  const words = name.replace(/^.*\./, "").replaceAll("_", " ");
+  return LABELS[name] ?? words.charAt(0).toUpperCase() + words.slice(1);
+}
