@@ -1,4 +1,4 @@
-"""Where torch computes, and from which seed."""
+"""Where torch computes, with how many threads, and from which seed."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,3 +31,14 @@ def seeded(seed: int, device: torch.device) -> Iterator[None]:
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         torch.manual_seed(seed)
         yield
+
+
+@contextmanager
+def torch_threads(n_threads: int) -> Iterator[None]:
+    """Let torch use `n_threads` threads, and then as many as before; 0 leaves the number unchanged."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(n_threads or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -35,7 +35,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from turns import median_seconds
 
 from mapt.policies import Algorithm, Learner, PolicyConfig, Rollout
-from mapt.policies.ppo import checked_rewards, prepare
+from mapt.policies.ppo import make_batch, team_rewards
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.relabelling import RolloutRelabeller
 from mapt.tasks import Task, TaskStep, WrappedTask, make_task
@@ -196,10 +196,10 @@ def _one_pass(task_name: str, config: PolicyConfig) -> str:
     """One pass over a rollout, beside its matrix products alone and one large product, in CPU time."""
     learner = Learner(make_task(task_name, config.n_envs), replace(config, epochs=1))
     rollout = learner.collect()
-    batch, _ = prepare(learner.policy, rollout, checked_rewards(rollout.rewards, rollout), config)
+    batch, _ = make_batch(learner.policy, rollout, team_rewards(rollout.rewards, rollout), config)
 
     def one_pass() -> None:
-        learner._update.run(batch, learner._gradient_step, torch.Generator().manual_seed(0))
+        learner._update.run(batch, torch.Generator().manual_seed(0))
 
     one_pass()
     # Neither knows the fused attention of a CPU, but the products of the plain one.

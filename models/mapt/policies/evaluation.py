@@ -1,4 +1,4 @@
-"""Measuring a policy by the true reward."""
+"""Evaluation of a policy by the true reward of whole episodes."""
 
 import math
 from dataclasses import dataclass
@@ -15,31 +15,31 @@ from mapt.tasks import Task
 
 @dataclass(frozen=True, slots=True)
 class Episodes:
-    """Whole episodes."""
+    """Results of whole episodes."""
 
-    #: (episodes,) true returns
+    #: (episodes,): true returns.
     returns: NDArray[np.float64]
-    #: (episodes,) steps
+    #: (episodes,): lengths in steps.
     lengths: NDArray[np.int64]
 
 
 def play(
     policy: Learner | Policy, task: Task, episodes: int = 32, *, deterministic: bool = True, seed: int = 0
 ) -> Episodes:
-    """Whole episodes on a task of its own, which is reset.
+    """Play whole episodes on a task, which is reset.
 
-    Each environment plays the same number of episodes, so short ones are not counted more often than long ones.
+    Each environment plays the same number of episodes, so that short episodes do not count more often than long ones.
 
     Args:
-        policy: a learner's, or the learner itself.
-        task: of the same specification, with any number of environments; not the learner's own.
-        deterministic: take the mean or the likeliest action instead of a draw.
-        seed: decides starts and draws.
+        policy: or a learner, whose policy is played.
+        task: of the same specification, with any number of environments; not the task the learner trains on.
+        deterministic: take the mean or the most likely action instead of sampling.
+        seed: of initial states and samples.
     """
     acting = policy.policy if isinstance(policy, Learner) else policy
     generator = torch.Generator().manual_seed(seed)
     n_rounds = math.ceil(episodes / task.n_envs)
-    # Environments that are done early play on into the spare last row.
+    # Environments that finish early continue into the spare last row.
     returns = np.zeros((n_rounds + 1, task.n_envs))
     lengths = np.zeros((n_rounds + 1, task.n_envs), dtype=np.int64)
     played = np.zeros(task.n_envs, dtype=np.intp)
@@ -58,5 +58,5 @@ def play(
 def evaluate(
     policy: Learner | Policy, task: Task, episodes: int = 32, *, deterministic: bool = True, seed: int = 0
 ) -> NDArray[np.float64]:
-    """True returns (episodes,) of `play`."""
+    """True returns (episodes,) of whole episodes; see `play`."""
     return play(policy, task, episodes, deterministic=deterministic, seed=seed).returns

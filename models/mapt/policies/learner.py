@@ -1,10 +1,9 @@
-"""The learner: one iteration is `collect`, rewards from whoever gives them, `update`.
+"""The learner: collects a rollout, takes its rewards from the caller and updates the policy.
 
-It never reads a task's own reward. What an algorithm is made of lies beside it: its networks (`actor_critic`, `mat`)
-behind `Policy`, and how they are moved (`updates`) behind `Update`.
+It never reads the task's own reward. The networks of the algorithms are in `networks` and `mat`, their gradient steps
+in `ppo`.
 """
 
-import math
 from pathlib import Path
 from typing import Self
 
@@ -13,16 +12,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mapt.errors import InvalidConfig, TrainingDiverged
+from mapt.device import resolve_device, torch_threads
+from mapt.errors import InvalidConfig
 from mapt.io import atomic_write
 from mapt.policies import checkpoint
 from mapt.policies.config import PolicyConfig
-from mapt.policies.device import resolve_device, torch_threads
-from mapt.policies.kernels import Adam
 from mapt.policies.mat import EncoderCritic, MultiAgentTransformer
 from mapt.policies.networks import ActorCritic, Actors, Policy, StateCritic
-from mapt.policies.normalisation import RewardUnits
-from mapt.policies.ppo import checked_rewards, inputs, make_update, prepare
+from mapt.policies.normalisation import ValueRescaler
+from mapt.policies.ppo import HAPPOUpdate, Metrics, PPOUpdate, Update, make_batch, raw_inputs, team_rewards
 from mapt.policies.rollout import Collector, Rollout
 from mapt.tasks import Task, TaskSpec
 
@@ -31,124 +29,126 @@ FINAL_LEARNING_RATE = 0.1
 
 
 def make_policy(spec: TaskSpec, config: PolicyConfig) -> Policy:
-    """The networks of the configured algorithm, drawn by torch's global generator."""
+    """The networks of the configured algorithm, initialised from torch's global generator."""
     if config.algorithm == "mat":
         return MultiAgentTransformer(spec, config)
     actor = Actors(spec, config)
     return ActorCritic(spec, actor, (EncoderCritic if config.algorithm == "mat_dec" else StateCritic)(spec, config))
 
 
+def make_update(policy: Policy, config: PolicyConfig) -> Update:
+    """The update of the configured algorithm."""
+    if isinstance(policy, ActorCritic) and config.algorithm == "happo":
+        return HAPPOUpdate(policy, config)
+    return PPOUpdate(policy, config)
+
+
 class Learner:
     """Trains the policy of one task.
 
     Args:
-        task: with `config.n_envs` environments; reset here with `config.seed`.
+        task: has `config.n_envs` environments; is reset with `config.seed`.
         config: settings.
 
     Raises:
-        InvalidConfig: if the task has another number of environments, or no such device is there.
+        InvalidConfig: if the task has another number of environments, or the device does not exist.
     """
 
     def __init__(self, task: Task, config: PolicyConfig) -> None:
         if task.n_envs != config.n_envs:
-            raise InvalidConfig(f"The task has {task.n_envs} environments, the configuration {config.n_envs}.")
+            raise InvalidConfig(f"n_envs is {config.n_envs}, but the task has {task.n_envs} environments.", "n_envs")
         self.task, self.config = task, config
         self.device = resolve_device(config.device)
         #: Environment steps collected so far.
         self.steps = 0
         self._generator = torch.Generator().manual_seed(config.seed)
-        # Orthogonal weights depend in their last bits on how many threads make them, and no run should on the machine's
-        # number of cores.
+        # The last bits of orthogonal weights depend on the number of threads, which must not make runs differ between
+        # machines.
         with torch.random.fork_rng(devices=[]), torch_threads(1):
             torch.manual_seed(config.seed)
             self.policy = make_policy(task.spec, config).to(self.device)
         self._update = make_update(self.policy, config)
-        self._optimiser = Adam(self._update.groups, config.learning_rate, config.max_gradient_norm)
         self._collector = Collector(task, config.seed)
-        self._reward_units = RewardUnits(config, task.spec.horizon_steps)
+        self._value_rescaler = ValueRescaler(config, task.spec.horizon_steps)
 
     def collect(self) -> Rollout:
-        """Step the task `rollout_steps` times with the policy as it is."""
+        """Step the task `rollout_steps` times with the current policy."""
         with torch_threads(self.config.n_threads):
             rollout = self._collector.collect(self.policy, self.config.rollout_steps, self._generator)
         self.steps += self.config.steps_per_rollout
         return rollout
 
     def reward_changed(self) -> None:
-        """Say that the next update's rewards come from another function than the last one's; see `RewardUnits`.
+        """Announce that the next update's rewards come from another function than the last one's.
 
-        Without the call nothing breaks: the critic's units follow within some 1 / value_statistics_rate rollouts, with
-        noisy advantages meanwhile.
+        The critic's values are then rescaled (`ValueRescaler`). Without the call, PopArt adapts to the new rewards
+        within about 1 / value_statistics_rate rollouts, with noisy advantages until then.
         """
-        self._reward_units.changed()
+        self._value_rescaler.reward_changed()
 
     def update(self, rollout: Rollout, rewards: NDArray[np.floating]) -> dict[str, float]:
         """Improve the policy on a rollout.
 
         Args:
-            rollout: the newest one of `collect`.
-            rewards: (L, E), shared by the team, or (L, E, N), each agent's own.
+            rollout: the newest one from `collect`.
+            rewards: (L, E), shared by the team, or (L, E, N), one per agent.
 
         Returns:
-            Metrics by name, those of gradient steps as means over the last pass.
+            Metrics by name; those of gradient steps are means over the last pass.
 
         Raises:
-            InvalidRollout: if the shape is another or a number is not finite.
+            InvalidRollout: if the rewards have another shape or are not finite.
             TrainingDiverged: if a gradient is not finite.
         """
-        each = checked_rewards(rewards, rollout)
+        rewards = team_rewards(rewards, rollout)
         with torch_threads(self.config.n_threads):
-            metrics = self._reward_units.follow(each, self.policy.critic.statistics)
-            batch, of_batch = prepare(self.policy, rollout, each, self.config)
-            rate = self._set_learning_rate()
-            steps = self._update.run(batch, self._gradient_step, self._generator)
-            # Statistics of inputs change last, so that collecting and learning saw the same ones.
-            self.policy.absorb_inputs(*inputs(self.policy, rollout))
-        metrics |= of_batch | averages(steps) | {"learning_rate": rate}
-        spread = self.policy.action_std()
-        return metrics if spread is None else metrics | {"action_std": spread}
-
-    def _gradient_step(self, loss: Tensor, group: int = 0) -> Tensor:
-        gradients, norm = self._optimiser.gradients(loss, group)
-        if not math.isfinite(norm):
-            raise TrainingDiverged(f"The gradient's norm became {norm.item()} after {self.steps} steps.")
-        self._optimiser.step(gradients, group)
-        return norm
+            metrics = self._value_rescaler.update(rewards, self.policy.critic.statistics)
+            batch, batch_metrics = make_batch(self.policy, rollout, rewards, self.config)
+            learning_rate = self._set_learning_rate()
+            step_metrics = self._update.run(batch, self._generator)
+            # Last, so that the rollout and its update use the same normalisation.
+            self.policy.update_normalisers(*raw_inputs(self.policy, rollout))
+        metrics |= batch_metrics | averages(step_metrics) | {"learning_rate": learning_rate}
+        action_std = self.policy.action_std()
+        return metrics if action_std is None else metrics | {"action_std": action_std}
 
     def _set_learning_rate(self) -> float:
-        anneal = self.config.anneal_steps
-        done = min(self.steps / anneal, 1.0) if anneal else 0.0
-        rate = self.config.learning_rate * (1.0 - (1.0 - FINAL_LEARNING_RATE) * done)
-        self._optimiser.learning_rate = rate
-        return rate
+        anneal_steps = self.config.anneal_steps
+        progress = min(self.steps / anneal_steps, 1.0) if anneal_steps else 0.0
+        learning_rate = self.config.learning_rate * (1.0 - (1.0 - FINAL_LEARNING_RATE) * progress)
+        for optimiser in self._update.optimisers:
+            optimiser.learning_rate = learning_rate
+        return learning_rate
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Everything that decides the future, flat, as copies on the CPU."""
-        networks = {name: network.state_dict() for name, network in self.policy.named_children()}
+        """The complete state for an exact resume, as copies on the CPU; names are "part.name"."""
+        parts = {name: network.state_dict() for name, network in self.policy.named_children()}
         own = {"steps": torch.tensor(self.steps), "generator": self._generator.get_state()}
-        parts = networks | {
-            "optimiser": self._optimiser.state_dict(),
-            "collector": self._collector.state_dict(),
-            "learner": own | self._reward_units.state_dict(),
-        }
-        return checkpoint.flatten(parts)
+        return checkpoint.flatten(
+            parts
+            | {
+                "optimiser": checkpoint.optimiser_state(self._update.optimisers),
+                "collector": self._collector.state_dict(),
+                "learner": own | self._value_rescaler.state_dict(),
+            }
+        )
 
     def load_state_dict(self, tensors: dict[str, Tensor]) -> None:
-        """Continue exactly, bit for bit on a CPU, as the learner that gave `state_dict` would have.
+        """Resume exactly, bit for bit on a CPU, from what `state_dict` returned.
 
         Raises:
-            CheckpointError: if it belongs to another task or configuration.
+            CheckpointMismatch: if it belongs to another task or configuration.
         """
         with checkpoint.refusing_mismatch():
             parts = checkpoint.unflatten(tensors)
             for name, network in self.policy.named_children():
                 network.load_state_dict(parts[name])
-            self._optimiser.load_state_dict(parts.get("optimiser", {}))
+            checkpoint.load_optimiser_state(self._update.optimisers, parts.get("optimiser", {}))
             self._collector.load_state_dict(parts["collector"])
             own = parts["learner"]
             self._generator.set_state(own["generator"])
             self.steps = int(own["steps"])
-            self._reward_units.load_state_dict(own)
+            self._value_rescaler.load_state_dict(own)
 
     def to_bytes(self) -> bytes:
         """A checkpoint: `state_dict` and the configuration as one safetensors file."""
@@ -156,10 +156,10 @@ class Learner:
 
     @classmethod
     def from_bytes(cls, content: bytes, task: Task) -> Self:
-        """The learner that `to_bytes` wrote.
+        """The learner stored by `to_bytes`.
 
         Raises:
-            CheckpointError: if it is damaged, or belongs to another task.
+            CheckpointError: if the checkpoint is damaged, or belongs to another task.
         """
         tensors, config = checkpoint.unpack(content, task.spec.name)
         learner = cls(task, PolicyConfig.from_dict(config))
@@ -167,16 +167,16 @@ class Learner:
         return learner
 
     def save(self, path: Path) -> None:
-        """Write `to_bytes` to a file; a crash leaves the old file or the new one, whole."""
+        """Write a checkpoint to a file; a crash leaves the old file or the new one."""
         atomic_write(path, self.to_bytes())
 
     @classmethod
     def load(cls, path: Path, task: Task) -> Self:
-        """The learner that `save` wrote; raises as `from_bytes` does."""
+        """The learner stored by `save`; raises as `from_bytes` does."""
         return cls.from_bytes(path.read_bytes(), task)
 
 
-def averages(steps: list[dict[str, Tensor]]) -> dict[str, float]:
-    """Mean of each metric over the gradient steps that tell it."""
-    told = {name: [step[name] for step in steps if name in step] for step in steps for name in step}
-    return {name: float(torch.stack(values).mean()) for name, values in told.items()}
+def averages(steps: list[Metrics]) -> dict[str, float]:
+    """Mean of each metric over the gradient steps that report it."""
+    values = {name: [step[name] for step in steps if name in step] for step in steps for name in step}
+    return {name: float(torch.stack(each).mean()) for name, each in values.items()}

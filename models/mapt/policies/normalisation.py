@@ -1,4 +1,4 @@
-"""Running statistics that keep the networks' inputs and targets near zero mean and unit spread."""
+"""Running statistics that keep the networks' inputs and value targets near zero mean and unit variance."""
 
 import numpy as np
 import torch
@@ -7,21 +7,21 @@ from torch import Tensor, nn
 
 from mapt.policies.config import PolicyConfig
 
-#: Normalised inputs are cut to plus and minus this many standard deviations.
+#: Normalised inputs are clipped to plus and minus this many standard deviations.
 INPUT_LIMIT = 10.0
-#: Below this standard deviation a number counts as constant.
+#: An input with a smaller standard deviation than this counts as constant.
 CONSTANT_BELOW = 1e-4
 
 
 class InputNormaliser(nn.Module):
-    """Mean and spread of each input over everything seen so far.
+    """Normalises each input by its mean and standard deviation over all rollouts so far.
 
-    Inputs that never change, such as an agent's one-hot index under statistics of its own, pass as they are.
-    Statistics change only in `absorb`, so a rollout and its update see the same network.
+    Constant inputs, such as the one-hot index of an agent that has statistics of its own, pass unchanged. The
+    statistics change only in `update`, so that a rollout and its update use the same normalisation.
 
     Args:
-        shape: of the statistics, broadcast against inputs whose dimension `over` is summed out.
-        over: dimension of the samples.
+        shape: of the statistics, broadcast against inputs; the dimension `samples_dim` has size 1.
+        samples_dim: dimension of the inputs that indexes samples.
     """
 
     mean: Tensor
@@ -30,10 +30,10 @@ class InputNormaliser(nn.Module):
     shift: Tensor
     scale: Tensor
 
-    def __init__(self, *shape: int, over: int) -> None:
+    def __init__(self, *shape: int, samples_dim: int) -> None:
         super().__init__()
-        self._over = over
-        # Sums over millions of steps need float64; what is applied is float32.
+        self._samples_dim = samples_dim
+        # Sums over millions of steps need float64; `shift` and `scale`, which are applied, are float32.
         self.register_buffer("mean", torch.zeros(shape, dtype=torch.float64))
         self.register_buffer("squares", torch.zeros(shape, dtype=torch.float64))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
@@ -44,15 +44,15 @@ class InputNormaliser(nn.Module):
         return ((inputs - self.shift) * self.scale).clamp_(-INPUT_LIMIT, INPUT_LIMIT)
 
     @torch.no_grad()
-    def absorb(self, inputs: Tensor) -> None:
-        """Add a batch to the statistics (Chan, Golub and LeVeque's pairwise update)."""
+    def update(self, inputs: Tensor) -> None:
+        """Add a batch to the statistics (pairwise update of Chan, Golub and LeVeque 1979)."""
         inputs = inputs.double()
-        n = inputs.shape[self._over]
-        mean = inputs.mean(self._over, keepdim=True)
-        squares = (inputs - mean).square().sum(self._over, keepdim=True)
-        gap, total = mean - self.mean, self.count + n
-        self.squares += squares + gap.square() * (self.count * n / total)
-        self.mean += gap * (n / total)
+        n = inputs.shape[self._samples_dim]
+        mean = inputs.mean(self._samples_dim, keepdim=True)
+        squares = (inputs - mean).square().sum(self._samples_dim, keepdim=True)
+        delta, total = mean - self.mean, self.count + n
+        self.squares += squares + delta.square() * (self.count * n / total)
+        self.mean += delta * (n / total)
         self.count.copy_(total)
 
         std = (self.squares / self.count).sqrt()
@@ -61,15 +61,16 @@ class InputNormaliser(nn.Module):
         self.scale.copy_(torch.where(varies, 1.0 / std, 1.0))
 
 
-class ReturnStatistics(nn.Module):
-    """Mean and spread of the returns of each of N agents, leaning towards the newest rollouts.
+class PopArt(nn.Module):
+    """Normalises the returns of each agent, and keeps the critic's predictions when the statistics change.
 
-    The critic predicts returns in these units. Leaning, rather than averaging over all time, because a policy's returns
-    grow as it learns and a learned reward may change its scale from version to version.
+    Mean and standard deviation are exponential moving averages over rollouts, because returns grow as the policy
+    improves and a learned reward may change its scale with each version. Source: van Hasselt et al. 2016, "Learning
+    values across many orders of magnitude".
 
     Args:
-        n_agents: N.
-        rate: weight of the newest rollout.
+        n_heads: number of statistics: one for each agent, or 1 if the agents share an output head.
+        rate: weight of the newest rollout in the moving averages.
     """
 
     mean: Tensor
@@ -78,26 +79,49 @@ class ReturnStatistics(nn.Module):
     square_sum: Tensor
     weight: Tensor
 
-    def __init__(self, n_agents: int, rate: float) -> None:
+    def __init__(self, n_heads: int, rate: float) -> None:
         super().__init__()
         self._rate = rate
-        # The spread is a difference of these sums, which float32 would lose under a large mean.
+        # The variance is a difference of these averages, which float32 would lose under a large mean.
         for name in ("mean_sum", "square_sum"):
-            self.register_buffer(name, torch.zeros(n_agents, dtype=torch.float64))
+            self.register_buffer(name, torch.zeros(n_heads, dtype=torch.float64))
         self.register_buffer("weight", torch.zeros((), dtype=torch.float64))
-        self.register_buffer("mean", torch.zeros(n_agents))
-        self.register_buffer("std", torch.ones(n_agents))
+        self.register_buffer("mean", torch.zeros(n_heads))
+        self.register_buffer("std", torch.ones(n_heads))
 
     def normalise(self, returns: Tensor) -> Tensor:
+        """Returns (B, N) in units of the statistics."""
         return (returns - self.mean) / self.std
 
-    def denormalise(self, predictions: Tensor) -> Tensor:
-        return predictions * self.std + self.mean
+    def denormalise(self, values: Tensor) -> Tensor:
+        """Normalised values (B, N) in units of the reward."""
+        return values * self.std + self.mean
 
     @torch.no_grad()
-    def absorb(self, returns: Tensor) -> None:
-        """Lean towards the returns (B, N) of a new rollout."""
-        returns, keep = returns.double(), 1.0 - self._rate
+    def update(self, returns: Tensor, last_layer: nn.Linear) -> None:
+        """Add the returns (B, N) of a rollout and rescale the critic's last layer so that no prediction changes.
+
+        The first rollout does not rescale the layer: an untrained critic starts from the mean return.
+        """
+        is_first = self.weight == 0
+        old_mean, old_std = self.mean.clone(), self.std.clone()
+        self._add(returns.reshape(-1, len(self.mean)).double())
+        if not is_first:
+            last_layer.weight.mul_((old_std / self.std)[:, None])
+            last_layer.bias.mul_(old_std).add_(old_mean - self.mean).div_(self.std)
+
+    @torch.no_grad()
+    def transform(self, factor: float, offset: float) -> None:
+        """Replace the statistics by those of `factor * returns + offset`; predictions change with them."""
+        self.square_sum.copy_(
+            factor**2 * self.square_sum + 2 * factor * offset * self.mean_sum + offset**2 * self.weight
+        )
+        self.mean_sum.copy_(factor * self.mean_sum + offset * self.weight)
+        self.mean.copy_(factor * self.mean + offset)
+        self.std.mul_(factor)
+
+    def _add(self, returns: Tensor) -> None:
+        keep = 1.0 - self._rate
         self.mean_sum.mul_(keep).add_(self._rate * returns.mean(0))
         self.square_sum.mul_(keep).add_(self._rate * returns.square().mean(0))
         self.weight.mul_(keep).add_(self._rate)
@@ -106,59 +130,54 @@ class ReturnStatistics(nn.Module):
         self.mean.copy_(mean)
         self.std.copy_(variance.clamp_min(CONSTANT_BELOW**2).sqrt())
 
-    @torch.no_grad()
-    def transform(self, factor: float, offset: float) -> None:
-        """Move to returns that are `factor` times the old ones plus `offset`."""
-        self.square_sum.copy_(
-            factor**2 * self.square_sum + 2 * factor * offset * self.mean_sum + offset**2 * self.weight
-        )
-        self.mean_sum.copy_(factor * self.mean_sum + offset * self.weight)
-        self.mean.copy_(factor * self.mean + offset)
-        self.std.mul_(factor)
 
+class ValueRescaler:
+    """Rescales the critic's values when the reward function changes.
 
-class RewardUnits:
-    """Remembers the mean and spread of the last update's rewards, and moves values by them when the reward changes.
-
-    A learned reward is defined up to scale and offset, and both move between versions. The critic's units are moved by
-    the affine map that takes the old rewards' mean and spread to the new ones'. If the new version is but a rescaling,
-    its values are right at once; if it is more, they start on the right scale.
+    A learned reward is defined up to scale and offset, and both change between versions. The affine map that takes
+    the old rewards' mean and standard deviation to the new ones is applied to PopArt's statistics, and so to every
+    value. If the new reward only rescales the old one, its values are correct at once; otherwise they start on the
+    correct scale.
 
     Args:
-        config: whose gamma counts.
-        horizon_steps: of the task.
+        config: of the learner; gamma is used.
+        horizon_steps: length of the task's episodes.
     """
 
     def __init__(self, config: PolicyConfig, horizon_steps: int) -> None:
-        # What an offset of 1 in every reward adds to a value: an endless sum, since truncation is bootstrapped.
+        # An offset of 1 in every reward adds this to a value. The sum is infinite because truncation is bootstrapped.
         self._discounted_steps = float(horizon_steps) if config.gamma == 1.0 else 1.0 / (1.0 - config.gamma)
         self._moments: tuple[float, float] | None = None
-        self._is_new = False
+        self._reward_changed = False
 
-    def changed(self) -> None:
-        """The next rewards come from another function than the last ones."""
-        self._is_new = True
+    def reward_changed(self) -> None:
+        """Record that the next rewards come from another function than the last ones."""
+        self._reward_changed = True
 
-    def follow(self, rewards: NDArray[np.float32], statistics: ReturnStatistics) -> dict[str, float]:
-        """Move the critic's units if the reward is a new one, remember this one's moments, and tell them."""
+    def update(self, rewards: NDArray[np.float32], popart: PopArt) -> dict[str, float]:
+        """Transform PopArt's statistics if the reward changed, and keep this rollout's mean and standard deviation.
+
+        Returns:
+            The metrics reward_mean and reward_std.
+        """
         mean, std = float(rewards.mean()), float(rewards.std())
-        if self._is_new and self._moments is not None:
+        if self._reward_changed and self._moments is not None:
             old_mean, old_std = self._moments
             factor = std / old_std if old_std > 0 and std > 0 else 1.0
-            statistics.transform(factor, (mean - factor * old_mean) * self._discounted_steps)
-        self._is_new = False
+            popart.transform(factor, (mean - factor * old_mean) * self._discounted_steps)
+        self._reward_changed = False
         self._moments = mean, std
         return {"reward_mean": mean, "reward_std": std}
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Everything that `load_state_dict` needs to go on exactly."""
+        """The state, for an exact resume."""
         return {
             "reward_moments": torch.tensor(self._moments or (), dtype=torch.float64),
-            "reward_is_new": torch.tensor(self._is_new),
+            "reward_is_new": torch.tensor(self._reward_changed),
         }
 
     def load_state_dict(self, tensors: dict[str, Tensor]) -> None:
-        """Take up what another remembered."""
+        """Restore what `state_dict` returned."""
         moments = tensors["reward_moments"].tolist()
         self._moments = (moments[0], moments[1]) if moments else None
-        self._is_new = bool(tensors["reward_is_new"])
+        self._reward_changed = bool(tensors["reward_is_new"])

@@ -1,164 +1,319 @@
-"""How the gradient steps of an update are taken: all networks at once, or agent after agent."""
+"""PPO for teams of agents: from a rollout and its rewards to gradient steps.
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import Any, Protocol
+`PPOUpdate` is the update of MAPPO (Yu et al. 2022), MAT and MAT-Dec (Wen et al. 2022): the three differ in their
+networks only. `HAPPOUpdate` is the sequential update of HAPPO (Kuba et al. 2022).
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
-from mapt.errors import InvalidRollout
+from mapt.errors import InvalidRollout, TrainingDiverged
 from mapt.policies.config import PolicyConfig
-from mapt.policies.distributions import ActionDistribution
-from mapt.policies.networks import ActorCritic, Batch, Policy
+from mapt.policies.kernels import Adam, clip_grad_norm_
+from mapt.policies.networks import ActorCritic, Policy
 from mapt.policies.rollout import Rollout
 
-#: Takes a gradient step of a group of parameters on a loss, and gives the gradient's norm.
-Step = Callable[[Tensor, int], Tensor]
+#: Adam's epsilon, as in the reference implementation of PPO: gradients of normalised losses are small.
+ADAM_EPSILON = 1e-5
+
+Floats = NDArray[np.floating]
+Bools = NDArray[np.bool_]
+#: Scalars of one gradient step by name.
 Metrics = dict[str, Tensor]
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """B samples of a rollout, ready for an update."""
+
+    #: (N, B, C), normalised.
+    observations: Tensor
+    #: (N, B, A), as sampled.
+    actions: Tensor
+    #: (N, B), of the policy that acted.
+    log_probs: Tensor
+    #: (N, B), normalised.
+    advantages: Tensor
+    #: (B, S), normalised.
+    state: Tensor
+    #: (B, N), normalised by PopArt.
+    returns: Tensor
+    #: bool (N, B, A); None if every action is always available.
+    available: Tensor | None = None
+
+    def samples(self, index: Tensor) -> "Batch":
+        """The samples of an index (b,)."""
+        return Batch(
+            self.observations.index_select(1, index),
+            self.actions.index_select(1, index),
+            self.log_probs.index_select(1, index),
+            self.advantages.index_select(1, index),
+            self.state.index_select(0, index),
+            self.returns.index_select(0, index),
+            None if self.available is None else self.available.index_select(1, index),
+        )
+
+    def of_agent(self, agent: int) -> "Batch":
+        """One agent's samples, (1, B, ...); state and returns stay those of the team."""
+        own = slice(agent, agent + 1)
+        return replace(
+            self,
+            observations=self.observations[own],
+            actions=self.actions[own],
+            log_probs=self.log_probs[own],
+            advantages=self.advantages[own],
+            available=None if self.available is None else self.available[own],
+        )
 
 
 class Update(Protocol):
     """Improves a policy on a batch."""
 
-    @property
-    def groups(self) -> list[list[nn.Parameter]]:
-        """What `step` moves: every parameter of a group has a gradient of each of that group's losses."""
+    #: One for each loss; the learner sets their learning rate and stores their state, in this order.
+    optimisers: list[Adam]
+
+    def run(self, batch: Batch, generator: torch.Generator) -> list[Metrics]:
+        """Take `epochs` passes over the batch; return the metrics of the gradient steps of the last pass.
+
+        Args:
+            generator: on the CPU; shuffles the samples.
+
+        Raises:
+            TrainingDiverged: if a gradient is not finite; the failed step is not taken.
+        """
         ...
 
-    def run(self, batch: Batch, step: Step, generator: torch.Generator) -> list[Metrics]:
-        """Take the steps, by draws of `generator`, which is on the CPU; metrics of each step of the last passes."""
-        ...
 
-
-def make_update(policy: Policy, config: PolicyConfig) -> Update:
-    """The update of the configured algorithm."""
-    if isinstance(policy, ActorCritic) and config.algorithm == "happo":
-        return SequentialUpdate(policy, config)
-    return JointUpdate(policy, config)
-
-
-class JointUpdate:
-    """One loss for all agents and the critic, as MAPPO (Yu et al. 2022) and MAT have it."""
+class PPOUpdate:
+    """MAPPO, MAT and MAT-Dec: one loss for all agents and the critic."""
 
     def __init__(self, policy: Policy, config: PolicyConfig) -> None:
         self._policy, self._config = policy, config
-        self.groups = [list(policy.parameters())]
+        self.optimisers = [Adam(policy.parameters(), config.learning_rate, ADAM_EPSILON)]
 
-    def run(self, batch: Batch, step: Step, generator: torch.Generator) -> list[Metrics]:
-        parts = minibatches(batch, self._config, generator)
-        return [self._step(part, step, told=is_last_pass) for part, is_last_pass in parts][-self._config.minibatches :]
+    def run(self, batch: Batch, generator: torch.Generator) -> list[Metrics]:
+        config, (optimiser,) = self._config, self.optimisers
+        metrics: list[Metrics] = []
+        for epoch in range(config.epochs):
+            for minibatch in shuffled_minibatches(batch, config, generator):
+                log_probs, entropy, values = self._policy.evaluate_actions(
+                    minibatch.observations, minibatch.state, minibatch.actions, minibatch.available
+                )
+                log_ratio = log_probs - minibatch.log_probs
+                actor_loss = clipped_surrogate_loss(log_ratio, minibatch.advantages, config.clip)
+                critic_loss = F.mse_loss(values, minibatch.returns)
+                loss = actor_loss + config.value_weight * critic_loss
+                if config.entropy_weight:
+                    loss = loss - config.entropy_weight * entropy
 
-    def _step(self, batch: Batch, step: Step, *, told: bool) -> Metrics:
-        now = self._policy.evaluate(batch)
-        log_ratio = now.log_probs - batch.log_probs
-        actor_loss = clipped_loss(log_ratio, batch.advantages, self._config.clip)
-        critic_loss = F.mse_loss(now.values, batch.returns)
-        metrics = {"critic_loss": critic_loss.detach()}
-        if told:
-            metrics |= actor_metrics(actor_loss, log_ratio, now.distribution, self._config)
-        loss = with_entropy(actor_loss, now.distribution, self._config) + self._config.value_weight * critic_loss
-        return metrics | {"gradient_norm": step(loss, 0)}
+                optimiser.zero_grad()
+                loss.backward()
+                gradient_norm = clip_gradients(optimiser.parameters, config.max_gradient_norm)
+                optimiser.step()
+                if epoch == config.epochs - 1:
+                    step_metrics = {"critic_loss": critic_loss.detach(), "gradient_norm": gradient_norm}
+                    metrics.append(step_metrics | actor_metrics(actor_loss, entropy, log_ratio, config.clip))
+        return metrics
 
 
-class SequentialUpdate:
-    """HAPPO (Kuba et al. 2022): agents in random order, each minding what those before it have become.
+class HAPPOUpdate:
+    """HAPPO: updates the actors one after the other in random order, then the critic.
 
-    An agent's advantages are weighed by the factor M, how much likelier the agents before it now are to act as they
-    did. The critic follows by itself.
+    Each agent's advantages are weighted by the factor M, the product of the probability ratios of the agents updated
+    before it (Kuba et al. 2022, algorithm 4).
     """
 
     def __init__(self, policy: ActorCritic, config: PolicyConfig) -> None:
         self._critic, self._config = policy.critic, config
-        self._actors = [policy.actor.alone(agent) for agent in range(policy.spec.n_agents)]
-        self.groups = [*(list(actor.parameters()) for actor in self._actors), list(policy.critic.parameters())]
+        self._actors = [policy.actor.of_agent(agent) for agent in range(policy.spec.n_agents)]
+        self.optimisers = [
+            Adam(network.parameters(), config.learning_rate, ADAM_EPSILON) for network in (*self._actors, policy.critic)
+        ]
 
-    def run(self, batch: Batch, step: Step, generator: torch.Generator) -> list[Metrics]:
+    def run(self, batch: Batch, generator: torch.Generator) -> list[Metrics]:
         config, metrics = self._config, list[Metrics]()
-        factor = torch.ones_like(batch.log_probs[0])
+        *actor_optimisers, critic_optimiser = self.optimisers
+        factor = torch.ones_like(batch.log_probs[:1])
         for agent in torch.randperm(len(self._actors), generator=generator).tolist():
-            own = batch.of_agent(agent)
-            parts = minibatches(replace(own, advantages=factor * own.advantages), config, generator)
-            steps = [self._agent_step(agent, part, step, told=is_last_pass) for part, is_last_pass in parts]
-            metrics += [*steps[-config.minibatches :], {"factor_spread": factor.std()}]
+            actor, optimiser, own = self._actors[agent], actor_optimisers[agent], batch.of_agent(agent)
+            weighted = replace(own, advantages=factor * own.advantages)
+            for epoch in range(config.epochs):
+                for minibatch in shuffled_minibatches(weighted, config, generator):
+                    distribution = actor(minibatch.observations, minibatch.available)
+                    log_ratio = distribution.log_prob(minibatch.actions) - minibatch.log_probs
+                    actor_loss = clipped_surrogate_loss(log_ratio, minibatch.advantages, config.clip)
+                    loss = actor_loss
+                    if config.entropy_weight:
+                        loss = loss - config.entropy_weight * distribution.entropy()
+
+                    optimiser.zero_grad()
+                    loss.backward()
+                    gradient_norm = clip_gradients(optimiser.parameters, config.max_gradient_norm)
+                    optimiser.step()
+                    if epoch == config.epochs - 1:
+                        entropy = distribution.entropy()
+                        step_metrics = actor_metrics(actor_loss, entropy, log_ratio, config.clip)
+                        metrics.append(step_metrics | {"gradient_norm": gradient_norm})
+            metrics.append({"factor_spread": factor.std()})
             with torch.no_grad():
-                log_probs, _ = self._actors[agent].evaluate(own.observations, own.actions, own.available)
-                factor = factor * (log_probs - own.log_probs)[0].exp()
-        steps = [self._critic_step(part, step) for part, _ in minibatches(batch, config, generator)]
-        return metrics + steps[-config.minibatches :]
+                log_probs = actor(own.observations, own.available).log_prob(own.actions)
+                factor = factor * (log_probs - own.log_probs).exp()
 
-    def _agent_step(self, agent: int, batch: Batch, step: Step, *, told: bool) -> Metrics:
-        log_probs, distribution = self._actors[agent].evaluate(batch.observations, batch.actions, batch.available)
-        log_ratio = log_probs - batch.log_probs
-        loss = clipped_loss(log_ratio, batch.advantages, self._config.clip)
-        metrics = actor_metrics(loss, log_ratio, distribution, self._config) if told else {}
-        return metrics | {"gradient_norm": step(with_entropy(loss, distribution, self._config), agent)}
-
-    def _critic_step(self, batch: Batch, step: Step) -> Metrics:
-        loss = F.mse_loss(self._critic(batch.observations, batch.state), batch.returns)
-        step(self._config.value_weight * loss, len(self._actors))
-        return {"critic_loss": loss.detach()}
+        for epoch in range(config.epochs):
+            for minibatch in shuffled_minibatches(batch, config, generator):
+                critic_loss = F.mse_loss(self._critic(minibatch.observations, minibatch.state), minibatch.returns)
+                critic_optimiser.zero_grad()
+                (config.value_weight * critic_loss).backward()
+                clip_gradients(critic_optimiser.parameters, config.max_gradient_norm)
+                critic_optimiser.step()
+                if epoch == config.epochs - 1:
+                    metrics.append({"critic_loss": critic_loss.detach()})
+        return metrics
 
 
-def clipped_loss(log_ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
-    """PPO's clipped objective (Schulman et al. 2017, eq. 7), to be made small, ().
+def clipped_surrogate_loss(log_ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
+    """Negative of PPO's clipped surrogate objective (Schulman et al. 2017, eq. 7), ().
 
     Args:
-        log_ratio: log of how much likelier the actions have become, any shape.
+        log_ratio: log-probabilities of the actions now, less those when they were sampled, any shape.
         advantages: of the same shape.
-        clip: change of probability beyond which nothing is earned.
+        clip: PPO's epsilon.
     """
-    loss: Tensor = _ClippedLoss.apply(log_ratio, advantages, clip)  # pyright: ignore[reportAssignmentType]
-    return loss
+    ratio = log_ratio.exp()
+    return -torch.min(ratio * advantages, ratio.clamp(1.0 - clip, 1.0 + clip) * advantages).mean()
 
 
-class _ClippedLoss(torch.autograd.Function):
-    """One node instead of eight, to the bit what autograd makes of the formula."""
+def clip_gradients(parameters: Sequence[nn.Parameter], max_norm: float) -> Tensor:
+    """Scale gradients down to `max_norm`; return their norm () before.
 
-    @staticmethod
-    def forward(ctx: Any, log_ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
-        ratio = log_ratio.exp()
-        free, clipped = ratio * advantages, ratio.clamp(1.0 - clip, 1.0 + clip) * advantages
-        # Where the clipped one is the smaller, the ratio is beyond the clip and the gradient zero.
-        ctx.save_for_backward(torch.where(free <= clipped, advantages * (-1.0 / advantages.numel()), 0.0) * ratio)
-        return -torch.minimum(free, clipped).mean()
-
-    @staticmethod
-    @once_differentiable
-    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]  (the decorator's declaration)
-        ctx: Any, *gradients: Tensor
-    ) -> tuple[Tensor | None, ...]:
-        (by_log_ratio,) = ctx.saved_tensors
-        return gradients[0] * by_log_ratio, None, None
-
-
-def with_entropy(loss: Tensor, distribution: ActionDistribution, config: PolicyConfig) -> Tensor:
-    """The loss, made smaller by the entropy of the actions where that counts."""
-    return loss - config.entropy_weight * distribution.entropy() if config.entropy_weight else loss
+    Raises:
+        TrainingDiverged: if the norm is not finite.
+    """
+    norm = clip_grad_norm_(parameters, max_norm)
+    if not math.isfinite(norm):
+        raise TrainingDiverged(f"The gradient norm is {norm.item()}.")
+    return norm
 
 
 @torch.no_grad()
-def actor_metrics(loss: Tensor, log_ratio: Tensor, distribution: ActionDistribution, config: PolicyConfig) -> Metrics:
-    """What a step's loss without entropy, its log-ratios and its actions say, by name."""
+def actor_metrics(actor_loss: Tensor, entropy: Tensor, log_ratio: Tensor, clip: float) -> Metrics:
+    """Metrics of one gradient step: loss, entropy, and how far the policy has moved from the one that acted."""
     ratio = log_ratio.exp()
     return {
-        "actor_loss": loss.detach(),
+        "actor_loss": actor_loss.detach(),
+        "entropy": entropy.detach(),
         # Schulman's low-variance estimate of KL(old, new).
         "kl": (ratio - 1.0 - log_ratio).mean(),
-        "clip_fraction": (ratio != ratio.clamp(1.0 - config.clip, 1.0 + config.clip)).float().mean(),
-        "entropy": distribution.entropy(),
+        "clip_fraction": ((ratio - 1.0).abs() > clip).float().mean(),
     }
 
 
-def checked_rewards(rewards: NDArray[np.floating], rollout: Rollout) -> NDArray[np.float32]:
-    """Rewards (L, E, N) from those of the team (L, E) or of each agent (L, E, N).
+def shuffled_minibatches(batch: Batch, config: PolicyConfig, generator: torch.Generator) -> Iterator[Batch]:
+    """The minibatches of one pass over the batch, in random order."""
+    order = torch.randperm(config.steps_per_rollout, generator=generator).to(batch.returns.device)
+    for index in order.chunk(config.minibatches):
+        yield batch.samples(index)
+
+
+@torch.no_grad()
+def make_batch(
+    policy: Policy, rollout: Rollout, rewards: NDArray[np.float32], config: PolicyConfig
+) -> tuple[Batch, dict[str, float]]:
+    """Compute advantages and returns, normalise them and the inputs, and update PopArt's statistics.
+
+    Args:
+        rewards: (L, E, N), from `team_rewards`.
+
+    Returns:
+        The batch of B = L * E samples, and metrics by name.
+    """
+
+    def values(observations: Tensor, state: Tensor) -> NDArray[np.float32]:
+        return policy.values(observations, state).unflatten(0, rollout.rewards.shape).cpu().numpy()
+
+    observations, state = policy.normalise(*raw_inputs(policy, rollout))
+    final_observations = _agent_first(policy, rollout.final_observations)
+    final_inputs = policy.normalise(final_observations, _flat(policy, rollout.final_state))
+    current_values = values(observations, state)
+    advantages = gae(
+        rewards,
+        current_values,
+        values(*final_inputs),
+        rollout.terminated,
+        rollout.truncated,
+        gamma=config.gamma,
+        gae_lambda=config.gae_lambda,
+    )
+    returns = advantages + current_values
+    metrics = {
+        "explained_variance": float(1.0 - advantages.var() / max(returns.var(), 1e-12)),
+        "return_mean": float(returns.mean()),
+        "return_std": float(returns.std()),
+    }
+    # Normalised over all agents together: an agent whose actions matter little keeps its small advantages.
+    advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+
+    flat_returns = _flat(policy, returns)
+    policy.critic.update_statistics(flat_returns)
+    available = rollout.available_actions
+    batch = Batch(
+        observations=observations,
+        actions=_agent_first(policy, rollout.drawn_actions),
+        log_probs=_agent_first(policy, rollout.log_probs),
+        advantages=_agent_first(policy, advantages),
+        state=state,
+        returns=policy.critic.statistics.normalise(flat_returns),
+        available=None if available is None else _agent_first(policy, available),
+    )
+    return batch, metrics
+
+
+def gae(
+    rewards: Floats,
+    values: Floats,
+    next_values: Floats,
+    terminated: Bools,
+    truncated: Bools,
+    *,
+    gamma: float,
+    gae_lambda: float,
+) -> Floats:
+    """Generalised advantage estimates (L, E, N) (Schulman et al. 2016) of a rollout in which episodes may end.
+
+    The value of the last state of a truncated episode is bootstrapped; after termination it is zero. In both cases
+    no later reward is included.
+
+    Args:
+        rewards: (L, E, N).
+        values: (L, E, N), of the states in which the actions were taken.
+        next_values: (L, E, N), of the states that followed, before any reset.
+        terminated, truncated: (L, E).
+        gamma, gae_lambda: discount per step and the estimator's lambda.
+    """
+    not_terminated = (~terminated)[..., None]
+    delta = rewards + gamma * next_values * not_terminated - values
+    decay = gamma * gae_lambda * (~(terminated | truncated))[..., None].astype(values.dtype)
+    advantages = np.empty_like(values)
+    advantage = np.zeros_like(values[0])
+    for t in reversed(range(len(values))):
+        advantage = delta[t] + decay[t] * advantage
+        advantages[t] = advantage
+    return advantages
+
+
+def team_rewards(rewards: NDArray[np.floating], rollout: Rollout) -> NDArray[np.float32]:
+    """Rewards (L, E, N) from a shared reward (L, E) or one per agent (L, E, N).
 
     Raises:
-        InvalidRollout: if the shape is another or a number is not finite.
+        InvalidRollout: if the rewards have another shape or are not finite.
     """
     shared, individual = rollout.rewards.shape, rollout.log_probs.shape
     if rewards.shape not in {shared, individual}:
@@ -170,78 +325,9 @@ def checked_rewards(rewards: NDArray[np.floating], rollout: Rollout) -> NDArray[
     return rewards.astype(np.float32)
 
 
-@torch.no_grad()
-def prepare(
-    policy: Policy, rollout: Rollout, rewards: NDArray[np.float32], config: PolicyConfig
-) -> tuple[Batch, dict[str, float]]:
-    """Advantages and returns by GAE, inputs normalised, agents first; renews the critic's units.
-
-    Args:
-        rewards: (L, E, N).
-
-    Returns:
-        The rollout's B = L * E samples, and metrics by name.
-    """
-    observations, state = inputs(policy, rollout)
-    statistics = policy.critic.statistics
-
-    def values(normalised: tuple[Tensor, Tensor]) -> NDArray[np.float32]:
-        found = statistics.denormalise(policy.critic(*normalised))
-        return found.unflatten(0, rollout.rewards.shape).cpu().numpy()
-
-    normalised = policy.normalised(observations, state)
-    now = values(normalised)
-    later = values(
-        policy.normalised(_agent_first(policy, rollout.final_observations), _flat(policy, rollout.final_state))
-    )
-    gains = advantages(
-        rewards,
-        now,
-        later,
-        rollout.terminated,
-        rollout.truncated,
-        gamma=config.gamma,
-        gae_lambda=config.gae_lambda,
-    )
-    returns = gains + now
-    metrics = {
-        "explained_variance": float(1.0 - gains.var() / max(returns.var(), 1e-12)),
-        "return_mean": float(returns.mean()),
-        "return_std": float(returns.std()),
-    }
-    # Over all agents at once: an agent whose actions matter little keeps its small advantages.
-    gains = (gains - gains.mean()) / (gains.std() + 1e-8)
-
-    flat_returns = _flat(policy, returns)
-    policy.critic.absorb_returns(flat_returns)
-    available = rollout.available_actions
-    batch = Batch(
-        observations=normalised[0],
-        actions=_agent_first(policy, rollout.drawn_actions),
-        log_probs=_agent_first(policy, rollout.log_probs),
-        advantages=_agent_first(policy, gains),
-        state=normalised[1],
-        returns=statistics.normalise(flat_returns),
-        available=None if available is None else _agent_first(policy, available),
-    )
-    return batch, metrics
-
-
-def inputs(policy: Policy, rollout: Rollout) -> tuple[Tensor, Tensor]:
-    """Raw observations (N, B, C) and state (B, S) of a rollout, on the policy's device."""
+def raw_inputs(policy: Policy, rollout: Rollout) -> tuple[Tensor, Tensor]:
+    """Observations (N, B, C) and state (B, S) of a rollout, not normalised, on the policy's device."""
     return _agent_first(policy, rollout.observations), _flat(policy, rollout.state)
-
-
-def minibatches(batch: Batch, config: PolicyConfig, generator: torch.Generator) -> Iterator[tuple[Batch, bool]]:
-    """Samples of each gradient step of all passes, each pass in an order of its own, and whether it is the last pass.
-
-    A pass is put in order whole, which takes a tenth of the time of picking each step's samples.
-    """
-    size = config.steps_per_rollout // config.minibatches
-    for number in range(config.epochs):
-        order = torch.randperm(config.steps_per_rollout, generator=generator)
-        for part in batch.pick(order.to(batch.returns.device)).split(size):
-            yield part, number == config.epochs - 1
 
 
 def _flat(policy: Policy, array: NDArray[np.generic]) -> Tensor:
@@ -252,40 +338,3 @@ def _flat(policy: Policy, array: NDArray[np.generic]) -> Tensor:
 def _agent_first(policy: Policy, array: NDArray[np.generic]) -> Tensor:
     """(L, E, N, ...) -> (N, B, ...)."""
     return _flat(policy, array).transpose(0, 1).contiguous()
-
-
-Floats = NDArray[np.floating]
-Bools = NDArray[np.bool_]
-
-
-def advantages(
-    rewards: Floats,
-    values: Floats,
-    next_values: Floats,
-    terminated: Bools,
-    truncated: Bools,
-    *,
-    gamma: float,
-    gae_lambda: float,
-) -> Floats:
-    """Advantages (L, E, N) of the actions of a rollout.
-
-    A truncated episode is cut for bookkeeping only, so the value of its last state still counts. After termination
-    there is nothing to come. Neither lets the next episode's rewards flow back.
-
-    Args:
-        rewards: (L, E, N).
-        values: (L, E, N), of the states in which the actions were taken.
-        next_values: (L, E, N), of the states they led to, before any reset.
-        terminated, truncated: (L, E).
-        gamma, gae_lambda: discount per step and the estimator's lambda.
-    """
-    going_on = (~terminated)[..., None]
-    surprise = rewards + gamma * next_values * going_on - values
-    carry = gamma * gae_lambda * (~(terminated | truncated))[..., None].astype(values.dtype)
-    result = np.empty_like(values)
-    later = np.zeros_like(values[0])
-    for t in range(len(values) - 1, -1, -1):
-        later = surprise[t] + carry[t] * later
-        result[t] = later
-    return result

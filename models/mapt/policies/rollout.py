@@ -1,4 +1,4 @@
-"""Experience of E environments over L steps, and the collector that gathers it."""
+"""A rollout, L steps of E environments, and the collector that steps a task with a policy."""
 
 from dataclasses import dataclass, replace
 
@@ -17,45 +17,47 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Rollout:
-    """L steps of E environments, as gathered; all arrays are numpy's."""
+    """L steps of E environments with N agents."""
 
-    #: (L, E, N, C) and (L, E, S): what the agents and the critic saw.
+    #: (L, E, N, C): observations of the agents.
     observations: Float32s
+    #: (L, E, S): state of the environment, the input of the critic.
     state: Float32s
-    #: (L, E, N, A): what the task was given, within its limit.
+    #: (L, E, N, A): actions given to the task, clipped to its limit.
     actions: Float32s
-    #: (L, E, N, A): what the policy drew, before the limit.
+    #: (L, E, N, A): actions as the policy sampled them, before clipping.
     drawn_actions: Float32s
-    #: (L, E, N): log-probability or log-density of the drawn actions.
+    #: (L, E, N): log-probability or log-density of the sampled actions.
     log_probs: Float32s
-    #: (L, E): the task's own reward. The learner never reads it.
+    #: (L, E): the task's own reward, which the learner never reads.
     rewards: Float64s
-    #: (L, E): how the step ended, and whether it was the first of its episode.
+    #: (L, E): the episode terminated, or was truncated, after this step.
     terminated: Bools
     truncated: Bools
+    #: (L, E): this step is the first of its episode.
     episode_start: Bools
-    #: (L, E, N, C) and (L, E, S): what the step led to, before any reset.
+    #: (L, E, N, C) and (L, E, S): observations and state after the step, before any reset.
     final_observations: Float32s
     final_state: Float32s
-    #: (L, E, nq) and (L, E, nv): simulator's state in which the action was taken.
+    #: (L, E, nq) and (L, E, nv): simulator state in which the action was taken.
     qpos: Float64s
     qvel: Float64s
-    #: True returns of the episodes that ended, in order of their ends.
+    #: True returns of the episodes that ended, in the order in which they ended.
     episode_returns: Float64s
-    #: (L, E, N, A): which actions were available, where a task says so.
+    #: (L, E, N, A): the available actions; None if all are always available.
     available_actions: Bools | None = None
 
 
 def available_actions(task: Task) -> Bools | None:
-    """What of its actions each agent may choose now (E, N, A); nothing if that is all of them, always."""
+    """Which actions each agent may choose now, (E, N, A); None if the task has no unavailable actions."""
     return task.available_actions() if isinstance(task, MaskingTask) else None
 
 
 class Collector:
-    """Steps a task with a policy, from one rollout to the next.
+    """Steps a task with a policy; each rollout continues the last one's episodes.
 
     Args:
-        task: reset here, with `seed`.
+        task: is reset with `seed`.
     """
 
     def __init__(self, task: Task, seed: int) -> None:
@@ -66,21 +68,25 @@ class Collector:
 
     @torch.inference_mode()
     def collect(self, policy: Policy, n_steps: int, generator: torch.Generator) -> Rollout:
-        """The next `n_steps` steps. `generator`, on the CPU, draws the actions."""
+        """Collect the next `n_steps` steps.
+
+        Args:
+            generator: on the CPU; samples the actions.
+        """
         rollout = self._allocate(n_steps)
-        # One draw for all steps is cheaper than one each.
+        # One call for all steps is cheaper than one per step.
         noise = policy.noise((n_steps,), self.task.n_envs, generator)
         returns: list[Float64s] = []
         for t in range(n_steps):
             rollout.qpos[t], rollout.qvel[t] = self.task.simulator_state()
             rollout.observations[t], rollout.state[t] = self._observations, self._state
             rollout.episode_start[t] = self._episode_start
-            self._decide(policy, noise[t], rollout, t)
+            self._act(policy, noise[t], rollout, t)
             returns.append(self._step(rollout, t))
         return replace(rollout, episode_returns=np.concatenate(returns))
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Everything that decides the next rollout, but for the policy and the draws."""
+        """The state that, with a policy and a generator, determines the next rollout."""
         own = {"episode_start": self._episode_start, "returns": self._returns}
         return {
             **{name: torch.from_numpy(array.copy()) for name, array in own.items()},
@@ -88,25 +94,26 @@ class Collector:
         }
 
     def load_state_dict(self, tensors: dict[str, Tensor]) -> None:
+        """Restore what `state_dict` returned."""
         arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
         self._episode_start = arrays.pop("episode_start").copy()
         self._returns = arrays.pop("returns").copy()
         snapshot = {name.removeprefix("task."): array for name, array in arrays.items()}
         self._observations, self._state = self.task.restore(snapshot)
 
-    def _decide(self, policy: Policy, noise: Tensor, rollout: Rollout, t: int) -> None:
-        """Draw the actions and record them."""
+    def _act(self, policy: Policy, noise: Tensor, rollout: Rollout, t: int) -> None:
+        """Sample the actions of step t and record them."""
         available = None
         if rollout.available_actions is not None:
             rollout.available_actions[t] = available_actions(self.task)
             available = policy.agent_first(rollout.available_actions[t])
-        drawn, log_probs = policy.draw(policy.agent_first(self._observations), noise, available)
-        rollout.drawn_actions[t] = drawn.transpose(0, 1).cpu().numpy()
-        rollout.actions[t] = policy.bounded(drawn).transpose(0, 1).cpu().numpy()
+        actions, log_probs = policy.sample(policy.agent_first(self._observations), noise, available)
+        rollout.drawn_actions[t] = actions.transpose(0, 1).cpu().numpy()
+        rollout.actions[t] = policy.clip(actions).transpose(0, 1).cpu().numpy()
         rollout.log_probs[t] = log_probs.transpose(0, 1).cpu().numpy()
 
     def _step(self, rollout: Rollout, t: int) -> Float64s:
-        """Step the task, record what came, and give the returns of the episodes that ended."""
+        """Step the task and record step t; return the true returns of the episodes that ended."""
         step = self.task.step(rollout.actions[t])
         rollout.rewards[t] = step.reward
         rollout.terminated[t], rollout.truncated[t] = step.terminated, step.truncated
@@ -120,22 +127,22 @@ class Collector:
 
     def _allocate(self, n_steps: int) -> Rollout:
         spec, lead = self.task.spec, (n_steps, self.task.n_envs)
-        team, drawn = (*lead, spec.n_agents), (*lead, spec.n_agents, spec.action_dim)
-        seen = (*team, spec.observation_dim)
+        team = (*lead, spec.n_agents)
+        actions, observations = (*team, spec.action_dim), (*team, spec.observation_dim)
         return Rollout(
-            observations=np.empty(seen, np.float32),
+            observations=np.empty(observations, np.float32),
             state=np.empty((*lead, spec.state_dim), np.float32),
-            actions=np.empty(drawn, np.float32),
-            drawn_actions=np.empty(drawn, np.float32),
+            actions=np.empty(actions, np.float32),
+            drawn_actions=np.empty(actions, np.float32),
             log_probs=np.empty(team, np.float32),
             rewards=np.empty(lead),
             terminated=np.empty(lead, bool),
             truncated=np.empty(lead, bool),
             episode_start=np.empty(lead, bool),
-            final_observations=np.empty(seen, np.float32),
+            final_observations=np.empty(observations, np.float32),
             final_state=np.empty((*lead, spec.state_dim), np.float32),
             qpos=np.empty((*lead, spec.nq)),
             qvel=np.empty((*lead, spec.nv)),
             episode_returns=np.empty(0),
-            available_actions=None if available_actions(self.task) is None else np.empty(drawn, bool),
+            available_actions=None if available_actions(self.task) is None else np.empty(actions, bool),
         )

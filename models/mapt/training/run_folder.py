@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from mapt.device import resolve_device
 from mapt.errors import DamagedCheckpoint, DamagedRun, RunBusy, RunMismatch, RunNotFound
 from mapt.io import atomic_write
 from mapt.policies import Policy, PolicyConfig
 from mapt.policies.checkpoint import describe, refusing_mismatch, unflatten, unpack
-from mapt.policies.device import resolve_device
 from mapt.policies.learner import make_policy
 from mapt.tasks import task_spec
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK

@@ -1,4 +1,4 @@
-"""The transformer decides agent after agent, and knows at the update what it knew then."""
+"""The transformer: autoregressive sampling equals one masked pass, and each agent sees only preceding actions."""
 
 import dataclasses
 
@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from mapt.policies import PolicyConfig
-from mapt.policies.mat import MultiAgentTransformer, TeamEncoder
-from mapt.policies.networks import Batch
+from mapt.policies.mat import Encoder, MultiAgentTransformer
 from mapt.tasks import TaskSpec, task_spec
 
 pytestmark = pytest.mark.numerics
@@ -18,7 +17,7 @@ B = 9
 
 
 def policy(spec: TaskSpec, layers: int = 2, heads: int = 2) -> MultiAgentTransformer:
-    """With weights large enough that every path shows."""
+    """A policy with weights so large that every input affects the outputs."""
     torch.manual_seed(0)
     net = MultiAgentTransformer(spec, PolicyConfig(algorithm="mat", width=16, layers=layers, heads=heads))
     with torch.no_grad():
@@ -27,72 +26,80 @@ def policy(spec: TaskSpec, layers: int = 2, heads: int = 2) -> MultiAgentTransfo
     return net
 
 
-def moments(spec: TaskSpec) -> tuple[torch.Tensor, torch.Tensor | None]:
+@dataclasses.dataclass
+class Sample:
+    """Observations (N, B, C), sampled actions (N, B, A), their log-probabilities, and the available actions."""
+
+    observations: torch.Tensor
+    actions: torch.Tensor
+    log_probs: torch.Tensor
+    available: torch.Tensor | None
+
+    def evaluate(self, net: MultiAgentTransformer) -> tuple[torch.Tensor, torch.Tensor]:
+        """Log-probabilities (N, B) in one pass over all agents, and values (B, N)."""
+        log_probs, _, values = net.evaluate_actions(self.observations, torch.zeros(B, 1), self.actions, self.available)
+        return log_probs, values
+
+
+def sample(net: MultiAgentTransformer) -> Sample:
+    """Actions sampled agent by agent for random observations."""
     torch.manual_seed(1)
-    available = None
+    spec, available = net.spec, None
     if spec.discrete_actions:
         available = torch.rand(spec.n_agents, B, spec.action_dim) < 0.5
         available[..., 1] = True
-    return torch.randn(spec.n_agents, B, spec.observation_dim), available
-
-
-def batch(observations: torch.Tensor, actions: torch.Tensor, available: torch.Tensor | None) -> Batch:
-    rest = torch.zeros(actions.shape[:2])
-    return Batch(observations, actions, rest, rest, torch.zeros(B, 1), rest.T, available)
-
-
-def drawn(net: MultiAgentTransformer) -> tuple[Batch, torch.Tensor]:
-    """Actions drawn one after the other, and their log-probabilities."""
-    observations, available = moments(net.spec)
+    observations = torch.randn(spec.n_agents, B, spec.observation_dim)
     noise = net.noise((), B, torch.Generator().manual_seed(2))
-    with torch.inference_mode():
-        actions, log_probs = net.draw(observations, noise, available)
-    return batch(observations, actions.clone(), available), log_probs.clone()
+    with torch.no_grad():
+        actions, log_probs = net.sample(observations, noise, available)
+    return Sample(observations, actions, log_probs, available)
 
 
 @pytest.mark.parametrize("spec", [CHEETAH, CHOICES], ids=["continuous", "discrete"])
 @pytest.mark.parametrize(("layers", "heads"), [(1, 1), (3, 4)])
-def test_decoding_with_cached_keys_equals_one_pass_over_all_agents(spec: TaskSpec, layers: int, heads: int) -> None:
+def test_sampling_agent_by_agent_equals_one_masked_pass(spec: TaskSpec, layers: int, heads: int) -> None:
     net = policy(spec, layers, heads)
-    one_by_one, log_probs = drawn(net)
-    torch.testing.assert_close(net.evaluate(one_by_one).log_probs, log_probs, atol=1e-5, rtol=1e-5)
+    sampled = sample(net)
+    log_probs, _ = sampled.evaluate(net)
+    torch.testing.assert_close(log_probs, sampled.log_probs, atol=1e-5, rtol=1e-5)
 
 
 @pytest.mark.parametrize("spec", [CHEETAH, CHOICES], ids=["continuous", "discrete"])
-def test_an_agent_knows_the_actions_before_its_own_and_no_others(spec: TaskSpec) -> None:
+def test_agents_see_only_the_actions_of_preceding_agents(spec: TaskSpec) -> None:
     net = policy(spec)
-    before, _ = drawn(net)
-    changed = before.actions.clone()
+    sampled = dataclasses.replace(sample(net), available=None)
+    changed = sampled.actions.clone()
     changed[3] = changed[3].roll(1, -1) if spec.discrete_actions else changed[3] + 1.0
-    free = dataclasses.replace(before, available=None)
-    was = net.evaluate(free).log_probs
-    now = net.evaluate(dataclasses.replace(free, actions=changed)).log_probs
-    assert torch.equal(was[:3], now[:3])
-    assert not torch.isclose(was[4:], now[4:], atol=1e-4).all(dim=1).any()
+    before, _ = sampled.evaluate(net)
+    after, _ = dataclasses.replace(sampled, actions=changed).evaluate(net)
+    assert torch.equal(before[:3], after[:3])
+    assert not torch.isclose(before[4:], after[4:], atol=1e-4).all(dim=1).any()
 
 
-def test_what_every_agent_sees_counts_for_each() -> None:
+def test_every_agents_observation_affects_all_agents() -> None:
     net = policy(CHEETAH)
-    before, _ = drawn(net)
-    seen = before.observations.clone()
-    seen[5] += 1.0
-    was, now = net.evaluate(before), net.evaluate(dataclasses.replace(before, observations=seen))
-    assert not torch.isclose(was.log_probs, now.log_probs, atol=1e-4).all(dim=1).any()
-    assert not torch.isclose(was.values, now.values, atol=1e-4).all(dim=0).any()
+    sampled = sample(net)
+    observations = sampled.observations.clone()
+    observations[5] += 1.0
+    before = sampled.evaluate(net)
+    after = dataclasses.replace(sampled, observations=observations).evaluate(net)
+    assert not torch.isclose(before[0], after[0], atol=1e-4).all(dim=1).any()
+    assert not torch.isclose(before[1], after[1], atol=1e-4).all(dim=0).any()
 
 
-def test_permuted_agents_have_permuted_values() -> None:
+def test_encoder_is_equivariant_to_permutations_of_the_agents() -> None:
     torch.manual_seed(0)
-    encoder = TeamEncoder(4, PolicyConfig(width=16, layers=2, heads=2))
-    seen, order = torch.randn(B, 6, 4), torch.randperm(6)
-    torch.testing.assert_close(encoder(seen[:, order]), encoder(seen)[:, order], atol=1e-5, rtol=1e-5)
+    encoder = Encoder(4, PolicyConfig(width=16, layers=2, heads=2))
+    observations, order = torch.randn(B, 6, 4), torch.randperm(6)
+    torch.testing.assert_close(encoder(observations[:, order]), encoder(observations)[:, order], atol=1e-5, rtol=1e-5)
 
 
-def test_unavailable_actions_are_never_chosen_even_if_preferred() -> None:
+def test_unavailable_actions_are_never_sampled() -> None:
     net = policy(CHOICES)
     with torch.no_grad():
-        net.decoder.network.head[-1].get_parameter("bias")[4] = 100.0
-    moment, _ = drawn(net)
-    assert moment.available is not None
-    assert not (moment.actions.bool() & ~moment.available).any()
-    assert (moment.actions[..., 4].bool() == moment.available[..., 4]).all()
+        # Action 4 is by far the most likely one.
+        net.decoder.head[-1].get_parameter("bias")[4] = 100.0
+    sampled = sample(net)
+    assert sampled.available is not None
+    assert not (sampled.actions.bool() & ~sampled.available).any()
+    assert (sampled.actions[..., 4].bool() == sampled.available[..., 4]).all()

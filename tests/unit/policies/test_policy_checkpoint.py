@@ -1,4 +1,4 @@
-"""Checkpoints: whole, free of pickle, and refused when they do not fit."""
+"""Checkpoints: exact resume, earlier formats, and errors for files that are damaged or do not fit."""
 
 import os
 from dataclasses import replace
@@ -24,7 +24,7 @@ def learner() -> Learner:
     return trained
 
 
-def test_a_file_gives_the_learner_back(learner: Learner, tmp_path: Path) -> None:
+def test_file_restores_the_learner(learner: Learner, tmp_path: Path) -> None:
     path = tmp_path / "policy.safetensors"
     learner.save(path)
     loaded = Learner.load(path, IdentityTask(4))
@@ -34,47 +34,77 @@ def test_a_file_gives_the_learner_back(learner: Learner, tmp_path: Path) -> None
     assert all(torch.equal(tensor, expected[name]) for name, tensor in loaded.state_dict().items())
 
 
-def test_a_learner_that_has_not_learned_yet_can_be_saved() -> None:
+def test_untrained_learner_can_be_saved() -> None:
     fresh = Learner(IdentityTask(4), CONFIG)
     loaded = Learner.from_bytes(fresh.to_bytes(), IdentityTask(4))
     assert torch.equal(torch.from_numpy(fresh.collect().actions), torch.from_numpy(loaded.collect().actions))
 
 
-def test_saving_leaves_nothing_but_the_file(learner: Learner, tmp_path: Path) -> None:
+def test_saving_leaves_no_other_file(learner: Learner, tmp_path: Path) -> None:
     path = tmp_path / "policy.safetensors"
     learner.save(path)
     learner.save(path)
     assert os.listdir(tmp_path) == [path.name]
 
 
-def test_a_state_dict_does_not_change_with_the_learner(learner: Learner) -> None:
+def test_state_dict_is_a_copy(learner: Learner) -> None:
     state = learner.state_dict()
-    kept = {name: tensor.clone() for name, tensor in state.items()}
+    before = {name: tensor.clone() for name, tensor in state.items()}
     rollout = learner.collect()
     learner.update(rollout, rollout.rewards)
-    assert all(torch.equal(tensor, kept[name]) for name, tensor in state.items())
+    assert all(torch.equal(tensor, before[name]) for name, tensor in state.items())
 
 
 @pytest.mark.parametrize("n_bytes", [0, 4, 100, -1])
-def test_a_torn_file_is_refused(learner: Learner, n_bytes: int) -> None:
+def test_truncated_file_is_damaged(learner: Learner, n_bytes: int) -> None:
     with pytest.raises(DamagedCheckpoint):
         Learner.from_bytes(learner.to_bytes()[:n_bytes], IdentityTask(4))
 
 
-def test_a_checkpoint_of_another_task_is_refused(learner: Learner) -> None:
-    with pytest.raises(CheckpointMismatch, match="of Identity, not of HalfCheetah-6x1"):
+def test_checkpoint_of_another_task_does_not_match(learner: Learner) -> None:
+    with pytest.raises(CheckpointMismatch):
         Learner.from_bytes(learner.to_bytes(), make_task("HalfCheetah-6x1", 4))
 
 
-def test_a_checkpoint_of_a_later_format_is_refused(learner: Learner) -> None:
-    later = pack(learner.state_dict(), {"format": 2, "task": "Identity", "config": CONFIG.to_dict()})
+def test_checkpoint_of_a_later_format_is_newer(learner: Learner) -> None:
+    later = pack(learner.state_dict(), {"format": 3, "task": "Identity", "config": CONFIG.to_dict()})
     with pytest.raises(NewerCheckpoint):
         Learner.from_bytes(later, IdentityTask(4))
 
 
 @pytest.mark.parametrize("change", [{"hidden": (9,)}, {"shared_actor": True}, {"n_envs": 8}])
-def test_tensors_of_another_configuration_are_refused(learner: Learner, change: dict) -> None:
+def test_tensors_of_another_configuration_do_not_match(learner: Learner, change: dict) -> None:
     config = replace(CONFIG, **change)
     other = Learner(IdentityTask(config.n_envs), config)
-    with pytest.raises(CheckpointMismatch, match="does not fit"):
+    with pytest.raises(CheckpointMismatch):
         other.load_state_dict(learner.state_dict())
+
+
+FORMAT_1_NAMES = {
+    "query_norm": "seen_norm",
+    "context_norm": "done_norm",
+    "self_attention": "among_actions",
+    "cross_attention": "from_seen",
+}
+
+
+def format_1_name(name: str) -> str:
+    """Name in format 1 of a tensor of MAT's decoder."""
+    part, *rest = name.split(".")
+    if part != "decoder" or rest == ["log_std"]:
+        return name
+    return ".".join(["decoder", "network", *(FORMAT_1_NAMES.get(each, each) for each in rest)])
+
+
+def test_checkpoint_of_format_1_is_loaded() -> None:
+    config = replace(CONFIG, algorithm="mat", width=8)
+    trained = Learner(IdentityTask(4), config)
+    rollout = trained.collect()
+    trained.update(rollout, rollout.rewards)
+    expected = trained.state_dict()
+    old = {format_1_name(name): tensor for name, tensor in expected.items()}
+    assert "decoder.network.layers.0.among_actions.query.weight" in old
+    content = pack(old, {"format": 1, "task": "Identity", "config": config.to_dict()})
+    loaded = Learner.from_bytes(content, IdentityTask(4)).state_dict()
+    assert loaded.keys() == expected.keys()
+    assert all(torch.equal(tensor, expected[name]) for name, tensor in loaded.items())

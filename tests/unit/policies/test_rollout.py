@@ -1,4 +1,4 @@
-"""What a rollout records, on real cheetahs."""
+"""The contents of a rollout of HalfCheetah."""
 
 import numpy as np
 import pytest
@@ -9,19 +9,19 @@ from mapt.tasks import Task, make_task
 CONFIG = PolicyConfig(n_envs=3, rollout_steps=400, minibatches=1, epochs=1, hidden=(8,), seed=4, device="cpu")
 
 
-def cheetahs(n_envs: int = CONFIG.n_envs) -> Task:
+def cheetah_task(n_envs: int = CONFIG.n_envs) -> Task:
     return make_task("HalfCheetah-6x1", n_envs)
 
 
 @pytest.fixture(scope="module")
 def rollouts():
     """Three rollouts: 1,200 steps, across the end of the first episodes."""
-    learner = Learner(cheetahs(), CONFIG)
+    learner = Learner(cheetah_task(), CONFIG)
     return [learner.collect() for _ in range(3)]
 
 
 def test_arrays_have_the_documented_shapes(rollouts) -> None:
-    spec, lead = cheetahs().spec, (400, 3)
+    spec, lead = cheetah_task().spec, (400, 3)
     shapes = {
         "observations": (*lead, 6, spec.observation_dim),
         "final_observations": (*lead, 6, spec.observation_dim),
@@ -40,14 +40,14 @@ def test_arrays_have_the_documented_shapes(rollouts) -> None:
     assert {name: getattr(rollouts[0], name).shape for name in shapes} == shapes
 
 
-def test_the_simulator_state_is_that_in_which_the_action_was_taken(rollouts) -> None:
+def test_simulator_state_is_the_state_in_which_the_action_was_taken(rollouts) -> None:
     for rollout in rollouts:
-        seen = np.concatenate([rollout.qpos[..., 1:], rollout.qvel], axis=-1).astype(np.float32)
-        np.testing.assert_array_equal(seen, rollout.state)
+        expected = np.concatenate([rollout.qpos[..., 1:], rollout.qvel], axis=-1).astype(np.float32)
+        np.testing.assert_array_equal(rollout.state, expected)
 
 
-def test_replaying_the_recorded_actions_gives_the_recorded_rollout(rollouts) -> None:
-    task = cheetahs()
+def test_recorded_actions_reproduce_the_rollout(rollouts) -> None:
+    task = cheetah_task()
     task.reset(CONFIG.seed)
     for rollout in rollouts:
         for t in range(400):
@@ -56,29 +56,29 @@ def test_replaying_the_recorded_actions_gives_the_recorded_rollout(rollouts) -> 
             np.testing.assert_array_equal(step.final_state, rollout.final_state[t])
 
 
-def test_episodes_begin_where_the_last_one_ended(rollouts) -> None:
+def test_an_episode_starts_after_the_last_one_ended(rollouts) -> None:
     starts = np.concatenate([rollout.episode_start for rollout in rollouts])
     ends = np.concatenate([rollout.truncated | rollout.terminated for rollout in rollouts])
     np.testing.assert_array_equal(np.flatnonzero(starts[:, 0]), [0, 1000])
     np.testing.assert_array_equal(starts[1:], ends[:-1])
 
 
-def test_true_returns_are_sums_over_whole_episodes(rollouts) -> None:
+def test_episode_returns_are_sums_of_the_true_rewards(rollouts) -> None:
     rewards = np.concatenate([rollout.rewards for rollout in rollouts])
     assert [len(rollout.episode_returns) for rollout in rollouts] == [0, 0, 3]
     np.testing.assert_allclose(rollouts[2].episode_returns, rewards[:1000].sum(axis=0))
 
 
-def test_actions_are_the_draws_within_the_limit(rollouts) -> None:
+def test_actions_are_the_sampled_actions_clipped_to_the_limit(rollouts) -> None:
     drawn = rollouts[0].drawn_actions
     assert np.abs(drawn).max() > 1.0
     np.testing.assert_array_equal(rollouts[0].actions, drawn.clip(-1.0, 1.0))
 
 
-def test_a_rollout_is_not_overwritten_by_the_next() -> None:
-    learner = Learner(cheetahs(), CONFIG)
+def test_next_rollout_does_not_overwrite_the_last() -> None:
+    learner = Learner(cheetah_task(), CONFIG)
     first = learner.collect()
-    kept = first.observations.copy(), first.qpos.copy()
+    expected = first.observations.copy(), first.qpos.copy()
     learner.collect()
-    np.testing.assert_array_equal(first.observations, kept[0])
-    np.testing.assert_array_equal(first.qpos, kept[1])
+    np.testing.assert_array_equal(first.observations, expected[0])
+    np.testing.assert_array_equal(first.qpos, expected[1])

@@ -1,4 +1,4 @@
-"""Whole episodes of a policy, counted fairly."""
+"""Evaluation over whole episodes."""
 
 import numpy as np
 
@@ -11,20 +11,20 @@ def learner() -> Learner:
     return Learner(IdentityTask(4), PolicyConfig(n_envs=4, rollout_steps=8, minibatches=1, hidden=(8,)))
 
 
-def test_every_episode_is_whole_and_counted_once() -> None:
+def test_returns_are_of_whole_episodes() -> None:
     returns = evaluate(learner(), IdentityTask(3, horizon_steps=8), episodes=7)
     assert returns.shape == (7,)
     # The actor starts near zero, whose reward is 2/3 a step.
     assert np.abs(returns - 8 * 2 / 3).max() < 2.5
 
 
-def test_lengths_are_those_of_the_episodes() -> None:
+def test_lengths_are_the_steps_of_each_episode() -> None:
     played = play(learner(), IdentityTask(3, horizon_steps=5), episodes=7)
     assert played.lengths.tolist() == [5] * 7
     assert played.returns.shape == (7,)
 
 
-def test_returns_are_those_of_the_task_itself() -> None:
+def test_returns_are_sums_of_the_tasks_rewards() -> None:
     policy = Learner(make_task("HalfCheetah-6x1", 2), PolicyConfig(n_envs=2, hidden=(8,), minibatches=1))
     task = make_task("HalfCheetah-6x1", 2)
     returns = evaluate(policy, task, episodes=2, seed=5)
@@ -36,7 +36,7 @@ def test_returns_are_those_of_the_task_itself() -> None:
     np.testing.assert_allclose(returns, total)
 
 
-def test_a_seed_decides_the_returns_also_with_draws() -> None:
+def test_same_seed_gives_the_same_returns_with_sampled_actions() -> None:
     policy = learner().policy
     first, again, other = (evaluate(policy, IdentityTask(4), 8, deterministic=False, seed=seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)

@@ -1,4 +1,4 @@
-"""Actors that share a network or have one each."""
+"""Actors that share their weights, and actors that have their own."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def policy(shared: bool) -> ActorCritic:
     torch.manual_seed(0)
     net = make_policy(SPEC, PolicyConfig(shared_actor=shared, hidden=(16,)))
     assert isinstance(net, ActorCritic)
-    # The last layer starts near zero, which would hide who sees what.
+    # The last layer starts near zero, which would hide what the actions depend on.
     with torch.no_grad():
         for parameter in net.actor.network.parameters():
             parameter.normal_()
@@ -41,7 +41,7 @@ def test_batched_layers_equal_a_loop_over_agents() -> None:
 
 
 @pytest.mark.parametrize("shared", [True, False])
-def test_an_agent_acts_on_its_own_observation_alone(shared: bool) -> None:
+def test_actions_depend_on_the_agents_own_observation_only(shared: bool) -> None:
     net, seen = policy(shared), observations()
     before = net.act(seen)
     seen[:, 1] += 1.0
@@ -51,14 +51,14 @@ def test_an_agent_acts_on_its_own_observation_alone(shared: bool) -> None:
 
 
 @pytest.mark.parametrize("shared", [True, False])
-def test_agents_that_see_the_same_act_the_same_only_if_they_share(shared: bool) -> None:
+def test_agents_with_equal_observations_act_alike_only_if_they_share_weights(shared: bool) -> None:
     seen = np.repeat(observations()[:, :1], SPEC.n_agents, axis=1)
     actions = policy(shared).act(seen)
     assert np.allclose(actions[:, 0], actions[:, 1]) == shared
 
 
 @pytest.mark.parametrize("shared", [True, False])
-def test_log_density_is_the_normal_distributions(shared: bool) -> None:
+def test_actor_has_the_density_and_entropy_of_a_normal_distribution(shared: bool) -> None:
     actor = policy(shared).actor
     assert actor.log_std is not None
     with torch.no_grad():
@@ -66,26 +66,26 @@ def test_log_density_is_the_normal_distributions(shared: bool) -> None:
     inputs = torch.from_numpy(observations()).transpose(0, 1)
     actions = torch.randn(SPEC.n_agents, 5, SPEC.action_dim)
     normal = Normal(actor.network(inputs), actor.log_std.exp().expand_as(actions))
-    torch.testing.assert_close(actor(inputs).log_probs(actions), normal.log_prob(actions).sum(-1))
+    torch.testing.assert_close(actor(inputs).log_prob(actions), normal.log_prob(actions).sum(-1))
     torch.testing.assert_close(actor(inputs).entropy(), normal.entropy().sum(-1).mean())
 
 
-def test_training_the_actor_of_one_agent_trains_that_agent_alone() -> None:
+def test_training_one_agents_actor_changes_only_its_weights() -> None:
     actor = policy(shared=False).actor
     inputs = torch.from_numpy(observations()).transpose(0, 1)
     before = actor.network(inputs).detach()
-    alone = actor.alone(1)
-    torch.testing.assert_close(alone.network(inputs[1:2]), before[1:2])
-    torch.optim.SGD(alone.parameters(), lr=0.1).zero_grad()
-    alone.network(inputs[1:2]).square().sum().backward()
-    torch.optim.SGD(alone.parameters(), lr=0.1).step()
+    own = actor.of_agent(1)
+    torch.testing.assert_close(own.network(inputs[1:2]), before[1:2])
+    torch.optim.SGD(own.parameters(), lr=0.1).zero_grad()
+    own.network(inputs[1:2]).square().sum().backward()
+    torch.optim.SGD(own.parameters(), lr=0.1).step()
     after = actor.network(inputs).detach()
     assert torch.equal(after[0], before[0])
     assert not torch.allclose(after[1], before[1])
-    torch.testing.assert_close(alone.network(inputs[1:2]), after[1:2])
+    torch.testing.assert_close(own.network(inputs[1:2]), after[1:2])
 
 
-def test_actions_stay_within_the_limit() -> None:
+def test_actions_are_clipped_to_the_limit() -> None:
     net = policy(shared=True)
     noise = torch.full((SPEC.n_agents, 5, SPEC.action_dim), 50.0)
     assert np.abs(net.act(observations(), noise)).max() == SPEC.action_limit
