@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from acceptance.own_accord import Accord
+from acceptance.accord_service import Accord
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from acceptance.own_accord import Accord
+from acceptance.accord_service import Accord
 from accord.store.database import Database
 from support.waiting import PATIENCE_SECONDS, until
 

@@ -9,7 +9,7 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
-from acceptance.own_accord import ENVIRONMENT, TINY, TINY_POLICY, Accord, Person
+from acceptance.accord_service import ENVIRONMENT, TINY, TINY_POLICY, Accord, Person
 from support.waiting import PATIENCE_SECONDS, until
 
 

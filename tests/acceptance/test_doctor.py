@@ -2,7 +2,7 @@
 
 import socket
 
-from acceptance.own_accord import Accord
+from acceptance.accord_service import Accord
 
 
 def test_doctor_draws_and_encodes_and_ends_with_1_when_something_is_wrong(accord: Accord) -> None:

@@ -4,7 +4,7 @@ import io
 
 import av
 
-from acceptance.own_accord import STEPS_PER_ITERATION, TINY, Accord, Person, alive
+from acceptance.accord_service import STEPS_PER_ITERATION, TINY, Accord, Person, alive
 from accord.workers.policy_run import CHECKPOINT_ITERATIONS
 from support.waiting import PATIENCE_SECONDS, until
 

@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from acceptance.own_accord import Accord, Person, alive
+from acceptance.accord_service import Accord, Person, alive
 from support.waiting import PATIENCE_SECONDS, until
 
 

@@ -27,8 +27,8 @@ import psutil
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from support.api_process import running_server
 from support.scenes import scene, user
-from support.servers import running_server
 
 #: enough for a server several times as fast as today's
 SEGMENTS, QUERIES = 190, 17_000

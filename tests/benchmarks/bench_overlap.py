@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import get_args
 
 import torch
-from turns import median_seconds
+from interleaved_timing import median_seconds
 
 from mapt.policies import Algorithm, Learner, PolicyConfig
 from mapt.processes import ParentConnection, run_jobs

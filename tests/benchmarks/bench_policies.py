@@ -27,12 +27,12 @@ from typing import Any, get_args
 
 import numpy as np
 import torch
-from awake import awake_model
+from attention_model import awake_model
+from interleaved_timing import median_seconds
 from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils.flop_counter import FlopCounterMode
-from turns import median_seconds
 
 from mapt.policies import Algorithm, Learner, PolicyConfig, Rollout
 from mapt.policies.ppo import make_batch, team_rewards

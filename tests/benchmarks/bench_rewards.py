@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 import torch
-from awake import awake_model
+from attention_model import awake_model
 from torch import Tensor, nn
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode

@@ -1,4 +1,4 @@
-"""The mapt command in a test's own process."""
+"""The mapt command, run in the test process."""
 
 import sys
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from mapt.cli.main import main
 
 
 class Ended(NamedTuple):
-    """How a command ended."""
+    """Exit status and output of a command."""
 
     status: int
     printed: str
@@ -20,7 +20,7 @@ class Ended(NamedTuple):
 
 @pytest.fixture
 def mapt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
-    """Runs the command in this process."""
+    """Run the command in this process."""
 
     def run(*arguments: str | Path) -> Ended:
         monkeypatch.setattr(sys, "argv", ["mapt", *map(str, arguments)])

@@ -1,4 +1,4 @@
-"""Ports for servers that cannot be asked for any free one."""
+"""Free ports for servers that cannot choose one themselves."""
 
 import random
 import socket
@@ -6,7 +6,7 @@ from contextlib import suppress
 
 
 def free_port() -> int:
-    """Below the range from which the kernel gives ports to outgoing connections: nobody is given it meanwhile."""
+    """A free port below the kernel's range for outgoing connections, so that none of these takes it meanwhile."""
     for port in random.sample(range(20_000, 32_000), 100):
         with socket.socket() as probe, suppress(OSError):
             probe.bind(("127.0.0.1", port))

@@ -1,4 +1,4 @@
-"""docs/reference.md, and the commands that it must name."""
+"""docs/reference.md and the commands that it must document."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,12 +10,12 @@ REFERENCE = (Path(__file__).parents[2] / "docs" / "reference.md").read_text()
 
 
 def commands_of(app: typer.Typer, name: str) -> dict[str, Any]:
-    """Every command of an application by its words, such as `accord user add`."""
+    """Every command of an application by its full name, such as `accord user add`."""
     return dict(_leaves(typer.main.get_command(app), name))
 
 
 def _leaves(command: Any, words: str) -> Iterator[tuple[str, Any]]:
-    # typer carries its own copy of click, so there is no public type to ask for.
+    # typer vendors click, so there is no public type to check for.
     inner = getattr(command, "commands", None)
     if inner is None:
         yield words, command
@@ -25,12 +25,12 @@ def _leaves(command: Any, words: str) -> Iterator[tuple[str, Any]]:
 
 
 def section(command: str) -> str:
-    """What the reference says of a command; empty if it names none such."""
+    """The reference's section about a command; empty if there is none."""
     return REFERENCE.partition(f"### {command}\n")[2].partition("\n### ")[0].partition("\n## ")[0]
 
 
 def options_of(command: Any) -> Iterator[Any]:
-    """Its options, but for those that help does not show."""
+    """The command's options, without hidden ones."""
     for parameter in command.params:
         if parameter.param_type_name == "option" and not getattr(parameter, "hidden", False):
             yield parameter

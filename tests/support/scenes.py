@@ -1,4 +1,4 @@
-"""Experiments with segments, clips and queries, made through the services as the workers make them."""
+"""Experiments with segments, clips and queries, made with the services that the workers use."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -13,9 +13,9 @@ from accord.store.blobs import BlobStore
 from accord.store.database import Database
 from accord.store.tables import ExperimentRow, UserRow
 
-#: T, N, C, A of the segments made here; only T matters to what is tested
+#: T, N, C, A, nq and nv of the segments; tests depend on T only
 STEPS, AGENTS, OBSERVATION, ACTION, NQ, NV = 5, 6, 9, 1, 9, 9
-#: what the store tests take for an H.264 file; real ones are the render worker's business
+#: stand-in for an H.264 file
 CLIP_BYTES = bytes(range(256)) * 8
 
 
@@ -52,7 +52,7 @@ def user(session: Session, name: str, role: Role = Role.LABELLER) -> tuple[UserR
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """An experiment under way."""
+    """An experiment with segments and queries."""
 
     experiment: ExperimentRow
     owner: UserRow
@@ -65,7 +65,7 @@ class Scene:
 def scene(
     database: Database, blobs: BlobStore, *, segments: int = 5, queries: int = 4, ready: bool = True, **changes: object
 ) -> Scene:
-    """An experiment with queries over its segments; `ready` clips unless they are to wait for a render worker.
+    """Make an experiment with segments and queries. With `ready`, all clips exist; else they wait for a render worker.
 
     Segment i has the true reward i at each step.
     """
@@ -90,7 +90,7 @@ def scene(
 
 
 def make_clips(database: Database, blobs: BlobStore, holder: str = "scene") -> int:
-    """Makes every pending clip, without a renderer; returns how many."""
+    """Finish every pending clip without rendering, and return their number."""
     made = 0
     while True:
         with database.transaction() as session:

@@ -1,7 +1,7 @@
-"""Cheetahs of short episodes, for tests that play whole ones though it is not about them.
+"""HalfCheetah tasks with short episodes, for tests that need complete episodes.
 
-A file of tasks, as docs/tasks.md has it: named in MAPT_TASKS, it is known to every process of a service. A test that
-imports it for its names registers nothing: tests that are collected for every task there is must not find these.
+This is a task file (see docs/tasks.md): with MAPT_TASKS, all processes of a service know its tasks. Importing it
+registers nothing, because some tests are parametrised over all registered tasks.
 """
 
 from dataclasses import replace
@@ -11,10 +11,10 @@ import pytest
 from mapt.tasks import MujocoDefinition, register_task
 from mapt.tasks.registry import TASK_FILES_VARIABLE, find_definition
 
-#: HalfCheetah-6x1 with episodes a twentieth as long
+#: HalfCheetah-6x1 with a twentieth of the horizon
 NAME = "ShortHalfCheetah-6x1"
 HORIZON_STEPS = 50
-#: HalfCheetah-2x3 with episodes a fiftieth as long
+#: HalfCheetah-2x3 with a fiftieth of the horizon
 SHORTEST_NAME = "ShortestHalfCheetah-2x3"
 SHORTEST_HORIZON_STEPS = 20
 ENVIRONMENT = {TASK_FILES_VARIABLE: __file__}
@@ -22,7 +22,7 @@ ENVIRONMENT = {TASK_FILES_VARIABLE: __file__}
 
 @pytest.fixture
 def short_episodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lets this process and those it starts know the tasks with short episodes."""
+    """Make the tasks with short episodes known to this process and its children."""
     monkeypatch.setenv(TASK_FILES_VARIABLE, __file__)
 
 
@@ -32,6 +32,6 @@ def _register(whole: str, name: str, horizon_steps: int) -> None:
     register_task(replace(definition, name=name, horizon_steps=horizon_steps))
 
 
-if __name__ == "short_tasks":  # run as a file of tasks
+if __name__ == "short_tasks":  # run as a task file
     _register("HalfCheetah-6x1", NAME, HORIZON_STEPS)
     _register("HalfCheetah-2x3", SHORTEST_NAME, SHORTEST_HORIZON_STEPS)

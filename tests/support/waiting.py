@@ -1,4 +1,4 @@
-"""Waiting for what other processes and threads do."""
+"""Wait for other processes and threads."""
 
 import time
 from collections.abc import Callable
@@ -6,19 +6,19 @@ from typing import TypeVar
 
 Found = TypeVar("Found")
 
-#: What is waited for happens within seconds, or never. A machine that does ten other things takes ten times as long,
-#: and that is no failure. Below the limit of a whole test, pytest's `timeout`.
+#: Conditions come true within seconds or never, but a busy machine may take ten times as long. Less than pytest's
+#: `timeout` of a whole test.
 PATIENCE_SECONDS = 300.0
 
 
-def until(condition: Callable[[], Found | None], what: str = "what is waited for") -> Found:
-    """The condition's value once it is true.
+def until(condition: Callable[[], Found | None], what: str = "the condition") -> Found:
+    """Poll a condition until its value is true, and return the value.
 
     Args:
-        what: what should happen, for the failure's message.
+        what: what should happen, for the error message.
     """
     deadline = time.monotonic() + PATIENCE_SECONDS
     while not (found := condition()):
-        assert time.monotonic() < deadline, f"not in {PATIENCE_SECONDS:.0f} s: {what}"
+        assert time.monotonic() < deadline, f"timed out after {PATIENCE_SECONDS:.0f} s: {what}"
         time.sleep(0.01)
     return found

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from support.served import Served, served
+from support.api_in_thread import Served, served
 from support.store_fixtures import both, postgres_server, sqlite
 from support.stores import Stores
 

@@ -3,8 +3,8 @@
 import pytest
 
 from accord.api.routes.clips import ByteRange, parse_range
+from support.api_in_thread import Served
 from support.scenes import CLIP_BYTES, scene
-from support.served import Served
 
 SIZE = len(CLIP_BYTES)
 

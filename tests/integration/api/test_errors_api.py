@@ -13,8 +13,8 @@ from accord.domain import errors as domain_errors
 from accord.domain.enums import Role
 from accord.domain.errors import AccordError
 from accord.domain.ids import new_id
+from support.api_in_thread import Served, served
 from support.scenes import scene
-from support.served import Served, served
 from support.stores import Stores
 
 NEW = {"name": "one", "task": "HalfCheetah-6x1"}

@@ -11,9 +11,9 @@ import httpx
 from accord.domain.enums import Phase, Role
 from accord.services import experiments, label, metrics, workers
 from accord.settings import Settings
+from support.api_in_thread import Served, client
+from support.api_process import running_server
 from support.scenes import scene, user
-from support.served import Served, client
-from support.servers import running_server
 from support.stores import Stores
 from support.waiting import PATIENCE_SECONDS
 

@@ -4,8 +4,8 @@ import pytest
 from sqlalchemy import event
 
 from accord.services import metrics, publish, workers
+from support.api_in_thread import Served, served
 from support.scenes import scene
-from support.served import Served, served
 from support.stores import Stores
 
 NEW = {"name": "one", "task": "HalfCheetah-6x1"}

@@ -15,8 +15,8 @@ from sqlalchemy import Engine, event, select, text
 from accord.domain.enums import Role
 from accord.store.database import Database
 from accord.store.tables import ExperimentRow, LabelRow
+from support.api_in_thread import Served, served
 from support.scenes import Scene, scene, user
-from support.served import Served, served
 from support.stores import Stores, stores
 from support.waiting import PATIENCE_SECONDS
 

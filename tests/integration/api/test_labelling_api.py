@@ -7,8 +7,8 @@ from sqlalchemy import event
 
 from accord.domain.enums import Role
 from accord.services import experiments
+from support.api_in_thread import Served
 from support.scenes import Scene, scene
-from support.served import Served
 
 
 def begin(api: Served, **changes: object) -> Scene:

@@ -9,8 +9,8 @@ import pytest
 
 from accord.domain.enums import Phase
 from accord.services import experiments, metrics, publish, workers
+from support.api_in_thread import Served
 from support.scenes import Scene, scene
-from support.served import Served
 
 #: a true return as it would be written anywhere; no other number of the scene has these digits
 SECRET = 98765.4321

@@ -4,8 +4,8 @@ import pytest
 from safetensors.numpy import load
 
 from accord.services.collect import blob_key
+from support.api_in_thread import Served
 from support.scenes import STEPS, Scene, scene
-from support.served import Served
 
 
 @pytest.fixture

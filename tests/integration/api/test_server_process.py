@@ -17,9 +17,9 @@ from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
 from accord.store.tables import LabelRow
+from support.api_in_thread import client
+from support.api_process import running_server
 from support.scenes import scene, user
-from support.served import client
-from support.servers import running_server
 from support.waiting import PATIENCE_SECONDS
 
 

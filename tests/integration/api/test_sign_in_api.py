@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
-from support.served import Served
+from support.api_in_thread import Served
 
 
 def invite(api: Served, name: str = "Bob") -> dict[str, str]:

@@ -7,7 +7,7 @@ import pytest
 
 from accord.api import responses
 from mapt.tasks import registry
-from support.served import Served
+from support.api_in_thread import Served
 
 NEW = {"name": "one", "task": "Tug-2x1"}
 

@@ -15,8 +15,8 @@ from accord.services import collect, metrics, select
 from accord.services.collect import NewSegment, load_arrays
 from accord.store.tables import LabelRow, QueryRow, SegmentRow
 from mapt.preferences.teachers import RULES, TeacherView, make_teacher, teacher_names
+from support.api_in_thread import Served
 from support.scenes import AGENTS, NQ, NV, OBSERVATION, STEPS, Scene, scene
-from support.served import Served
 
 N_LABELS = 12
 

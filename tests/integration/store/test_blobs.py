@@ -12,7 +12,7 @@ import pytest
 from accord.domain.errors import BlobMissing, BlobsNotWritable
 from accord.store.blobs import BlobStore, open_blobs
 
-PUTTING = Path(__file__).with_name("putting.py")
+PUTTING = Path(__file__).with_name("blob_writer_process.py")
 
 
 @pytest.fixture(params=["folder", "memory"])

@@ -16,7 +16,7 @@ from accord.store.group_commit import CommitFailed
 from support.stores import Stores
 from support.waiting import PATIENCE_SECONDS, until
 
-COUNTING = Path(__file__).with_name("counting.py")
+COUNTING = Path(__file__).with_name("counter_process.py")
 
 
 def names(database: Database) -> set[str]:

@@ -17,14 +17,14 @@ from integration.workers.workplace import SingleThreadedRewardWorker, Workplace
 from mapt.policies import Learner, PolicyConfig
 from mapt.preferences.segments import StepRange
 from mapt.tasks import make_task
-from support import buttons
+from support import light_tasks
 
 OPTIONS = {"render_clips": True, "policy": {"n_envs": 3, "rollout_steps": 50, "epochs": 1, "minibatches": 1}}
 
 
 @pytest.fixture(autouse=True)
 def known_tasks(short_episodes: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    files = [os.environ["MAPT_TASKS"], buttons.ENVIRONMENT["MAPT_TASKS"]]
+    files = [os.environ["MAPT_TASKS"], light_tasks.ENVIRONMENT["MAPT_TASKS"]]
     monkeypatch.setenv("MAPT_TASKS", os.pathsep.join(files))
 
 
@@ -33,7 +33,7 @@ def assert_shows(clip: bytes, levels: np.ndarray) -> None:
     with av.open(io.BytesIO(clip)) as container:
         shown = np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
     assert shown.shape == (len(levels), 46, 64, 3)
-    expected = np.array([buttons.light(level) for level in levels])
+    expected = np.array([light_tasks.light(level) for level in levels])
     assert np.abs(shown.mean(axis=(1, 2, 3)) - expected).max() < 8  # a level is 28
 
 
@@ -52,7 +52,7 @@ def test_a_clip_shows_each_state_in_which_an_action_was_taken(place: Workplace) 
     shown_levels = set()
     for (key,) in segments:
         arrays = load(place.context.blobs.read(key))
-        levels = np.round(arrays["observations"][:, 0, 0] * buttons.LEVELS).astype(int)
+        levels = np.round(arrays["observations"][:, 0, 0] * light_tasks.LEVELS).astype(int)
         assert_shows(place.context.blobs.read(drawn_blob_key(key)), levels)
         shown_levels |= set(levels.tolist())
     assert len(shown_levels) > 4
@@ -80,7 +80,7 @@ def test_a_later_rollout_is_drawn_from_the_middle_of_its_episodes(place: Workpla
     places, keys = [(0, 0, 10), (1, 12, 22), (2, 43, 50)], [f"segments/{name}.safetensors" for name in "abc"]
     RolloutReplay(task, before, rollout).store_clips(place.context.blobs, [StepRange(*each) for each in places], keys)
     for (env, first, end), key in zip(places, keys, strict=True):
-        levels = np.round(rollout.observations[first:end, env, 0, 0] * buttons.LEVELS).astype(int)
+        levels = np.round(rollout.observations[first:end, env, 0, 0] * light_tasks.LEVELS).astype(int)
         assert_shows(place.context.blobs.read(drawn_blob_key(key)), levels)
 
 

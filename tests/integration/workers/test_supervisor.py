@@ -10,7 +10,7 @@ import pytest
 
 from accord.workers.runner import Backoff, Stop
 from accord.workers.supervisor import ChildSpec, Death, Supervisor
-from integration.workers.supervising import alive
+from integration.workers.process_status import alive
 from support.waiting import PATIENCE_SECONDS, until
 
 HERE = Path(__file__).parent

@@ -10,7 +10,7 @@ import pytest
 
 from mapt.errors import TaskImportFailed, UnknownTask
 from mapt.tasks import RenderableTask, agent_geoms, make_task, task_names, task_spec
-from support import buttons
+from support import light_tasks
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "tasks.md"
 MUJOCO_BLOCK, PETTINGZOO_BLOCK = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
@@ -38,9 +38,9 @@ def test_the_documented_pettingzoo_environment_is_a_task_that_draws_itself(
 ) -> None:
     asked: list[str] = []
 
-    def parallel_env(render_mode: str) -> buttons.Buttons:
+    def parallel_env(render_mode: str) -> light_tasks.Buttons:
         asked.append(render_mode)
-        return buttons.Buttons()
+        return light_tasks.Buttons()
 
     game = ModuleType("my_game")
     game.__dict__["parallel_env"] = parallel_env
@@ -54,7 +54,7 @@ def test_the_documented_pettingzoo_environment_is_a_task_that_draws_itself(
     steps = [task.step(np.tile([0.0, 1.0], (2, 2, 1))) for _ in range(100)]
     assert steps[-1].truncated.all()
     assert isinstance(task, RenderableTask)
-    assert task.render(1).shape == (*buttons.PICTURE, 3)
+    assert task.render(1).shape == (*light_tasks.PICTURE, 3)
     assert set(asked) == {"rgb_array"}
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mapt.errors import AlreadyExists, FileTooLarge, InvalidFile, MissingPart, ShapeError
 from mapt.preferences.formats.d4rl import read_d4rl, write_d4rl
 from mapt.preferences.formats.records import AgentIndices
-from support.comparing import assert_same_episodes, everything_in, made_episodes
+from support.comparisons import assert_same_episodes, everything_in, made_episodes
 
 # Two episodes: one that ends after 4 steps, one that times out after 3, and the beginning of a third.
 TERMINALS, TIMEOUTS = [0, 0, 0, 1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0, 1, 0, 0]

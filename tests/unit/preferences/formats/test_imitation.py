@@ -35,7 +35,13 @@ from mapt.preferences.formats.imitation import (
 )
 from mapt.preferences.formats.pickle_writer import write_pickle
 from mapt.preferences.formats.pickles import Record
-from support.comparing import assert_same_episodes, assert_same_segments, everything_in, made_comparisons, made_episodes
+from support.comparisons import (
+    assert_same_episodes,
+    assert_same_segments,
+    everything_in,
+    made_comparisons,
+    made_episodes,
+)
 
 FIXTURES = Path(__file__).parent / "fixtures"
 DATASET = "imitation.algorithms.preference_comparisons.PreferenceDataset"

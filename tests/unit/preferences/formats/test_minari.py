@@ -14,7 +14,7 @@ from minari.data_collector import EpisodeBuffer
 from mapt.errors import AlreadyExists, FileTooLarge, InvalidFile, MissingPart, ShapeError
 from mapt.preferences.formats.minari import read_minari, write_minari
 from mapt.preferences.formats.records import cut_segments
-from support.comparing import assert_same_episodes, everything_in, made_episodes
+from support.comparisons import assert_same_episodes, everything_in, made_episodes
 
 
 def box(size):

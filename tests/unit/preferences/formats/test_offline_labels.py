@@ -17,7 +17,7 @@ from mapt.errors import (
     UnsafePickle,
 )
 from mapt.preferences.formats.offline_labels import LabelFiles, read_offline_labels, write_offline_labels
-from support.comparing import assert_same_segments, everything_in, made_comparisons
+from support.comparisons import assert_same_segments, everything_in, made_comparisons
 
 LENGTHS = [(6, "terminal"), (5, "timeout"), (5, "timeout"), (4, "nothing")]
 

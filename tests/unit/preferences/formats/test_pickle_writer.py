@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays
 from mapt.errors import AlreadyExists
 from mapt.preferences.formats.pickle_writer import write_pickle
 from mapt.preferences.formats.pickles import Record, load_pickle
-from support.comparing import everything_in
+from support.comparisons import everything_in
 
 PLAIN = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text() | st.binary(),

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from mapt.errors import ShapeError
 from mapt.preferences.formats.records import Episode, concatenate, cut_segments, episodes_of, save_records
-from support.comparing import assert_same_episodes, assert_same_segments, everything_in, made_episodes, made_records
+from support.comparisons import assert_same_episodes, assert_same_segments, everything_in, made_episodes, made_records
 
 
 def numbered(lengths):

@@ -18,7 +18,7 @@ from mapt.errors import (
     UnsafePickle,
 )
 from mapt.preferences.formats.reference import read_reference, write_reference
-from support.comparing import assert_same_segments, everything_in, made_comparisons
+from support.comparisons import assert_same_segments, everything_in, made_comparisons
 
 
 def pair(label, n_steps=3, seed=0):

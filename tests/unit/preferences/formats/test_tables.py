@@ -31,7 +31,7 @@ from mapt.preferences.formats.tables import (
     SegmentRow,
     TableWriter,
 )
-from support.comparing import assert_same_segments, everything_in, made_comparisons, made_records
+from support.comparisons import assert_same_segments, everything_in, made_comparisons, made_records
 
 ROWS = [SegmentRow(f"seg_{index}", index, 1000 * index, "4.0.0") for index in range(4)]
 QUERIES = [QueryRow("qry_0", "seg_0", "seg_1", "uniform", "rwv_1"), QueryRow("qry_1", "seg_3", "seg_2")]

@@ -1,4 +1,4 @@
-"""The real server as a process, on a port of its own."""
+"""The real server as a child process on a free port."""
 
 import os
 import signal
@@ -17,26 +17,26 @@ from support.waiting import PATIENCE_SECONDS
 
 @dataclass(frozen=True, slots=True)
 class Server:
-    """A server process that answers."""
+    """A server process that accepts requests."""
 
     process: subprocess.Popen[bytes]
     url: str
     log: Path
 
     def stop(self, timeout_seconds: float = PATIENCE_SECONDS) -> int:
-        """SIGTERM; returns the exit status."""
+        """Send SIGTERM and return the exit status."""
         self.process.send_signal(signal.SIGTERM)
         return self.process.wait(timeout_seconds)
 
     def kill(self) -> None:
-        """SIGKILL: nothing of it runs afterwards, not even its clean-up."""
+        """Send SIGKILL, so that not even clean-up code runs."""
         self.process.kill()
         self.process.wait()
 
 
 @contextmanager
 def running_server(home: Path, environment: Mapping[str, str] | None = None) -> Generator[Server]:
-    """`python -m accord.api.server` over a home folder, ended with the block."""
+    """Run `python -m accord.api.server` with a home folder until the block ends."""
     home.mkdir(parents=True, exist_ok=True)
     log = home / "server.log"
     with log.open("ab") as output:
@@ -59,10 +59,10 @@ def running_server(home: Path, environment: Mapping[str, str] | None = None) -> 
 
 
 def _address(process: subprocess.Popen[bytes], log: Path) -> str:
-    """The address it says it listens on: it chose the port itself."""
+    """The address that the server logs; it chooses the port itself."""
     deadline = time.monotonic() + PATIENCE_SECONDS
     while time.monotonic() < deadline:
-        # the newest line: the log may hold an earlier server's too
+        # the last match: the log may contain an earlier server's line
         lines = [line for line in log.read_text().splitlines() if f"[{process.pid}] serves at " in line]
         if lines:
             return lines[-1].rpartition(" ")[2]

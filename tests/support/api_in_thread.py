@@ -1,4 +1,4 @@
-"""The application behind a real HTTP server, in a thread of the test's own process."""
+"""The application with a real HTTP server, in a thread of the test process."""
 
 import threading
 from collections.abc import Generator
@@ -20,14 +20,14 @@ from support.waiting import PATIENCE_SECONDS, until
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """A server with one user of each role."""
+    """A running server with one user of each role."""
 
     stores: Stores
     settings: Settings
     url: str
-    #: bearer token by role
+    #: bearer tokens by role
     tokens: dict[Role, str]
-    #: without a token
+    #: sends no token
     anyone: httpx.Client
     labeller: httpx.Client
     teacher: httpx.Client
@@ -35,7 +35,7 @@ class Served:
     admin: httpx.Client
 
     def client(self, token: str | None, **options: object) -> httpx.Client:
-        """A client of its own; the caller closes it."""
+        """A new client, which the caller closes."""
         return client(self.url, token, **options)
 
 
@@ -46,7 +46,7 @@ def client(url: str, token: str | None, **options: object) -> httpx.Client:
 
 @contextmanager
 def served(stores: Stores, home: Path, **changes: object) -> Generator[Served]:
-    """Serves the stores until the block ends."""
+    """Run a server over the stores until the block ends."""
     settings = Settings(home=home, **changes)  # type: ignore[arg-type]
     app = create_app(settings, stores.database, stores.blobs)
     config = uvicorn.Config(app, log_level="critical", access_log=False, timeout_graceful_shutdown=1)

@@ -1,4 +1,4 @@
-"""Made-up comparisons, and whether two of them are the same."""
+"""Synthetic segments, comparisons and episodes, and assertions that two of them are equal."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ def made_records(
     known: tuple[str, ...] = ("rewards", "qpos", "qvel"),
     seed: int = 0,
 ) -> SegmentRecords:
-    """Segments of noise; with `lengths`, of unequal length and zero in their padding."""
+    """Segments of normal noise; with `lengths`, zero-padded to the longest."""
     rng = np.random.default_rng(seed)
     steps = (n_segments, n_steps)
     mask = np.arange(n_steps) < np.array(lengths or [n_steps] * n_segments)[:, None]
@@ -38,14 +38,14 @@ def made_records(
 
 
 def made_comparisons(labels: list[float], **dimensions: object) -> Comparisons:
-    """One pair of fresh segments for each label."""
+    """One pair of new segments per label."""
     records = made_records(2 * len(labels), **dimensions)  # type: ignore[arg-type]
     pairs = np.arange(2 * len(labels)).reshape(-1, 2)
     return Comparisons(records, pairs, np.array(labels, dtype=np.float32))
 
 
 def assert_same_segments(found: SegmentSource, expected: SegmentSource) -> None:
-    """Equal to the bit, but for how far they are padded."""
+    """Assert bitwise equality, except for the amount of padding."""
     assert len(found) == len(expected)
     index = np.arange(len(found))
     one, other = found.take(index), expected.take(index)
@@ -55,14 +55,14 @@ def assert_same_segments(found: SegmentSource, expected: SegmentSource) -> None:
 
 
 def everything_in(folder: Path) -> dict[str, bytes]:
-    """Every file below a folder and its content: to see that nothing changed."""
+    """The content of every file below a folder, to check that nothing changed."""
     return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
 
 def made_episodes(
     lengths: list[int], *, n_agents: int = 1, known: tuple[str, ...] = ("rewards", "qpos", "qvel"), seed: int = 0
 ) -> list[Episode]:
-    """Episodes of noise."""
+    """Episodes of normal noise."""
     records = made_records(
         len(lengths), n_steps=max(lengths), n_agents=n_agents, lengths=lengths, known=known, seed=seed
     )
@@ -70,7 +70,7 @@ def made_episodes(
 
 
 def assert_same_episodes(found: list[Episode], expected: list[Episode]) -> None:
-    """Equal to the bit."""
+    """Assert bitwise equality."""
     assert [len(episode) for episode in found] == [len(episode) for episode in expected]
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one.observations, other.observations)

@@ -1,4 +1,4 @@
-"""One of several processes that count in the same database: python counting.py URL TIMES."""
+"""One of several processes that count in the same database: python counter_process.py URL TIMES."""
 
 import sys
 

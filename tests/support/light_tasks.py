@@ -1,7 +1,7 @@
-"""PettingZoo tasks whose picture shows their state, as a file of tasks (see docs/tasks.md).
+"""PettingZoo tasks whose images show their state, as a task file (see docs/tasks.md).
 
-Two agents each hold a button; the light is as bright as the steps on which both held it. `Buttons-2` is what a task
-should be; `BlindButtons-2` draws nothing; `DicedButtons-2` has chance that no seed decides.
+Two agents each press a button. A light gets brighter with each step in which both press. `Buttons-2` renders and is
+deterministic, `BlindButtons-2` does not render, and `DicedButtons-2` is not deterministic given its seed.
 """
 
 from functools import partial
@@ -14,11 +14,11 @@ from pettingzoo import ParallelEnv
 from mapt.tasks import PettingZooDefinition, register_task
 
 HORIZON_STEPS = 30
-#: rows and columns; odd, so that a codec must be helped
+#: height and width; odd, which the codec does not support
 PICTURE = (45, 63)
 LEVELS = 8
 ENVIRONMENT = {"MAPT_TASKS": __file__}
-#: what DicedButtons takes for chance: it goes on from one environment to the next
+#: the randomness of DicedButtons: it continues from one environment to the next
 _dice = count()
 
 
@@ -54,15 +54,19 @@ class Buttons(ParallelEnv):
 
 
 def light(level: int) -> int:
-    """Grey of the picture, 0 to 255."""
+    """Grey level of the image, 0 to 255."""
     return 20 + 28 * level
 
 
-def _entry(name: str, **options: bool) -> PettingZooDefinition:
+def _definition(name: str, **options: bool) -> PettingZooDefinition:
     return PettingZooDefinition(name, partial(Buttons, **options), HORIZON_STEPS, 0.1, "Hold both buttons at once.")
 
 
-if __name__ == "buttons":
-    # Run as a file of tasks; a test that imports this module for its names registers nothing.
-    for task in (_entry("Buttons-2"), _entry("BlindButtons-2", draws=False), _entry("DicedButtons-2", diced=True)):
+if __name__ == "light_tasks":
+    # Only when run as a task file, not when a test imports this module.
+    for task in (
+        _definition("Buttons-2"),
+        _definition("BlindButtons-2", draws=False),
+        _definition("DicedButtons-2", diced=True),
+    ):
         register_task(task)

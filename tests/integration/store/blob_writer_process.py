@@ -1,4 +1,4 @@
-"""A process that stores blobs until it is killed: python putting.py URL."""
+"""A process that stores blobs until it is killed: python blob_writer_process.py URL."""
 
 import itertools
 import sys
