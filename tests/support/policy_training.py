@@ -1,11 +1,13 @@
 """Policy training with any reward function, for tests of learners."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mapt.policies import Learner, Rollout
+from mapt.preferences.teachers import TeacherView
+from mapt.training.preference_loop import Segment
 
 
 def true_reward(rollout: Rollout) -> NDArray[np.floating]:
@@ -29,3 +31,10 @@ def train(
         learner.update(rollout, reward(rollout))
         if on_iteration(rollout):
             return
+
+
+def teacher_view(segments: Sequence[Segment]) -> TeacherView:
+    """What a teacher sees of segments."""
+    return TeacherView.stack(
+        [{name: getattr(each, name) for name in ("rewards", "observations", "actions")} for each in segments]
+    )

@@ -310,7 +310,7 @@ class PreferenceLoop:
         """Tell a teacher whose thresholds depend on it the mean return of the latest episodes."""
         teacher = self._teacher
         returns = [metrics["true_return"] for metrics in self.history if "true_return" in metrics][-_RETURN_POINTS:]
-        if isinstance(teacher, ScriptedTeacher) and teacher.needs_episodes and returns:
+        if isinstance(teacher, ScriptedTeacher) and teacher.uses_episode_return and returns:
             teacher.set_episode_return(float(np.mean(returns)), self.trainer.learner.task.spec.horizon_steps)
 
 
