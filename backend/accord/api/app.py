@@ -7,7 +7,7 @@ from fastapi.routing import APIRoute
 
 from accord.api import errors
 from accord.api.body_limit import BodyLimit
-from accord.api.dependencies import House
+from accord.api.dependencies import AppState
 from accord.api.pages import Page
 from accord.api.routes import accounts, clips, events, experiments, health, labelling, segments
 from accord.settings import Settings
@@ -33,7 +33,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         generate_unique_id_function=_operation_id,
         responses=errors.RESPONSES,
     )
-    app.state.house = House(settings, database, blobs)
+    app.state.accord = AppState(settings, database, blobs)
     # in the order in which they are tried: those that are asked most come first
     for module in (labelling, clips, segments, experiments, events, accounts, health):
         app.include_router(module.router, prefix=PREFIX)

@@ -1,9 +1,9 @@
-"""One request: who asks, and its one transaction.
+"""What routes depend on: the caller's token, the request's one transaction, and checked identifiers.
 
-A route opens the transaction itself, in the thread that it runs in, and returns its answer from inside the block: what
-was written is committed before the first byte of the response. The more usual way, a session from a dependency with
-`yield`, would hold the database's write lock between two visits to the thread pool; with more requests at once than the
-pool has threads, all threads wait for the lock and its holder waits for a thread.
+A route opens its transaction itself and returns its response from inside the block, so that the transaction is
+committed before the first byte of the response is sent. FastAPI's usual way, a session from a dependency with `yield`,
+would hold the database's write lock between two turns in the thread pool: with more requests than threads, every thread
+waits for the lock while its holder waits for a thread.
 """
 
 from collections.abc import Generator
@@ -31,8 +31,8 @@ _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 
 
 @dataclass(frozen=True, slots=True)
-class House:
-    """What the application was made with."""
+class AppState:
+    """What the application was created with."""
 
     settings: Settings
     database: Database
@@ -40,8 +40,8 @@ class House:
 
 
 @dataclass(frozen=True, slots=True)
-class Signed:
-    """An open transaction and the user on whose behalf it runs."""
+class CallerSession:
+    """An open transaction and the user who made the request."""
 
     session: Session
     user: User
@@ -49,68 +49,69 @@ class Signed:
 
 
 @dataclass(frozen=True, slots=True)
-class Visit:
-    """A request with a token, not yet known to be a good one."""
+class Auth:
+    """The token of a request, which `writing` and `reading` verify."""
 
-    house: House
+    app: AppState
     token: str
 
     @contextmanager
-    def writing(self) -> Generator[Signed]:
-        """A transaction that may write, committed at the block's end. Raises Unauthenticated."""
-        with self.house.database.transaction() as session:
-            yield self._signed(session)
+    def writing(self) -> Generator[CallerSession]:
+        """A transaction that may write, committed at the end of the block. Raises Unauthenticated."""
+        with self.app.database.transaction() as session:
+            yield self._authenticated(session)
 
     @contextmanager
-    def reading(self) -> Generator[Signed]:
+    def reading(self) -> Generator[CallerSession]:
         """A transaction that only reads. Raises Unauthenticated."""
-        with self.house.database.reading() as session:
-            yield self._signed(session)
+        with self.app.database.reading() as session:
+            yield self._authenticated(session)
 
-    def _signed(self, session: Session) -> Signed:
+    def _authenticated(self, session: Session) -> CallerSession:
         user = accounts.authenticate(session, self.token)
-        return Signed(session, user, Role(user.role))
+        return CallerSession(session, user, Role(user.role))
 
 
-def house_of(request: Request) -> House:
-    return cast(House, request.app.state.house)
+def app_state(request: Request) -> AppState:
+    """The settings and stores of the application that serves this request."""
+    return cast(AppState, request.app.state.accord)
 
 
-async def visit_of(request: Request) -> Visit:
-    """Takes the token from the request, without a look into the database.
+async def authentication(request: Request) -> Auth:
+    """Reads the token from the header or the cookie, without a query to the database.
 
     Raises:
         Unauthenticated: if there is none.
-        Forbidden: if a page of another site makes the browser send its cookie with a request that writes.
+        Forbidden: if a page of another site made the browser send its cookie with a request that writes.
     """
     scheme, _, bearer = request.headers.get("authorization", "").partition(" ")
     if scheme.lower() == "bearer" and bearer.strip():
-        return Visit(house_of(request), bearer.strip())
+        return Auth(app_state(request), bearer.strip())
     cookie = request.cookies.get(COOKIE)
     if not cookie:
         raise Unauthenticated
     if request.method not in _SAFE_METHODS:
         _require_same_origin(request)
-    return Visit(house_of(request), cookie)
+    return Auth(app_state(request), cookie)
 
 
 def _require_same_origin(request: Request) -> None:
-    """The cookie travels with every request to this host, whoever makes it; these headers only the browser writes."""
+    """Protects the cookie from cross-site requests: browsers send it with every request, but set these headers."""
     site = request.headers.get("sec-fetch-site")
     origin = request.headers.get("origin")
     if site == "same-origin":
         return
     if site is None and origin is not None:
-        public = urlsplit(house_of(request).settings.public_url).netloc
+        public = urlsplit(app_state(request).settings.public_url).netloc
         if urlsplit(origin).netloc in {request.headers.get("host", ""), public} - {""}:
             return
     raise Forbidden(
-        "This request came with the browser's cookie but not from Accord's own page. "
+        "This request has the browser's cookie but does not come from Accord's own page. "
         "A program sends `Authorization: Bearer <token>` instead."
     )
 
 
-VisitDep = Annotated[Visit, Depends(visit_of)]
+AuthDep = Annotated[Auth, Depends(authentication)]
 
 
 def _experiment_id(id: str) -> str:
@@ -135,6 +136,6 @@ ClipId = Annotated[str, AfterValidator(_clip_id), Path(description="The clip, cl
 SegmentId = Annotated[str, AfterValidator(_segment_id), Path(description="The segment, seg_...")]
 
 
-def answer(model: BaseModel, status: int = 200) -> Response:
-    """A model as JSON, written once: a model that a route returns as it is would be validated a second time."""
+def json_response(model: BaseModel, status: int = 200) -> Response:
+    """A model as JSON. FastAPI would validate a returned model a second time."""
     return Response(model.model_dump_json(), status, media_type="application/json")

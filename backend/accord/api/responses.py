@@ -11,17 +11,17 @@ from accord.domain.permissions import may_see_returns
 from accord.services import experiments, metrics
 from accord.services.collect import load_arrays
 from accord.services.label import LabelOutcome
-from accord.services.lease import OfferedQuery
+from accord.services.lease import LeasedQuery
 from accord.services.metrics import Series
 from accord.store.blobs import BlobStore
-from accord.store.queries import SideRow
+from accord.store.queries import QuerySegment
 from accord.store.tables import ExperimentRow, RewardVersionRow, WorkerRow, utc_now
 from mapt.rendering.appearance import agent_colour
 from mapt.tasks import task_names, task_spec
 
 
 @cache
-def task_view(name: str) -> schemas.TaskSchema:
+def task_response(name: str) -> schemas.TaskSchema:
     spec = task_spec(name)
     return schemas.TaskSchema(
         name=spec.name,
@@ -36,11 +36,11 @@ def task_view(name: str) -> schemas.TaskSchema:
     )
 
 
-def task_views() -> list[schemas.TaskSchema]:
-    return [task_view(name) for name in task_names()]
+def task_responses() -> list[schemas.TaskSchema]:
+    return [task_response(name) for name in task_names()]
 
 
-def experiment_views(session: Session, rows: Sequence[ExperimentRow], role: Role) -> list[schemas.Experiment]:
+def experiment_responses(session: Session, rows: Sequence[ExperimentRow], role: Role) -> list[schemas.Experiment]:
     """Any number of experiments, with three statements."""
     counts = experiments.label_counts_of(session, rows)
     numbers = experiments.reward_numbers(session, rows)
@@ -48,7 +48,7 @@ def experiment_views(session: Session, rows: Sequence[ExperimentRow], role: Role
         schemas.Experiment(
             id=row.id,
             name=row.name,
-            task=task_view(row.config["task"]),
+            task=task_response(row.config["task"]),
             instructions=row.instructions,
             config=row.config,
             status=ExperimentStatus(row.status),
@@ -65,11 +65,11 @@ def experiment_views(session: Session, rows: Sequence[ExperimentRow], role: Role
     ]
 
 
-def experiment_view(session: Session, row: ExperimentRow, role: Role) -> schemas.Experiment:
-    return experiment_views(session, [row], role)[0]
+def experiment_response(session: Session, row: ExperimentRow, role: Role) -> schemas.Experiment:
+    return experiment_responses(session, [row], role)[0]
 
 
-def metrics_view(found: Sequence[Series]) -> schemas.Metrics:
+def metrics_response(found: Sequence[Series]) -> schemas.Metrics:
     return schemas.Metrics(
         series=[
             schemas.MetricSeries(
@@ -80,7 +80,7 @@ def metrics_view(found: Sequence[Series]) -> schemas.Metrics:
     )
 
 
-def reward_version_view(row: RewardVersionRow, role: Role) -> schemas.RewardVersion:
+def reward_version_response(row: RewardVersionRow, role: Role) -> schemas.RewardVersion:
     return schemas.RewardVersion(
         id=row.id,
         number=row.number,
@@ -93,7 +93,7 @@ def reward_version_view(row: RewardVersionRow, role: Role) -> schemas.RewardVers
     )
 
 
-def worker_view(row: WorkerRow, role: Role) -> schemas.Worker:
+def worker_response(row: WorkerRow, role: Role) -> schemas.Worker:
     return schemas.Worker(
         id=row.id,
         role=row.role,
@@ -105,10 +105,11 @@ def worker_view(row: WorkerRow, role: Role) -> schemas.Worker:
     )
 
 
-def query_view(item: OfferedQuery, task: str, lease_seconds: float, blobs: BlobStore | None = None) -> schemas.Query:
+def query_response(item: LeasedQuery, task: str, lease_seconds: float, blobs: BlobStore | None = None) -> schemas.Query:
     """A query as its user sees it; with `blobs`, true returns and rewards too."""
     left, right = (
-        _segment_view(index, item.segments[index], task, blobs) for index in (item.left_segment, 1 - item.left_segment)
+        _segment_response(index, item.segments[index], task, blobs)
+        for index in (item.left_segment, 1 - item.left_segment)
     )
     return schemas.Query(
         id=item.id,
@@ -120,7 +121,7 @@ def query_view(item: OfferedQuery, task: str, lease_seconds: float, blobs: BlobS
     )
 
 
-def label_view(outcome: LabelOutcome) -> schemas.Label:
+def label_response(outcome: LabelOutcome) -> schemas.Label:
     row = outcome.row
     return schemas.Label.model_validate(
         {
@@ -134,11 +135,11 @@ def label_view(outcome: LabelOutcome) -> schemas.Label:
     )
 
 
-def _segment_view(index: int, side: SideRow, task: str, blobs: BlobStore | None) -> schemas.SegmentView:
+def _segment_response(index: int, side: QuerySegment, task: str, blobs: BlobStore | None) -> schemas.SegmentView:
     seconds, frames = side.clip_seconds, side.clip_frames
     if seconds is None or frames is None:
         frames = side.length_steps
-        seconds = frames * task_view(task).step_seconds
+        seconds = frames * task_response(task).step_seconds
     return schemas.SegmentView(
         index=1 if index else 0,
         segment_id=side.segment_id,

@@ -26,10 +26,10 @@ from accord.services.lease import now_and_end
 from accord.services.validation import check_teacher
 from accord.store import labels, queries
 from accord.store.labels import StoredLabel
-from accord.store.queries import QueryInHand, Word
+from accord.store.queries import LockedQuery, Response
 
 Order = Literal["segments", "shown"]
-_SAID = frozenset({"label", "skip"})
+_GIVEN = frozenset({"label", "skip"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,14 +76,18 @@ def put_label(
         if found.left_segment is None:
             raise LeaseLost(query_id)
         value = 1.0 - value if value is not None and found.left_segment == 1 else value
-    word = Word(value, "skip" if value is None else "label", found.left_segment, response_seconds, described)
-    said, label_id = found.word, found.label_id
-    if said is not None and label_id is not None and (said.state, said.value) == (word.state, word.value):
-        return LabelOutcome(_stored(found, user, label_id, found.label_revision, said), created=False)
+    response = Response(value, "skip" if value is None else "label", found.left_segment, response_seconds, described)
+    previous, label_id = found.response, found.label_id
+    if (
+        previous is not None
+        and label_id is not None
+        and (previous.state, previous.value) == (response.state, response.value)
+    ):
+        return LabelOutcome(_stored(found, user, label_id, found.label_revision, previous), created=False)
     _require_labellable(user, found)
-    row = _write(session, user, found, word)
-    status = QueryStatus.CLOSED if word.state == "label" else QueryStatus.OPEN
-    queries.put(session, query_id, status.value, None, None)
+    row = _write(session, user, found, response)
+    status = QueryStatus.CLOSED if response.state == "label" else QueryStatus.OPEN
+    queries.set_lease(session, query_id, status.value, None, None)
     return LabelOutcome(row, created=True)
 
 
@@ -97,27 +101,27 @@ def undo(session: Session, user: Caller, query_id: str, lease_seconds: float = 6
         QueryClosed, LeaseLost: if, after a skip, another has labelled it or holds it.
     """
     found = _locked(session, user, query_id, None)
-    if found.word is None or found.word.state not in _SAID:
+    if found.response is None or found.response.state not in _GIVEN:
         raise LabelNotFound(query_id)
     _require_labellable(user, found)
-    row = _write(session, user, found, replace(found.word, value=None, state="undone"))
+    row = _write(session, user, found, replace(found.response, value=None, state="undone"))
     _, until = now_and_end(lease_seconds)
-    queries.put(session, query_id, QueryStatus.OPEN.value, user.id, until)
+    queries.set_lease(session, query_id, QueryStatus.OPEN.value, user.id, until)
     return row
 
 
-def _locked(session: Session, user: Caller, query_id: str, experiment_id: str | None) -> QueryInHand:
+def _locked(session: Session, user: Caller, query_id: str, experiment_id: str | None) -> LockedQuery:
     found = queries.lock(session, query_id, user.id)
     if found is None or (experiment_id is not None and found.experiment_id != experiment_id):
         raise QueryNotFound(query_id)
     return found
 
 
-def _require_labellable(user: Caller, found: QueryInHand) -> None:
+def _require_labellable(user: Caller, found: LockedQuery) -> None:
     """Raises unless this user may say something new about this query now."""
     require_not_over(found.experiment_id, found.experiment_status)
-    said_before = None if found.word is None else found.word.state
-    if said_before == "label":
+    previous_state = None if found.response is None else found.response.state
+    if previous_state == "label":
         return  # the query is closed by this very label; its author may think again
     if found.status == QueryStatus.CLOSED:
         raise QueryClosed(found.query_id)
@@ -131,28 +135,28 @@ def _require_labellable(user: Caller, found: QueryInHand) -> None:
     now, _ = now_and_end(0.0)
     if found.leased_until is not None and found.leased_until > now:
         raise LeaseLost(found.query_id)
-    if said_before != "skip" and not may_label_in_batches(Role(user.role)):
+    if previous_state != "skip" and not may_label_in_batches(Role(user.role)):
         raise LeaseLost(found.query_id)
 
 
-def _write(session: Session, user: Caller, found: QueryInHand, word: Word) -> StoredLabel:
+def _write(session: Session, user: Caller, found: LockedQuery, response: Response) -> StoredLabel:
     """The label, its history and the counters, all at once."""
-    before = found.word is not None and found.word.state == "label"
-    revision = labels.advance_revision(session, found.experiment_id, (word.state == "label") - before)
-    label = _stored(found, user, found.label_id or new_id("lbl"), revision, word)
+    before = found.response is not None and found.response.state == "label"
+    revision = labels.advance_revision(session, found.experiment_id, (response.state == "label") - before)
+    label = _stored(found, user, found.label_id or new_id("lbl"), revision, response)
     now, _ = now_and_end(0.0)
-    labels.write(session, label, word, now, anew=found.label_id is None)
+    labels.write(session, label, response, now, new=found.label_id is None)
     return label
 
 
-def _stored(found: QueryInHand, user: Caller, label_id: str, revision: int, word: Word) -> StoredLabel:
+def _stored(found: LockedQuery, user: Caller, label_id: str, revision: int, response: Response) -> StoredLabel:
     return StoredLabel(
         id=label_id,
         experiment_id=found.experiment_id,
         query_id=found.query_id,
         user_id=user.id,
-        value=word.value,
-        state=word.state,
+        value=response.value,
+        state=response.state,
         revision=revision,
-        left_segment=word.left_segment,
+        left_segment=response.left_segment,
     )

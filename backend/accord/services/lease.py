@@ -15,15 +15,15 @@ from accord.domain.enums import ExperimentStatus, QueryStatus
 from accord.domain.errors import ExperimentNotFound, LeaseLost, QueryClosed, QueryNotFound
 from accord.services.accounts import Caller
 from accord.store import experiments, queries
-from accord.store.experiments import Standing
-from accord.store.queries import SideRow
+from accord.store.experiments import LabellingState
+from accord.store.queries import QuerySegment
 from accord.store.tables import utc_now
 
 Reason = Literal["", "rendering", "policy_training", "all_labelled", "experiment_over", "paused"]
 
 
 @dataclass(frozen=True, slots=True)
-class OfferedQuery:
+class LeasedQuery:
     """A query leased to one user."""
 
     id: str
@@ -32,21 +32,21 @@ class OfferedQuery:
     #: the segment, 0 or 1, that this user sees on the left
     left_segment: int
     #: segments 0 and 1
-    segments: tuple[SideRow, SideRow]
+    segments: tuple[QuerySegment, QuerySegment]
 
 
 @dataclass(frozen=True, slots=True)
-class Offer:
+class Leased:
     """What a user gets to label."""
 
     #: name of the experiment's task
     task: str
-    items: list[OfferedQuery]
+    items: list[LeasedQuery]
     #: why there are fewer than asked for; empty when there are not
     reason: Reason
 
 
-def next_queries(session: Session, user: Caller, experiment_id: str, count: int, lease_seconds: float) -> Offer:
+def next_queries(session: Session, user: Caller, experiment_id: str, count: int, lease_seconds: float) -> Leased:
     """Up to `count` queries for a user, leased from now on: first those the user holds, then free ones, by number.
 
     A query comes back with the sides it was first shown with, so that a reload of the page changes nothing.
@@ -54,27 +54,27 @@ def next_queries(session: Session, user: Caller, experiment_id: str, count: int,
     Raises:
         ExperimentNotFound: if there is no such experiment.
     """
-    standing = experiments.standing(session, experiment_id)
-    if standing is None:
+    state = experiments.labelling_state(session, experiment_id)
+    if state is None:
         raise ExperimentNotFound(experiment_id)
-    task = str(standing.config["task"])
-    closed = _closed_reason(standing)
+    task = str(state.config["task"])
+    closed = _closed_reason(state)
     if closed:
-        return Offer(task, [], closed)
+        return Leased(task, [], closed)
     now, until = now_and_end(lease_seconds)
     ids = queries.leased_ids(session, user.id, experiment_id, now, count)
     if len(ids) < count:
         ids += queries.lock_free_ids(session, user.id, experiment_id, now, count - len(ids))
     if not ids:
-        return Offer(task, [], _waiting_reason(session, experiment_id))
+        return Leased(task, [], _waiting_reason(session, experiment_id))
     queries.lease(session, ids, user.id, until)
-    items = _shown(session, user.id, ids)
-    return Offer(task, items, "" if len(items) == count else _waiting_reason(session, experiment_id))
+    items = _with_sides(session, user.id, ids)
+    return Leased(task, items, "" if len(items) == count else _waiting_reason(session, experiment_id))
 
 
-def offered(session: Session, user: Caller, query_id: str) -> OfferedQuery:
+def leased_query(session: Session, user: Caller, query_id: str) -> LeasedQuery:
     """One query as its user sees it."""
-    return _shown(session, user.id, [query_id])[0]
+    return _with_sides(session, user.id, [query_id])[0]
 
 
 def heartbeat(session: Session, user: Caller, query_id: str, lease_seconds: float) -> None:
@@ -94,7 +94,7 @@ def heartbeat(session: Session, user: Caller, query_id: str, lease_seconds: floa
     # An expired lease that nobody has taken since is still good: a laptop that slept must not lose its pair.
     if found.leased_by != user.id:
         raise LeaseLost(query_id)
-    queries.put(session, query_id, found.status, user.id, until)
+    queries.set_lease(session, query_id, found.status, user.id, until)
 
 
 def release(session: Session, user: Caller, query_id: str) -> None:
@@ -107,18 +107,18 @@ def release(session: Session, user: Caller, query_id: str) -> None:
     if found is None:
         raise QueryNotFound(query_id)
     if found.leased_by == user.id:
-        queries.put(session, query_id, found.status, None, None)
+        queries.set_lease(session, query_id, found.status, None, None)
 
 
-def _shown(session: Session, user_id: str, ids: Sequence[str]) -> list[OfferedQuery]:
-    rows = queries.shown(session, ids, user_id)
+def _with_sides(session: Session, user_id: str, ids: Sequence[str]) -> list[LeasedQuery]:
+    rows = queries.with_sides(session, ids, user_id)
     # System randomness, not a seeded stream: nobody, the labeller included, can foretell a side.
     drawn = {row.query_id: secrets.randbelow(2) for row in rows if row.left_segment is None}
     if drawn:
         now, _ = now_and_end(0.0)
         queries.add_presentations(session, user_id, drawn, now)
     return [
-        OfferedQuery(
+        LeasedQuery(
             id=row.query_id,
             experiment_id=row.experiment_id,
             number=row.number,
@@ -129,13 +129,13 @@ def _shown(session: Session, user_id: str, ids: Sequence[str]) -> list[OfferedQu
     ]
 
 
-def _closed_reason(standing: Standing) -> Reason:
-    if standing.status == ExperimentStatus.PAUSED:
+def _closed_reason(state: LabellingState) -> Reason:
+    if state.status == ExperimentStatus.PAUSED:
         return "paused"
-    if standing.status != ExperimentStatus.RUNNING:
+    if state.status != ExperimentStatus.RUNNING:
         return "experiment_over"
-    config = standing.config
-    if config["reward_source"] == "true" or standing.label_count >= config["label_budget"]:
+    config = state.config
+    if config["reward_source"] == "true" or state.label_count >= config["label_budget"]:
         return "all_labelled"
     return ""
 

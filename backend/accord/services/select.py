@@ -13,7 +13,7 @@ from accord.store import clips, experiments, queries, segments
 from accord.store.tables import ClipRow, ExperimentRow, QueryRow
 
 
-def queries_wanted(session: Session, row: ExperimentRow) -> int:
+def queries_to_add(session: Session, row: ExperimentRow) -> int:
     """Queries to add now, so that those due by the schedule and a few ahead of them are there.
 
     A query that failed, or that was skipped and has no label, is replaced by another.
@@ -21,23 +21,23 @@ def queries_wanted(session: Session, row: ExperimentRow) -> int:
     config = config_of(row)
     if row.status != ExperimentStatus.RUNNING or config.reward_source == "true":
         return 0
-    return config.schedule.queries_wanted(row.steps, queries.count_standing(session, row.id))
+    return config.schedule.queries_wanted(row.steps, queries.count_labellable(session, row.id))
 
 
-def queries_left(session: Session, row: ExperimentRow) -> int:
-    """Queries that the budget still allows, now or later; as for `queries_wanted`, a lost one is replaced."""
+def queries_within_budget(session: Session, row: ExperimentRow) -> int:
+    """Queries that the budget still allows, now or later; as for `queries_to_add`, a lost one is replaced."""
     config = config_of(row)
     if config.reward_source == "true":
         return 0
-    return max(0, config.label_budget - queries.count_standing(session, row.id))
+    return max(0, config.label_budget - queries.count_labellable(session, row.id))
 
 
 def exhausted(session: Session, row: ExperimentRow) -> bool:
     """Whether no label can come before there are more segments: every pair was asked about, and answered."""
     if queries.count_unanswered(session, row.id):
         return False
-    ids = set(askable(session, row.id))
-    asked = sum(1 for pair in paired(session, row.id) if pair <= ids)
+    ids = set(selectable_segments(session, row.id))
+    asked = sum(1 for pair in existing_pairs(session, row.id) if pair <= ids)
     return asked == comb(len(ids), 2)
 
 
@@ -46,12 +46,12 @@ def candidates(session: Session, experiment_id: str, limit: int = 2000) -> list[
     return segments.newest(session, experiment_id, limit)
 
 
-def askable(session: Session, experiment_id: str, limit: int = 2000) -> list[str]:
+def selectable_segments(session: Session, experiment_id: str, limit: int = 2000) -> list[str]:
     """Ids of the newest segments that a query may be about, newest first: all whose clip can be made."""
-    return segments.newest_showable(session, experiment_id, limit)
+    return segments.newest_with_clips(session, experiment_id, limit)
 
 
-def paired(session: Session, experiment_id: str) -> set[frozenset[str]]:
+def existing_pairs(session: Session, experiment_id: str) -> set[frozenset[str]]:
     """Pairs of segment ids that have a query already, whichever way round."""
     return queries.pairs(session, experiment_id)
 

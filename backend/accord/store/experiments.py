@@ -11,7 +11,7 @@ from accord.store.tables import ExperimentRow, LabelRow, QueryRow, RewardVersion
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class LabellingState:
     """What decides whether an experiment offers queries."""
 
     status: str
@@ -20,14 +20,14 @@ class Standing:
 
 
 #: built once, bound when run: every request for the next query asks it
-_STANDING = select(ExperimentRow.status, ExperimentRow.label_count, ExperimentRow.config).where(
+_LABELLING_STATE = select(ExperimentRow.status, ExperimentRow.label_count, ExperimentRow.config).where(
     ExperimentRow.id == bindparam("experiment")
 )
 
 
-def standing(session: Session, experiment_id: str) -> Standing | None:
-    found = session.connection().execute(_STANDING, {"experiment": experiment_id}).first()
-    return None if found is None else Standing(*found)
+def labelling_state(session: Session, experiment_id: str) -> LabellingState | None:
+    found = session.connection().execute(_LABELLING_STATE, {"experiment": experiment_id}).first()
+    return None if found is None else LabellingState(*found)
 
 
 def get(session: Session, experiment_id: str) -> ExperimentRow | None:

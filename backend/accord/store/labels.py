@@ -6,7 +6,7 @@ from datetime import datetime
 from sqlalchemy import bindparam, func, insert, select, update
 from sqlalchemy.orm import Session, aliased
 
-from accord.store.queries import Word
+from accord.store.queries import Response
 from accord.store.tables import ExperimentRow, LabelRevisionRow, LabelRow, QueryRow, SegmentRow
 
 #: as in `queries`: built once, bound when run
@@ -21,7 +21,7 @@ _ADVANCE = (
 )
 _INSERT = insert(LabelRow)
 _UPDATE = update(LabelRow).where(LabelRow.id == bindparam("label"))
-_REMEMBER = insert(LabelRevisionRow)
+_INSERT_REVISION = insert(LabelRevisionRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,24 +60,24 @@ def advance_revision(session: Session, experiment_id: str, label_delta: int) -> 
     return session.connection().execute(_ADVANCE, {"experiment": experiment_id, "delta": label_delta}).scalar_one()
 
 
-def write(session: Session, label: StoredLabel, word: Word, now: datetime, *, anew: bool) -> None:
-    """Inserts a label if it is `anew`, else changes it; adds what it says to the history."""
+def write(session: Session, label: StoredLabel, response: Response, now: datetime, *, new: bool) -> None:
+    """Inserts a label if it is `new`, else changes it; adds what it says to the history."""
     connection = session.connection()
-    said = {
-        "value": word.value,
-        "state": word.state,
-        "left_segment": word.left_segment,
-        "response_seconds": word.response_seconds,
+    content = {
+        "value": response.value,
+        "state": response.state,
+        "left_segment": response.left_segment,
+        "response_seconds": response.response_seconds,
         "revision": label.revision,
     }
-    newest = said | {"teacher": word.teacher, "updated_at": now}
-    if anew:
-        whose = {"experiment_id": label.experiment_id, "query_id": label.query_id, "user_id": label.user_id}
-        connection.execute(_INSERT, newest | whose | {"id": label.id, "created_at": now})
+    newest = content | {"teacher": response.teacher, "updated_at": now}
+    if new:
+        author = {"experiment_id": label.experiment_id, "query_id": label.query_id, "user_id": label.user_id}
+        connection.execute(_INSERT, newest | author | {"id": label.id, "created_at": now})
     else:
         connection.execute(_UPDATE, newest | {"label": label.id})
     connection.execute(
-        _REMEMBER, said | {"experiment_id": label.experiment_id, "label_id": label.id, "created_at": now}
+        _INSERT_REVISION, content | {"experiment_id": label.experiment_id, "label_id": label.id, "created_at": now}
     )
 
 

@@ -19,7 +19,7 @@ _CLIP_0, _CLIP_1 = aliased(ClipRow), aliased(ClipRow)
 
 
 @dataclass(frozen=True, slots=True)
-class SideRow:
+class QuerySegment:
     """One segment of a query with what its clip tells."""
 
     segment_id: str
@@ -41,11 +41,11 @@ class ShownQuery:
     number: int
     #: None before it was ever shown to this user
     left_segment: int | None
-    segments: tuple[SideRow, SideRow]
+    segments: tuple[QuerySegment, QuerySegment]
 
 
 @dataclass(frozen=True, slots=True)
-class Word:
+class Response:
     """What a teacher said of a query."""
 
     #: P(segment 0 is preferred); None when skipped or undone
@@ -59,7 +59,7 @@ class Word:
 
 
 @dataclass(frozen=True, slots=True)
-class QueryInHand:
+class LockedQuery:
     """Everything that decides what a label on a query does."""
 
     query_id: str
@@ -73,7 +73,7 @@ class QueryInHand:
     #: the user's own label, and what it says; None where there is none
     label_id: str | None
     label_revision: int
-    word: Word | None
+    response: Response | None
 
 
 _LOCK = (
@@ -159,12 +159,12 @@ _SHOWN = (
 )
 
 
-def lock(session: Session, query_id: str, user_id: str) -> QueryInHand | None:
+def lock(session: Session, query_id: str, user_id: str) -> LockedQuery | None:
     """A query with one user's label and side; nobody else changes it before this transaction ends."""
     found: Any = session.connection().execute(_LOCK, {"query": query_id, "user": user_id}).first()
     if found is None:
         return None
-    return QueryInHand(
+    return LockedQuery(
         query_id=found[0],
         experiment_id=found[1],
         experiment_status=found[2],
@@ -174,7 +174,7 @@ def lock(session: Session, query_id: str, user_id: str) -> QueryInHand | None:
         left_segment=found[6],
         label_id=found[7],
         label_revision=found[8] or 0,
-        word=None if found[7] is None else Word(*found[9:]),
+        response=None if found[7] is None else Response(*found[9:]),
     )
 
 
@@ -197,17 +197,20 @@ def lease(session: Session, query_ids: Sequence[str], user_id: str, until: datet
     )
 
 
-def put(session: Session, query_id: str, status: str, leased_by: str | None, until: datetime | None) -> None:
+def set_lease(session: Session, query_id: str, status: str, leased_by: str | None, until: datetime | None) -> None:
     """Sets a locked query's status and lease."""
     session.connection().execute(
         _SET, {"query": query_id, "status": status, "leased_by": leased_by, "leased_until": until}
     )
 
 
-def shown(session: Session, query_ids: Sequence[str], user_id: str) -> list[ShownQuery]:
+def with_sides(session: Session, query_ids: Sequence[str], user_id: str) -> list[ShownQuery]:
     """The queries as one user sees them, in the order of their numbers."""
     rows: Iterable[Any] = session.connection().execute(_SHOWN, {"queries": query_ids, "user": user_id})
-    return [ShownQuery(row[0], row[1], row[2], row[3], (SideRow(*row[4:11]), SideRow(*row[11:18]))) for row in rows]
+    return [
+        ShownQuery(row[0], row[1], row[2], row[3], (QuerySegment(*row[4:11]), QuerySegment(*row[11:18])))
+        for row in rows
+    ]
 
 
 def add_presentations(session: Session, user_id: str, left_segments: dict[str, int], now: datetime) -> None:
@@ -233,7 +236,7 @@ def last_number(session: Session, experiment_id: str) -> int:
     return session.scalar(select(func.max(QueryRow.number)).where(QueryRow.experiment_id == experiment_id)) or 0
 
 
-def count_standing(session: Session, experiment_id: str) -> int:
+def count_labellable(session: Session, experiment_id: str) -> int:
     """Queries that have a label or may still get one: neither failed nor skipped by everybody that saw them."""
     return _count_not_skipped(session, experiment_id, ("rendering", "open", "closed"))
 
@@ -244,11 +247,9 @@ def count_unanswered(session: Session, experiment_id: str) -> int:
 
 
 def _count_not_skipped(session: Session, experiment_id: str, statuses: Sequence[str]) -> int:
-    skipped_away = (QueryRow.status == "open") & exists().where(
-        LabelRow.query_id == QueryRow.id, LabelRow.state == "skip"
-    )
+    skipped = (QueryRow.status == "open") & exists().where(LabelRow.query_id == QueryRow.id, LabelRow.state == "skip")
     statement = select(func.count()).where(
-        QueryRow.experiment_id == experiment_id, QueryRow.status.in_(statuses), ~skipped_away
+        QueryRow.experiment_id == experiment_id, QueryRow.status.in_(statuses), ~skipped
     )
     return session.scalar(statement) or 0
 

@@ -19,7 +19,7 @@ def newest(session: Session, experiment_id: str, limit: int) -> list[tuple[str, 
     return [(segment_id, steps) for segment_id, steps in rows]
 
 
-def newest_showable(session: Session, experiment_id: str, limit: int) -> list[str]:
+def newest_with_clips(session: Session, experiment_id: str, limit: int) -> list[str]:
     """Ids of segments whose clip did not fail, the newest policy's first."""
     failed = exists().where(ClipRow.segment_id == SegmentRow.id, ClipRow.status == "failed")
     return list(

@@ -83,7 +83,10 @@ class QueryPlanner:
     def _plan(self, experiment_id: str) -> bool:
         with self._context.database.reading() as session:
             row = experiments.get(session, experiment_id)
-            if not select.queries_wanted(session, row) or len(select.askable(session, experiment_id, 2)) < 2:
+            if (
+                not select.queries_to_add(session, row)
+                or len(select.selectable_segments(session, experiment_id, 2)) < 2
+            ):
                 return False
         with self._context.heartbeat.claim(f"queries:{experiment_id}") as claim:
             if claim is None:
@@ -124,7 +127,7 @@ class QueryPlanner:
         with self._context.database.transaction() as session:
             claim.check_within(session)
             row = experiments.get(session, experiment_id)
-            if select.queries_wanted(session, row) == 0:
+            if select.queries_to_add(session, row) == 0:
                 return False  # paused or ended meanwhile
             for name, group in groupby(chosen, key=_selector_of):
                 scored_by = version.id if version is not None and needs_ensemble(name) else None
@@ -197,11 +200,11 @@ def _read_candidates(session: Session, experiment_id: str) -> _Candidates | None
     """None if no query is wanted, or there are too few segments."""
     row = experiments.get(session, experiment_id)
     config = experiments.config_of(row)
-    wanted = select.queries_wanted(session, row)
-    segment_ids = select.askable(session, experiment_id, CANDIDATES) if wanted else []
+    wanted = select.queries_to_add(session, row)
+    segment_ids = select.selectable_segments(session, experiment_id, CANDIDATES) if wanted else []
     if len(segment_ids) < 2:
         return None
-    paired = select.paired(session, experiment_id)
+    paired = select.existing_pairs(session, experiment_id)
     versions = publish.versions(session, experiment_id)[:-3:-1]
     needed: list[str] = []
     newest: Sequence[tuple[str, str]] = ()

@@ -99,7 +99,7 @@ class RewardWorker:
             newest = publish.newest(session, row.id)
             changed = publish.new_labels(session, row.id, newest.label_watermark if newest else 0)
             # Without queries left to create, nothing needs an ensemble.
-            needs_ensembles = wants_ensemble(config) and select.queries_left(session, row) > 0
+            needs_ensembles = wants_ensemble(config) and select.queries_within_budget(session, row) > 0
         due = config.schedule.version_is_due(
             labels=row.label_count, trained_on=newest.label_count if newest else 0, changed=changed
         )

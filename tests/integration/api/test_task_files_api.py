@@ -14,9 +14,9 @@ NEW = {"name": "one", "task": "Tug-2x1"}
 
 @pytest.fixture
 def no_views_kept() -> Iterator[None]:
-    responses.task_view.cache_clear()
+    responses.task_response.cache_clear()
     yield
-    responses.task_view.cache_clear()
+    responses.task_response.cache_clear()
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_an_experiment_whose_task_is_no_longer_known_is_a_sentence_too(
     entries = registry._ENTRIES
     made = api.researcher.post("/api/v1/experiments", json=NEW | {"task": "HalfCheetah-6x1"})
     assert made.status_code == 201, made.text
-    responses.task_view.cache_clear()
+    responses.task_response.cache_clear()
     monkeypatch.delitem(entries, "HalfCheetah-6x1")
     response = api.researcher.get(f"/api/v1/experiments/{made.json()['id']}")
     assert response.status_code == 503

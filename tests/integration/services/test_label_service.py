@@ -29,7 +29,7 @@ def person(stores: Stores, name: str = "ada", role: Role = Role.LABELLER) -> Use
         return user(session, name, role)[0]
 
 
-def leased(stores: Stores, who: UserRow, made: Scene, count: int = 1) -> list[lease.OfferedQuery]:
+def leased(stores: Stores, who: UserRow, made: Scene, count: int = 1) -> list[lease.LeasedQuery]:
     with stores.database.transaction() as session:
         return lease.next_queries(session, who, made.experiment.id, count, 60.0).items
 
@@ -206,7 +206,7 @@ def test_undo_opens_the_query_again_for_its_author_on_the_same_side(both: Stores
     with both.database.transaction() as session:
         undone = label.undo(session, ada, query.id)
         assert (undone.state, undone.value, undone.revision) == ("undone", None, 2)
-        assert lease.offered(session, ada, query.id) == query
+        assert lease.leased_query(session, ada, query.id) == query
     assert (status(both, query.id), counters(both, made)) == ("open", (0, 2))
     assert leased(both, bob, made) == []
     assert put(both, ada, query.id, 1.0).created

@@ -12,7 +12,7 @@ from accord.domain.enums import Role
 from accord.domain.errors import ExperimentNotFound, LeaseLost, QueryClosed, QueryNotFound
 from accord.domain.ids import new_id
 from accord.services import experiments, label, lease
-from accord.services.lease import Offer
+from accord.services.lease import Leased
 from accord.store.tables import QueryRow, UserRow
 from support.scenes import Scene, scene, user
 from support.stores import Stores
@@ -26,12 +26,12 @@ def person(stores: Stores, name: str = "ada", role: Role = Role.LABELLER) -> Use
         return user(session, name, role)[0]
 
 
-def ask(stores: Stores, who: UserRow, made: Scene, count: int = 1, lease_seconds: float = 60.0) -> Offer:
+def ask(stores: Stores, who: UserRow, made: Scene, count: int = 1, lease_seconds: float = 60.0) -> Leased:
     with stores.database.transaction() as session:
         return lease.next_queries(session, who, made.experiment.id, count, lease_seconds)
 
 
-def ids(found: Offer) -> list[str]:
+def ids(found: Leased) -> list[str]:
     return [item.id for item in found.items]
 
 
@@ -145,13 +145,13 @@ def test_an_undone_query_is_the_next_one(both: Stores) -> None:
 def test_why_there_are_no_queries_is_said(both: Stores) -> None:
     rendering = scene(both.database, both.blobs, queries=2, ready=False)
     ada = person(both)
-    assert ask(both, ada, rendering) == Offer("HalfCheetah-6x1", [], "rendering")
+    assert ask(both, ada, rendering) == Leased("HalfCheetah-6x1", [], "rendering")
     training = scene(both.database, both.blobs, segments=0, queries=0)
     assert ask(both, ada, training).reason == "policy_training"
     for verb, reason in ((experiments.pause, "paused"), (experiments.cancel, "experiment_over")):
         with both.database.transaction() as session:
             verb(session, training.experiment.id)
-        assert ask(both, ada, training) == Offer("HalfCheetah-6x1", [], reason)  # type: ignore[arg-type]
+        assert ask(both, ada, training) == Leased("HalfCheetah-6x1", [], reason)  # type: ignore[arg-type]
     taught = scene(both.database, both.blobs, queries=1, reward_source="true")
     assert ask(both, ada, taught).reason == "all_labelled"
 
@@ -162,7 +162,7 @@ def test_when_the_budget_is_spent_no_more_are_offered(both: Stores) -> None:
     with both.database.transaction() as session:
         for query_id in made.query_ids[:2]:
             label.put_label(session, teacher, query_id, 0.5)
-    assert ask(both, teacher, made) == Offer("HalfCheetah-6x1", [], "all_labelled")
+    assert ask(both, teacher, made) == Leased("HalfCheetah-6x1", [], "all_labelled")
 
 
 def test_fewer_than_asked_for_come_with_a_reason(both: Stores) -> None:

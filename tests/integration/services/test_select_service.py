@@ -14,7 +14,7 @@ from support.stores import Stores
 
 def wanted(stores: Stores, experiment_id: str) -> int:
     with stores.database.reading() as session:
-        return select.queries_wanted(session, experiments.get(session, experiment_id))
+        return select.queries_to_add(session, experiments.get(session, experiment_id))
 
 
 def set_steps(stores: Stores, experiment_id: str, steps: int) -> None:
@@ -34,10 +34,10 @@ def test_the_budget_allows_as_many_queries_as_are_not_made_yet(both: Stores) -> 
     made = scene(both.database, both.blobs, queries=6)
     with both.database.transaction() as session:
         row = experiments.get(session, made.experiment.id)
-        assert select.queries_left(session, row) == 14
+        assert select.queries_within_budget(session, row) == 14
         one, _ = user(session, "one", Role.TEACHER)
         label.put_label(session, one, made.query_ids[0], None)
-        assert select.queries_left(session, row) == 15
+        assert select.queries_within_budget(session, row) == 15
 
 
 def test_queries_that_are_there_are_not_wanted_again(both: Stores) -> None:
@@ -103,8 +103,8 @@ def test_a_query_whose_clip_cannot_be_made_is_replaced(both: Stores) -> None:
         others = [each for each in made.segment_ids if each != job.segment_id]
         assert select.add_queries(session, row, [(job.segment_id, others[0])], "uniform") == []
         # so that it is no use to choose it
-        assert select.askable(session, row.id) == others[::-1]
-        assert select.askable(session, row.id, 1) == others[-1:]
+        assert select.selectable_segments(session, row.id) == others[::-1]
+        assert select.selectable_segments(session, row.id, 1) == others[-1:]
 
 
 def test_no_pair_is_asked_twice_whichever_way_round(both: Stores) -> None:
@@ -115,7 +115,7 @@ def test_no_pair_is_asked_twice_whichever_way_round(both: Stores) -> None:
         first = select.add_queries(session, row, [(a, b), (b, a), (a, b), (c, c)], "uniform")
         again = select.add_queries(session, row, [(b, a), (c, b)], "uniform")
         assert (len(first), len(again)) == (1, 1)
-        assert select.paired(session, row.id) == {frozenset((a, b)), frozenset((b, c))}
+        assert select.existing_pairs(session, row.id) == {frozenset((a, b)), frozenset((b, c))}
 
 
 def test_queries_are_numbered_in_their_order(both: Stores) -> None:

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
 from accord.api import schemas
-from accord.api.dependencies import COOKIE, VisitDep, house_of
+from accord.api.dependencies import COOKIE, AuthDep, app_state
 from accord.domain.enums import Role
 from accord.domain.errors import Unauthenticated
 from accord.domain.permissions import may_manage_users, require
@@ -18,20 +18,20 @@ pages = APIRouter(include_in_schema=False)
 
 
 @router.get("/me", summary="Who am I?")
-def me(visit: VisitDep) -> schemas.Me:
+def me(auth: AuthDep) -> schemas.Me:
     """The user whose token came with the request."""
-    with visit.reading() as signed:
-        return schemas.Me(id=signed.user.id, name=signed.user.name, role=signed.role)
+    with auth.reading() as caller:
+        return schemas.Me(id=caller.user.id, name=caller.user.name, role=caller.role)
 
 
 @router.post("/users", status_code=201, summary="Add a user")
-def create_user(body: schemas.NewUser, request: Request, visit: VisitDep) -> schemas.CreatedUser:
+def create_user(body: schemas.NewUser, request: Request, auth: AuthDep) -> schemas.CreatedUser:
     """Makes a user with a bearer token and a sign-in link. Admins alone may."""
-    settings = visit.house.settings
-    with visit.writing() as signed:
-        require(may_manage_users(signed.role), signed.role, "add users")
-        user, token = accounts.create_user(signed.session, body.name, body.role)
-        link = accounts.make_link(signed.session, user.id, settings.link_minutes)
+    settings = auth.app.settings
+    with auth.writing() as caller:
+        require(may_manage_users(caller.role), caller.role, "add users")
+        user, token = accounts.create_user(caller.session, body.name, body.role)
+        link = accounts.make_link(caller.session, user.id, settings.link_minutes)
         base = settings.public_url or str(request.base_url)
         return schemas.CreatedUser(
             id=user.id,
@@ -43,10 +43,10 @@ def create_user(body: schemas.NewUser, request: Request, visit: VisitDep) -> sch
 
 
 @router.post("/sign-out", status_code=204, summary="Sign out")
-def sign_out(visit: VisitDep) -> Response:
+def sign_out(auth: AuthDep) -> Response:
     """Ends the browser's session, or makes the bearer token that came with the request worthless."""
-    with visit.writing() as signed:
-        accounts.sign_out(signed.session, visit.token)
+    with auth.writing() as caller:
+        accounts.sign_out(caller.session, auth.token)
         response = Response(status_code=204)
         response.delete_cookie(COOKIE, path="/")
         return response
@@ -55,22 +55,22 @@ def sign_out(visit: VisitDep) -> Response:
 @pages.get("/sign-in/{link_token}")
 def sign_in(link_token: str, request: Request) -> Response:
     """Turns a one-time link into the browser's cookie and shows the page."""
-    house = house_of(request)
+    app = app_state(request)
     try:
-        with house.database.transaction() as session:
-            _, token = accounts.redeem_link(session, link_token, house.settings.session_days)
+        with app.database.transaction() as session:
+            _, token = accounts.redeem_link(session, link_token, app.settings.session_days)
     except Unauthenticated as error:
         if _signed_in(request):
             return RedirectResponse("/", 303)
         return HTMLResponse(
             f"<!doctype html><html lang=en><title>Accord</title><h1>Not signed in</h1><p>{escape(str(error))}</p>", 401
         )
-    secure = request.url.scheme == "https" or house.settings.public_url.startswith("https:")
+    secure = request.url.scheme == "https" or app.settings.public_url.startswith("https:")
     response = RedirectResponse("/", 303)
     response.set_cookie(
         COOKIE,
         token,
-        max_age=round(house.settings.session_days * 86_400),
+        max_age=round(app.settings.session_days * 86_400),
         httponly=True,
         samesite="lax",
         secure=secure,
@@ -84,7 +84,7 @@ def _signed_in(request: Request) -> bool:
     cookie = request.cookies.get(COOKIE)
     if not cookie:
         return False
-    with house_of(request).database.reading() as session:
+    with app_state(request).database.reading() as session:
         try:
             accounts.authenticate(session, cookie)
         except Unauthenticated:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
-from accord.api.dependencies import ClipId, VisitDep
+from accord.api.dependencies import AuthDep, ClipId
 from accord.services import clips
 
 router = APIRouter(tags=["clips"])
@@ -32,10 +32,10 @@ class ByteRange:
     },
     summary="Play a clip",
 )
-def get_clip(clip_id: ClipId, request: Request, visit: VisitDep) -> Response:
+def get_clip(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
     """H.264 in MP4. A clip never changes: browsers may keep it."""
-    with visit.reading() as signed:
-        row = clips.get(signed.session, clip_id)
+    with auth.reading() as caller:
+        row = clips.get(caller.session, clip_id)
         key, size = row.blob_key, row.size_bytes
     assert key is not None  # a clip that is ready has one
     etag = f'"{clip_id}"'
@@ -46,11 +46,11 @@ def get_clip(clip_id: ClipId, request: Request, visit: VisitDep) -> Response:
     if request.headers.get("if-range", etag) != etag:
         wanted = None
     if wanted is None:
-        return Response(visit.house.blobs.read(key), 200, headers, media_type="video/mp4")
+        return Response(auth.app.blobs.read(key), 200, headers, media_type="video/mp4")
     if wanted.start >= wanted.stop:
         return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
     headers["Content-Range"] = f"bytes {wanted.start}-{wanted.stop - 1}/{size}"
-    content = visit.house.blobs.read_range(key, wanted.start, wanted.stop)
+    content = auth.app.blobs.read_range(key, wanted.start, wanted.stop)
     return Response(content, 206, headers, media_type="video/mp4")
 
 

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from accord.api import responses, schemas
-from accord.api.dependencies import ExperimentId, Visit, VisitDep
+from accord.api.dependencies import Auth, AuthDep, ExperimentId
 from accord.domain.errors import Unauthenticated
 from accord.services import experiments, metrics, workers
 
@@ -33,7 +33,7 @@ _WORKERS = TypeAdapter(list[schemas.Worker])
 class Watch:
     """What one client has been sent."""
 
-    visit: Visit
+    auth: Auth
     experiment_id: str
     #: id of the newest metric point
     after_id: int
@@ -46,19 +46,19 @@ class Watch:
             ExperimentNotFound: if there is no such experiment.
             Unauthenticated: if the token was made worthless meanwhile.
         """
-        with self.visit.reading() as signed:
-            row = experiments.get(signed.session, self.experiment_id)
-            experiment = responses.experiment_view(signed.session, row, signed.role).model_dump_json()
+        with self.auth.reading() as caller:
+            row = experiments.get(caller.session, self.experiment_id)
+            experiment = responses.experiment_response(caller.session, row, caller.role).model_dump_json()
             # all of them move the mark, so that hidden ones are not read again and again
-            found = metrics.series(signed.session, self.experiment_id, None, self.after_id)
+            found = metrics.series(caller.session, self.experiment_id, None, self.after_id)
             self.after_id = max((point.id for curve in found for point in curve.points), default=self.after_id)
-            curves = metrics.visible(found, row, signed.role)
-            crew = [responses.worker_view(each, signed.role) for each in workers.all(signed.session)]
+            curves = metrics.visible(found, row, caller.role)
+            crew = [responses.worker_response(each, caller.role) for each in workers.all(caller.session)]
         events: list[ServerSentEvent] = []
         if self._is_news("experiment", experiment):
             events.append(self._event("experiment", experiment))
         if curves:
-            events.append(self._event("metrics", responses.metrics_view(curves).model_dump_json()))
+            events.append(self._event("metrics", responses.metrics_response(curves).model_dump_json()))
         if self._is_news("workers", _standing(crew)):
             events.append(self._event("workers", _WORKERS.dump_json(crew).decode()))
         return events
@@ -85,7 +85,7 @@ class Watch:
 )
 async def follow_experiment(
     experiment_id: ExperimentId,
-    visit: VisitDep,
+    auth: AuthDep,
     last_event_id: Annotated[str | None, Header(description="Resume after this event.")] = None,
 ) -> EventSourceResponse:
     """Server-sent events: `experiment` on any change, `metrics` with new points, `workers` when one changes.
@@ -94,7 +94,7 @@ async def follow_experiment(
     before replaces it.
     """
     after_id = int(last_event_id) if last_event_id and last_event_id.isdecimal() and len(last_event_id) < 19 else 0
-    watch = Watch(visit, experiment_id, after_id)
+    watch = Watch(auth, experiment_id, after_id)
     # before the stream begins, while an error can still have its status
     first = await run_sync(watch.look)
     return EventSourceResponse(_stream(watch, first), send_timeout=_SEND_TIMEOUT_SECONDS)

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Query
 from sqlalchemy.orm import Session
 
 from accord.api import responses, schemas
-from accord.api.dependencies import ExperimentId, Visit, VisitDep
+from accord.api.dependencies import Auth, AuthDep, ExperimentId
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_run_experiments, require
 from accord.services import experiments, metrics, publish, workers
@@ -18,95 +18,95 @@ router = APIRouter(tags=["experiments"])
 
 
 @router.get("/tasks", summary="List the tasks")
-def list_tasks(visit: VisitDep) -> list[schemas.TaskSchema]:
+def list_tasks(auth: AuthDep) -> list[schemas.TaskSchema]:
     """Everything a policy can be taught here."""
-    with visit.reading():
-        return responses.task_views()
+    with auth.reading():
+        return responses.task_responses()
 
 
 @router.post("/experiments", status_code=201, summary="Start an experiment")
-def create_experiment(body: schemas.NewExperiment, visit: VisitDep) -> schemas.Experiment:
+def create_experiment(body: schemas.NewExperiment, auth: AuthDep) -> schemas.Experiment:
     """A policy worker takes it up as soon as one is free. Researchers and admins may."""
     config = read_config(body.settings)
-    with visit.writing() as signed:
-        require(may_run_experiments(signed.role), signed.role, "start experiments")
-        row = experiments.create(signed.session, signed.user.id, body.name, config, body.instructions)
-        return responses.experiment_view(signed.session, row, signed.role)
+    with auth.writing() as caller:
+        require(may_run_experiments(caller.role), caller.role, "start experiments")
+        row = experiments.create(caller.session, caller.user.id, body.name, config, body.instructions)
+        return responses.experiment_response(caller.session, row, caller.role)
 
 
 @router.get("/experiments", summary="List experiments")
 def list_experiments(
-    visit: VisitDep,
+    auth: AuthDep,
     limit: Annotated[int, Query(ge=1, le=100, description="Most experiments to return.")] = 20,
     cursor: Annotated[str | None, Query(description="`next_cursor` of the page before.")] = None,
 ) -> schemas.ExperimentPage:
     """Newest first, a page at a time."""
     if cursor is not None:
         check_id(cursor, "exp")
-    with visit.reading() as signed:
-        page = experiments.list_page(signed.session, limit, cursor)
-        items = responses.experiment_views(signed.session, page.rows, signed.role)
+    with auth.reading() as caller:
+        page = experiments.list_page(caller.session, limit, cursor)
+        items = responses.experiment_responses(caller.session, page.rows, caller.role)
         return schemas.ExperimentPage(items=items, next_cursor=page.next_cursor)
 
 
 @router.get("/experiments/{experiment_id}", summary="Look at an experiment")
-def get_experiment(experiment_id: ExperimentId, visit: VisitDep) -> schemas.Experiment:
+def get_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
     """Its settings, what its policy is doing, and how far its labelling is."""
-    with visit.reading() as signed:
-        row = experiments.get(signed.session, experiment_id)
-        return responses.experiment_view(signed.session, row, signed.role)
+    with auth.reading() as caller:
+        row = experiments.get(caller.session, experiment_id)
+        return responses.experiment_response(caller.session, row, caller.role)
 
 
 @router.post("/experiments/{experiment_id}/pause", summary="Pause an experiment")
-def pause_experiment(experiment_id: ExperimentId, visit: VisitDep) -> schemas.Experiment:
+def pause_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
     """Its workers stop after the step they are in; no query is offered. A paused one stays paused."""
-    return _steer(visit, experiment_id, experiments.pause, "pause experiments")
+    return _steer(auth, experiment_id, experiments.pause, "pause experiments")
 
 
 @router.post("/experiments/{experiment_id}/resume", summary="Resume an experiment")
-def resume_experiment(experiment_id: ExperimentId, visit: VisitDep) -> schemas.Experiment:
+def resume_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
     """Goes on from the newest checkpoint, after a pause or a failure. A running one goes on running."""
-    return _steer(visit, experiment_id, experiments.resume, "resume experiments")
+    return _steer(auth, experiment_id, experiments.resume, "resume experiments")
 
 
 @router.post("/experiments/{experiment_id}/cancel", summary="Cancel an experiment")
-def cancel_experiment(experiment_id: ExperimentId, visit: VisitDep) -> schemas.Experiment:
+def cancel_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
     """Ends it for good. Its labels, segments and curves stay."""
-    return _steer(visit, experiment_id, experiments.cancel, "cancel experiments")
+    return _steer(auth, experiment_id, experiments.cancel, "cancel experiments")
 
 
 @router.get("/experiments/{experiment_id}/metrics", summary="Read curves")
 def get_metrics(
     experiment_id: ExperimentId,
-    visit: VisitDep,
+    auth: AuthDep,
     names: Annotated[list[str] | None, Query(description="Curves to return; all when left out.")] = None,
 ) -> schemas.Metrics:
     """Curves over the policy's environment steps. Labellers get none that tells of true rewards."""
-    with visit.reading() as signed:
-        row = experiments.get(signed.session, experiment_id)
-        found = metrics.series(signed.session, experiment_id, names)
-        return responses.metrics_view(metrics.visible(found, row, signed.role))
+    with auth.reading() as caller:
+        row = experiments.get(caller.session, experiment_id)
+        found = metrics.series(caller.session, experiment_id, names)
+        return responses.metrics_response(metrics.visible(found, row, caller.role))
 
 
 @router.get("/experiments/{experiment_id}/reward-versions", summary="List reward versions")
-def list_reward_versions(experiment_id: ExperimentId, visit: VisitDep) -> schemas.RewardVersionPage:
+def list_reward_versions(experiment_id: ExperimentId, auth: AuthDep) -> schemas.RewardVersionPage:
     """Every version of the reward model that was published, oldest first."""
-    with visit.reading() as signed:
-        rows = publish.versions(signed.session, experiment_id)
-        return schemas.RewardVersionPage(items=[responses.reward_version_view(row, signed.role) for row in rows])
+    with auth.reading() as caller:
+        rows = publish.versions(caller.session, experiment_id)
+        return schemas.RewardVersionPage(items=[responses.reward_version_response(row, caller.role) for row in rows])
 
 
 @router.get("/workers", tags=["service"], summary="List the workers")
-def list_workers(visit: VisitDep) -> list[schemas.Worker]:
+def list_workers(auth: AuthDep) -> list[schemas.Worker]:
     """Every worker process, what it does, and how long it has been silent."""
-    with visit.reading() as signed:
-        return [responses.worker_view(row, signed.role) for row in workers.all(signed.session)]
+    with auth.reading() as caller:
+        return [responses.worker_response(row, caller.role) for row in workers.all(caller.session)]
 
 
 def _steer(
-    visit: Visit, experiment_id: str, verb: Callable[[Session, str], ExperimentRow], doing: str
+    auth: Auth, experiment_id: str, verb: Callable[[Session, str], ExperimentRow], doing: str
 ) -> schemas.Experiment:
-    with visit.writing() as signed:
-        require(may_run_experiments(signed.role), signed.role, doing)
-        row = verb(signed.session, experiment_id)
-        return responses.experiment_view(signed.session, row, signed.role)
+    with auth.writing() as caller:
+        require(may_run_experiments(caller.role), caller.role, doing)
+        row = verb(caller.session, experiment_id)
+        return responses.experiment_response(caller.session, row, caller.role)

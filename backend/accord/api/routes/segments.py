@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
-from accord.api.dependencies import SegmentId, VisitDep
+from accord.api.dependencies import AuthDep, SegmentId
 from accord.domain.permissions import require_returns
 from accord.services import collect
 
@@ -20,16 +20,16 @@ _MEDIA_TYPE = "application/octet-stream"
     },
     summary="Read a segment's arrays",
 )
-def get_segment_arrays(segment_id: SegmentId, request: Request, visit: VisitDep) -> Response:
+def get_segment_arrays(segment_id: SegmentId, request: Request, auth: AuthDep) -> Response:
     """Observations, actions, true rewards and simulator states, as they are stored; not for labellers.
 
     They never change: a program may keep them.
     """
-    with visit.reading() as signed:
-        require_returns(signed.role)
-        key = collect.blob_key(signed.session, segment_id)
+    with auth.reading() as caller:
+        require_returns(caller.role)
+        key = collect.blob_key(caller.session, segment_id)
     etag = f'"{segment_id}"'
     headers = {"ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
     if etag in request.headers.get("if-none-match", ""):
         return Response(status_code=304, headers=headers)
-    return Response(visit.house.blobs.read(key), 200, headers, media_type=_MEDIA_TYPE)
+    return Response(auth.app.blobs.read(key), 200, headers, media_type=_MEDIA_TYPE)
