@@ -1,9 +1,10 @@
-# The same commands for people and for CI. `make run` and `make test` set up what they need.
+# The same commands for people and for CI. `make run` and `make test` install what they need.
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
-# A file's tests stay in one process, in order: they share servers and browsers. The files that take longest come first.
+# The tests of a file run in one process, in order, because they share servers and browsers. Files start in alphabetical
+# order, so the longest ones, in acceptance, browser and integration, come first.
 TEST_PROCESSES ?= 2
 SIDE_BY_SIDE := --numprocesses $(TEST_PROCESSES) --dist loadfile --no-loadscope-reorder
 PAGE_SOURCES := $(shell find frontend/src frontend/public frontend/index.html frontend/package-lock.json frontend/vite.config.ts 2>/dev/null)
@@ -13,10 +14,10 @@ PAGE_SOURCES := $(shell find frontend/src frontend/public frontend/index.html fr
 run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
 	$(BIN)/accord up --example
 
-test: $(INSTALLED) system-test check test-avx2 ## Format, lint, types, import rules, then every test that takes minutes, not hours
+test: $(INSTALLED) system-test check ## Format, lint, types, import rules, then every test that takes minutes, not hours
 	$(BIN)/python -m pytest -m "not benchmark and not learn" $(SIDE_BY_SIDE)
 
-test-avx2: $(INSTALLED) ## The tests of computed numbers again, with AVX2, so that none depends on one processor's rounding
+test-avx2: $(INSTALLED) ## The tests of computed numbers again, with AVX2, so that none depends on one processor's rounding; part of CI
 	ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 $(BIN)/python -m pytest --quiet -m numerics $(SIDE_BY_SIDE) \
 		tests/unit/rewards tests/unit/policies tests/unit/preferences tests/integration/workers
 
@@ -32,7 +33,7 @@ format: $(INSTALLED) ## Format Python and TypeScript in place
 	$(BIN)/ruff check --fix backend models tests frontend
 	cd frontend && PATH="$(abspath $(BIN)):$$PATH" npm run --silent format
 
-bench: $(INSTALLED) ## Every timing, beside its ceiling in the same run
+bench: $(INSTALLED) ## Every benchmark, with its upper bound in the same run
 	$(BIN)/python tests/benchmarks
 
 learn: $(INSTALLED) ## The long learning runs behind docs/results.md
@@ -46,10 +47,10 @@ $(INSTALLED): pyproject.toml frontend/hatch_build.py frontend/build_page.py $(PA
 system: ## Debian packages that pip cannot bring: EGL, venv
 	@.ci/system-packages run
 
-system-test: ## Those that the tests need besides: a browser
+system-test: ## Those that only the tests need: a browser, PostgreSQL
 	@.ci/system-packages test
 
-clean: ## Forget the environment and the built page
+clean: ## Delete the environment and the built page
 	rm -rf $(VENV) backend/accord/static frontend/node_modules
 
 .PHONY: client

@@ -18,8 +18,8 @@ from mapt.training.run import RunCallbacks, complete_run
 from mapt.training.run_folder import RunFolder
 from mapt.training.settings import RunSettings
 from mapt.training.video import record_video
+from support.levers import Levers, RenderableLevers
 from support.short_tasks import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
-from unit.tasks.test_pettingzoo_task import DrawnLevers, Levers
 
 pytestmark = pytest.mark.usefixtures("short_episodes")
 
@@ -56,7 +56,7 @@ def test_a_video_shows_one_episode_in_real_time(egl, tmp_path):
 
 
 def test_a_task_that_draws_itself_is_filmed_by_itself(tmp_path):
-    class Large(DrawnLevers):
+    class Large(RenderableLevers):
         def render(self) -> np.ndarray:
             return np.full((65, 97, 3), 40 * (1 + len(self.agents)), np.uint8)
 

@@ -1,4 +1,4 @@
-"""gymnasium-robotics' MaMuJoCo as a reference: one environment of theirs that follows one of ours."""
+"""gymnasium-robotics' MaMuJoCo as a reference: an environment that is started in the states of one of ours."""
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false
@@ -12,8 +12,8 @@ from gymnasium.wrappers import TimeLimit
 from gymnasium_robotics import mamujoco_v1
 from gymnasium_robotics.envs.multiagent_mujoco import coupled_half_cheetah, obsk
 
-#: Partitions that MaMuJoCo has no name for: one agent per joint.
-OF_ONE_JOINT = {("Ant", "8x1"), ("Walker2d", "6x1"), ("Humanoid", "17x1"), ("HumanoidStandup", "17x1")}
+#: Partitions without a name in MaMuJoCo: one agent per joint.
+ONE_AGENT_PER_JOINT = {("Ant", "8x1"), ("Walker2d", "6x1"), ("Humanoid", "17x1"), ("HumanoidStandup", "17x1")}
 COUPLED = "CoupledHalfCheetah"
 TOLERANCE = 1e-9
 
@@ -27,7 +27,7 @@ class ReferenceStep:
 
 
 class Reference:
-    """One simulation, seen with each of several `agent_obsk`."""
+    """One simulation, observed with several values of `agent_obsk`."""
 
     def __init__(self, task_name: str, depths: tuple[int | None, ...]) -> None:
         scenario, conf = task_name.split("-")
@@ -38,7 +38,7 @@ class Reference:
             self.views[depth] = make_view(scenario, conf, depth, self.env.single_agent_env)
 
     def start_from(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Reset them, but to our start: the solver, too, begins as after a reset."""
+        """Reset the simulation, including the solver, to these positions and velocities."""
         self.env.reset(seed=0)
         single = self.env.single_agent_env.unwrapped
         mujoco.mj_resetData(single.model, single.data)
@@ -51,14 +51,14 @@ class Reference:
         return self.env.state()
 
     def step(self, actions: np.ndarray, action_dims: tuple[int, ...]) -> ReferenceStep:
-        """One step from actions (N, A), of which each agent uses as many as it has joints."""
+        """One step with actions (N, A), without their padding."""
         used = [action[:dim] for action, dim in zip(actions, action_dims, strict=True)]
         _, rewards, terminations, truncations, _ = self.env.step(dict(zip(self.env.possible_agents, used, strict=True)))
         first = self.env.possible_agents[0]
         return ReferenceStep(self.state(), float(rewards[first]), bool(terminations[first]), bool(truncations[first]))
 
-    def age(self, n_steps: int) -> None:
-        """Let the episode be this many steps old."""
+    def set_elapsed_steps(self, n_steps: int) -> None:
+        """Set the number of elapsed steps of the episode."""
         limited = self.env.single_agent_env
         while not hasattr(limited, "_elapsed_steps"):
             limited = limited.env
@@ -79,26 +79,26 @@ def make_view(scenario: str, conf: str, depth: int | None, env: Any) -> Any:
     if scenario == COUPLED:
         env = env or coupled_cheetahs()
         factorization = coupled_factorization(conf, env.unwrapped.model)
-    elif (scenario, conf) in OF_ONE_JOINT:
+    elif (scenario, conf) in ONE_AGENT_PER_JOINT:
         parts, edges, shared = obsk.get_parts_and_edges(scenario, None)
         factorization = {"partition": [(node,) for node in parts[0]], "edges": edges, "globals": shared}
     view = mamujoco_v1.parallel_env(scenario, conf, depth, factorization, gym_env=env)
     for groups in getattr(view, "k_dicts", []):
-        # They sort a set by labels alone; two joints of Pusher share one, and would come as chance has it.
+        # MaMuJoCo sorts a set by labels only. Two joints of Pusher have equal labels, so their order varies.
         for nodes in groups.values():
             nodes.sort(key=lambda node: (node.label, node.qpos_ids))
     return view
 
 
 def tendon_moments(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """What gymnasium-robotics reads of the dense ten_J, which MuJoCo 4 keeps sparse: x and z of each cheetah."""
+    """The entries of ten_J that gymnasium-robotics reads: x and z of each cheetah. MuJoCo 4 stores ten_J as sparse."""
     dense = np.zeros((1, model.nv))
     dense[0, model.ten_J_colind] = data.ten_J
     return dense[0, [0, 1, 9, 10]]
 
 
 class TiedCheetahs(coupled_half_cheetah.CoupledHalfCheetahEnv):
-    """Their environment with the one line mended that MuJoCo 4 breaks."""
+    """gymnasium-robotics' environment with a fix of the one line that fails with MuJoCo 4."""
 
     def _get_obs(self) -> np.ndarray:
         qpos = self.data.qpos
@@ -118,7 +118,7 @@ def coupled_factorization(conf: str, model: mujoco.MjModel) -> dict[str, Any]:
 
 
 def without_padding(observation: np.ndarray, reference: np.ndarray, n_shared: int) -> np.ndarray:
-    """Our observation with the zeros of missing neighbours, which stand before the shared part, taken out."""
+    """Our observation without the padding before its shared part."""
     n_missing = observation.size - reference.size
     end = observation.size - n_shared
     np.testing.assert_array_equal(observation[end - n_missing : end], 0.0)

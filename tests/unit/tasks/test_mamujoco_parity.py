@@ -1,4 +1,4 @@
-"""Our batched bodies against gymnasium-robotics' own, from the same states and actions."""
+"""Our batched tasks against gymnasium-robotics, from equal states with equal actions."""
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
@@ -13,14 +13,14 @@ from mapt.tasks.registry import find_definition
 from unit.tasks.mamujoco import Reference, assert_close, assert_same_observations
 
 DEPTHS = (0, 1, 2, 5)
-#: An episode is this old when its environment comes to its horizon within a test.
+#: steps per test, and steps before the horizon at which the episode starts, so that it ends within the test
 N_STEPS, STEPS_BEFORE_HORIZON = 100, 70
 SEED = 7
 
 
 @pytest.fixture(autouse=True)
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """MuJoCo also writes its complaints about deprecated attributes into the working directory."""
+    """MuJoCo writes warnings about deprecated attributes into the working directory."""
     monkeypatch.chdir(tmp_path)
 
 
@@ -32,7 +32,7 @@ def assert_same_step(ours: TaskStep, theirs: Reference, actions: np.ndarray, act
 
 
 @pytest.mark.parametrize("name", task_names())
-def test_steps_ends_and_resets_equal_gymnasium_robotics_at_every_depth(name: str) -> None:
+def test_steps_and_resets_equal_gymnasium_robotics_at_every_agent_obsk(name: str) -> None:
     shared = len(find_definition(name).robot.partition.shared)
     tasks = {
         depth: make_task(name, 1, n_threads=1, agent_obsk=depth, agent_index=False, dtype=np.float64)
@@ -48,14 +48,14 @@ def test_steps_ends_and_resets_equal_gymnasium_robotics_at_every_depth(name: str
             assert_same_observations(observations[depth][0], theirs.observations(depth), shared)
 
     start({depth: each.reset(SEED)[0] for depth, each in tasks.items()})
-    age = max(0, spec.horizon_steps - STEPS_BEFORE_HORIZON)
+    elapsed = max(0, spec.horizon_steps - STEPS_BEFORE_HORIZON)
     for each in tasks.values():
-        each.restore({**each.snapshot(), "elapsed_steps": np.array([age])})
-    theirs.age(age)
+        each.restore({**each.snapshot(), "elapsed_steps": np.array([elapsed])})
+    theirs.set_elapsed_steps(elapsed)
 
     n_ends = 0
     for _ in range(N_STEPS):
-        # Beyond the limit too: MuJoCo clamps the controls, their cost is not clamped.
+        # Beyond the limit too: MuJoCo clamps the controls, but their cost uses the values before.
         limit = 1.2 * spec.action_limit
         actions = rng.uniform(-limit, limit, (1, spec.n_agents, spec.action_dim))
         steps = {depth: each.step(actions) for depth, each in tasks.items()}
@@ -71,7 +71,7 @@ def test_steps_ends_and_resets_equal_gymnasium_robotics_at_every_depth(name: str
 
 
 @pytest.mark.parametrize("name", ["Ant-2x4d", "Humanoid-9|8", "Reacher-2x1"])
-def test_without_a_depth_one_agent_sees_the_state_and_drives_every_joint(name: str) -> None:
+def test_single_agent_observes_the_state_and_drives_every_joint(name: str) -> None:
     task = make_task(name, 1, n_threads=1, agent_obsk=None, agent_index=False, dtype=np.float64)
     theirs, rng = Reference(name, (None,)), np.random.default_rng(SEED)
     observations, state = task.reset(SEED)
@@ -87,7 +87,7 @@ def test_without_a_depth_one_agent_sees_the_state_and_drives_every_joint(name: s
 
 
 @pytest.mark.parametrize("name", sorted({name.split("-")[0]: name for name in task_names()}.values()))
-def test_starts_are_spread_as_gymnasiums(name: str) -> None:
+def test_initial_states_have_gymnasiums_distribution(name: str) -> None:
     n = 200
     theirs = Reference(name, (0,))
     drawn = np.array([theirs.sample_start(seed) for seed in range(n)])
@@ -100,7 +100,7 @@ def test_starts_are_spread_as_gymnasiums(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["CoupledHalfCheetah-1p1", "ManySegmentAnt-2x2", "ManySegmentSwimmer-2x1"])
-def test_a_body_put_together_here_is_theirs_in_every_number(name: str) -> None:
+def test_assembled_model_equals_gymnasium_robotics_model(name: str) -> None:
     ours, theirs = load_model(name), Reference(name, (0,)).model
     fields = [field for field in dir(theirs) if isinstance(getattr(theirs, field), np.ndarray)]
     physics = [

@@ -1,4 +1,4 @@
-"""Batches of bodies: starts, resets, snapshots, what agents see and drive."""
+"""Batches of MuJoCo environments: initial states, resets, snapshots, observations and actions."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def assert_same_steps(ours: list[TaskStep], theirs: list[TaskStep]) -> None:
 @pytest.mark.parametrize("name", task_names())
 @pytest.mark.parametrize("agent_obsk", [0, 1])
 @pytest.mark.parametrize("agent_index", [True, False])
-def test_arrays_have_the_shapes_that_the_spec_promises(name: str, agent_obsk: int, agent_index: bool) -> None:
+def test_arrays_have_the_shapes_of_the_spec(name: str, agent_obsk: int, agent_index: bool) -> None:
     task = make_task(name, 3, agent_obsk=agent_obsk, agent_index=agent_index)
     spec = task_spec(name, agent_obsk=agent_obsk, agent_index=agent_index)
     assert task.spec == spec
@@ -46,18 +46,18 @@ def test_arrays_have_the_shapes_that_the_spec_promises(name: str, agent_obsk: in
     assert (qpos.shape, qvel.shape) == ((3, spec.nq), (3, spec.nv))
 
 
-def test_the_model_has_the_sizes_that_the_spec_names() -> None:
+def test_model_has_the_sizes_of_the_spec() -> None:
     model = load_model(NAME)
     assert (model.nq, model.nv) == (task_spec(NAME).nq, task_spec(NAME).nv)
     assert model.opt.timestep * 5 == pytest.approx(task_spec(NAME).step_seconds)
 
 
-def test_each_agent_carries_its_own_index() -> None:
+def test_observations_end_with_the_agent_index() -> None:
     observations, _ = make_task(NAME, 2).reset(0)
     np.testing.assert_array_equal(observations[:, :, -6:], np.broadcast_to(np.eye(6), (2, 6, 6)))
 
 
-def test_a_seed_decides_the_episodes_and_another_seed_gives_others() -> None:
+def test_seed_determines_the_episodes() -> None:
     first, second, third = (make_task(NAME, 4) for _ in range(3))
     start = first.reset(5)[0]
     np.testing.assert_array_equal(start, second.reset(5)[0])
@@ -67,7 +67,7 @@ def test_a_seed_decides_the_episodes_and_another_seed_gives_others() -> None:
     assert_same_steps(play(first, actions), play(second, actions))
 
 
-def test_the_number_of_threads_changes_nothing() -> None:
+def test_number_of_threads_does_not_change_results() -> None:
     one, two = make_task(NAME, 5, n_threads=1), make_task(NAME, 5, n_threads=2)
     one.reset(0)
     two.reset(0)
@@ -75,7 +75,7 @@ def test_the_number_of_threads_changes_nothing() -> None:
     assert_same_steps(play(one, actions), play(two, actions))
 
 
-def test_starts_are_spread_as_the_reset_noise_says() -> None:
+def test_initial_states_have_the_noise_of_the_mdp() -> None:
     task = make_task(NAME, 4_000)
     task.reset(0)
     qpos, qvel = task.simulator_state()
@@ -84,7 +84,7 @@ def test_starts_are_spread_as_the_reset_noise_says() -> None:
     assert qvel.std() == pytest.approx(0.1, rel=0.02)
 
 
-def test_an_episode_is_cut_at_the_horizon_and_the_next_starts_by_itself() -> None:
+def test_episode_is_truncated_at_the_horizon_and_the_next_starts() -> None:
     task = make_task(NAME, 2)
     task.reset(0)
     actions = random_actions(task, 2, 2_000)
@@ -92,13 +92,13 @@ def test_an_episode_is_cut_at_the_horizon_and_the_next_starts_by_itself() -> Non
     cut = [t for t, step in enumerate(steps) if step.truncated.any()]
     assert cut == [999, 1999]
     assert all(steps[t].truncated.all() and not steps[t].terminated.any() for t in cut)
-    # Fresh starts are near rest; the ends of episodes of random torques are not.
+    # Initial states are near rest; final states after random torques are not.
     assert np.abs(steps[999].state).max() < 0.6
     assert np.abs(steps[999].final_state).max() > 0.6
     np.testing.assert_array_equal(steps[998].observations, steps[998].final_observations)
 
 
-def test_simulator_state_is_that_of_the_newest_observations() -> None:
+def test_simulator_state_matches_the_current_observations() -> None:
     task = make_task(NAME, 2, dtype=np.float64)
     task.reset(0)
     for action in random_actions(task, 3, 1_001):
@@ -108,7 +108,7 @@ def test_simulator_state_is_that_of_the_newest_observations() -> None:
 
 
 @pytest.mark.parametrize("n_steps_before", [0, 1, 7, 993])
-def test_a_restored_task_goes_on_bit_for_bit_through_the_next_reset(n_steps_before: int) -> None:
+def test_restored_task_continues_bit_for_bit_through_the_next_reset(n_steps_before: int) -> None:
     task, other = make_task(NAME, 3), make_task(NAME, 3)
     task.reset(0)
     other.reset(99)
@@ -127,9 +127,9 @@ def test_a_restored_task_goes_on_bit_for_bit_through_the_next_reset(n_steps_befo
     assert_same_steps(play(other, actions), expected)
 
 
-def test_a_snapshot_of_another_batch_is_refused() -> None:
+def test_snapshot_of_another_batch_is_rejected() -> None:
     snapshot = make_task(NAME, 3).snapshot()
-    with pytest.raises(InvalidSnapshot, match="needs"):
+    with pytest.raises(InvalidSnapshot):
         make_task(NAME, 4).restore(snapshot)
     del snapshot["time"]
     with pytest.raises(InvalidSnapshot):
@@ -137,7 +137,7 @@ def test_a_snapshot_of_another_batch_is_refused() -> None:
 
 
 @pytest.mark.parametrize("shape", [(2, 6), (2, 1, 6), (3, 6, 1), (6, 1)])
-def test_actions_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+def test_actions_of_wrong_shape_are_rejected(shape: tuple[int, ...]) -> None:
     task = make_task(NAME, 2)
     task.reset(0)
     with pytest.raises(InvalidAction, match="shape"):
@@ -145,7 +145,7 @@ def test_actions_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
-def test_an_action_that_is_no_number_is_refused_before_the_physics(number: float) -> None:
+def test_action_that_is_not_finite_is_rejected_before_the_physics(number: float) -> None:
     task = make_task(NAME, 2)
     task.reset(0)
     before = task.snapshot()
@@ -157,16 +157,18 @@ def test_an_action_that_is_no_number_is_refused_before_the_physics(number: float
         np.testing.assert_array_equal(field, before[name])
 
 
-def test_an_unknown_task_is_answered_with_the_known_ones() -> None:
+def test_unknown_task_error_lists_the_known_tasks() -> None:
     for use in (lambda name: make_task(name, 1), task_spec, load_model, agent_geoms):
-        with pytest.raises(UnknownTask, match="HalfCheetah-2x3, HalfCheetah-6x1"):
+        with pytest.raises(UnknownTask) as error:
             use("HalfCheetah-7x1")
+        assert {"HalfCheetah-2x3", "HalfCheetah-6x1"} <= set(error.value.known)
 
 
-@pytest.mark.parametrize(("n_envs", "n_threads", "agent_obsk"), [(0, 0, 0), (1, -1, 0), (1, 0, -1)])
-def test_options_out_of_range_are_refused(n_envs: int, n_threads: int, agent_obsk: int) -> None:
-    with pytest.raises(InvalidConfig, match="or more"):
-        make_task(NAME, n_envs, n_threads=n_threads, agent_obsk=agent_obsk)
+@pytest.mark.parametrize(("field", "value"), [("n_envs", 0), ("n_threads", -1), ("agent_obsk", -1)])
+def test_options_out_of_range_are_rejected(field: str, value: int) -> None:
+    with pytest.raises(InvalidConfig) as error:
+        make_task(NAME, **{"n_envs": 1, field: value})
+    assert error.value.field == field
 
 
 @pytest.mark.parametrize(
@@ -182,7 +184,7 @@ def test_geoms_belong_to_the_agent_that_moves_them(name: str, expected: list[lis
 
 
 @pytest.mark.parametrize("name", ["Ant-4x2", "CoupledHalfCheetah-1p1", "Humanoid-9|8", "Reacher-2x1"])
-def test_what_follows_from_the_last_step_is_in_the_snapshot_too(name: str) -> None:
+def test_snapshot_includes_fields_of_the_last_step(name: str) -> None:
     task, other = make_task(name, 2, n_threads=1), make_task(name, 2, n_threads=1)
     task.reset(0)
     other.reset(99)
@@ -198,7 +200,7 @@ def test_what_follows_from_the_last_step_is_in_the_snapshot_too(name: str) -> No
     assert_same_steps(play(other, actions), expected)
 
 
-def test_agents_that_drive_fewer_joints_ignore_the_rest_of_their_action() -> None:
+def test_padding_of_actions_is_ignored() -> None:
     task = make_task("Humanoid-9|8", 1, n_threads=1)
     assert task.spec.agent_action_dims == (9, 8)
     task.reset(0)
@@ -210,7 +212,7 @@ def test_agents_that_drive_fewer_joints_ignore_the_rest_of_their_action() -> Non
     assert_same_steps([task.step(actions)], [first])
 
 
-def test_many_segment_bodies_come_in_any_size_that_is_asked_for() -> None:
+def test_many_segment_robots_exist_in_any_size() -> None:
     spec = task_spec("ManySegmentSwimmer-4x3")
     assert (spec.n_agents, spec.action_dim, spec.nq) == (4, 3, 15)
     assert spec.name not in task_names()
@@ -226,7 +228,7 @@ def test_every_agent_moves_geoms(name: str) -> None:
     assert all(geoms)
 
 
-def test_a_limb_of_several_joints_is_moved_by_each_of_their_agents() -> None:
+def test_geom_moved_by_several_agents_belongs_to_each() -> None:
     model, geoms = load_model("Humanoid-17x1"), agent_geoms("Humanoid-17x1")
     names = task_spec("Humanoid-17x1").agent_names
     thigh = model.geom("right_thigh1").id
@@ -237,7 +239,7 @@ def test_a_limb_of_several_joints_is_moved_by_each_of_their_agents() -> None:
     ]
 
 
-def test_what_is_fixed_to_a_limb_is_moved_with_it() -> None:
+def test_welded_geoms_belong_to_the_agent_of_their_limb() -> None:
     model = load_model("Humanoid-9|8")
     _, legs = agent_geoms("Humanoid-9|8")
     assert {model.geom(f"{side}_foot").id for side in ("left", "right")} <= set(legs)

@@ -1,58 +1,21 @@
-"""PettingZoo environments through the adapter: MaMuJoCo's own, and a small one of masked discrete actions."""
+"""PettingZoo environments as tasks: one of MaMuJoCo's, and a small one with masked discrete actions."""
 
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from gymnasium import spaces
 from gymnasium_robotics import mamujoco_v1
-from pettingzoo import ParallelEnv
 
 from mapt.errors import NotRenderable, TaskExists
 from mapt.tasks import MaskingTask, RenderableTask, Task, make_task, register_task, task_names
 from mapt.tasks.pettingzoo_task import PettingZooDefinition
+from support.levers import Levers, RenderableLevers
 
 
 @pytest.fixture(autouse=True)
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-
-
-class Levers(ParallelEnv):
-    """Two agents pull one of three levers; a lever cannot be pulled twice in a row. One for each pull of lever 2."""
-
-    def __init__(self) -> None:
-        self.possible_agents = ["left", "right"]
-        self.agents = []
-
-    def observation_space(self, agent: str) -> spaces.Space:
-        return spaces.Dict({"observation": spaces.Box(-1, 3, (2,)), "action_mask": spaces.MultiBinary(3)})
-
-    def action_space(self, agent: str) -> spaces.Space:
-        return spaces.Discrete(3)
-
-    def reset(self, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
-        self.agents = list(self.possible_agents)
-        self.rng = np.random.default_rng(seed)
-        self.pulled = {"left": -1, "right": -1}
-        return self.seen(), {}
-
-    def seen(self) -> dict:
-        return {
-            agent: {"observation": np.array([pulled, self.rng.uniform()]), "action_mask": np.arange(3) != pulled}
-            for agent, pulled in self.pulled.items()
-        }
-
-    def step(self, actions: dict) -> tuple[dict, dict, dict, dict, dict]:
-        self.pulled = dict(actions)
-        broken = all(action == 0 for action in actions.values())
-        flags = dict.fromkeys(self.agents, False)
-        rewards = {agent: float(action == 2) for agent, action in actions.items()}
-        seen = self.seen()
-        if broken:
-            self.agents = []
-        return seen, rewards, dict.fromkeys(actions, broken), flags, {}
 
 
 LEVERS = PettingZooDefinition("Levers-2", Levers, horizon_steps=6, step_seconds=0.5, instructions="Pull lever 2.")
@@ -66,7 +29,7 @@ def one_hot(choices: list[list[int]]) -> np.ndarray:
     return np.eye(3)[np.array(choices)]
 
 
-def test_discrete_actions_are_chosen_and_masked() -> None:
+def test_discrete_actions_are_passed_on_and_masked() -> None:
     task = levers(2)
     assert isinstance(task, MaskingTask)
     assert (task.spec.discrete_actions, task.spec.masks_actions, task.spec.action_dim) == (True, True, 3)
@@ -80,7 +43,7 @@ def test_discrete_actions_are_chosen_and_masked() -> None:
     np.testing.assert_array_equal(task.available_actions(), one_hot([[2, 1], [2, 2]]) == 0)
 
 
-def test_an_end_is_no_cut_and_the_next_episode_starts_by_itself() -> None:
+def test_termination_is_not_truncation_and_the_next_episode_starts() -> None:
     task = levers(2)
     task.reset(0)
     step = task.step(one_hot([[0, 0], [1, 2]]))
@@ -92,7 +55,7 @@ def test_an_end_is_no_cut_and_the_next_episode_starts_by_itself() -> None:
     np.testing.assert_array_equal(task.step(one_hot([[1, 1], [1, 1]])).truncated, [False, True])
 
 
-def test_a_restored_environment_goes_on_as_it_would_have() -> None:
+def test_restored_environment_continues_identically() -> None:
     task, other = levers(3), levers(3)
     task.reset(5)
     other.reset(6)
@@ -107,7 +70,7 @@ def test_a_restored_environment_goes_on_as_it_would_have() -> None:
         np.testing.assert_array_equal(other.step(action).observations, step.observations)
 
 
-def test_continuous_agents_of_another_library_are_driven_and_seen() -> None:
+def test_continuous_environment_of_another_library() -> None:
     definition = PettingZooDefinition(
         "Foreign-3p", lambda: mamujoco_v1.parallel_env("Pusher", "3p"), 100, 0.05, "Push the object onto the goal."
     )
@@ -122,7 +85,7 @@ def test_continuous_agents_of_another_library_are_driven_and_seen() -> None:
     np.testing.assert_allclose(steps[-1].state[0], env.state())
 
 
-def test_a_task_that_cannot_draw_says_how_it_could() -> None:
+def test_environment_without_images_is_not_renderable() -> None:
     task = levers(1)
     assert isinstance(task, RenderableTask)
     task.reset(0)
@@ -130,13 +93,8 @@ def test_a_task_that_cannot_draw_says_how_it_could() -> None:
         task.render(0)
 
 
-class DrawnLevers(Levers):
-    def render(self) -> np.ndarray:
-        return np.full((2, 3, 3), 10 + self.pulled["left"], dtype=np.uint8)
-
-
-def test_an_environment_that_draws_itself_is_drawn_as_it_is_now() -> None:
-    task = PettingZooDefinition("Drawn", DrawnLevers, 6, 0.5, "").make(
+def test_render_shows_the_current_state() -> None:
+    task = PettingZooDefinition("Drawn", RenderableLevers, 6, 0.5, "").make(
         2, n_threads=1, agent_obsk=1, agent_index=False, dtype=np.float32
     )
     assert isinstance(task, RenderableTask)
@@ -146,7 +104,7 @@ def test_an_environment_that_draws_itself_is_drawn_as_it_is_now() -> None:
     assert task.render(0).shape == (2, 3, 3)
 
 
-def test_a_registered_name_is_known_and_taken() -> None:
+def test_registered_name_is_known_and_unique() -> None:
     definition = PettingZooDefinition(f"Levers-{os.getpid()}", Levers, 6, 0.5, "Pull lever 2.")
     register_task(definition)
     assert definition.name in task_names()

@@ -1,4 +1,4 @@
-"""The model is gymnasium's, bit for bit, without its deprecated attribute."""
+"""The compiled model equals gymnasium's bit for bit, without its deprecated attribute."""
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
@@ -13,10 +13,8 @@ from mapt.tasks import load_model
 from mapt.tasks.mujoco_definition import asset_path
 
 
-def test_scaling_the_mass_after_the_compiler_gives_the_same_bits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # MuJoCo writes its complaint about the attribute into the working directory.
+def test_scaling_the_mass_after_compilation_gives_equal_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # MuJoCo writes its warning about the attribute into the working directory.
     monkeypatch.chdir(tmp_path)
     published = mujoco.MjModel.from_xml_path(str(asset_path("half_cheetah.xml")))
     ours = load_model("HalfCheetah-6x1")
