@@ -23,7 +23,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from mapt.preferences.loss import preference_loss
 from mapt.rewards.config import Precision, PresetName, RewardConfig
-from mapt.rewards.kernels import products_in
+from mapt.rewards.kernels import autocast
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.relabelling import RewardStream, RolloutRelabeller
 
@@ -142,7 +142,7 @@ class TrainingStep:
         def both(values: Tensor) -> Tensor:
             return values[:, part].flatten(0, 1)
 
-        with products_in(self.dtype, self.device):
+        with autocast(self.dtype, self.device):
             score = self.model(both(self.observations), both(self.actions), both(self.mask)).score
         score_0, score_1 = score.float().chunk(2)
         loss = preference_loss(score_0, score_1, self.labels[part])

@@ -14,9 +14,8 @@ from mapt.errors import InvalidConfig, TooFewLabels
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.teachers import ScriptedTeacher, TeacherView, make_teacher
 from mapt.rewards.data import EVALUATION_SEGMENTS
-from mapt.rewards.metrics import correlation, rank_correlation
+from mapt.rewards.metrics import correlation, evaluate_logits, rank_correlation
 from mapt.rewards.model import RewardModel
-from mapt.rewards.trainer import judge_logits
 
 IntArray = NDArray[np.int64]
 #: what part of a replay is kept for testing, and the most segments
@@ -169,7 +168,7 @@ def predict(model: RewardModel, segments: SegmentArrays) -> Predictions:
 def preference_quality(logits: NDArray[np.floating], labels: NDArray[np.floating]) -> dict[str, float]:
     """`accuracy`, `loss` (nats) and `ece` of predicted logits (P,) against labels (P,), NaN where skipped."""
     given = np.isfinite(labels)
-    judged = judge_logits(torch.as_tensor(logits[given]).double(), torch.as_tensor(labels[given]).double())
+    judged = evaluate_logits(torch.as_tensor(logits[given]).double(), torch.as_tensor(labels[given]).double())
     return {"accuracy": judged.accuracy, "loss": judged.loss, "ece": judged.calibration_error}
 
 

@@ -24,7 +24,7 @@ from mapt.benchmarks.job import count_parameters
 from mapt.benchmarks.recorded_dataset import Replay, episodes_path
 from mapt.preferences.dataset import SegmentArrays
 from mapt.rewards.data import EVALUATION_SEGMENTS
-from mapt.rewards.layers import CooperationAwareAttention, TemporalAwareAttention
+from mapt.rewards.mapt import CooperationAwareAttention, TemporalAwareAttention
 from mapt.rewards.metrics import CalibrationBin, calibration_bins, rank_correlation
 from mapt.rewards.model import RewardModel
 from mapt.rewards.relabelling import RolloutRelabeller
@@ -61,7 +61,7 @@ def _watched(model: nn.Module) -> Iterator[_Seen]:
     seen = _Seen()
 
     def note_agents(attention: CooperationAwareAttention, inputs: tuple[Tensor], _output: Tensor) -> None:
-        seen.agents.append(attention.shares(inputs[0]))
+        seen.agents.append(attention.attention_weights(inputs[0]))
 
     def note_steps(_attention: TemporalAwareAttention, _inputs: tuple[Tensor, ...], output: Tensor) -> None:
         seen.steps.append(output)

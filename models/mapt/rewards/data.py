@@ -1,4 +1,7 @@
-"""Segments as tensors on one device: kept there when they fit, read from disk batch by batch when they do not."""
+"""Labelled pairs and their segments as tensors, and the scorers that map segments to scores.
+
+Segments stay on the device when they fit; otherwise each batch is read from disk.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,17 +15,16 @@ from torch import Tensor
 from mapt.errors import ModelMismatch
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays, SegmentSource
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.kernels import products_in
+from mapt.rewards.kernels import autocast
 from mapt.rewards.model import RewardModel
 
-# Segments scored at once when no gradient is taken: so few that their activations stay in cache. At d = 64 and T = 50
-# that was 545 segments a CPU second, with 256 at once 334.
+# Segments in one forward pass without gradients, so few that activations stay in the CPU's cache: at d = 64 and T = 50,
+# 545 segments/s instead of 334 with 256.
 EVALUATION_SEGMENTS = 16
-# What is measured over all segments is measured over no more than these: a mean over so many is exact to a few
-# percent of its deviation, and 50,000 pairs must not be read again for it.
-MOST_SEGMENTS_MEASURED = 1024
-# A source of fewer numbers than this is copied to the device whole: 2 GiB of float32.
-MOST_NUMBERS_KEPT = 1 << 29
+# Segments from which input and reward statistics are computed: their error is a few percent of a standard deviation.
+MAX_SAMPLED_SEGMENTS = 1024
+# A source with fewer values than this is copied to the device: 2 GiB of float32.
+MAX_RESIDENT_VALUES = 1 << 29
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +45,12 @@ class SegmentTensors:
 
     @property
     def inputs(self) -> tuple[Tensor, Tensor, Tensor]:
-        """What a reward model's `forward` takes."""
+        """The arguments of `RewardModel.forward`."""
         return self.observations, self.actions, self.mask
 
 
 class SegmentReader(Protocol):
-    """Gives segments by index, as tensors."""
+    """Random access to segments as tensors."""
 
     def __len__(self) -> int: ...
 
@@ -65,7 +67,7 @@ class SegmentReader(Protocol):
         ...
 
 
-class KeptSegments:
+class ResidentSegments:
     """All segments on the device."""
 
     def __init__(self, segments: SegmentArrays, device: torch.device) -> None:
@@ -81,7 +83,7 @@ class KeptSegments:
 
     @property
     def device(self) -> torch.device:
-        """Where they are kept."""
+        """Where the segments are."""
         return self._segments.mask.device
 
     def take(self, index: Tensor) -> SegmentTensors:
@@ -90,7 +92,7 @@ class KeptSegments:
 
 
 class StreamedSegments:
-    """Segments read from their source each time they are asked for, in the memory of one batch."""
+    """Segments that are read from their source on every access."""
 
     def __init__(self, source: SegmentSource, device: torch.device) -> None:
         self._source, self._device = source, device
@@ -105,7 +107,7 @@ class StreamedSegments:
 
     @property
     def device(self) -> torch.device:
-        """Where they are given."""
+        """Where `take` puts the segments."""
         return self._device
 
     def take(self, index: Tensor) -> SegmentTensors:
@@ -113,39 +115,39 @@ class StreamedSegments:
         return SegmentTensors.of(self._source.take(index.cpu().numpy()), self._device)
 
 
+def segment_reader(source: SegmentSource, device: torch.device) -> SegmentReader:
+    """A reader that keeps the segments on the device if they fit."""
+    if isinstance(source, SegmentArrays):
+        return ResidentSegments(source, device)
+    n_values = len(source) * source.n_steps * source.n_agents * (source.observation_dim + source.action_dim)
+    if n_values <= MAX_RESIDENT_VALUES:
+        return ResidentSegments(source.take(np.arange(len(source))), device)
+    return StreamedSegments(source, device)
+
+
 def check_fit(config: RewardConfig, source: SegmentSource) -> None:
     """
     Raises:
-        ModelMismatch: if a model of these settings cannot read these segments.
+        ModelMismatch: if the dimensions of the config and of the segments differ.
     """
     found = (source.n_agents, source.observation_dim, source.action_dim)
     if found != config.dimensions:
         raise ModelMismatch("agents, observation and action dimension", config.dimensions, found)
 
 
-def segment_reader(source: SegmentSource, device: torch.device) -> SegmentReader:
-    """The reader that fits the size of `source`."""
-    numbers = len(source) * source.n_steps * source.n_agents * (source.observation_dim + source.action_dim)
-    if isinstance(source, SegmentArrays):
-        return KeptSegments(source, device)
-    if numbers <= MOST_NUMBERS_KEPT:
-        return KeptSegments(source.take(np.arange(len(source))), device)
-    return StreamedSegments(source, device)
+def evenly_spaced_sample(segments: SegmentReader) -> Tensor:
+    """Indices of up to `MAX_SAMPLED_SEGMENTS` segments, evenly spaced, so that old and new ones are represented."""
+    n_sampled = min(len(segments), MAX_SAMPLED_SEGMENTS)
+    return torch.linspace(0, len(segments) - 1, n_sampled, dtype=torch.float64).round().long().to(segments.device)
 
 
-def spread_sample(segments: SegmentReader) -> Tensor:
-    """Indices of up to `MOST_SEGMENTS_MEASURED` segments, evenly spread: all ages of a replay have their say."""
-    n_taken = min(len(segments), MOST_SEGMENTS_MEASURED)
-    return torch.linspace(0, len(segments) - 1, n_taken, dtype=torch.float64).round().long().to(segments.device)
-
-
-#: From indices of segments (B,) to their scores (B,).
-Scorer = Callable[[Tensor], Tensor]
+#: Scores (B,) of the segments at some indices (B,), by a model.
+Scorer = Callable[[RewardModel, Tensor], Tensor]
 
 
 @dataclass(frozen=True, slots=True)
 class PairTensors:
-    """Pairs (P, 2) of segments and their labels (P,)."""
+    """Pairs (P, 2) of segment indices and their labels (P,)."""
 
     pairs: Tensor
     labels: Tensor
@@ -158,30 +160,30 @@ class PairTensors:
         return len(self.labels)
 
     def first(self, n_pairs: int) -> "PairTensors":
-        """The first pairs, all of them if there are no more than `n_pairs`."""
+        """The first `n_pairs` pairs, or all if there are fewer."""
         return PairTensors(self.pairs[:n_pairs], self.labels[:n_pairs])
 
-    def scores(self, scorer: Scorer, index: Tensor) -> tuple[Tensor, Tensor]:
-        """Scores (B,) of segment 0 and of segment 1 of the pairs at `index`, both in one pass."""
-        first, second = scorer(self.pairs[index].T.reshape(-1)).chunk(2)
-        return first, second
+    def scores(self, model: RewardModel, scorer: Scorer, index: Tensor) -> tuple[Tensor, Tensor]:
+        """Scores (B,) of segment 0 and of segment 1 of the pairs at `index`, from one forward pass."""
+        score_0, score_1 = scorer(model, self.pairs[index].T.reshape(-1)).chunk(2)
+        return score_0, score_1
 
     @torch.no_grad()
-    def logits(self, scorer: Scorer) -> Tensor:
-        """score_0 - score_1 of every pair, (P,), without gradient; each segment is scored once."""
+    def logits(self, model: RewardModel, scorer: Scorer) -> Tensor:
+        """score_0 - score_1 of every pair, (P,), without gradients; each segment is scored once."""
         used, position = torch.unique(self.pairs, return_inverse=True)
         score = torch.empty(len(used), device=used.device)
-        for place in torch.arange(len(used), device=used.device).split(EVALUATION_SEGMENTS):
-            score[place] = scorer(used[place])
+        for batch in torch.arange(len(used), device=used.device).split(EVALUATION_SEGMENTS):
+            score[batch] = scorer(model, used[batch])
         return score[position[:, 0]] - score[position[:, 1]]
 
 
-def whole_scorer(model: RewardModel, segments: SegmentReader, products: torch.dtype = torch.float32) -> Scorer:
-    """Scores by the whole network, float32, whatever its layers multiply in."""
+def network_scorer(segments: SegmentReader, dtype: torch.dtype = torch.float32) -> Scorer:
+    """Scores by the whole network, with products in `dtype`; the scores are float32."""
 
-    def score(index: Tensor) -> Tensor:
+    def score(model: RewardModel, index: Tensor) -> Tensor:
         inputs = segments.take(index).inputs
-        with products_in(products, inputs[0].device):
+        with autocast(dtype, inputs[0].device):
             return model(*inputs).score.float()
 
     return score
@@ -189,27 +191,28 @@ def whole_scorer(model: RewardModel, segments: SegmentReader, products: torch.dt
 
 @torch.no_grad()
 def markov_scorer(model: RewardModel, segments: SegmentReader, used: Tensor) -> Scorer:
-    """Scores in which only the Markov path moves: the attention path's rewards and the weights of the steps
-    stay what they are now, so that they need one pass over the segments `used`, int64 (U,) ascending and without
-    repetition, for the whole training."""
+    """Scores in which only the Markov path changes during training.
 
-    def markov_score(part: SegmentTensors, weights: Tensor) -> Tensor:
+    The attention path's rewards and the weights of the steps are computed once, for the segments `used`, int64 (U,),
+    sorted and unique.
+    """
+
+    def markov_score(model: RewardModel, part: SegmentTensors, weights: Tensor) -> Tensor:
         rewards = model.markov_rewards(part.observations, part.actions).mean(dim=2)
         return (weights * rewards).sum(dim=1)
 
-    # Filled in place: small tensors that are kept between large ones that go leave the memory in pieces, and 50,000
-    # pairs then take gigabytes.
+    # Preallocated: small tensors kept between large temporary ones fragment the memory, by gigabytes for 50,000 pairs.
     weights = torch.empty(len(used), segments.n_steps, device=segments.device)
     offset = torch.empty(len(used), device=segments.device)
-    for place in torch.arange(len(used), device=segments.device).split(EVALUATION_SEGMENTS):
-        part = segments.take(used[place])
+    for batch in torch.arange(len(used), device=segments.device).split(EVALUATION_SEGMENTS):
+        part = segments.take(used[batch])
         output = model(*part.inputs)
-        weights[place] = output.weights
-        offset[place] = output.score - markov_score(part, output.weights)
+        weights[batch] = output.weights
+        offset[batch] = output.score - markov_score(model, part, output.weights)
 
-    def score(index: Tensor) -> Tensor:
+    def score(model: RewardModel, index: Tensor) -> Tensor:
         at = torch.searchsorted(used, index)
-        return offset[at] + markov_score(segments.take(index), weights[at])
+        return offset[at] + markov_score(model, segments.take(index), weights[at])
 
     return score
 
@@ -219,8 +222,8 @@ def step_rewards(model: RewardModel, segments: SegmentReader, index: Tensor) -> 
     """Shared rewards r-hat_t of every real step of the segments at `index`, one flat array."""
     rewards = np.empty((len(index), segments.n_steps), dtype=np.float32)
     mask = np.empty(rewards.shape, dtype=np.bool_)
-    for place in torch.arange(len(index)).split(EVALUATION_SEGMENTS):
-        part = segments.take(index[place])
-        rewards[place.numpy()] = model.agent_rewards(part.observations, part.actions).mean(dim=2).cpu().numpy()
-        mask[place.numpy()] = part.mask.cpu().numpy()
+    for batch in torch.arange(len(index)).split(EVALUATION_SEGMENTS):
+        part = segments.take(index[batch])
+        rewards[batch.numpy()] = model.agent_rewards(part.observations, part.actions).mean(dim=2).cpu().numpy()
+        mask[batch.numpy()] = part.mask.cpu().numpy()
     return rewards[mask]

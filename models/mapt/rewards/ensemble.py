@@ -37,9 +37,17 @@ from mapt.rewards.checkpoints import (
     save_reward_model,
 )
 from mapt.rewards.config import RewardConfig, TrainConfig, check_positive_int
-from mapt.rewards.data import EVALUATION_SEGMENTS, PairTensors, SegmentTensors, check_fit, segment_reader, whole_scorer
+from mapt.rewards.data import (
+    EVALUATION_SEGMENTS,
+    PairTensors,
+    SegmentTensors,
+    check_fit,
+    network_scorer,
+    segment_reader,
+)
+from mapt.rewards.metrics import evaluate_logits
 from mapt.rewards.model import RewardModel
-from mapt.rewards.trainer import TrainProgress, judge_logits, train_reward_model
+from mapt.rewards.trainer import TrainProgress, train_reward_model
 
 FORMAT = "mapt.reward_ensemble"
 FORMAT_VERSION = 1
@@ -271,9 +279,9 @@ def _mean_probability_metrics(
     pairs, segments = PairTensors.of(hold_out, device), segment_reader(hold_out.segments, device)
     probabilities = torch.zeros(len(pairs), device=device)
     for model in ensemble.members:
-        probabilities += pairs.logits(whole_scorer(model.to(device), segments)).sigmoid() / len(ensemble)
+        probabilities += pairs.logits(model.to(device), network_scorer(segments)).sigmoid() / len(ensemble)
         model.cpu()
-    evaluation = judge_logits(probabilities.logit(eps=1e-6), pairs.labels, train_config.label_noise)
+    evaluation = evaluate_logits(probabilities.logit(eps=1e-6), pairs.labels, train_config.label_noise)
     metrics = {"ensemble_holdout_loss": evaluation.loss, "ensemble_holdout_accuracy": evaluation.accuracy}
     return {name: value for name, value in metrics.items() if math.isfinite(value)}
 

@@ -1,31 +1,118 @@
-"""MAPT, the Multi-Agent Preference Transformer (Zhu et al., 2024), as one configurable network."""
+"""MAPT, the Multi-Agent Preference Transformer (Zhu et al., 2024), with its ablations as settings.
 
-from torch import Tensor
+The forward pass, in the order of the classes below:
+
+1. `CooperativeEmbedding`: self-attention over the agents of a step embeds observations and actions into h.
+2. `TemporalEncoder` (layers.py): causal self-attention over the steps of each agent.
+3. `CooperationAwareAttention`: attention over agents turns h into individual rewards r-hat (eq. 4).
+4. `TemporalAwareAttention`: attention over steps weighs the team's rewards (eq. 5), and their weighted sum is the
+   segment's score (eq. 6), in `RewardModel.forward`.
+"""
+
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
 
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.kernels import Band
+from mapt.rewards.kernels import LocalAttention
 from mapt.rewards.layers import (
-    CooperationAwareAttention,
-    CooperativeEmbedding,
-    LinearReadOut,
+    AgentAttention,
+    FeedForward,
+    LinearHead,
     MarkovPath,
-    TemporalAwareAttention,
+    RewardHead,
+    ScalarLinear,
+    SegmentDropout,
     TemporalEncoder,
-    zeroed,
+    full_precision,
+    zero_init,
 )
-from mapt.rewards.model import REWARD_GAIN, Readers, RewardModel, RewardOutput
+from mapt.rewards.model import REWARD_GAIN, FirstLayers, RewardModel
 
-__all__ = ["MAPT", "REWARD_GAIN", "RewardOutput"]
+
+class CooperativeEmbedding(nn.Module):
+    """Observations (S, T, N, C) and actions (S, T, N, A) -> h (S, T, N, 2d)."""
+
+    def __init__(self, config: RewardConfig) -> None:
+        super().__init__()
+        d = config.hidden_dim
+        self.observation = nn.Linear(config.observation_dim, d)
+        self.action = nn.Linear(config.action_dim, d)
+        self.dropout = SegmentDropout(config.dropout)
+        self.has_attention = config.agent_attention
+        if self.has_attention:
+            self.attention_norm = nn.LayerNorm(d)
+            self.attention = AgentAttention(d, config.heads)
+            self.feed_forward_norm = nn.LayerNorm(d)
+            self.feed_forward = FeedForward(d, d)
+
+    def forward(self, observations: Tensor, actions: Tensor) -> Tensor:
+        x = F.gelu(self.observation(observations))
+        if self.has_attention:
+            x = x + self.dropout(self.attention(self.attention_norm(x)))
+            x = x + self.dropout(self.feed_forward(self.feed_forward_norm(x)))
+        return torch.cat((x, F.gelu(self.action(actions))), dim=-1)
+
+
+class CooperationAwareAttention(RewardHead):
+    """Individual rewards from h by one head of attention over the agents of a step (CPA; paper, eq. 4)."""
+
+    def __init__(self, dim: int, hidden_dim: int) -> None:
+        super().__init__()
+        self.query = nn.Linear(dim, hidden_dim)
+        self.key = nn.Linear(dim, hidden_dim)
+        self.value = nn.Linear(dim, hidden_dim)
+        self.reward = ScalarLinear(hidden_dim)
+        self.scale = 1 / math.sqrt(hidden_dim)
+
+    def forward(self, h: Tensor) -> Tensor:
+        """h (S, T, N, 2d) -> (S, T, N)."""
+        weights, value = self.attention_weights(h), self.value(h)
+        with full_precision(h):
+            return self.reward(weights @ value.float()).squeeze(-1)
+
+    def attention_weights(self, h: Tensor) -> Tensor:
+        """Weights (S, T, query agent, key agent); each query's sum to 1."""
+        query, key = self.query(h), self.key(h)
+        with full_precision(h):
+            return (query.float() * self.scale @ key.float().transpose(2, 3)).softmax(dim=-1)
+
+
+class TemporalAwareAttention(nn.Module):
+    """Attention weights of each step of a segment over its steps (TPA; paper, the softmax of eq. 5).
+
+    Queries start at zero, so that untrained weights are equal.
+
+    Args:
+        query_dim: of the query's input, D.
+        hidden_dim: d.
+        key_dim: of the key's input, K: in MAPT N, the individual rewards.
+    """
+
+    def __init__(self, query_dim: int, hidden_dim: int, key_dim: int) -> None:
+        super().__init__()
+        self.query = zero_init(nn.Linear(query_dim, hidden_dim))
+        self.key = nn.Linear(key_dim, hidden_dim)
+        self.scale = 1 / math.sqrt(hidden_dim)
+
+    def forward(self, queries: Tensor, keys: Tensor, mask: Tensor) -> Tensor:
+        """Weights (S, query step, key step) from queries (S, T, D), keys (S, T, K) and mask (S, T)."""
+        query, key = self.query(queries), self.key(keys)
+        with full_precision(queries):
+            logits = query.float() * self.scale @ key.float().transpose(1, 2)
+            return logits.masked_fill(~mask[:, None], float("-inf")).softmax(dim=-1)
 
 
 class MAPT(RewardModel):
-    """MAPT and its variants.
+    """MAPT and its ablations.
 
-    Individual rewards are the sum of a Markov path and of the paper's attention path, which starts at zero:
-    an untrained MAPT is a Markov model, and departs from it where data asks.
+    Individual rewards are the sum of a Markov path and the paper's attention path, which starts at zero: an untrained
+    MAPT is a Markov model.
 
-    To permute the agents permutes their rewards. It may move the weights of the steps all the same: the keys of the
-    temporal attention read the N rewards of a step in the order of the agents, as the paper's eq. 5 has it.
+    Permuting the agents permutes their rewards. It may change the weights of steps: the keys of the temporal attention
+    are the N rewards of a step in the order of the agents (paper, eq. 5).
     """
 
     def __init__(self, config: RewardConfig) -> None:
@@ -33,26 +120,26 @@ class MAPT(RewardModel):
         d = config.hidden_dim
         self.embedding = CooperativeEmbedding(config)
         self.temporal = TemporalEncoder(config)
-        self.read_out = CooperationAwareAttention(2 * d, d) if config.cpa else LinearReadOut(2 * d)
+        self.read_out = CooperationAwareAttention(2 * d, d) if config.cpa else LinearHead(2 * d)
         key_dim = config.n_agents if config.tpa_key == "rewards" else 2 * d
         self.step_weights = TemporalAwareAttention(2 * d, d, key_dim) if config.tpa else None
         self.markov = MarkovPath.of(config)
         if self.markov is not None:
-            zeroed(self.read_out.reward)
+            zero_init(self.read_out.reward)
 
-    def _encode(self, inputs: tuple[Tensor, Tensor], band: Band | None) -> tuple[Tensor, Tensor]:
+    def _encode(self, inputs: tuple[Tensor, Tensor], local: LocalAttention | None) -> tuple[Tensor, Tensor]:
         """h (S, T, N, 2d) and r-hat (S, T, N)."""
-        h = self.temporal(self.embedding(*inputs), band)
-        return h, REWARD_GAIN * (self.read_out(h) + self._markov(inputs, band))
+        h = self.temporal(self.embedding(*inputs), local)
+        return h, REWARD_GAIN * (self.read_out(h) + self._markov_output(inputs, local))
 
-    def _shares(self, h: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor | None:
+    def _step_attention(self, h: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor | None:
         if self.step_weights is None:
             return None
         team = h.mean(dim=2)
-        # Without the gain, the keys are of the size of other activations, and weights move as gently as they.
-        asked = agent_rewards / REWARD_GAIN if self.config.tpa_key == "rewards" else team
-        return self.step_weights(team, asked, mask)
+        # Without the gain, keys have the size of other activations, which keeps the softmax smooth.
+        keys = agent_rewards / REWARD_GAIN if self.config.tpa_key == "rewards" else team
+        return self.step_weights(team, keys, mask)
 
-    def _readers(self) -> tuple[Readers, Readers]:
-        observation, action = self._markov_readers()
+    def _first_layers(self) -> tuple[FirstLayers, FirstLayers]:
+        observation, action = self._markov_first_layers()
         return (*observation, (self.embedding.observation, 0)), (*action, (self.embedding.action, 0))

@@ -1,15 +1,43 @@
-"""How good a reward model's preferences and rewards are."""
+"""Quality of predicted preferences and rewards."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from mapt.preferences.loss import preference_losses
 
 CALIBRATION_BINS = 10
 
 
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """How well a model predicts some labels; NaN where a number is undefined."""
+
+    #: nats
+    loss: float
+    #: see `accuracy`
+    accuracy: float
+    #: see `calibration_error`
+    calibration_error: float
+
+
+def evaluate_logits(logits: Tensor, labels: Tensor, label_noise: float = 0.0) -> Evaluation:
+    """Compare predicted logits of preferences (P,) with labels (P,)."""
+    if not len(labels):
+        return Evaluation(math.nan, math.nan, math.nan)
+    probabilities, label = logits.sigmoid().cpu().numpy(), labels.cpu().numpy()
+    return Evaluation(
+        preference_losses(logits, labels, label_noise).mean().item(),
+        accuracy(probabilities, label),
+        calibration_error(probabilities, label),
+    )
+
+
 def accuracy(probabilities: ArrayLike, labels: ArrayLike) -> float:
-    """Share of decided pairs (label not 0.5) whose better segment is told rightly; NaN without any.
+    """Fraction of pairs with a strict label (not 0.5) that are predicted correctly; NaN without any.
 
     Args:
         probabilities: predicted P(segment 0 preferred), (B,).
@@ -18,24 +46,25 @@ def accuracy(probabilities: ArrayLike, labels: ArrayLike) -> float:
     predicted, label = _float_arrays(probabilities, labels)
     decided = label != 0.5
     if not decided.any():
-        return float("nan")
+        return math.nan
     return float(((predicted > 0.5) == (label > 0.5))[decided].mean())
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationBin:
-    """Predictions of about the same probability."""
+    """Predictions of similar probability."""
 
+    #: mean predicted probability
     predicted: float
-    #: how often the labels agreed
+    #: mean label
     observed: float
     count: int
 
 
 def calibration_bins(probabilities: ArrayLike, labels: ArrayLike) -> tuple[CalibrationBin, ...]:
-    """Those of ten equal bins of the predicted probability that hold any pair.
+    """The non-empty ones of ten equal bins of the predicted probability.
 
-    Every pair counts twice, once in each order, since which segment comes first says nothing.
+    Every pair counts twice, once in each order, since the order of a pair is arbitrary.
 
     Args:
         probabilities: predicted P(segment 0 preferred), (B,).
@@ -43,24 +72,24 @@ def calibration_bins(probabilities: ArrayLike, labels: ArrayLike) -> tuple[Calib
     """
     predicted, label = _float_arrays(probabilities, labels)
     predicted, label = np.concatenate((predicted, 1 - predicted)), np.concatenate((label, 1 - label))
-    place = np.minimum((predicted * CALIBRATION_BINS).astype(np.int64), CALIBRATION_BINS - 1)
+    number = np.minimum((predicted * CALIBRATION_BINS).astype(np.int64), CALIBRATION_BINS - 1)
     return tuple(
         CalibrationBin(float(predicted[inside].mean()), float(label[inside].mean()), int(inside.sum()))
-        for inside in (place == number for number in range(CALIBRATION_BINS))
+        for inside in (number == each for each in range(CALIBRATION_BINS))
         if inside.any()
     )
 
 
 def calibration_error(probabilities: ArrayLike, labels: ArrayLike) -> float:
-    """Expected calibration error: mean distance of predicted probability and label, over ten equal bins."""
+    """Expected calibration error: mean distance of predicted probability and label over `calibration_bins`."""
     bins = calibration_bins(probabilities, labels)
     if not bins:
-        return float("nan")
+        return math.nan
     return sum(each.count * abs(each.predicted - each.observed) for each in bins) / sum(each.count for each in bins)
 
 
 def rank_correlation(first: ArrayLike, second: ArrayLike) -> float:
-    """Spearman's rank correlation of two (B,) arrays; equal values share their mean rank. NaN if one is constant."""
+    """Spearman's rank correlation of two (B,) arrays; ties share their mean rank. NaN if one is constant."""
     ranks = [_mean_ranks(np.asarray(values, dtype=np.float64)) for values in (first, second)]
     return correlation(*ranks)
 
@@ -69,7 +98,7 @@ def correlation(first: ArrayLike, second: ArrayLike) -> float:
     """Pearson's correlation of two (B,) arrays; NaN if one is constant."""
     centred = [values - values.mean() for values in _float_arrays(first, second)]
     scale = np.sqrt((centred[0] ** 2).sum() * (centred[1] ** 2).sum())
-    return float((centred[0] * centred[1]).sum() / scale) if scale > 0 else float("nan")
+    return float((centred[0] * centred[1]).sum() / scale) if scale > 0 else math.nan
 
 
 def _mean_ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:

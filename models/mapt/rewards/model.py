@@ -1,4 +1,4 @@
-"""What every reward model shares: normalised inputs, a Markov path, and scores made of rewards and weights."""
+"""The interface of all reward models, and how individual rewards and step weights become a segment's score."""
 
 import copy
 from abc import ABC, abstractmethod
@@ -11,43 +11,43 @@ from torch import Tensor, nn
 
 from mapt.errors import ShapeError
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.kernels import Band, behind_context
-from mapt.rewards.layers import InputNormaliser, MarkovPath, ReadOut, equal_weights, votes
+from mapt.rewards.kernels import LocalAttention, drop_context
+from mapt.rewards.layers import InputNormaliser, MarkovPath, RewardHead, equal_weights, mean_attention
 
-# A score is a mean over steps and agents, so it starts near 0 and its logit must reach about 5 to be sure
-# of a label. This factor on every reward spares the optimiser the way there.
+# Multiplies every reward. A score is a mean over steps and agents, so it starts near 0, and the logit of a clear
+# preference is about 5.
 REWARD_GAIN = 10.0
-# A model that gives every step the same reward has deviation 0: it must not divide by it.
-SMALLEST_REWARD_DEVIATION = 1e-6
+# Smallest deviation by which rewards are divided, for models with a constant reward.
+MIN_REWARD_DEVIATION = 1e-6
 
-#: What the policy is given for a window's last step; see `RewardModel.policy_rewards`.
+#: The policy's reward for the last step of a window; see `RewardModel.policy_rewards`.
 PolicyReward = Literal["value", "attended", "weighted"]
-#: Layers that read a normalised input, each with the column where its numbers begin there.
-Readers = Sequence[tuple[nn.Linear, int]]
+#: Layers that read a normalised input, each with the column where it begins in the layer's input.
+FirstLayers = Sequence[tuple[nn.Linear, int]]
 
 
 @dataclass(frozen=True, slots=True)
 class RewardOutput:
-    """What a reward model says of S segments."""
+    """What a reward model computes for S segments."""
 
     #: r-hat of each agent, float32 (S, T, N)
     agent_rewards: Tensor
     #: their mean over agents, (S, T)
     rewards: Tensor
-    #: how much each step counts, (S, T): at least 0, 0 on padding, sum 1
+    #: weight of each step, (S, T): 0 or more, 0 on padding, sum 1
     weights: Tensor
-    #: weighted sum of the rewards, (S,): the logit of a preference is a difference of two of these
+    #: weighted sum of the rewards, (S,); the logit of a preference is the difference of two scores
     score: Tensor
 
 
 class RewardModel(nn.Module, ABC):
-    """Rewards of N agents that explain preferences between segments.
+    """Rewards of N agents, learned from preferences between segments.
 
-    An architecture says how rewards come from normalised inputs (`_encode`), which layers read those inputs
-    (`_readers`), and, where steps do not all weigh the same, how much each asks of the others (`_shares`).
+    A subclass defines `_encode`, the rewards from normalised inputs; `_first_layers`, the layers that read these
+    inputs; and, where steps have different weights, `_step_attention`.
     """
 
-    #: the path that sees the present step alone, where there is one; training may begin with it
+    #: the path that sees the present step alone, if the model has one; it is trained first
     markov: MarkovPath | None
     reward_mean: Tensor
     reward_deviation: Tensor
@@ -61,32 +61,16 @@ class RewardModel(nn.Module, ABC):
         self.register_buffer("reward_deviation", torch.ones(()))
 
     @abstractmethod
-    def _encode(self, inputs: tuple[Tensor, Tensor], band: Band | None) -> tuple[Tensor, Tensor]:
-        """Normalised observations (S, T, N, C) and actions (S, T, N, A) -> features h, and r-hat (S, T, N); both
-        behind the context of a band."""
+    def _encode(self, inputs: tuple[Tensor, Tensor], local: LocalAttention | None) -> tuple[Tensor, Tensor]:
+        """Normalised observations (S, T, N, C) and actions (S, T, N, A) -> features h and r-hat (S, T, N), both
+        without the context of `local`."""
 
     @abstractmethod
-    def _readers(self) -> tuple[Readers, Readers]:
+    def _first_layers(self) -> tuple[FirstLayers, FirstLayers]:
         """The layers that read the normalised observations, and those that read the actions."""
 
-    def awake_state(self) -> dict[str, Tensor]:
-        """Its weights as they are, but for a read-out drawn anew: a path that sees the past and is not silent."""
-        awake = copy.deepcopy(self)
-        for part in awake.modules():
-            if isinstance(part, ReadOut):
-                part.reward.reset_parameters()
-        return awake.state_dict()
-
-    def softened_state(self, share: float) -> dict[str, Tensor]:
-        """Its weights, but of those of the Markov path only `share` beside newly drawn ones."""
-        softened = copy.deepcopy(self)
-        if (drawn := MarkovPath.of(self.config)) is not None and softened.markov is not None:
-            for parameter, new in zip(softened.markov.parameters(), drawn.parameters(), strict=True):
-                parameter.data.lerp_(new.data.to(parameter.device), 1 - share)
-        return softened.state_dict()
-
-    def _shares(self, h: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor | None:
-        """How each step shares its vote among the real steps, (S, step that asks, step asked), or None: equally."""
+    def _step_attention(self, h: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor | None:
+        """Attention weights over the real steps, (S, query step, key step), or None for equal weights."""
         return None
 
     def forward(self, observations: Tensor, actions: Tensor, mask: Tensor) -> RewardOutput:
@@ -98,108 +82,126 @@ class RewardModel(nn.Module, ABC):
             mask: bool (S, T), true where the step is real; real steps come first.
 
         Raises:
-            ShapeError: if a shape does not fit the configuration.
+            ShapeError: if a shape does not fit the config.
         """
         self._check(observations, actions, mask)
-        h, agent_rewards = self._encode(self._normalised_inputs(observations, actions), None)
+        h, agent_rewards = self._encode(self._normalise_inputs(observations, actions), None)
         rewards = agent_rewards.mean(dim=2)
-        weights = _weights(self._shares(h, agent_rewards, mask), mask)
+        weights = _weights(self._step_attention(h, agent_rewards, mask), mask)
         return RewardOutput(agent_rewards, rewards, weights, (weights * rewards).sum(dim=1))
 
-    def agent_rewards(self, observations: Tensor, actions: Tensor, band: Band | None = None) -> Tensor:
-        """r-hat of every step from its past, as far back as `band` lets it see; (S, T, N), behind its context.
+    def agent_rewards(self, observations: Tensor, actions: Tensor, local: LocalAttention | None = None) -> Tensor:
+        """r-hat of every step from its past, as far as `local` lets it see; (S, T, N), without its context.
 
         Raises:
-            ShapeError: if a shape does not fit the configuration.
+            ShapeError: if a shape does not fit the config.
         """
         self._check(observations, actions)
-        # A silent path is spared, but where gradients are wanted: by them it wakes.
+        # Skip the zero-initialised path when gradients are off: it contributes nothing.
         if self.is_markov and not torch.is_grad_enabled():
-            return self.markov_rewards(behind_context(observations, band), behind_context(actions, band))
-        return self._encode(self._normalised_inputs(observations, actions), band)[1]
+            return self.markov_rewards(drop_context(observations, local), drop_context(actions, local))
+        return self._encode(self._normalise_inputs(observations, actions), local)[1]
 
     def markov_rewards(self, observations: Tensor, actions: Tensor) -> Tensor:
-        """The Markov path's part of r-hat, (S, T, N); zero where there is no such path."""
-        return REWARD_GAIN * self._markov(self._normalised_inputs(observations, actions), None)
+        """The Markov path's part of r-hat, (S, T, N); zero without such a path."""
+        return REWARD_GAIN * self._markov_output(self._normalise_inputs(observations, actions), None)
 
     def policy_rewards(
         self, observations: Tensor, actions: Tensor, mask: Tensor, kind: PolicyReward = "value"
     ) -> Tensor:
-        """What each agent is given for the last real step of windows, (S, N).
+        """Each agent's reward for the last real step of windows, (S, N).
 
         - `value`: r-hat of that step.
-        - `attended`: what the temporal preference attention puts out there (paper, eq. 5: x_k of the last k), a mean
-          of the window's r-hat by the last step's attention. This is the paper's inference read to the letter.
-        - `weighted`: r-hat of that step times its weight (eq. 6) times the number of real steps, so that
-          equal weights leave `value`.
+        - `attended`: the output of the temporal attention at that step (paper, eq. 5, x_k of the last k): the mean of
+          the window's r-hat under the last step's attention weights. This is the paper's inference taken literally.
+        - `weighted`: r-hat of that step times its weight (eq. 6) times the number of real steps, so that equal weights
+          give `value`.
 
-        All are linear in r-hat, so that the mean over agents is the shared reward. All are taken from the window as
-        a segment of its own, in which the steps before the last see no further back than its first. `normalised`
-        takes the scale of r-hat to all of them. Shapes as in `forward`.
+        All are linear in r-hat, so that the mean over agents is the shared reward. The window is a segment of its own:
+        its earlier steps see no further back than its first step. Shapes as in `forward`; `normalised` applies to all.
 
         Raises:
-            ShapeError: if a shape does not fit the configuration.
+            ShapeError: if a shape does not fit the config.
         """
         self._check(observations, actions, mask)
-        h, agent_rewards = self._encode(self._normalised_inputs(observations, actions), None)
+        h, agent_rewards = self._encode(self._normalise_inputs(observations, actions), None)
         n_real = mask.sum(dim=1)
         last = torch.arange(len(mask), device=mask.device), n_real - 1
         if kind == "value":
             return agent_rewards[last]
-        shares = self._shares(h, agent_rewards, mask)
+        attention = self._step_attention(h, agent_rewards, mask)
         if kind == "attended":
-            share = equal_weights(mask) if shares is None else shares[last]
-            return (share[..., None] * agent_rewards).sum(dim=1)
-        return (n_real * _weights(shares, mask)[last])[:, None] * agent_rewards[last]
+            weights = equal_weights(mask) if attention is None else attention[last]
+            return (weights[..., None] * agent_rewards).sum(dim=1)
+        return (n_real * _weights(attention, mask)[last])[:, None] * agent_rewards[last]
 
-    def measure_inputs(self, observations: Tensor, actions: Tensor, mask: Tensor, *, keep_function: bool) -> None:
-        """Take the input statistics from these segments (shapes as in `forward`).
+    def fit_normalisers(self, observations: Tensor, actions: Tensor, mask: Tensor, *, keep_function: bool) -> None:
+        """Set the input statistics from these segments (shapes as in `forward`).
 
-        One-hot actions are left as they are: they have no unit to be rid of.
+        One-hot actions are not normalised.
 
         Args:
-            keep_function: re-express the layers that read the inputs in the new units. A model that goes on
-                training as the policy's states move then loses nothing (but for inputs beyond the clip).
+            keep_function: rescale the layers that read the inputs, so that the outputs do not change (except for
+                inputs beyond the clip). For a trained model whose training continues on other states.
         """
-        observation_readers, action_readers = self._readers() if keep_function else ((), ())
-        self.observation_normaliser.measure(observations, mask, observation_readers)
+        observation_layers, action_layers = self._first_layers() if keep_function else ((), ())
+        self.observation_normaliser.fit(observations, mask, observation_layers)
         if not self.config.discrete_actions:
-            self.action_normaliser.measure(actions, mask, action_readers)
+            self.action_normaliser.fit(actions, mask, action_layers)
+
+    def with_new_head(self) -> dict[str, Tensor]:
+        """A copy of its weights with a re-initialised output head, so that the zero-initialised path contributes."""
+        model = copy.deepcopy(self)
+        for part in model.modules():
+            if isinstance(part, RewardHead):
+                part.reward.reset_parameters()
+        return model.state_dict()
+
+    def shrink_and_perturb(self, kept_fraction: float) -> dict[str, Tensor]:
+        """A copy of its weights in which the Markov path's are `kept_fraction` of these plus the rest of new ones.
+
+        Source: Ash and Adams (2020), "On Warm-Starting Neural Network Training".
+        """
+        model = copy.deepcopy(self)
+        if (new := MarkovPath.of(self.config)) is not None and model.markov is not None:
+            for parameter, fresh in zip(model.markov.parameters(), new.parameters(), strict=True):
+                parameter.data.lerp_(fresh.data.to(parameter.device), 1 - kept_fraction)
+        return model.state_dict()
 
     def set_reward_scale(self, mean: float, deviation: float) -> None:
-        """Record mean and deviation of the shared reward, which `normalised` takes away."""
+        """Set the mean and deviation of the shared reward that `normalised` uses."""
         self.reward_mean.fill_(mean)
-        self.reward_deviation.fill_(max(deviation, SMALLEST_REWARD_DEVIATION))
+        self.reward_deviation.fill_(max(deviation, MIN_REWARD_DEVIATION))
 
     def normalised(self, rewards: Tensor) -> Tensor:
-        """Rewards in units of the recorded deviation. Agents share one scale, so that the mean over them
-        is the shared reward's."""
+        """Standardised rewards. Agents share one scale, so that the mean over agents is the shared reward's."""
         return (rewards - self.reward_mean) / self.reward_deviation
 
     @property
     def is_markov(self) -> bool:
-        """Whether r-hat is the Markov path's alone: there is no other, or it is as silent as it began."""
-        read_outs = [part.reward for part in self.modules() if isinstance(part, ReadOut)]
+        """Whether r-hat is the Markov path's alone: no other path exists, or its head is still zero."""
+        heads = [part.reward for part in self.modules() if isinstance(part, RewardHead)]
         return self.markov is not None and not any(
-            parameter.any() for layer in read_outs for parameter in layer.parameters()
+            parameter.any() for layer in heads for parameter in layer.parameters()
         )
 
     @property
-    def sees_one_window(self) -> bool:
-        """Whether a `Band` bounds what r-hat depends on: with a second layer or an LSTM it does not, unless silent."""
+    def supports_local_attention(self) -> bool:
+        """Whether a `LocalAttention` bounds what r-hat depends on: with a second layer or an LSTM, older steps
+        influence the window's."""
         config = self.config
         return self.is_markov or config.temporal == "none" or (config.temporal == "attention" and config.layers == 1)
 
-    def _normalised_inputs(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+    def _normalise_inputs(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         return self.observation_normaliser(observations), self.action_normaliser(actions)
 
-    def _markov(self, inputs: tuple[Tensor, Tensor], band: Band | None) -> Tensor:
-        observed, acted = (behind_context(part, band) for part in inputs)
+    def _markov_output(self, inputs: tuple[Tensor, Tensor], local: LocalAttention | None) -> Tensor:
+        observations, actions = (drop_context(part, local) for part in inputs)
         if self.markov is None:
-            return observed.new_zeros(observed.shape[:3])
-        return self.markov(torch.cat((observed, acted), dim=-1))
+            return observations.new_zeros(observations.shape[:3])
+        return self.markov(torch.cat((observations, actions), dim=-1))
 
-    def _markov_readers(self) -> tuple[Readers, Readers]:
+    def _markov_first_layers(self) -> tuple[FirstLayers, FirstLayers]:
         if self.markov is None:
             return (), ()
         return ((self.markov.first, 0),), ((self.markov.first, self.config.observation_dim),)
@@ -216,5 +218,5 @@ class RewardModel(nn.Module, ABC):
             raise ShapeError("mask", tuple(mask.shape), f"{tuple(observations.shape[:2])}")
 
 
-def _weights(shares: Tensor | None, mask: Tensor) -> Tensor:
-    return equal_weights(mask) if shares is None else votes(shares, mask)
+def _weights(attention: Tensor | None, mask: Tensor) -> Tensor:
+    return equal_weights(mask) if attention is None else mean_attention(attention, mask)

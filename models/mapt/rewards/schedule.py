@@ -1,15 +1,17 @@
-"""How a reward model's training goes: the Markov path by itself, while the rest is held still; then everything.
+"""The two stages of a reward model's training, and the tests on the hold-out that stop a stage or reject its result.
 
-The Markov path takes a tenth of the time of the whole network and, where the true reward is Markov, all there is
-to learn. Trained to its end it also explains, by heart, what a Markov reward cannot: so the whole network goes on
-from an early state of it, which has left something to explain. It is kept only where the hold-out gains by it
-against the Markov path at its best; a hold-out too small to tell lets nothing be added.
+1. The Markov path alone, with the rest of the network fixed. It takes a tenth of the time of the whole network and is
+   all there is to learn where the true reward is Markov.
+2. The whole network. Trained to the end, the Markov path overfits preferences that no Markov reward explains, so this
+   stage continues from an early state of it. The result is accepted only if the hold-out loss is significantly lower
+   than that of the best Markov path; a hold-out that is too small accepts nothing.
 
-A version that goes on from another keeps half of the Markov path's weights: what explained the first labels holds it
-back otherwise, in the rewards of single steps more than in what pairs can show.
+A model that continues from an earlier version shrinks the Markov path's weights and perturbs them with new ones
+(`RewardModel.shrink_and_perturb`).
 
-An LSTM finds nothing even beside an early Markov path: its gradient comes through layers that are still zero, and the
-Markov path takes up what there is to gain meanwhile. A network with one begins the second stage untrained.
+An LSTM learns nothing beside a trained Markov path: its gradient passes through layers that are still zero, while the
+Markov path explains what there is to explain. Stage 2 of a network with an LSTM starts from untrained weights with a
+re-initialised head.
 """
 
 import math
@@ -20,74 +22,78 @@ from torch import Tensor
 from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.model import RewardModel
 
-# How far the Markov path's own training has come where the whole network goes on from it.
-EARLY_SHARE = 0.3
-# Memories and attention may tell pairs no better than guessing for ten epochs and more, and then find what there is: an
-# LSTM on teachers of history and co-operation. Five epochs of patience would end that before it has begun.
-FIRST_PATIENCE = 20
+# Fewer held-out pairs than this are too few to compare weights by.
+MIN_HOLD_OUT_PAIRS = 10
+# Stage 2 continues from the best weights of this fraction of stage 1's epochs.
+EARLY_FRACTION = 0.3
+# LSTMs and attention may stay at chance for ten epochs and more before they improve (teachers of history and
+# cooperation).
+PATIENCE_AT_CHANCE = 20
 
 
 @dataclass(frozen=True, slots=True)
 class StageSettings:
-    """How one stage is trained, and how long."""
+    """How one stage is trained."""
 
     lr: float
     weight_decay: float
     batch_pairs: int
     max_epochs: int
-    #: epochs without a better judgement before the stage ends, once it tells pairs better than guessing does
+    #: epochs without a better evaluation before the stage ends, once accuracy is above chance
     patience: int
-    #: share of the labels that the loss takes to be mistakes
+    #: fraction of labels that the loss assumes to be wrong
     label_noise: float
-    #: and until then; `patience` where that is more
-    first_patience: int = 0
-    #: keep what was learned only if it beats the weights that the model had by more than chance would
-    must_convince: bool = False
-    #: how much of the trained weights to begin with, beside newly drawn ones
-    kept_share: float = 1.0
-    #: begin with the weights that the model had before any training, and with a read-out that is not zero
-    anew: bool = False
-    #: epoch whose weights are remembered for the next stage; 0 for none
-    remember_epoch: int = 0
+    #: patience until accuracy is above chance; `patience` if that is more
+    patience_at_chance: int = 0
+    #: accept the result only if it is significantly better than the weights before the stage
+    must_improve: bool = False
+    #: fraction of the trained weights to start with; see `RewardModel.shrink_and_perturb`
+    kept_fraction: float = 1.0
+    #: start with the weights before any training and a re-initialised head
+    restart: bool = False
+    #: epoch after which the best weights so far are kept for the next stage; 0 for none
+    early_epoch: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class Stages:
-    """Both stages; None where a model has nothing for it to train."""
+class Schedule:
+    """Both stages; None where there is nothing to train."""
 
     markov: StageSettings | None
-    whole: StageSettings | None
+    network: StageSettings | None
 
     @property
     def max_epochs(self) -> int:
-        """The most epochs of both."""
-        return sum(stage.max_epochs for stage in (self.markov, self.whole) if stage is not None)
+        """Sum over both stages."""
+        return sum(stage.max_epochs for stage in (self.markov, self.network) if stage is not None)
 
 
-def plan_stages(config: TrainConfig, network: RewardConfig, n_pairs: int, *, warm: bool, reliable: bool) -> Stages:
-    """The stages of a training on so many pairs.
+def plan_schedule(config: TrainConfig, network: RewardConfig, n_pairs: int, *, warm: bool, reliable: bool) -> Schedule:
+    """The stages of a training on `n_pairs` pairs.
 
     Args:
-        warm: whether it goes on from a trained model.
-        reliable: whether the hold-out is large enough to judge by.
+        warm: whether it continues from a trained model.
+        reliable: whether the hold-out is large enough to compare weights by.
     """
     markov = _markov_stage(config, n_pairs, warm=warm) if network.markov_path else None
-    # A Markov model is its Markov path; and nothing is added to one that nothing can be judged by.
+    # MA-MLP has no other path, and an unreliable hold-out cannot accept stage 2.
     if markov is not None and (network.architecture == "mlp" or not reliable):
-        return Stages(markov, None)
-    # Without a Markov path there is nothing good to fall back to.
-    must_convince = network.markov_path and reliable
-    anew = network.markov_path and network.temporal == "lstm" and not warm
-    return Stages(markov, _whole_stage(config, n_pairs, warm=warm, must_convince=must_convince, anew=anew))
-
-
-def state_to_begin_with(stage: StageSettings | None, model: RewardModel) -> dict[str, Tensor] | None:
-    """Weights with which a stage begins in place of those that `model`, not trained on yet, has; None for these."""
-    if stage is None:
-        return None
-    if stage.anew:
-        return model.awake_state()
-    return model.softened_state(stage.kept_share) if stage.kept_share < 1.0 else None
+        return Schedule(markov, None)
+    return Schedule(
+        markov,
+        StageSettings(
+            lr=config.lr,
+            weight_decay=config.weight_decay,
+            batch_pairs=config.batch_pairs,
+            max_epochs=_epochs(config.warm_epochs if warm else config.max_epochs, config.visits, n_pairs),
+            patience=config.patience,
+            patience_at_chance=PATIENCE_AT_CHANCE,
+            label_noise=config.label_noise,
+            # Without a Markov path there is no good model to return to.
+            must_improve=network.markov_path and reliable,
+            restart=network.markov_path and network.temporal == "lstm" and not warm,
+        ),
+    )
 
 
 def _markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSettings | None:
@@ -101,25 +107,57 @@ def _markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSett
         max_epochs=epochs,
         patience=config.markov_patience,
         label_noise=config.label_noise,
-        remember_epoch=0 if warm else math.ceil(EARLY_SHARE * epochs),
-        kept_share=config.warm_share if warm else 1.0,
+        early_epoch=0 if warm else math.ceil(EARLY_FRACTION * epochs),
+        kept_fraction=config.warm_share if warm else 1.0,
     )
 
 
-def _whole_stage(config: TrainConfig, n_pairs: int, *, warm: bool, must_convince: bool, anew: bool) -> StageSettings:
-    return StageSettings(
-        lr=config.lr,
-        weight_decay=config.weight_decay,
-        batch_pairs=config.batch_pairs,
-        max_epochs=_epochs(config.warm_epochs if warm else config.max_epochs, config.visits, n_pairs),
-        patience=config.patience,
-        first_patience=FIRST_PATIENCE,
-        label_noise=config.label_noise,
-        must_convince=must_convince,
-        anew=anew,
-    )
+def _epochs(limit: int, visits: int, n_pairs: int) -> int:
+    # The more labels, the fewer passes over them are needed.
+    return min(limit, math.ceil(visits / n_pairs))
 
 
-def _epochs(most: int, visits: int, n_pairs: int) -> int:
-    # Many labels need fewer passes over them.
-    return min(most, math.ceil(visits / n_pairs))
+def start_weights(stage: StageSettings | None, model: RewardModel) -> dict[str, Tensor] | None:
+    """The weights that a stage starts with, from those of the untrained `model`; None for the current ones."""
+    if stage is None:
+        return None
+    if stage.restart:
+        return model.with_new_head()
+    return model.shrink_and_perturb(stage.kept_fraction) if stage.kept_fraction < 1.0 else None
+
+
+def is_reliable(n_hold_out_pairs: int) -> bool:
+    """Whether a hold-out is large enough to compare weights by."""
+    return n_hold_out_pairs >= MIN_HOLD_OUT_PAIRS
+
+
+def is_accepted(stage: StageSettings, before: Tensor, after: Tensor) -> bool:
+    """Whether a stage's weights replace those before it, given the losses (P,) of both."""
+    if stage.must_improve:
+        return is_significant(before - after)
+    # The earlier weights may have been trained on the hold-out: a higher loss is accepted unless it is above chance's.
+    return bool(after.mean() <= before.mean().clamp(min=math.log(2)))
+
+
+def is_above_chance(losses: Tensor) -> bool:
+    """Whether losses (P,) are significantly lower than that of a coin flip."""
+    return is_significant(math.log(2) - losses)
+
+
+def is_out_of_patience(stage: StageSettings, epochs_waited: int, above_chance: bool) -> bool:
+    """Whether a stage ends.
+
+    Args:
+        epochs_waited: since the best evaluation.
+        above_chance: whether any evaluation so far was above chance.
+    """
+    patience = stage.patience if above_chance else max(stage.patience, stage.patience_at_chance)
+    return epochs_waited >= patience
+
+
+def is_significant(gains: Tensor) -> bool:
+    """Whether the mean of `gains` (P,) is more than two standard errors above 0.
+
+    The best of several epochs on a hundred pairs is better than the start by chance more often than not.
+    """
+    return bool(gains.mean() > 2 * gains.std() / math.sqrt(len(gains)))

@@ -128,7 +128,7 @@ def test_taking_new_input_statistics_keeps_the_function(build, variant):
     observations, actions, mask = draw(4, 6)
     before = model(observations, actions, mask).agent_rewards
     # Away from the clip, where the function cannot be kept.
-    model.measure_inputs(3 * observations + 2, 0.5 * actions - 1, mask, keep_function=True)
+    model.fit_normalisers(3 * observations + 2, 0.5 * actions - 1, mask, keep_function=True)
     after = model(observations, actions, mask).agent_rewards
     torch.testing.assert_close(after, before, rtol=1e-3, atol=1e-3)
 
@@ -139,7 +139,7 @@ def test_measured_inputs_are_normalised_over_real_steps_alone(build):
     observations = 5 * observations + 3
     mask[:, 4:] = False
     observations[:, 4:] = 1e6
-    model.measure_inputs(observations, actions, mask, keep_function=False)
+    model.fit_normalisers(observations, actions, mask, keep_function=False)
     normalised = model.observation_normaliser(observations)[mask].reshape(-1, OBSERVATION_DIM)
     torch.testing.assert_close(normalised.mean(dim=0), torch.zeros(OBSERVATION_DIM), **CLOSE)
     torch.testing.assert_close(normalised.std(dim=0, correction=0), torch.ones(OBSERVATION_DIM), **CLOSE)
@@ -149,7 +149,7 @@ def test_an_input_that_never_varied_is_not_blown_up(build):
     model = build()
     observations, actions, mask = draw(4, 6)
     observations[..., 0] = 7.0
-    model.measure_inputs(observations, actions, mask, keep_function=False)
+    model.fit_normalisers(observations, actions, mask, keep_function=False)
     assert model.observation_normaliser(observations)[..., 0].abs().max() == 0
     observations[..., 0] = 7.5
     assert model.observation_normaliser(observations)[..., 0].abs().max() == 0.5
@@ -158,7 +158,7 @@ def test_an_input_that_never_varied_is_not_blown_up(build):
 def test_a_wild_state_cannot_buy_an_unbounded_reward(build):
     model = build()
     observations, actions, mask = draw(1, 3)
-    model.measure_inputs(observations, actions, mask, keep_function=False)
+    model.fit_normalisers(observations, actions, mask, keep_function=False)
     far, farther = (model(observations + shift, actions, mask).score for shift in (1e4, 1e8))
     torch.testing.assert_close(far, farther)
 
@@ -166,11 +166,11 @@ def test_a_wild_state_cannot_buy_an_unbounded_reward(build):
 def test_inputs_of_other_dimensions_are_refused(build):
     model = build()
     observations, actions, mask = draw(2, 5)
-    with pytest.raises(ShapeError, match="observations"):
+    with pytest.raises(ShapeError):
         model(observations[..., 1:], actions, mask)
-    with pytest.raises(ShapeError, match="observations"):
+    with pytest.raises(ShapeError):
         model(observations[:, :, 1:], actions, mask)
-    with pytest.raises(ShapeError, match="actions"):
+    with pytest.raises(ShapeError):
         model(observations, actions[:, 1:], mask)
-    with pytest.raises(ShapeError, match="mask"):
+    with pytest.raises(ShapeError):
         model(observations, actions, mask[:, 1:])

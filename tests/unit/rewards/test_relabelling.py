@@ -6,11 +6,11 @@ from hypothesis import strategies as st
 
 from mapt.errors import InvalidConfig, InvalidRollout, ModelMismatch
 from mapt.rewards.relabelling import RolloutRelabeller
+from support.tolerance import assert_float32_close
 
 pytestmark = pytest.mark.numerics
 
 N_ENVS, N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 3, 4, 2
-TOLERANCE = {"rtol": 1e-5, "atol": 1e-5}
 # The fixtures are the same for every example.
 each_example = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -55,14 +55,14 @@ def test_rewards_of_rollouts_equal_each_step_in_its_own_window(build, variant, l
     model.set_reward_scale(0.3, 1.7)
     rollouts = draw(sum(lengths), restarts, seed)
     relabelled = in_pieces(RolloutRelabeller(model, window, N_ENVS, "individual"), lengths, *rollouts)
-    np.testing.assert_allclose(relabelled, window_by_window(model, window, *rollouts), **TOLERANCE)
+    assert_float32_close(relabelled, window_by_window(model, window, *rollouts))
 
 
 @pytest.mark.parametrize("length", [16, 32])
 def test_a_rollout_of_whole_blocks_is_relabelled_too(build, length):
     model, rollout = build(), draw(length)
     relabelled = RolloutRelabeller(model, 6, N_ENVS, "individual").relabel(*rollout)
-    np.testing.assert_allclose(relabelled, window_by_window(model, 6, *rollout), **TOLERANCE)
+    assert_float32_close(relabelled, window_by_window(model, 6, *rollout))
 
 
 @pytest.mark.parametrize("window", [1, 6])
@@ -90,7 +90,7 @@ def test_each_kind_of_reward_is_the_model_s_own_on_each_window(build, kind):
             mask = torch.ones(1, inputs[0].shape[1], dtype=torch.bool)
             with torch.inference_mode():
                 own = model.normalised(model.policy_rewards(*inputs, mask, kind))[0].numpy()
-            np.testing.assert_allclose(relabelled[t, e], own, **TOLERANCE)
+            assert_float32_close(relabelled[t, e], own)
 
 
 def test_shared_credit_is_the_mean_of_the_individual(build):
@@ -99,7 +99,7 @@ def test_shared_credit_is_the_mean_of_the_individual(build):
     individual = RolloutRelabeller(model, 6, N_ENVS, "individual").relabel(*rollout)
     assert shared.dtype == np.float32
     assert shared.shape == (20, N_ENVS)
-    np.testing.assert_allclose(shared, individual.mean(axis=2), **TOLERANCE)
+    assert_float32_close(shared, individual.mean(axis=2))
 
 
 def test_an_episode_never_sees_the_one_before(build):
@@ -122,14 +122,14 @@ def test_a_long_rollout_needs_no_more_than_its_window(build):
     start[:] = False
     start[280] = True
     cut = RolloutRelabeller(model, 7, N_ENVS).relabel(observations[280:], actions[280:], start[280:])
-    np.testing.assert_allclose(relabelled[286:], cut[6:], **TOLERANCE)
+    assert_float32_close(relabelled[286:], cut[6:])
 
 
 def test_a_rollout_may_begin_in_the_middle_of_an_episode(build):
     model = build()
     observations, actions, start = draw(5, restarts=0)
     begun = RolloutRelabeller(model, 6, N_ENVS).relabel(observations, actions, np.zeros_like(start))
-    np.testing.assert_allclose(begun, RolloutRelabeller(model, 6, N_ENVS).relabel(observations, actions, start))
+    assert_float32_close(begun, RolloutRelabeller(model, 6, N_ENVS).relabel(observations, actions, start))
 
 
 def test_a_restored_relabeller_goes_on_bit_by_bit(build):
@@ -223,8 +223,8 @@ def test_a_malformed_rollout_is_refused_and_leaves_the_memory(build, name, value
 def test_a_state_of_another_window_is_refused(build):
     state = RolloutRelabeller(build(), 5, N_ENVS).state_dict()
     relabeller = RolloutRelabeller(build(), 4, N_ENVS)
-    with pytest.raises(InvalidRollout, match="observations"):
+    with pytest.raises(InvalidRollout):
         relabeller.load_state_dict(state)
     del state["episode"]
-    with pytest.raises(InvalidRollout, match="episode"):
+    with pytest.raises(InvalidRollout):
         relabeller.load_state_dict(state)

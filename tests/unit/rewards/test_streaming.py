@@ -8,11 +8,11 @@ from mapt.errors import InvalidConfig, InvalidRollout
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.relabelling import RewardStream, RolloutRelabeller
+from support.tolerance import assert_float32_close
 
 pytestmark = pytest.mark.numerics
 
 N_ENVS, N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 3, 4, 2
-TOLERANCE = {"rtol": 1e-5, "atol": 1e-5}
 # The fixtures are the same for every example.
 each_example = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -39,9 +39,7 @@ def test_steps_one_by_one_get_the_rewards_of_the_whole_rollout(build, variant, n
     model.set_reward_scale(0.3, 1.7)
     rollout = draw(n_steps, restarts, seed)
     relabelled = RolloutRelabeller(model, window, N_ENVS, "individual").relabel(*rollout)
-    np.testing.assert_allclose(
-        streamed(RewardStream(model, window, N_ENVS, "individual"), *rollout), relabelled, **TOLERANCE
-    )
+    assert_float32_close(streamed(RewardStream(model, window, N_ENVS, "individual"), *rollout), relabelled)
 
 
 @pytest.mark.parametrize("kind", ["attended", "weighted"])
@@ -49,9 +47,7 @@ def test_steps_one_by_one_get_the_rewards_of_the_whole_rollout(build, variant, n
 def test_every_kind_of_reward_streams_as_it_is_relabelled(build, kind, credit):
     model, rollout = build(), draw(12)
     relabelled = RolloutRelabeller(model, 5, N_ENVS, credit, kind=kind).relabel(*rollout)
-    np.testing.assert_allclose(
-        streamed(RewardStream(model, 5, N_ENVS, credit, kind=kind), *rollout), relabelled, **TOLERANCE
-    )
+    assert_float32_close(streamed(RewardStream(model, 5, N_ENVS, credit, kind=kind), *rollout), relabelled)
 
 
 @pytest.mark.parametrize("name", ["MA-MLP", "MA-LSTM", "MA-Transformer"])
@@ -64,7 +60,7 @@ def test_every_baseline_streams_as_it_is_relabelled(name):
         for parameter in model.parameters():
             parameter.copy_(torch.randn(parameter.shape, generator=torch.Generator().manual_seed(0)) * 0.3)
     relabelled = RolloutRelabeller(model, 5, N_ENVS).relabel(*rollout)
-    np.testing.assert_allclose(streamed(RewardStream(model, 5, N_ENVS), *rollout), relabelled, **TOLERANCE)
+    assert_float32_close(streamed(RewardStream(model, 5, N_ENVS), *rollout), relabelled)
 
 
 def test_thousands_of_steps_do_not_blur_the_positions(build):
@@ -73,7 +69,7 @@ def test_thousands_of_steps_do_not_blur_the_positions(build):
     stream = RewardStream(model, 4, N_ENVS)
     last = streamed(stream, observations, actions, start)[-1]
     window = RolloutRelabeller(model, 4, N_ENVS).relabel(observations[-4:], actions[-4:], start[-4:])
-    np.testing.assert_allclose(last, window[-1], **TOLERANCE)
+    assert_float32_close(last, window[-1])
 
 
 @pytest.mark.parametrize("settings", [{}, {"temporal": "lstm"}])

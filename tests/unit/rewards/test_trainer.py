@@ -12,11 +12,13 @@ from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
 from mapt.preferences.teachers import OracleTeacher, TeacherView
 from mapt.rewards import data as reward_data
 from mapt.rewards.config import MODEL_NAMES, RewardConfig, TrainConfig
-from mapt.rewards.data import PairTensors, markov_scorer, segment_reader, whole_scorer
+from mapt.rewards.data import PairTensors, markov_scorer, network_scorer, segment_reader
 from mapt.rewards.mapt import MAPT
+from mapt.rewards.metrics import evaluate_logits
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.schedule import StageSettings
-from mapt.rewards.trainer import Fitting, Stage, judge_pairs, train_reward_model
+from mapt.rewards.trainer import RewardTrainer, Stage, train_reward_model, weight_average
+from support.tolerance import assert_float32_close
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 2, 4, 1
 CONFIG = RewardConfig(OBSERVATION_DIM, ACTION_DIM, N_AGENTS, hidden_dim=16)
@@ -184,7 +186,7 @@ def test_segments_left_on_disk_train_the_same_model(tmp_path, monkeypatch):
         writer.append(dataset.segments)
     folder = SegmentFolder.open(tmp_path / "segments")
     kept = train_reward_model(dataset, CONFIG, QUICK)
-    monkeypatch.setattr(reward_data, "MOST_NUMBERS_KEPT", 0)
+    monkeypatch.setattr(reward_data, "MAX_RESIDENT_VALUES", 0)
     streamed = train_reward_model(PreferenceDataset(folder, dataset.pairs, dataset.labels), CONFIG, QUICK)
     assert same_weights(kept.model, streamed.model)
 
@@ -277,9 +279,11 @@ def test_before_the_markov_path_moves_its_scores_are_the_whole_network_s():
     model = build_reward_model(CONFIG).eval()
     segments = segment_reader(data.segments, torch.device("cpu"))
     used = torch.tensor([3, 17, 20, 58])
-    asked = torch.tensor([58, 3, 20])
+    wanted = torch.tensor([58, 3, 20])
     with torch.inference_mode():
-        torch.testing.assert_close(markov_scorer(model, segments, used)(asked), whole_scorer(model, segments)(asked))
+        assert_float32_close(
+            markov_scorer(model, segments, used)(model, wanted), network_scorer(segments)(model, wanted)
+        )
 
 
 def test_what_a_stage_learned_by_heart_early_is_not_handed_on():
@@ -288,13 +292,17 @@ def test_what_a_stage_learned_by_heart_early_is_not_handed_on():
     train, hold_out = (PairTensors.of(part, cpu) for part in data.split(0.2, 0))
     model = build_reward_model(CONFIG).eval()
     scorer = markov_scorer(model, segment_reader(data.segments, cpu), torch.arange(len(data.segments)))
-    untrained = judge_pairs(hold_out, scorer).loss
-    settings = StageSettings(2e-2, 0.0, 32, 80, 80, 0.0, remember_epoch=80)
-    fitting = Fitting(model, train, hold_out, seed=0, max_epochs=80)
-    fitting.run(Stage(settings, list(model.markov.parameters()), scorer))
-    assert fitting.history[-1].holdout_loss > untrained + 0.1
-    model.load_state_dict(fitting.early)
-    assert judge_pairs(hold_out, scorer).loss <= untrained
+
+    def hold_out_loss() -> float:
+        return evaluate_logits(hold_out.logits(model, scorer), hold_out.labels).loss
+
+    untrained = hold_out_loss()
+    settings = StageSettings(2e-2, 0.0, 32, 80, 80, 0.0, early_epoch=80)
+    trainer = RewardTrainer(model, train, hold_out, seed=0, max_epochs=80)
+    trainer.run(Stage(settings, list(model.markov.parameters()), scorer))
+    assert trainer.history[-1].holdout_loss > untrained + 0.1
+    model.load_state_dict(trainer.early_weights)
+    assert hold_out_loss() <= untrained
 
 
 def test_a_dataset_of_other_dimensions_is_refused():
@@ -309,5 +317,88 @@ def test_a_warm_start_from_another_network_is_refused():
 
 
 def test_a_device_that_is_not_here_is_named():
-    with pytest.raises(InvalidConfig, match="abacus"):
+    with pytest.raises(InvalidConfig):
         train_reward_model(preferences(20), CONFIG, TrainConfig(device="abacus"))
+
+
+class Scale(torch.nn.Module):
+    """A model with one weight."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.zeros(1, 1))
+
+
+def scale_pairs() -> tuple[torch.Tensor, PairTensors]:
+    quality = torch.linspace(-1, 1, 60)
+    return quality, PairTensors(torch.stack([torch.arange(60), torch.arange(60).flip(0)], dim=1), (quality > 0).float())
+
+
+@pytest.mark.parametrize(("first_useful_epoch", "learns"), [(3, True), (8, True), (40, False)])
+def test_stage_at_chance_is_continued_for_its_longer_patience(first_useful_epoch, learns):
+    (quality, pairs), model = scale_pairs(), Scale()
+    trainer = RewardTrainer(model, pairs, pairs, seed=0, max_epochs=60)
+
+    def score(model, index):
+        return model.weight.sum() * quality[index] * (len(trainer.history) >= first_useful_epoch)
+
+    settings = StageSettings(0.1, 0.0, 32, max_epochs=60, patience=3, label_noise=0.0, patience_at_chance=12)
+    trainer.run(Stage(settings, list(model.parameters()), score))
+    assert (model.weight.item() > 0) == learns
+    assert learns or len(trainer.history) == 12
+
+
+def run_scale(progress, monkeypatch) -> tuple[Scale, list[float]]:
+    """A stage of five epochs; gives the model and the weight after every optimiser step."""
+    (quality, pairs), model = scale_pairs(), Scale()
+    trained: list[float] = []
+    plain_step = torch.optim.AdamW.step
+
+    def step(optimiser, *args):
+        result = plain_step(optimiser, *args)
+        trained.append(model.weight.item())
+        return result
+
+    monkeypatch.setattr(torch.optim.AdamW, "step", step)
+    settings = StageSettings(0.1, 0.0, 32, max_epochs=5, patience=5, label_noise=0.0)
+    trainer = RewardTrainer(model, pairs, pairs, seed=0, max_epochs=5, progress=lambda at: progress(model, trained))
+    trainer.run(Stage(settings, list(model.parameters()), lambda model, index: model.weight.sum() * quality[index]))
+    return model, trained
+
+
+def test_progress_callback_sees_the_training_weights(monkeypatch):
+    seen = []
+    run_scale(lambda model, trained: seen.append(model.weight.item() == trained[-1]), monkeypatch)
+    assert seen == [True] * 5
+
+
+def test_exception_in_the_progress_callback_leaves_the_training_weights(monkeypatch):
+    weights = []
+
+    def fail(model, trained):
+        weights.extend([model, trained])
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_scale(fail, monkeypatch)
+    model, trained = weights
+    assert model.weight.item() == trained[-1]
+
+
+def test_evaluated_weights_average_the_training_weights():
+    model = Scale()
+    average = weight_average(model)
+    for step in range(1, 2001):
+        model.weight.data.fill_(1.0 if step % 2 else -1.0)
+        average.update_parameters(model)
+    assert average.module.weight.abs().item() < 0.05
+    assert model.weight.item() == -1
+
+
+def test_average_of_constant_weights_converges_to_them():
+    model = Scale()
+    average = weight_average(model)
+    model.weight.data.fill_(2.0)
+    for _ in range(1500):
+        average.update_parameters(model)
+    assert average.module.weight.item() == pytest.approx(2.0, rel=1e-5)
