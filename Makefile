@@ -18,8 +18,7 @@ test: $(INSTALLED) system-test check ## Format, lint, types, import rules, then 
 	$(BIN)/python -m pytest -m "not benchmark and not learn" $(SIDE_BY_SIDE)
 
 test-avx2: $(INSTALLED) ## The tests of computed numbers again, with AVX2, so that none depends on one processor's rounding; part of CI
-	ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 $(BIN)/python -m pytest --quiet -m numerics $(SIDE_BY_SIDE) \
-		tests/unit/rewards tests/unit/policies tests/unit/preferences tests/integration/workers
+	ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 $(BIN)/python -m pytest --quiet -m numerics $(SIDE_BY_SIDE) tests/unit
 
 check: $(INSTALLED) ## Format, lint, types, import rules, the page
 	$(BIN)/ruff format --check backend models tests frontend

@@ -28,6 +28,7 @@ from mapt.preferences.storage import SegmentWriter
 from mapt.rewards.checkpoints import save_reward_model
 from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
+from support.tolerance import assert_float32_close
 
 PLAN = ReportPlan("oracle", 60, None)
 ALWAYS = {
@@ -89,7 +90,7 @@ def test_rewards_go_along_an_episode_as_the_policy_is_given_them(replay):
     series = rollout_series(replay, {"MLP": model})
     assert series.true.shape == (15,)
     expected = (predict(model, played).rewards[0, :15] - model.reward_mean.item()) / model.reward_deviation.item()
-    np.testing.assert_allclose(series.learned["MLP"], expected, atol=1e-5)
+    assert_float32_close(series.learned["MLP"], expected)
 
 
 def test_agents_of_our_tasks_have_names(replay):
@@ -144,7 +145,7 @@ def test_attention_is_seen_where_a_model_has_it(replay, name):
         np.testing.assert_allclose(maps.agents.sum(axis=-1), 1, atol=1e-5)
     if maps.steps is not None:
         # Eq. 6: the weight of a step is the mean of what the steps give it.
-        np.testing.assert_allclose(maps.steps.mean(axis=1), predict(model, segments).weights, atol=1e-5)
+        assert_float32_close(maps.steps.mean(axis=1), predict(model, segments).weights)
 
 
 def test_looking_at_attention_leaves_no_hook(replay):
