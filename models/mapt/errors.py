@@ -353,6 +353,7 @@ class FileTooLarge(InvalidFile):
         super().__init__(
             path, f"declares {what}, more than the limit of {limit}; raise the limit if you trust the file"
         )
+        self.what = what
         self.limit = limit
 
 

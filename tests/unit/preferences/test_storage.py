@@ -107,8 +107,9 @@ def test_rewards_and_simulator_states_are_kept_exactly(tmp_path):
 
 def test_what_a_folder_does_not_keep_cannot_be_read(tmp_path):
     written(tmp_path / "segments")
-    with pytest.raises(MissingPart, match="rewards"):
+    with pytest.raises(MissingPart) as refused:
         SegmentFolder.open(tmp_path / "segments").rewards([0])
+    assert "rewards" in refused.value.part
 
 
 def test_discrete_actions_are_stored_as_an_index_and_come_back_one_hot(tmp_path):
@@ -124,21 +125,26 @@ def test_actions_that_are_not_one_hot_are_refused_where_they_are_discrete(tmp_pa
     layout = SegmentLayout(n_steps=5, n_agents=2, observation_dim=3, action_dim=4, discrete=True)
     arrays = segments((5, 3), discrete=True)
     arrays.actions[1, 2, 0] = 0.25
-    with pytest.raises(NotOneHot, match="segment 1"), SegmentWriter.create(tmp_path / "segments", layout) as writer:
+    with pytest.raises(NotOneHot) as refused, SegmentWriter.create(tmp_path / "segments", layout) as writer:
         writer.append(arrays)
+    assert refused.value.segment == 1
 
 
 def test_an_array_of_another_shape_is_named_and_nothing_is_added(tmp_path):
     with SegmentWriter.create(tmp_path / "segments", FULL) as writer:
         good = {"rewards": np.zeros((1, 5)), "qpos": np.zeros((1, 5, 3)), "qvel": np.zeros((1, 5, 2))}
-        with pytest.raises(ShapeError, match="qvel"):
+        with pytest.raises(ShapeError) as refused:
             writer.append(segments((5,)), **{**good, "qvel": np.zeros((1, 5, 3))})
-        with pytest.raises(ShapeError, match="rewards"):
+        assert refused.value.name == "qvel"
+        with pytest.raises(ShapeError) as refused:
             writer.append(segments((5,)), **{**good, "rewards": None})
-        with pytest.raises(NotFinite, match="qpos of segment 0"):
+        assert refused.value.name == "rewards"
+        with pytest.raises(NotFinite) as refused:
             writer.append(segments((5,)), **{**good, "qpos": np.full((1, 5, 3), np.nan)})
-        with pytest.raises(ShapeError, match="observations"):
+        assert (refused.value.name, refused.value.segment) == ("qpos", 0)
+        with pytest.raises(ShapeError) as refused:
             writer.append(segments((6,)), rewards=np.zeros((1, 6)), qpos=np.zeros((1, 6, 3)), qvel=np.zeros((1, 6, 2)))
+        assert refused.value.name == "observations"
         writer.append(segments((5,)), **good)
     assert len(SegmentFolder.open(tmp_path / "segments")) == 1
 
@@ -239,31 +245,35 @@ def test_a_reader_sees_what_was_committed_when_it_opened(tmp_path):
 
 
 def test_a_folder_without_a_manifest_is_refused(tmp_path):
-    with pytest.raises(MissingPart, match=r"manifest\.json"):
+    with pytest.raises(MissingPart) as refused:
         SegmentFolder.open(tmp_path)
+    assert "manifest.json" in refused.value.part
 
 
 def test_a_file_that_was_cut_is_refused(tmp_path):
     written(tmp_path / "segments")
     os.truncate(tmp_path / "segments" / "actions.bin", 100)
     for opened in (SegmentFolder.open, SegmentWriter.resume):
-        with pytest.raises(TruncatedFile, match=r"actions\.bin"):
+        with pytest.raises(TruncatedFile) as refused:
             opened(tmp_path / "segments")
+        assert "actions.bin" in str(refused.value.path)
 
 
 def test_a_file_cut_behind_its_readers_back_is_noticed(tmp_path):
     written(tmp_path / "segments")
     folder = SegmentFolder.open(tmp_path / "segments")
     os.truncate(tmp_path / "segments" / "observations.bin", 100)
-    with pytest.raises(TruncatedFile, match=r"observations\.bin"):
+    with pytest.raises(TruncatedFile) as refused:
         folder.take([3])
+    assert "observations.bin" in str(refused.value.path)
 
 
 def test_a_file_that_is_gone_is_named(tmp_path):
     written(tmp_path / "segments")
     (tmp_path / "segments" / "actions.bin").unlink()
-    with pytest.raises(MissingPart, match=r"actions\.bin"):
+    with pytest.raises(MissingPart) as refused:
         SegmentFolder.open(tmp_path / "segments")
+    assert "actions.bin" in refused.value.part
 
 
 def change_manifest(folder, **changes):
@@ -274,8 +284,9 @@ def change_manifest(folder, **changes):
 def test_a_newer_schema_is_refused_by_its_number(tmp_path):
     written(tmp_path / "segments")
     change_manifest(tmp_path / "segments", schema_version=2)
-    with pytest.raises(NewerFile, match="version 2"):
+    with pytest.raises(NewerFile) as refused:
         SegmentFolder.open(tmp_path / "segments")
+    assert (refused.value.found, refused.value.known) == (2, 1)
 
 
 @pytest.mark.parametrize(
@@ -295,22 +306,25 @@ def test_a_newer_schema_is_refused_by_its_number(tmp_path):
 def test_a_manifest_that_makes_no_sense_is_refused(tmp_path, changes):
     written(tmp_path / "segments")
     change_manifest(tmp_path / "segments", **changes)
-    with pytest.raises(InvalidFile, match=r"manifest\.json"):
+    with pytest.raises(InvalidFile) as refused:
         SegmentFolder.open(tmp_path / "segments")
+    assert "manifest.json" in str(refused.value.path)
 
 
 def test_a_manifest_that_is_no_json_is_refused(tmp_path):
     written(tmp_path / "segments")
     (tmp_path / "segments" / "manifest.json").write_bytes(b"\xff{")
-    with pytest.raises(InvalidFile, match=r"manifest\.json"):
+    with pytest.raises(InvalidFile) as refused:
         SegmentFolder.open(tmp_path / "segments")
+    assert "manifest.json" in str(refused.value.path)
 
 
 def test_lengths_beyond_the_layout_are_refused(tmp_path):
     written(tmp_path / "segments")
     (tmp_path / "segments" / "lengths.bin").write_bytes(np.array([5, 3, 9, 5], dtype="<i4").tobytes())
-    with pytest.raises(InvalidFile, match="length"):
+    with pytest.raises(InvalidFile) as refused:
         SegmentFolder.open(tmp_path / "segments")
+    assert "length" in refused.value.problem
 
 
 def test_a_folder_survives_pickling(tmp_path):

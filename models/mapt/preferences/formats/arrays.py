@@ -1,4 +1,4 @@
-"""Foreign arrays, checked, as ours."""
+"""Checks of arrays from untrusted files, and HDF5 files with a limit on what they declare."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -15,18 +15,18 @@ from mapt.preferences.segments import one_hot_actions
 
 
 def as_array(path: Path | str, where: str, values: object) -> NDArray[Any]:
-    """Raises InvalidFile for lists that are no array."""
+    """Convert to an array. Raises InvalidFile for ragged lists."""
     try:
         return np.asarray(values)
     except ValueError as error:
-        raise InvalidFile(path, f"{where} is no array ({error})") from error
+        raise InvalidFile(path, f"{where} is not an array ({error})") from error
 
 
 def numbers(path: Path | str, where: str, values: object, n_dims: int) -> NDArray[Any]:
-    """An array of numbers with as many dimensions, none of them 0.
+    """Check that `values` is a non-empty array of numbers with `n_dims` dimensions, and return it.
 
     Args:
-        where: what it is called in an error.
+        where: name of the array in error messages.
 
     Raises:
         InvalidFile: if it is not.
@@ -40,17 +40,17 @@ def numbers(path: Path | str, where: str, values: object, n_dims: int) -> NDArra
 
 
 def finite_floats(path: Path | str, where: str, values: object, n_dims: int) -> FloatArray:
-    """As `numbers`, float32 and without NaN or infinity."""
+    """Check as `numbers`, convert to float32, and check that all values are finite."""
     array = numbers(path, where, values, n_dims)
     with np.errstate(over="ignore"):
         floats = array.astype(np.float32)
     if not np.isfinite(floats).all():
-        raise InvalidFile(path, f"{where} holds NaN, infinity or a number beyond float32")
+        raise InvalidFile(path, f"{where} holds NaN, infinity or a number too large for float32")
     return floats
 
 
 def finite_doubles(path: Path | str, where: str, values: object, n_dims: int) -> NDArray[np.float64]:
-    """As `finite_floats`, in float64."""
+    """As `finite_floats`, but float64."""
     doubles = numbers(path, where, values, n_dims).astype(np.float64)
     if not np.isfinite(doubles).all():
         raise InvalidFile(path, f"{where} holds NaN or infinity")
@@ -58,96 +58,98 @@ def finite_doubles(path: Path | str, where: str, values: object, n_dims: int) ->
 
 
 def numbered_actions(path: Path | str, where: str, values: object, n_actions: int) -> FloatArray:
-    """Discrete actions (T, N) or (T, N, 1), one-hot (T, N, A).
+    """Convert discrete actions, indices (T, N) or (T, N, 1), to one-hot (T, N, A).
 
     Raises:
-        InvalidFile: if one is not in [0, `n_actions`).
+        InvalidFile: if an index is not a whole number in [0, `n_actions`).
     """
     array = as_array(path, where, values)
     array = numbers(path, where, array[..., 0] if array.ndim == 3 and array.shape[2] == 1 else array, 2)
     chosen = array.astype(np.int64)
     if (chosen != array).any():
-        raise InvalidFile(path, f"{where} holds an action that is no whole number")
+        raise InvalidFile(path, f"{where} holds an action that is not a whole number")
     try:
         return one_hot_actions(chosen, n_actions)
     except InvalidAction as error:
         raise InvalidFile(path, f"{where}: {error}") from error
 
 
-#: What the arrays of one file may declare together.
+#: Limit on the total size that the arrays of an HDF5 file declare.
 MAX_BYTES = 16 << 30
 
 
 class Hdf5File:
-    """An open file; its errors name it."""
+    """An open HDF5 file whose arrays are checked before they are read."""
 
     def __init__(self, path: Path, file: h5py.File, max_bytes: int) -> None:
         self.path, self._file = path, file
-        self._left, self._limit = max_bytes, max_bytes
+        self._remaining, self._limit = max_bytes, max_bytes
 
     def names(self, group: str = "/") -> list[str]:
-        """What lies in a group; nothing if it is none."""
+        """Names in a group; empty if there is no such group."""
         found = self._find(group)
         return sorted(found) if isinstance(found, h5py.Group) else []
 
     def is_array(self, name: str) -> bool:
+        """Whether there is an array with this name."""
         return isinstance(self._find(name), h5py.Dataset)
 
     def attribute(self, name: str) -> object:
-        """Of the file; None if there is none."""
+        """An attribute of the file, or None."""
         return self._file.attrs.get(name)
 
     def array(self, name: str, n_dims: int) -> h5py.Dataset:
-        """An array of numbers, not yet read.
+        """An array of numbers, without reading its values.
 
         Raises:
-            MissingPart: if it is not there.
-            InvalidFile: if it holds no numbers, has other dimensions, or lies in another file.
-            FileTooLarge: if it, and those asked for before, declare more than is wanted.
+            MissingPart: if there is no such array.
+            InvalidFile: if it does not hold numbers, has other dimensions, or is stored in another file.
+            FileTooLarge: if the arrays requested so far declare more than `max_bytes`.
         """
         found = self._find(name)
         if not isinstance(found, h5py.Dataset):
             raise MissingPart(self.path, f"array {name!r}")
         if found.is_virtual or found.external:
-            raise InvalidFile(self.path, f"{name} lies in another file")
+            raise InvalidFile(self.path, f"{name} is stored in another file")
         if found.dtype.kind not in "biuf":
             raise InvalidFile(self.path, f"{name} holds {found.dtype}, not numbers")
         if found.ndim != n_dims:
             raise InvalidFile(self.path, f"{name} has shape {found.shape}, not {n_dims} dimensions")
-        # As what it becomes: a few bytes on disk can stand for any number of zeros.
+        # The size in memory: compressed zeros take almost no space on disk.
         declared = int(np.prod(found.shape, dtype=object)) * max(8, found.dtype.itemsize)
-        self._left -= declared
-        if self._left < 0:
+        self._remaining -= declared
+        if self._remaining < 0:
             raise FileTooLarge(self.path, f"{name} of shape {found.shape}", self._limit)
         return found
 
     def _find(self, name: str) -> object:
-        """The object of a name, reached without leaving the file; None if there is none."""
+        """The object with this path, or None; links are not followed."""
         found: object = self._file
         for part in name.strip("/").split("/") if name != "/" else ():
             if not isinstance(found, h5py.Group) or part not in found:
                 return None
             if not isinstance(found.get(part, getlink=True), h5py.HardLink):
-                raise InvalidFile(self.path, f"{name} is a link to another place")
+                raise InvalidFile(self.path, f"{name} is a link")
             found = found[part]
         return found
 
 
 @contextmanager
 def open_hdf5(path: Path, max_bytes: int = MAX_BYTES) -> Generator[Hdf5File]:
-    """
+    """Open an HDF5 file for reading. Errors of h5py inside the block are raised as InvalidFile, too.
+
     Raises:
-        InvalidFile: if it is no HDF5 file, or one that is cut or damaged, also when that shows in the block.
+        InvalidFile: if it is missing, truncated, damaged or not an HDF5 file.
     """
     try:
         with h5py.File(path, "r") as file:
             yield Hdf5File(path, file, max_bytes)
     except FileNotFoundError as error:
-        raise InvalidFile(path, "is not there") from error
+        raise InvalidFile(path, "does not exist") from error
     except (OSError, RuntimeError, KeyError, MemoryError) as error:
-        raise InvalidFile(path, f"is no whole HDF5 file ({error})") from error
+        raise InvalidFile(path, f"is not a complete HDF5 file ({error})") from error
 
 
 def rows(data: h5py.Dataset, first: int, last: int) -> NDArray[np.generic]:
-    """Rows [first, last) of an array."""
+    """Read rows [first, last) of an array."""
     return np.asarray(data[first:last])

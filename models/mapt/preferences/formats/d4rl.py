@@ -1,7 +1,7 @@
-"""D4RL's HDF5 files: flat arrays over all steps, one after the other, with flags where an episode ends.
+"""D4RL's HDF5 files: the steps of all episodes in a row, with flags at the ends of episodes.
 
 `observations` (L, D), `actions` (L, K), `rewards` (L,), `terminals` (L,), `timeouts` (L,), and `infos/qpos` and
-`infos/qvel` where the simulator is MuJoCo. Of one agent, unless `AgentIndices` say how the numbers fall to several.
+`infos/qvel` for MuJoCo tasks. They hold one agent, unless `AgentIndices` split observations and actions.
 
 Source: https://github.com/Farama-Foundation/D4RL, d4rl/offline_env.py.
 """
@@ -20,7 +20,7 @@ from mapt.preferences.dataset import FloatArray
 from mapt.preferences.formats.arrays import MAX_BYTES, Hdf5File, finite_doubles, finite_floats, open_hdf5, rows
 from mapt.preferences.formats.records import AgentIndices, Episode
 
-#: Our own addition: how many agents the flat arrays hold, one after the other.
+#: Attribute added by `write_d4rl`: the number of agents whose values are concatenated.
 _AGENTS = "mapt_n_agents"
 _EXTRAS = {"rewards": ("rewards", 1), "qpos": ("infos/qpos", 2), "qvel": ("infos/qvel", 2)}
 
@@ -28,15 +28,16 @@ _EXTRAS = {"rewards": ("rewards", 1), "qpos": ("infos/qpos", 2), "qvel": ("infos
 def read_d4rl(
     path: Path | str, *, agents: AgentIndices | None = None, horizon: int | None = None, max_bytes: int = MAX_BYTES
 ) -> Iterator[Episode]:
-    """Episodes in their order, one in memory at a time.
+    """Read the episodes of a file, one in memory at a time.
 
     Args:
-        agents: how the numbers fall to several agents.
-        horizon: the most steps of an episode, for old files without `timeouts`.
+        agents: splits observations and actions between agents.
+        horizon: maximum steps of an episode, for old files without `timeouts`.
 
     Raises:
-        MissingPart: if an array is not there; `timeouts` may be missing where `horizon` is given.
-        InvalidFile: if the file is cut, or its arrays disagree in length or hold what are no numbers.
+        MissingPart: if an array is missing (`timeouts` only if `horizon` is None).
+        InvalidFile: if the file is truncated, or its arrays differ in length or do not hold numbers.
+        FileTooLarge: if the arrays declare more than `max_bytes`.
     """
     path = Path(path)
     with open_hdf5(path, max_bytes) as file:
@@ -46,10 +47,10 @@ def read_d4rl(
 
 
 class D4rlSteps:
-    """The steps of an open file, read by their places.
+    """The steps of an open file, read by index.
 
     Raises:
-        MissingPart, InvalidFile, FileTooLarge: see `read_d4rl`.
+        MissingPart, InvalidFile, FileTooLarge: as `read_d4rl`.
     """
 
     def __init__(self, file: Hdf5File, agents: AgentIndices | None) -> None:
@@ -64,7 +65,7 @@ class D4rlSteps:
             raise MissingPart(file.path, "array 'terminals'")
         for data in (self._actions, *self._extras.values(), *self._flags.values()):
             if len(data) != len(self):
-                raise InvalidFile(file.path, f"{data.name} has {len(data)} steps and observations have {len(self)}")
+                raise InvalidFile(file.path, f"{data.name} has {len(data)} steps, but observations have {len(self)}")
         if not len(self):
             raise InvalidFile(file.path, "holds no steps")
 
@@ -72,12 +73,12 @@ class D4rlSteps:
         return len(self._observations)
 
     def flag(self, name: str) -> NDArray[np.bool_] | None:
-        """bool (L,): `terminals` or `timeouts`; None where the file has none."""
+        """`terminals` or `timeouts`, bool (L,); None if the file lacks it."""
         data = self._flags.get(name)
         return None if data is None else rows(data, 0, len(self)).astype(np.bool_)
 
     def read(self, first: int, last: int) -> Episode:
-        """Steps [first, last)."""
+        """Read steps [first, last) as one episode."""
         where = f"of steps {first} to {last}"
         observations = finite_floats(self._path, f"observations {where}", rows(self._observations, first, last), 2)
         actions = finite_floats(self._path, f"actions {where}", rows(self._actions, first, last), 2)
@@ -93,35 +94,35 @@ class D4rlSteps:
         for name, flat in (("observations", observations), ("actions", actions)):
             if flat.shape[1] % self._n_agents:
                 raise InvalidFile(
-                    self._path, f"{name} of {flat.shape[1]} numbers do not fall to {self._n_agents} agents"
+                    self._path, f"{name} of {flat.shape[1]} values cannot be split between {self._n_agents} agents"
                 )
         shape = (len(observations), self._n_agents, -1)
         return observations.reshape(shape), actions.reshape(shape)
 
 
 def episode_bounds(path: Path, steps: D4rlSteps, horizon: int | None) -> list[int]:
-    """First step of each episode, and at last the number of steps."""
+    """The first step of each episode, then the number of steps."""
     ends, timeouts = steps.flag("terminals"), steps.flag("timeouts")
     assert ends is not None
     if timeouts is None and horizon is None:
-        raise MissingPart(path, "array 'timeouts': say the task's horizon in its place")
+        raise MissingPart(path, "array 'timeouts'; pass the horizon of the task instead")
     if timeouts is not None:
         ends = ends | timeouts
     bounds = [0, *(np.flatnonzero(ends) + 1).tolist(), len(steps)]
     bounds = sorted(set(bounds))
     if horizon is None:
         return bounds
-    return [inner for first, last in pairwise(bounds) for inner in range(first, last, horizon)] + bounds[-1:]
+    return [start for first, last in pairwise(bounds) for start in range(first, last, horizon)] + bounds[-1:]
 
 
 def write_d4rl(path: Path | str, episodes: Iterable[Episode]) -> None:
-    """Write episodes as a file of D4RL, one in memory at a time. Each ends with a timeout.
+    """Write episodes as a D4RL file, one in memory at a time. Each ends with a timeout.
 
-    Several agents are written one after the other, C numbers each, which `read_d4rl` undoes.
+    The values of several agents are concatenated; `read_d4rl` splits them again.
 
     Raises:
-        AlreadyExists: if there is a file.
-        ShapeError: if there is no episode, or one is not like the first. No file is left then.
+        AlreadyExists: if the file exists.
+        ShapeError: if there is no episode, or an episode differs from the first in dimensions. No file is left.
     """
     path = Path(path)
     if path.exists():
@@ -138,7 +139,7 @@ def write_d4rl(path: Path | str, episodes: Iterable[Episode]) -> None:
                 if values is not None:
                     _append(file, place, values, n_episodes)
                 elif place in file:
-                    raise ShapeError(name, (), "known of every episode or of none")
+                    raise ShapeError(name, (), "present in every episode or in none")
             ends = np.zeros(len(episode), dtype=np.bool_)
             _append(file, "terminals", ends, n_episodes)
             _append(file, "timeouts", np.arange(len(episode)) == len(episode) - 1, n_episodes)
@@ -149,13 +150,13 @@ def write_d4rl(path: Path | str, episodes: Iterable[Episode]) -> None:
 def _append(file: h5py.File, name: str, values: NDArray[np.generic], n_episodes: int) -> None:
     if name not in file:
         if n_episodes > 1:
-            raise ShapeError(name, values.shape, "known of every episode or of none")
+            raise ShapeError(name, values.shape, "present in every episode or in none")
         file.create_dataset(name, data=values, maxshape=(None, *values.shape[1:]), chunks=True)
         return
     data = file[name]
     assert isinstance(data, h5py.Dataset)
     if values.shape[1:] != data.shape[1:]:
-        raise ShapeError(name, values.shape, f"(L, {', '.join(map(str, data.shape[1:]))}), like the first episode's")
+        raise ShapeError(name, values.shape, f"(L, {', '.join(map(str, data.shape[1:]))}), as in the first episode")
     data.resize(len(data) + len(values), axis=0)
     data[-len(values) :] = values
 

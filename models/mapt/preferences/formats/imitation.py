@@ -1,11 +1,12 @@
-"""The pickled `PreferenceDataset` of imitation (1.0): fragments, and the probability that the first is preferred.
+"""Files of imitation 1.0: the pickled `PreferenceDataset`, and trajectories saved by HuggingFace datasets.
 
-A fragment has `obs` (T + 1, ...), `acts` (T, ...), `rews` (T,), `infos` and `terminal`. Observations and actions of
-several agents are (T + 1, N, C) and (T, N, A); of one, (T + 1, C) and (T, A), or (T,) numbers where actions are
-discrete. Its polarity is ours: 1 where the first is better, 0 where the second is, 0.5 where they are equal, and
-anything between. Skipped pairs have no place in it.
+A trajectory or fragment has `obs` (T + 1, N, C), `acts` (T, N, A), `rews` (T,), `infos` and `terminal`; with one agent,
+`obs` (T + 1, C) and `acts` (T, A), or indices (T,) of discrete actions. A preference is the probability that the first
+fragment is preferred, as here; there are no skips. Saved trajectories are a folder with an Arrow stream, one row per
+trajectory, which pyarrow reads without the datasets package.
 
-Source: https://github.com/HumanCompatibleAI/imitation, algorithms/preference_comparisons.py and data/types.py.
+Sources: https://github.com/HumanCompatibleAI/imitation, algorithms/preference_comparisons.py, data/types.py and
+data/huggingface_utils.py; `save_to_disk` of datasets.
 """
 
 import json
@@ -36,23 +37,24 @@ from mapt.preferences.formats.records import (
 
 _DATASET = "imitation.algorithms.preference_comparisons.PreferenceDataset"
 _FRAGMENT = "imitation.data.types.TrajectoryWithRew"
-_KNOWN = "1 (first better), 0 (second better), 0.5 (equal), or a probability between"
+_KNOWN = "1 (first preferred), 0 (second preferred), 0.5 (equal), or a probability between"
 
 
 def read_imitation(path: Path | str, *, n_actions: int | None = None, max_bytes: int = MAX_BYTES) -> Comparisons:
-    """
+    """Read a pickled `PreferenceDataset`.
+
     Args:
-        n_actions: of a task with discrete actions: their numbers become one-hot.
+        n_actions: number of discrete actions, to convert indices to one-hot; None for continuous actions.
 
     Raises:
-        InvalidFile: with the first fragment that is not of this format; see also `load_pickle`.
-        UnknownLabel: for a preference that is no probability.
+        InvalidFile: for the first fragment that does not follow the format; see also `load_pickle`.
+        UnknownLabel: for a preference that is not a probability.
         ShapeError: if the fragments differ in agents or dimensions.
     """
     path = Path(path)
     found = load_pickle(path, (_DATASET, _FRAGMENT), max_bytes=max_bytes)
     if not isinstance(found, Record) or found.name != _DATASET:
-        raise InvalidFile(path, "is no PreferenceDataset of imitation")
+        raise InvalidFile(path, "is not a PreferenceDataset of imitation")
     labels = numbers(path, "preferences", _part(path, "dataset", found, "preferences"), 1).astype(np.float32)
     for index, label in enumerate(labels.tolist()):
         if not 0 <= label <= 1:
@@ -62,16 +64,16 @@ def read_imitation(path: Path | str, *, n_actions: int | None = None, max_bytes:
 
 
 def write_imitation(path: Path | str, comparisons: Comparisons) -> None:
-    """Write comparisons for `PreferenceDataset.load`. Skips are left out.
+    """Write comparisons for `PreferenceDataset.load`, without skips.
 
-    What was seen after the last action is not known: the last observation is there twice. Rewards that are not
-    known are 0.
+    The observation after the last action is unknown; the last observation is repeated in its place. Unknown rewards
+    are written as 0.
 
     Raises:
-        AlreadyExists: if there is a file.
+        AlreadyExists: if the file exists.
     """
-    said = ~np.isnan(comparisons.labels)
-    pairs = comparisons.pairs[said]
+    labelled = ~np.isnan(comparisons.labels)
+    pairs = comparisons.pairs[labelled]
 
     def fragments(side: int) -> Iterator[Record]:
         for segment in pairs[:, side].tolist():
@@ -82,22 +84,22 @@ def write_imitation(path: Path | str, comparisons: Comparisons) -> None:
         "fragments1": fragments(0),
         "fragments2": fragments(1),
         "max_size": None,
-        "preferences": comparisons.labels[said],
+        "preferences": comparisons.labels[labelled],
     }
     write_pickle(Path(path), Record(_DATASET, dataset))
 
 
 def _fragment(episode: Episode) -> Record:
-    twice = np.array([*range(len(episode)), len(episode) - 1])
+    with_final = np.array([*range(len(episode)), len(episode) - 1])
     rewards = np.zeros(len(episode)) if episode.rewards is None else episode.rewards
-    fields = {"obs": episode.observations[twice], "acts": episode.actions, "infos": None, "terminal": False}
+    fields = {"obs": episode.observations[with_final], "acts": episode.actions, "infos": None, "terminal": False}
     return Record(_FRAGMENT, fields | {"rews": rewards})
 
 
 def _side(path: Path, dataset: Record, name: str, n_pairs: int, n_actions: int | None) -> SegmentRecords:
     fragments = _part(path, "dataset", dataset, name)
     if not isinstance(fragments, list) or len(fragments) != n_pairs or not fragments:
-        raise InvalidFile(path, f"{name} are not as many as its preferences, {n_pairs}")
+        raise InvalidFile(path, f"{name} is not a list of {n_pairs} fragments, one per preference")
     episodes = [_episode(path, f"{name}[{index}]", each, n_actions) for index, each in enumerate(fragments)]
     longest = max(len(episode) for episode in episodes)
     return concatenate(list(cut_segments(episodes, longest, keep_short=True)))
@@ -105,26 +107,42 @@ def _side(path: Path, dataset: Record, name: str, n_pairs: int, n_actions: int |
 
 def _episode(path: Path, where: str, fragment: object, n_actions: int | None) -> Episode:
     if not isinstance(fragment, Record) or fragment.name != _FRAGMENT:
-        raise InvalidFile(path, f"{where} is no TrajectoryWithRew")
-    observed, acted = (_part(path, where, fragment, name) for name in ("obs", "acts"))
-    observations = finite_floats(path, f"obs of {where}", _of_agents(path, where, observed, 2), 3)
+        raise InvalidFile(path, f"{where} is not a TrajectoryWithRew")
+    observed, acted, rewarded = (_part(path, where, fragment, name) for name in ("obs", "acts", "rews"))
+    return _checked_episode(path, where, (observed, acted, rewarded), n_actions)
+
+
+def _checked_episode(
+    path: Path, where: str, arrays: tuple[object, object, object | None], n_actions: int | None
+) -> Episode:
+    """An episode without the last observation.
+
+    Args:
+        arrays: `obs`, `acts` and `rews`, or None for unknown rewards.
+
+    Raises:
+        InvalidFile: if they are not arrays of numbers of T + 1, T and T steps, or differ in agents.
+    """
+    observed, acted, rewarded = arrays
+    observations = finite_floats(path, f"obs of {where}", _with_agents(path, where, observed, 2), 3)
     if n_actions is None:
-        actions = finite_floats(path, f"acts of {where}", _of_agents(path, where, acted, 2), 3)
+        actions = finite_floats(path, f"acts of {where}", _with_agents(path, where, acted, 2), 3)
     else:
-        actions = numbered_actions(path, f"acts of {where}", _of_agents(path, where, acted, 1), n_actions)
-    rewards = finite_doubles(path, f"rews of {where}", _part(path, where, fragment, "rews"), 1)
+        actions = numbered_actions(path, f"acts of {where}", _with_agents(path, where, acted, 1), n_actions)
+    rewards = None if rewarded is None else finite_doubles(path, f"rews of {where}", rewarded, 1)
     n_steps = len(actions)
-    if len(observations) != n_steps + 1 or len(rewards) != n_steps:
-        raise InvalidFile(path, f"{where} has {len(observations)} obs, {n_steps} acts and {len(rewards)} rews")
+    if len(observations) != n_steps + 1 or (rewards is not None and len(rewards) != n_steps):
+        found = "no" if rewards is None else len(rewards)
+        raise InvalidFile(path, f"{where} has {len(observations)} obs, {n_steps} acts and {found} rews")
     if observations.shape[1] != actions.shape[1]:
         raise InvalidFile(path, f"{where} has obs of {observations.shape[1]} agents and acts of {actions.shape[1]}")
     return Episode(observations[:-1], actions, rewards)
 
 
-def _of_agents(path: Path, where: str, values: object, dims_of_one: int) -> Any:
-    """With a dimension of one agent where there is none."""
+def _with_agents(path: Path, where: str, values: object, single_agent_dims: int) -> NDArray[Any]:
+    """Convert to an array, with an agent axis if it has the dimensions of a single agent."""
     array = as_array(path, where, values)
-    return array[:, None] if array.ndim == dims_of_one else array
+    return array[:, None] if array.ndim == single_agent_dims else array
 
 
 def _part(path: Path, where: str, record: Record, name: str) -> Any:
@@ -133,9 +151,9 @@ def _part(path: Path, where: str, record: Record, name: str) -> Any:
     return record.fields[name]
 
 
-#: The largest file that is read: a damaged one may claim any size.
+#: Limit on the size of an Arrow file.
 MAX_ARROW_BYTES = 16 << 30
-#: What an Arrow stream ends with.
+#: The end-of-stream marker of an Arrow stream.
 _END = b"\xff\xff\xff\xff\0\0\0\0"
 _STATE, _INFO = "state.json", "dataset_info.json"
 
@@ -143,15 +161,16 @@ _STATE, _INFO = "state.json", "dataset_info.json"
 def read_imitation_trajectories(
     path: Path | str, *, n_actions: int | None = None, max_bytes: int = MAX_ARROW_BYTES
 ) -> Iterator[Episode]:
-    """Episodes in their order, some hundreds in memory at a time. The last observation of each is left out.
+    """Read saved trajectories, one Arrow batch in memory at a time, without their last observations.
 
     Args:
-        path: the folder that `imitation.data.serialize.save` made.
-        n_actions: of a task with discrete actions: their numbers become one-hot.
+        path: the folder written by `imitation.data.serialize.save`.
+        n_actions: number of discrete actions, to convert indices to one-hot; None for continuous actions.
 
     Raises:
-        MissingPart: if a file or a column is not there.
-        InvalidFile: if a file is cut, or a trajectory is not of this format.
+        MissingPart: if a file or a column is missing.
+        FileTooLarge: if a file has more than `max_bytes`.
+        InvalidFile: if a file is truncated, or a trajectory does not follow the format.
     """
     folder = Path(path)
     for file in _data_files(folder):
@@ -168,11 +187,11 @@ def read_imitation_trajectories(
 def write_imitation_trajectories(path: Path | str, episodes: Iterable[Episode]) -> None:
     """Write episodes for `imitation.data.serialize.load`, one in memory at a time.
 
-    What was seen after the last action is not known: the last observation is there twice.
+    The observation after the last action is unknown; the last observation is repeated in its place.
 
     Raises:
-        AlreadyExists: if there is something at `path`.
-        ShapeError: if there is no episode, or rewards are known of some and not of others. Nothing is left then.
+        AlreadyExists: if `path` exists.
+        ShapeError: if there is no episode, or only some episodes have rewards. Nothing is left.
     """
     folder = Path(path)
     if folder.exists():
@@ -198,7 +217,7 @@ def _write_trajectories(folder: Path, episodes: Iterable[Episode]) -> None:
         stream.write_batch(_row(first, schema))
         for episode in parts:
             if (episode.rewards is None) != (first.rewards is None):
-                raise ShapeError("rewards", (), "known of every episode or of none")
+                raise ShapeError("rewards", (), "present in every episode or in none")
             stream.write_batch(_row(episode, schema))
     state = {
         "_data_files": [{"filename": name}],
@@ -214,9 +233,9 @@ def _write_trajectories(folder: Path, episodes: Iterable[Episode]) -> None:
 
 
 def _row(episode: Episode, schema: pa.Schema) -> pa.RecordBatch:
-    twice = np.array([*range(len(episode)), len(episode) - 1])
+    with_final = np.array([*range(len(episode)), len(episode) - 1])
     cells: dict[str, Any] = {
-        "obs": episode.observations[twice].tolist(),
+        "obs": episode.observations[with_final].tolist(),
         "acts": episode.actions.tolist(),
         "infos": ["{}"] * len(episode),
         "terminal": False,
@@ -232,7 +251,7 @@ def _nested(element: pa.DataType, n_dims: int) -> pa.DataType:
 
 
 def _features(columns: dict[str, int]) -> dict[str, Any]:
-    """HuggingFace's word for the columns."""
+    """HuggingFace's JSON description of the columns."""
 
     def nested(dtype: str, n_dims: int) -> dict[str, Any]:
         feature: dict[str, Any] = {"dtype": dtype, "_type": "Value"}
@@ -240,20 +259,20 @@ def _features(columns: dict[str, int]) -> dict[str, Any]:
             feature = {"feature": feature, "_type": "Sequence"}
         return feature
 
-    words = {"infos": ("string", 1), "terminal": ("bool", 0), "rews": ("float64", 1)}
-    return {name: nested(*words.get(name, ("float32", n_dims))) for name, n_dims in columns.items()}
+    types = {"infos": ("string", 1), "terminal": ("bool", 0), "rews": ("float64", 1)}
+    return {name: nested(*types.get(name, ("float32", n_dims))) for name, n_dims in columns.items()}
 
 
 def _data_files(folder: Path) -> list[Path]:
     path = folder / _STATE
     if not path.is_file():
-        raise MissingPart(folder, f"{_STATE}: it is no folder of HuggingFace's datasets")
+        raise MissingPart(folder, f"{_STATE}: it is not a folder of HuggingFace datasets")
     try:
         names = [each["filename"] for each in json.loads(path.read_bytes())["_data_files"]]
     except (ValueError, TypeError, KeyError) as error:
-        raise InvalidFile(path, f"does not say where its data is ({error!r})") from error
+        raise InvalidFile(path, f"does not list its data files ({error!r})") from error
     if not names or not all(isinstance(name, str) and Path(name).name == name for name in names):
-        raise InvalidFile(path, f"names {names!r}, not files beside it")
+        raise InvalidFile(path, f"lists {names!r}, which are not files in its folder")
     for name in names:
         if not (folder / name).is_file():
             raise MissingPart(folder, name)
@@ -264,7 +283,7 @@ def _batches(path: Path) -> Iterator[pa.RecordBatch]:
     with path.open("rb") as file:
         file.seek(-min(len(_END), path.stat().st_size), os.SEEK_END)
         if file.read() != _END:
-            # A stream that ends between two of its messages would be taken for a whole one.
+            # pyarrow accepts a stream that is truncated between two messages.
             raise TruncatedFile(path)
     try:
         with pa.memory_map(str(path)) as file, pa.ipc.open_stream(file) as stream:
@@ -272,33 +291,17 @@ def _batches(path: Path) -> Iterator[pa.RecordBatch]:
                 batch.validate(full=True)
                 yield batch
     except (pa.ArrowException, OSError, MemoryError) as error:
-        raise InvalidFile(path, f"is no whole Arrow stream ({error})") from error
+        raise InvalidFile(path, f"is not a complete Arrow stream ({error})") from error
 
 
 def _trajectory(path: Path, batch: pa.RecordBatch, index: int, n_actions: int | None) -> Episode:
-    where = f"of trajectory {index}"
-    observations = finite_floats(path, f"obs {where}", _with_agents(_cell(path, batch, "obs", index), 2), 3)
-    acted = _cell(path, batch, "acts", index)
-    if n_actions is None:
-        actions = finite_floats(path, f"acts {where}", _with_agents(acted, 2), 3)
-    else:
-        actions = numbered_actions(path, f"acts {where}", _with_agents(acted, 1), n_actions)
-    extras = {}
-    if "rews" in batch.schema.names:
-        extras["rewards"] = finite_doubles(path, f"rews {where}", _cell(path, batch, "rews", index), 1)
-    if len(observations) != len(actions) + 1 or any(len(values) != len(actions) for values in extras.values()):
-        raise InvalidFile(path, f"obs, acts and rews {where} do not have T + 1, T and T steps")
-    if observations.shape[1] != actions.shape[1]:
-        raise InvalidFile(path, f"obs and acts {where} are not of as many agents")
-    return Episode(observations[:-1], actions, **extras)
-
-
-def _with_agents(array: NDArray[Any], dims_of_one: int) -> NDArray[Any]:
-    return array[:, None] if array.ndim == dims_of_one else array
+    rewards = _cell(path, batch, "rews", index) if "rews" in batch.schema.names else None
+    observed, acted = (_cell(path, batch, name, index) for name in ("obs", "acts"))
+    return _checked_episode(path, f"trajectory {index}", (observed, acted, rewards), n_actions)
 
 
 def _cell(path: Path, batch: pa.RecordBatch, name: str, index: int) -> NDArray[Any]:
-    """A nested list as an array: its inner lists must have one length each."""
+    """Convert a nested list to an array. Raises InvalidFile for ragged lists and nulls."""
     values: Any = batch.column(name)[index].values if pa.types.is_list(batch.schema.field(name).type) else None
     if values is None:
         raise InvalidFile(path, f"has no array in {name} of trajectory {index}")
@@ -308,9 +311,9 @@ def _cell(path: Path, batch: pa.RecordBatch, name: str, index: int) -> NDArray[A
         length, rest = divmod(len(inner), max(1, len(values)))
         sizes = set(values.value_lengths().to_pylist())
         if rest or sizes - {length}:
-            raise InvalidFile(path, f"has lists of unequal length in {name} of trajectory {index}")
+            raise InvalidFile(path, f"has lists of different lengths in {name} of trajectory {index}")
         shape.append(length)
         values = inner
     if values.null_count:
-        raise InvalidFile(path, f"lacks a number in {name} of trajectory {index}")
+        raise InvalidFile(path, f"has a null value in {name} of trajectory {index}")
     return values.to_numpy(zero_copy_only=False).reshape(shape)

@@ -1,8 +1,8 @@
-"""Minari's datasets: one group per episode, with one more observation than there are actions.
+"""Minari datasets: an HDF5 file with one group per episode, with one more observation than actions.
 
-Of several agents where observations and actions are Dict spaces with a key for each of them; agents are taken in the
-natural order of their keys (agent_2 before agent_10). The simulator's states lie in `infos/qpos` and `infos/qvel`
-where the dataset has them. Read and written without the library itself, which asks for the environment's own.
+In a multi-agent dataset, observations and actions are Dict spaces with a key per agent; agents are sorted in natural
+order (agent_2 before agent_10). Simulator states are in `infos/qpos` and `infos/qvel`, if the dataset has them. The
+minari package is not needed; it would require the dataset's environment to be installed.
 
 Source: https://minari.farama.org, "Dataset standards"; minari 0.5.4.
 """
@@ -31,21 +31,22 @@ from mapt.preferences.formats.arrays import (
 from mapt.preferences.formats.records import Episode
 
 _MAIN, _METADATA = "main_data.hdf5", "metadata.json"
-#: The version whose layout is written.
+#: Version of Minari whose layout is written.
 _VERSION = "0.5.4"
 
 
 def read_minari(path: Path | str, *, n_actions: int | None = None, max_bytes: int = MAX_BYTES) -> Iterator[Episode]:
-    """Episodes in their order, one in memory at a time. The last observation of each is left out: none acted on it.
+    """Read the episodes of a dataset, one in memory at a time, without the observation after the last action.
 
     Args:
-        path: the dataset's folder, or the folder `data` in it.
-        n_actions: of a task with discrete actions: their numbers become one-hot.
+        path: the folder of the dataset, or the folder `data` in it.
+        n_actions: number of discrete actions, to convert indices to one-hot; None for continuous actions.
 
     Raises:
-        MissingPart: if the dataset, an episode or an array of one is not there.
-        InvalidFile: if the file is cut, if arrays disagree in length, or if the agents differ in dimensions or are not
-            the same in observations and actions.
+        MissingPart: if the dataset, an episode or an array is missing.
+        InvalidFile: if the file is truncated, if arrays differ in length, or if agents differ in dimensions or between
+            observations and actions.
+        FileTooLarge: if the arrays declare more than `max_bytes`.
     """
     folder = Path(path)
     folder = folder / "data" if (folder / "data").is_dir() else folder
@@ -61,18 +62,18 @@ def read_minari(path: Path | str, *, n_actions: int | None = None, max_bytes: in
 
 
 def write_minari(path: Path | str, episodes: Iterable[Episode], *, dataset_id: str) -> None:
-    """Write episodes as a dataset that Minari loads, one in memory at a time; agents are agent_0, agent_1, ...
+    """Write episodes as a dataset that Minari loads, one in memory at a time, with agents agent_0, agent_1, ...
 
-    What each saw after its last action is not known: the last observation is there twice.
+    The observation after the last action is unknown; the last observation is repeated in its place.
 
     Args:
-        path: the dataset's folder; `minari.MinariDataset(path / "data")` opens it, and `minari.load_dataset` does
-            where it lies at its id below Minari's own folder.
-        dataset_id: as Minari asks for, for example "half-cheetah-6x1/replay-v0".
+        path: the folder of the dataset. `minari.MinariDataset(path / "data")` opens it; so does `minari.load_dataset`
+            if it is at `dataset_id` in Minari's folder.
+        dataset_id: Minari's identifier, for example "half-cheetah-6x1/replay-v0".
 
     Raises:
-        AlreadyExists: if there is something at `path`.
-        ShapeError: if there is no episode, or one is not like the first. Nothing is left then.
+        AlreadyExists: if `path` exists.
+        ShapeError: if there is no episode, or an episode differs from the first in dimensions. Nothing is left.
     """
     path = Path(path)
     if path.exists():
@@ -95,7 +96,7 @@ def _write_episodes(path: Path, episodes: Iterable[Episode]) -> dict[str, Any]:
             found = (*episode.observations.shape[1:], episode.actions.shape[2])
             shape = shape or found
             if found != shape:
-                raise ShapeError("observations", found, f"agents and dimensions of the first episode, {shape}")
+                raise ShapeError("observations", found, f"agents and dimensions as in the first episode, {shape}")
             _write_episode(file.create_group(f"episode_{n_episodes}"), n_episodes, episode)
             n_episodes, n_steps = n_episodes + 1, n_steps + len(episode)
     if shape is None:
@@ -113,9 +114,9 @@ def _write_episodes(path: Path, episodes: Iterable[Episode]) -> dict[str, Any]:
 
 def _write_episode(group: h5py.Group, index: int, episode: Episode) -> None:
     group.attrs["id"], group.attrs["total_steps"] = index, len(episode)
-    twice = np.array([*range(len(episode)), len(episode) - 1])
+    with_final = np.array([*range(len(episode)), len(episode) - 1])
     for agent in range(episode.observations.shape[1]):
-        group[f"observations/agent_{agent}"] = episode.observations[twice, agent]
+        group[f"observations/agent_{agent}"] = episode.observations[with_final, agent]
         group[f"actions/agent_{agent}"] = episode.actions[:, agent]
     group["rewards"] = np.zeros(len(episode)) if episode.rewards is None else episode.rewards
     group["terminations"] = np.zeros(len(episode), dtype=np.bool_)
@@ -123,11 +124,11 @@ def _write_episode(group: h5py.Group, index: int, episode: Episode) -> None:
     for name in ("qpos", "qvel"):
         values = episode.extras().get(name)
         if values is not None:
-            group[f"infos/{name}"] = values[twice]
+            group[f"infos/{name}"] = values[with_final]
 
 
 def _space(n_agents: int, size: int) -> dict[str, Any]:
-    """Minari's word for a Dict space of unbounded Boxes, one an agent."""
+    """Minari's JSON of a Dict space with one unbounded Box per agent."""
     bounds = {"low": [-np.inf] * size, "high": [np.inf] * size}
     box = {"type": "Box", "dtype": "float32", "shape": [size], **bounds}
     return {"type": "Dict", "subspaces": {f"agent_{agent}": box for agent in range(n_agents)}}
@@ -136,14 +137,14 @@ def _space(n_agents: int, size: int) -> dict[str, Any]:
 def _n_episodes(folder: Path) -> int:
     path = folder / _METADATA
     if not path.is_file():
-        raise MissingPart(folder, f"{_METADATA}: it is no dataset of Minari")
+        raise MissingPart(folder, f"{_METADATA}: it is not a Minari dataset")
     try:
         metadata = json.loads(path.read_bytes())
         found, form = metadata["total_episodes"], metadata["data_format"]
     except (ValueError, TypeError, KeyError) as error:
-        raise InvalidFile(path, f"is no metadata of Minari ({error!r})") from error
+        raise InvalidFile(path, f"is not Minari metadata ({error!r})") from error
     if form != "hdf5":
-        raise InvalidFile(path, f'keeps its data as {form!r}; only "hdf5" is read')
+        raise InvalidFile(path, f'has data_format {form!r}; only "hdf5" can be read')
     if not isinstance(found, int) or found < 1:
         raise InvalidFile(path, f"has {found!r} episodes")
     return found
@@ -155,7 +156,7 @@ def _episode(file: Hdf5File, group: str, n_actions: int | None) -> Episode:
     for name in ("qpos", "qvel"):
         place = f"{group}/infos/{name}"
         if file.is_array(place):
-            # With the reset's: one more than there are actions.
+            # Includes the state after the reset: one more than actions.
             extras[name] = _first(
                 file.path, place, finite_doubles(file.path, place, file.array(place, 2)[()], 2), rewards
             )
@@ -168,7 +169,7 @@ def _episode(file: Hdf5File, group: str, n_actions: int | None) -> Episode:
     for name, parts in (("observations", observations), ("actions", actions)):
         if {part.shape for part in parts} != {(len(rewards), parts[0].shape[1])}:
             raise InvalidFile(
-                file.path, f"{group}/{name} differ in steps or dimensions from agent to agent, or from rewards"
+                file.path, f"{group}/{name} differ in steps or dimensions between agents, or in steps from rewards"
             )
     return Episode(np.stack(observations, axis=1), np.stack(actions, axis=1), **extras)
 
@@ -188,12 +189,12 @@ def _actions(file: Hdf5File, place: str, n_actions: int | None) -> FloatArray:
 
 
 def _agents(file: Hdf5File, group: str) -> list[str]:
-    """What to put behind "observations" and "actions" for each agent."""
+    """The suffix of "observations" and "actions" in the path of each agent's arrays."""
     if file.is_array(f"{group}/observations") and file.is_array(f"{group}/actions"):
         return [""]
     found = [file.names(f"{group}/{name}") for name in ("observations", "actions")]
     if not found[0] or found[0] != found[1]:
-        raise InvalidFile(file.path, f"{group}: observations of {found[0] or 'one'} and actions of {found[1] or 'one'}")
+        raise InvalidFile(file.path, f"{group}: agents of observations {found[0]} and of actions {found[1]} differ")
     return [f"/{name}" for name in sorted(found[0], key=_natural)]
 
 

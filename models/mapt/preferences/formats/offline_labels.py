@@ -1,9 +1,10 @@
-"""The labels of PreferenceTransformer and Clean-Offline-RLHF: three pickles over a D4RL file.
+"""Labels of Preference Transformer and Clean-Offline-RLHF: three pickles that index a D4RL file.
 
-Two arrays of places say where each segment of a pair begins, a third holds the labels: 0 where the first is better, 1
-where the second is, -1 where they are equal; or, from their scripted teachers, rows (1, 0), (0, 1) and (0.5, 0.5).
-Skipped pairs were dropped before. The places do not count the file's own rows: they count the transitions of
-`d4rl.qlearning_dataset`, which leaves out the last step of every episode that timed out, and the file's last.
+Two arrays hold the index at which each segment of a pair starts. The third array holds the labels: 0 if the first is
+preferred, 1 if the second is, -1 if they are equal; or, from scripted teachers, rows (1, 0), (0, 1) and (0.5, 0.5).
+There are no skips.
+Indices count the transitions of `d4rl.qlearning_dataset`, which drops the last step of every episode that timed out,
+and the last step of the file.
 
 Sources: https://github.com/csmile-1006/PreferenceTransformer, JaxPref/reward_transform.py;
 https://github.com/pickxiguapi/Clean-Offline-RLHF, rlhf/train_reward_model.py.
@@ -35,7 +36,7 @@ from mapt.preferences.formats.records import (
 )
 
 _LABELS = {0: 1.0, 1: 0.0, -1: 0.5}
-_KNOWN = "0 (first better), 1 (second better) and -1 (equal), or rows (1, 0), (0, 1) and (0.5, 0.5)"
+_KNOWN = "0 (first preferred), 1 (second preferred) and -1 (equal), or rows (1, 0), (0, 1) and (0.5, 0.5)"
 _TRAJECTORIES = "trajectories.hdf5"
 
 
@@ -44,28 +45,29 @@ class LabelFiles:
     """The three pickles."""
 
     labels: Path
-    #: where the first and the second segment of each pair begin
+    #: start indices of the first and of the second segment of each pair
     first: Path
     second: Path
 
     @classmethod
     def find(cls, folder: Path | str) -> "LabelFiles":
-        """By their names: one with "label" in it, one with "indices_2", and one more with "indices".
+        """Find the files by their names, which contain "label", "indices_2" and "indices".
 
         Raises:
-            MissingPart: if one is not there. InvalidFile: if several could be meant.
+            MissingPart: if a file is missing.
+            InvalidFile: if several files match.
         """
         folder = Path(folder)
         names = {file.name for file in folder.iterdir() if file.is_file()} if folder.is_dir() else set[str]()
         second = {name for name in names if "indices_2" in name}
         first = {name for name in names if "indices" in name} - second
-        # PreferenceTransformer leaves a "label_dummy" of ones beside the people's labels.
+        # Preference Transformer writes a "label_dummy" of ones next to the human labels.
         labels = {name for name in names if "label" in name and "dummy" not in name} - first - second
         for what, found in (("labels", labels), ("indices", first), ("indices_2", second)):
             if not found:
                 raise MissingPart(folder, f"file of {what}")
             if len(found) > 1:
-                raise InvalidFile(folder, f"has several files of {what}: {', '.join(sorted(found))}. Name one")
+                raise InvalidFile(folder, f"has several files of {what}: {', '.join(sorted(found))}. Pass one of them")
         return cls(folder / labels.pop(), folder / first.pop(), folder / second.pop())
 
 
@@ -78,19 +80,20 @@ def read_offline_labels(
     horizon: int | None = None,
     max_bytes: int = MAX_BYTES,
 ) -> Comparisons:
-    """
+    """Read labels and the segments that they refer to.
+
     Args:
-        trajectories: D4RL's file of the task that was labelled.
-        n_steps: T; their files do not hold it, though often their names do (q100, len_200).
-        agents, horizon: see `read_d4rl`.
+        trajectories: the D4RL file that was labelled.
+        n_steps: T. The files do not contain it; their names often do (q100, len_200).
+        agents, horizon: as in `read_d4rl`.
 
     Raises:
-        UnknownLabel: for a label of another polarity.
-        InvalidFile: if a segment would begin or end outside of the file, or cross the end of an episode; if labels
-            and places are not as many; see also `read_d4rl` and `load_pickle`.
+        UnknownLabel: for a label that the format does not define.
+        InvalidFile: if a segment is not inside of the file or crosses the end of an episode, or if labels and indices
+            differ in number; see also `read_d4rl` and `load_pickle`.
     """
     labels = _labels(files.labels)
-    starts = [_places(path, len(labels)) for path in (files.first, files.second)]
+    starts = [_indices(path, len(labels)) for path in (files.first, files.second)]
     path = Path(trajectories)
     with open_hdf5(path, max_bytes) as file:
         steps = D4rlSteps(file, agents)
@@ -98,42 +101,42 @@ def read_offline_labels(
         row = _transitions(steps, bounds, horizon)
         episode_of_row = np.repeat(np.arange(len(bounds) - 1), np.diff(bounds))
         sides: list[SegmentRecords] = []
-        for name, places in zip((files.first, files.second), starts, strict=True):
-            first = _checked_rows(name, places, row, episode_of_row, n_steps)
-            parts = cut_segments((steps.read(begin, begin + n_steps) for begin in first.tolist()), n_steps)
+        for name, indices in zip((files.first, files.second), starts, strict=True):
+            first = _checked_rows(name, indices, row, episode_of_row, n_steps)
+            parts = cut_segments((steps.read(start, start + n_steps) for start in first.tolist()), n_steps)
             sides.append(concatenate(list(parts)))
     return Comparisons.of_pairs(sides[0], sides[1], labels)
 
 
 def write_offline_labels(folder: Path | str, comparisons: Comparisons) -> LabelFiles:
-    """Write comparisons for PreferenceTransformer: `trajectories.hdf5` and the three pickles. Skips are left out.
+    """Write comparisons for Preference Transformer: `trajectories.hdf5` and the three pickles, without skips.
 
-    Each segment becomes an episode, with its last step twice, since the last one of an episode is not counted.
+    Each segment becomes an episode with a repeated last step, because the last step of an episode is not indexed.
 
     Raises:
-        AlreadyExists: if there is something at `folder`.
-        NotRepresentable: if a label is not 1, 0 or 0.5, or the segments differ in length. Nothing is left then.
+        AlreadyExists: if `folder` exists.
+        NotRepresentable: if a label is not 1, 0 or 0.5, or the segments differ in length. Nothing is left.
     """
     folder = Path(folder)
     if folder.exists():
         raise AlreadyExists(folder)
-    words = {ours: theirs for theirs, ours in _LABELS.items()}
-    said = ~np.isnan(comparisons.labels)
-    unknown = sorted(set(comparisons.labels[said].tolist()) - words.keys())
+    stored = {label: value for value, label in _LABELS.items()}
+    labelled = ~np.isnan(comparisons.labels)
+    unknown = sorted(set(comparisons.labels[labelled].tolist()) - stored.keys())
     if unknown:
-        raise NotRepresentable(folder, f"a label of {unknown[0]} has no place in this format, only 1, 0 and 0.5")
+        raise NotRepresentable(folder, f"this format cannot represent a label of {unknown[0]}, only 1, 0 and 0.5")
     n_steps = comparisons.records.segments.n_steps
     if (comparisons.records.lengths != n_steps).any():
-        raise NotRepresentable(folder, "segments of unequal length have no place in this format")
-    pairs = comparisons.pairs[said]
-    ends = f"num{len(pairs)}_q{n_steps}"
-    files = LabelFiles(folder / "label_human", folder / f"indices_{ends}", folder / f"indices_2_{ends}")
+        raise NotRepresentable(folder, "this format cannot represent segments of different lengths")
+    pairs = comparisons.pairs[labelled]
+    suffix = f"num{len(pairs)}_q{n_steps}"
+    files = LabelFiles(folder / "label_human", folder / f"indices_{suffix}", folder / f"indices_2_{suffix}")
     folder.mkdir(parents=True)
     try:
-        write_d4rl(folder / _TRAJECTORIES, _with_last_step_twice(comparisons.records))
-        for path, places in ((files.first, pairs[:, 0]), (files.second, pairs[:, 1])):
-            write_pickle(path, (places * n_steps).astype(np.int32))
-        labels = np.array([words[label] for label in comparisons.labels[said].tolist()], dtype=np.int64)
+        write_d4rl(folder / _TRAJECTORIES, _with_repeated_last_step(comparisons.records))
+        for path, segments in ((files.first, pairs[:, 0]), (files.second, pairs[:, 1])):
+            write_pickle(path, (segments * n_steps).astype(np.int32))
+        labels = np.array([stored[label] for label in comparisons.labels[labelled].tolist()], dtype=np.int64)
         write_pickle(files.labels, labels)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
@@ -141,11 +144,11 @@ def write_offline_labels(folder: Path | str, comparisons: Comparisons) -> LabelF
     return files
 
 
-def _with_last_step_twice(records: SegmentRecords) -> Iterator[Episode]:
+def _with_repeated_last_step(records: SegmentRecords) -> Iterator[Episode]:
     for episode in episodes_of(records):
-        twice = np.array([*range(len(episode)), len(episode) - 1])
-        extras = {name: values[twice] for name, values in episode.extras().items()}
-        yield Episode(episode.observations[twice], episode.actions[twice], **extras)
+        steps = np.array([*range(len(episode)), len(episode) - 1])
+        extras = {name: values[steps] for name, values in episode.extras().items()}
+        yield Episode(episode.observations[steps], episode.actions[steps], **extras)
 
 
 def _labels(path: Path) -> FloatArray:
@@ -165,41 +168,41 @@ def _labels(path: Path) -> FloatArray:
     return np.array([_LABELS[label] for label in flat], dtype=np.float32)
 
 
-def _places(path: Path, n_labels: int) -> IntArray:
+def _indices(path: Path, n_labels: int) -> IntArray:
     found = numbers(path, "indices", load_pickle(path), 1)
-    places = found.astype(np.int64)
-    if (places != found).any() or (places < 0).any():
-        raise InvalidFile(path, "holds a place that is no row")
-    if len(places) != n_labels:
-        raise InvalidFile(path, f"holds {len(places)} places for {n_labels} labels")
-    return places
+    indices = found.astype(np.int64)
+    if (indices != found).any() or (indices < 0).any():
+        raise InvalidFile(path, "holds an index that is negative or not a whole number")
+    if len(indices) != n_labels:
+        raise InvalidFile(path, f"holds {len(indices)} indices for {n_labels} labels")
+    return indices
 
 
 def _transitions(steps: D4rlSteps, bounds: list[int], horizon: int | None) -> IntArray:
-    """The file's row of each transition of `d4rl.qlearning_dataset`."""
-    left_out = steps.flag("timeouts")
-    if left_out is None:
-        left_out = np.zeros(len(steps), dtype=np.bool_)
-        left_out[[last - 1 for first, last in pairwise(bounds) if last - first == horizon]] = True
-    left_out[-1] = True
-    return np.flatnonzero(~left_out)
+    """The row in the file of each transition of `d4rl.qlearning_dataset`."""
+    dropped = steps.flag("timeouts")
+    if dropped is None:
+        dropped = np.zeros(len(steps), dtype=np.bool_)
+        dropped[[last - 1 for first, last in pairwise(bounds) if last - first == horizon]] = True
+    dropped[-1] = True
+    return np.flatnonzero(~dropped)
 
 
 def _checked_rows(
-    path: Path, places: IntArray, row: IntArray, episode_of_row: NDArray[np.int64], n_steps: int
+    path: Path, indices: IntArray, row: IntArray, episode_of_row: NDArray[np.int64], n_steps: int
 ) -> IntArray:
-    """The file's row where each segment begins."""
-    outside = places + n_steps > len(row)
+    """The row in the file at which each segment starts."""
+    outside = indices + n_steps > len(row)
     if outside.any():
         index = int(outside.argmax())
         raise InvalidFile(
-            path, f"pair {index} begins at {places[index]}, and {n_steps} steps from there is beyond {len(row)}"
+            path, f"pair {index} has steps {indices[index]} to {indices[index] + n_steps} of only {len(row)}"
         )
-    first, last = row[places], row[places + n_steps - 1]
+    first, last = row[indices], row[indices + n_steps - 1]
     crossing = episode_of_row[first] != episode_of_row[last]
     if crossing.any():
         index = int(crossing.argmax())
         raise InvalidFile(
-            path, f"pair {index} crosses the end of an episode: is this the file, and T = {n_steps}, that was labelled?"
+            path, f"pair {index} crosses the end of an episode; check the D4RL file and n_steps = {n_steps}"
         )
     return first

@@ -1,9 +1,7 @@
-"""Pickles for other programs: arrays and containers under the names that old and new numpy both know, and instances of
-classes that are not installed here.
+"""A pickle writer for other programs: arrays that any version of numpy loads, and instances of uninstalled classes.
 
-Python's own pickler writes arrays of numpy 2 under names that numpy before 1.26 has not, and refuses a class that it
-cannot import. What is written here needs neither, and comes piece by piece, so that a list may be longer than the
-memory.
+Python's pickler writes arrays under module names that numpy before 1.26 lacks, and cannot write instances of classes
+that it cannot import. This writer streams, so that a list may be larger than memory.
 """
 
 import pickle
@@ -23,11 +21,11 @@ from mapt.preferences.formats.pickles import Record
 def write_pickle(path: Path, value: object) -> None:
     """Write None, bool, int, float, str, bytes, list, tuple, dict, numeric arrays and `Record`s of these.
 
-    An iterator is written as a list while it is drawn from.
+    An iterator is written as a list, one element at a time.
 
     Raises:
-        AlreadyExists: if there is a file.
-        TypeError: for a value of another type. No file is left then.
+        AlreadyExists: if the file exists.
+        TypeError: for a value of another type. No file is left.
     """
     if path.exists():
         raise AlreadyExists(path)
@@ -83,15 +81,15 @@ def _atom(value: object) -> bytes:
         case bytes():
             return pickle.BINBYTES8 + struct.pack("<Q", len(value)) + value
         case _:
-            raise TypeError(f"{type(value).__name__} has no place in a pickle for others")
+            raise TypeError(f"cannot write {type(value).__name__} to a pickle for other programs")
 
 
 def _array(array: NDArray[Any]) -> Iterator[bytes]:
-    """As numpy's own `__reduce__`: an empty array, then its version, shape, dtype, order and bytes."""
+    """The opcodes of `ndarray.__reduce__`: an empty array, then version, shape, dtype, order and bytes."""
     if array.dtype.kind not in "biuf":
-        raise TypeError(f"an array of {array.dtype} has no place in a pickle for others")
+        raise TypeError(f"cannot write an array of {array.dtype} to a pickle for other programs")
     little = array.astype(array.dtype.newbyteorder("<"))
-    # What numpy 2 calls numpy._core.multiarray keeps its old name for just this.
+    # numpy 2 keeps this alias of numpy._core.multiarray for old pickles.
     yield _global("numpy.core.multiarray", "_reconstruct")
     yield pickle.MARK + _global("numpy", "ndarray")
     yield from _pieces((0,))

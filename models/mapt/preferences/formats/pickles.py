@@ -1,7 +1,7 @@
-"""Foreign pickles, read as data: arrays, scalars and containers, nothing that runs.
+"""A restricted unpickler for files of other programs: it loads arrays, numbers and containers, and runs no code.
 
-Not even numpy's own functions are called with what the file says: an array's dtype, shape and bytes are taken
-down as they come, checked, and made into an array at the end.
+It does not call numpy with unchecked values either: the dtype, shape and bytes of an array are recorded while the
+pickle is read, then checked, and made into an array at the end.
 """
 
 import pickle
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mapt.errors import FileTooLarge, InvalidFile, TruncatedFile, UnsafePickle
 
-#: The largest pickle that is read: all of it lies in memory at once.
+#: Limit on the size of a pickle, which is read into memory.
 MAX_BYTES = 8 << 30
 #: bool, integers, floats, complex, bytes, text, object
 _DTYPE = re.compile(r"[<>|=]?(?:[biufcSU?]\d{0,9}|O8?)")
@@ -24,23 +24,23 @@ _DTYPE = re.compile(r"[<>|=]?(?:[biufcSU?]\d{0,9}|O8?)")
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """An instance of a foreign class: its name and what it held."""
+    """An instance of a class that is not imported: the name of the class, and the fields."""
 
     name: str
     fields: Mapping[str, Any]
 
 
 def load_pickle(path: Path | str, classes: tuple[str, ...] = (), *, max_bytes: int = MAX_BYTES) -> Any:
-    """What a pickle holds: None, bool, numbers, text, bytes, list, tuple, dict, set, numpy arrays and scalars.
+    """Load None, bool, numbers, str, bytes, list, tuple, dict, set, numpy arrays and scalars from a pickle.
 
     Args:
-        classes: "module.Class" names whose instances may come, each as a `Record`; no code of theirs runs.
+        classes: "module.Class" names whose instances are allowed; they are returned as `Record`s.
 
     Raises:
-        UnsafePickle: if it asks for anything else.
+        UnsafePickle: if the pickle refers to anything else.
         FileTooLarge: if the file has more than `max_bytes`.
-        TruncatedFile: if it ends too early.
-        InvalidFile: if it is no pickle, or an array in it is not what it says.
+        TruncatedFile: if the file ends too early.
+        InvalidFile: if it is not a pickle, or holds an invalid array.
     """
     path = Path(path)
     try:
@@ -56,17 +56,17 @@ def load_pickle(path: Path | str, classes: tuple[str, ...] = (), *, max_bytes: i
     except pickle.UnpicklingError as error:
         if "truncated" in str(error):
             raise TruncatedFile(path) from error
-        raise InvalidFile(path, f"is no pickle of data ({error})") from error
+        raise InvalidFile(path, f"is not a pickle of data ({error})") from error
     except InvalidFile:
         raise
     except RecursionError as error:
         raise InvalidFile(path, "is nested too deeply") from error
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, MemoryError) as error:
-        raise InvalidFile(path, f"is no pickle of data ({type(error).__name__}: {error})") from error
+        raise InvalidFile(path, f"is not a pickle of data ({type(error).__name__}: {error})") from error
 
 
 class _Allowed:
-    """A callable that a pickle may name. It cannot be changed, whatever the pickle tries."""
+    """A callable that a pickle may refer to. The pickle cannot change its state."""
 
     __slots__ = ("_call",)
 
@@ -81,7 +81,7 @@ class _Allowed:
 
 
 class _Dtype:
-    """Stands for np.dtype: what `dtype.__reduce__` says, of simple types alone."""
+    """Replaces np.dtype: records the arguments of `dtype.__reduce__`, for simple types only."""
 
     __slots__ = ("code",)
 
@@ -103,7 +103,7 @@ class _Dtype:
 
 
 class _Array:
-    """Stands for an array until all of the pickle is read."""
+    """Replaces an array while the pickle is read."""
 
     __slots__ = ("state",)
 
@@ -115,7 +115,7 @@ class _Array:
         self.state = state[-4:]
 
     def parts(self) -> tuple[tuple[int, ...], np.dtype[Any], bool, Any]:
-        """(shape, dtype, Fortran order, bytes or list), checked."""
+        """The checked state: (shape, dtype, Fortran order, bytes or list)."""
         shape, dtype, fortran, content = self.state
         if not isinstance(dtype, _Dtype) or not isinstance(shape, tuple):
             raise pickle.UnpicklingError("an array without a dtype")
@@ -125,7 +125,7 @@ class _Array:
 
 
 class _Scalar:
-    """Stands for a numpy scalar."""
+    """Replaces a numpy scalar while the pickle is read."""
 
     __slots__ = ("content", "dtype")
 
@@ -136,7 +136,7 @@ class _Scalar:
 
 
 class _Foreign:
-    """Stands for an instance of a named class; only its state is kept."""
+    """Replaces an instance of an allowed class; records its state."""
 
     name = ""
     __slots__ = ("fields",)
@@ -152,7 +152,7 @@ class _Foreign:
 
 def _reconstruct(kind: object, shape: object, _code: object) -> _Array:
     if kind is not _NDARRAY or shape != (0,):
-        raise pickle.UnpicklingError("an array that is none")
+        raise pickle.UnpicklingError("an invalid array")
     return _Array()
 
 
@@ -163,20 +163,20 @@ def _from_buffer(content: object, dtype: object, shape: object, order: object) -
 
 
 def _latin1(text: object, encoding: object) -> bytes:
-    # How protocols 0 to 2 write bytes.
+    # Protocols 0 to 2 encode bytes this way.
     if not isinstance(text, str) or encoding != "latin1":
         raise pickle.UnpicklingError(f"bytes encoded as {encoding!r}")
     return text.encode("latin1")
 
 
 def _refuse(*_arguments: object) -> NoReturn:
-    raise pickle.UnpicklingError("an array that is none")
+    raise pickle.UnpicklingError("an invalid array")
 
 
 def _checked_bytes(content: object) -> bytes | bytearray:
-    # bytearray(2 ** 40) would take as much memory.
+    # An int would allocate that many bytes.
     if not isinstance(content, bytes | bytearray):
-        raise pickle.UnpicklingError("bytes that are none")
+        raise pickle.UnpicklingError("bytes from something else than bytes")
     return content
 
 
@@ -197,12 +197,12 @@ _ALLOWED: dict[str, Any] = {
     "numpy._core.numeric._frombuffer": _Allowed(_from_buffer),
     "_codecs.encode": _Allowed(_latin1),
     "collections.OrderedDict": _Allowed(lambda items=(): dict(items)),
-    # builtins under the names of Python 3 and of Python 2
+    # Builtins, under their names in Python 3 and Python 2.
     **{f"{module}.{name}": call for module in ("builtins", "__builtin__") for name, call in _BUILTINS.items()},
 }
 
 
-# The one reader of pickles: it admits nothing that is not in the table above or named by its caller.
+# Only globals from the table above, and classes named by the caller, are found.
 class _Unpickler(pickle.Unpickler):
     def __init__(self, file: BinaryIO, path: Path, classes: tuple[str, ...]) -> None:
         super().__init__(file)
@@ -217,15 +217,15 @@ class _Unpickler(pickle.Unpickler):
         return found
 
     def persistent_load(self, pid: object) -> NoReturn:
-        raise UnsafePickle(self._path, f"an object outside of the file ({pid!r})")
+        raise UnsafePickle(self._path, f"an object outside the file ({pid!r})")
 
 
 class _Resolving:
-    """Puts arrays in the place of what stands for them; each object once, however often it is named."""
+    """Replaces the recorded arrays, scalars and instances by real ones; shared objects stay shared."""
 
     def __init__(self) -> None:
         self._done: dict[int, Any] = {}
-        # What was seen must live as long as its id is remembered.
+        # Keeps the objects alive, so that their ids stay unique.
         self._seen: list[Any] = []
 
     def resolve(self, value: Any) -> Any:
@@ -259,14 +259,14 @@ class _Resolving:
             case _Foreign():
                 return Record(value.name, self.resolve(value.fields))
             case _Allowed() | _Dtype() | type():
-                raise pickle.UnpicklingError("a function or a type where data should be")
+                raise pickle.UnpicklingError("a function or type instead of data")
         return value
 
     def _array(self, array: _Array) -> NDArray[Any]:
         shape, dtype, fortran, content = array.parts()
         if dtype.hasobject:
             if not isinstance(content, list):
-                raise pickle.UnpicklingError("an array of objects without objects")
+                raise pickle.UnpicklingError("an object array without a list")
             made = np.empty(len(content), dtype=object)
             for index, each in enumerate(content):
                 made[index] = self.resolve(each)

@@ -1,4 +1,4 @@
-"""What every format is turned into, and made from: segments with what is known of them, and comparisons."""
+"""The common form of all formats: segments with rewards and simulator states, labelled pairs of them, and episodes."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapt.errors import InvalidFile, ShapeError
-from mapt.preferences.dataset import FloatArray, IntArray, PreferenceDataset, SegmentArrays, SegmentSource
+from mapt.preferences.dataset import FloatArray, IntArray, PreferenceDataset, SegmentArrays, SegmentSource, pad
 from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
 
-#: P(segment 0 preferred), as every file of ours says it
+#: Meaning of labels, stored in the metadata of tables.
 POLARITY = "1: segment 0 is better; 0: segment 1 is better; 0.5: equal"
 
 
 @dataclass(frozen=True, slots=True)
 class SegmentRecords:
-    """S segments; rewards and simulator states where they are known.
+    """S segments with true rewards and simulator states, if known.
 
     Raises:
-        ShapeError: if an array does not have the segments' (S, T).
+        ShapeError: if the first dimensions of an array are not (S, T).
     """
 
     segments: SegmentArrays
@@ -44,22 +44,21 @@ class SegmentRecords:
 
     @property
     def lengths(self) -> IntArray:
-        """Real steps of each segment, (S,)."""
+        """Steps of each segment without padding, (S,)."""
         return self.segments.mask.sum(axis=1)
 
     def take(self, indices: ArrayLike) -> "SegmentRecords":
         """The segments at `indices`, in that order."""
         index = np.asarray(indices)
-        rest = {name: values[index] for name, values in self.extras().items()}
-        return SegmentRecords(self.segments.take(index), **rest)
+        extras = {name: values[index] for name, values in self.extras().items()}
+        return SegmentRecords(self.segments.take(index), **extras)
 
     def extras(self) -> dict[str, NDArray[np.float64]]:
-        """rewards, qpos and qvel, those that are known."""
-        named = {"rewards": self.rewards, "qpos": self.qpos, "qvel": self.qvel}
-        return {name: values for name, values in named.items() if values is not None}
+        """Those of rewards, qpos and qvel that are known."""
+        return _known(self.rewards, self.qpos, self.qvel)
 
     def layout(self, *, discrete: bool = False) -> SegmentLayout:
-        """How these would lie on disk."""
+        """The layout in which these can be stored."""
         segments = self.segments
         return SegmentLayout(
             segments.n_steps,
@@ -75,20 +74,20 @@ class SegmentRecords:
 
 @dataclass(frozen=True, slots=True)
 class Comparisons:
-    """P pairs of segments and what a teacher said of each."""
+    """P pairs of segments and their labels, skips included."""
 
     records: SegmentRecords
     #: int64 (P, 2), indices into `records`: (segment 0, segment 1)
     pairs: IntArray
-    #: float32 (P,), P(segment 0 preferred); NaN where the pair was skipped
+    #: float32 (P,), P(segment 0 preferred); NaN for a skipped pair
     labels: FloatArray
 
     @classmethod
     def of_pairs(cls, first: SegmentRecords, second: SegmentRecords, labels: ArrayLike) -> "Comparisons":
-        """Segment b of `first` against segment b of `second`.
+        """Compare segment b of `first` with segment b of `second`, for each b.
 
         Raises:
-            ShapeError: if the two have different dimensions.
+            ShapeError: if the two differ in dimensions.
         """
         n_pairs = len(first)
         pairs = np.arange(2 * n_pairs).reshape(2, n_pairs).T
@@ -98,27 +97,27 @@ class Comparisons:
         return len(self.pairs)
 
     def dataset(self) -> PreferenceDataset:
-        """To train on: without the skipped pairs.
+        """The pairs that were not skipped, for training.
 
         Raises:
-            ShapeError, InvalidPair, InvalidLabel: naming the first pair that is wrong.
+            ShapeError, InvalidPair, InvalidLabel: as `PreferenceDataset`.
         """
-        said = ~np.isnan(self.labels)
-        return PreferenceDataset(self.records.segments, self.pairs[said], self.labels[said])
+        labelled = ~np.isnan(self.labels)
+        return PreferenceDataset(self.records.segments, self.pairs[labelled], self.labels[labelled])
 
 
 def concatenate(parts: list[SegmentRecords]) -> SegmentRecords:
-    """One after the other, padded to the longest.
+    """Concatenate segments, padded to the longest.
 
     Raises:
-        ShapeError: if there is none, or they differ in agents, dimensions or in what is known.
+        ShapeError: if there are none, or they differ in agents, dimensions, or in which arrays are known.
     """
     if not parts:
         raise ShapeError("segments", (0,), "at least one")
     first = parts[0].layout().with_steps(1)
     for part in parts[1:]:
         if part.layout().with_steps(1) != first:
-            raise ShapeError("observations", part.segments.observations.shape, f"segments like the first, {first}")
+            raise ShapeError("observations", part.segments.observations.shape, f"the layout of the first, {first}")
     n_steps = max(part.segments.n_steps for part in parts)
 
     def joined(arrays: Iterable[NDArray[Any]]) -> NDArray[Any]:
@@ -139,7 +138,7 @@ def _lengthened(array: NDArray[Any], n_steps: int) -> NDArray[Any]:
 
 
 def records_in_batches(source: SegmentSource, size: int = 256) -> Iterator[SegmentRecords]:
-    """All segments in order, `size` at a time; of a folder, with the rewards and simulator states it keeps."""
+    """Yield all segments in order, `size` at a time, with the rewards and simulator states that a folder stores."""
     for first in range(0, len(source), size):
         index = np.arange(first, min(first + size, len(source)))
         extras: dict[str, NDArray[np.float64]] = {}
@@ -157,14 +156,16 @@ def save_records(
     discrete: bool = False,
     about: Mapping[str, Any] | None = None,
 ) -> SegmentFolder:
-    """Write segments into a new folder as they come, in the memory of one batch.
+    """Write segments to a new folder, one batch in memory at a time.
 
     Args:
-        n_steps: the most steps of a segment; those of the first batch when not given.
+        n_steps: T, the longest segment; that of the first batch if None.
+        discrete: store actions as indices.
+        about: JSON metadata for the manifest.
 
     Raises:
-        AlreadyExists: if there is something at `path`.
-        ShapeError: if there is no batch, or one is not like the first. No folder is left then.
+        AlreadyExists: if the folder exists.
+        ShapeError: if there is no batch, or a batch differs from the first in dimensions. No folder is left.
     """
     parts = iter(batches)
     first = next(parts, None)
@@ -179,23 +180,23 @@ def save_records(
     return SegmentFolder.open(path)
 
 
-#: Segments that are cut before they are handed on.
+#: Number of segments that `cut_segments` yields at a time.
 BATCH_SEGMENTS = 256
 
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """L steps, from a reset to an end or to where the recording stopped.
+    """L steps of one episode.
 
     Raises:
-        ShapeError: if its arrays do not have the same L.
+        ShapeError: if the arrays differ in length or have the wrong dimensions.
     """
 
-    #: float32 (L, N, C), what the agents saw when they acted
+    #: float32 (L, N, C), observed before each action
     observations: FloatArray
     #: float32 (L, N, A)
     actions: FloatArray
-    #: float64 (L,), (L, nq), (L, nv); None where they are not known
+    #: float64 (L,), (L, nq) and (L, nv); None if unknown
     rewards: NDArray[np.float64] | None = None
     qpos: NDArray[np.float64] | None = None
     qvel: NDArray[np.float64] | None = None
@@ -204,7 +205,7 @@ class Episode:
         for name, n_dims in (("observations", 3), ("actions", 3), ("rewards", 1), ("qpos", 2), ("qvel", 2)):
             values = getattr(self, name)
             if values is not None and (values.ndim != n_dims or len(values) != len(self)):
-                raise ShapeError(name, values.shape, f"{n_dims} dimensions, the first {len(self)}")
+                raise ShapeError(name, values.shape, f"{n_dims} dimensions, the first of size {len(self)}")
         if self.actions.shape[:2] != self.observations.shape[:2]:
             raise ShapeError("actions", self.actions.shape, f"{(*self.observations.shape[:2], 'A')}")
 
@@ -212,72 +213,76 @@ class Episode:
         return len(self.observations)
 
     def extras(self) -> dict[str, NDArray[np.float64]]:
-        """rewards, qpos and qvel, those that are known."""
-        named = {"rewards": self.rewards, "qpos": self.qpos, "qvel": self.qvel}
-        return {name: values for name, values in named.items() if values is not None}
+        """Those of rewards, qpos and qvel that are known."""
+        return _known(self.rewards, self.qpos, self.qvel)
 
 
 @dataclass(frozen=True, slots=True)
 class AgentIndices:
-    """Which numbers of a flat observation and action belong to which agent; one may belong to several."""
+    """Indices into flat observations and actions for each agent; agents may share indices."""
 
     #: int (N, C) and int (N, A)
     observations: ArrayLike
     actions: ArrayLike
 
     def split(self, path: Path, observations: FloatArray, actions: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(L, D) and (L, K) as (L, N, C) and (L, N, A). Raises InvalidFile if there are too few numbers."""
+        """Split (L, D) and (L, K) into (L, N, C) and (L, N, A).
+
+        Raises:
+            InvalidFile: if an index is out of range.
+        """
         try:
             return observations[:, np.asarray(self.observations)], actions[:, np.asarray(self.actions)]
         except IndexError as error:
-            raise InvalidFile(path, f"has fewer numbers than the agents' indices need ({error})") from error
+            raise InvalidFile(path, f"is too small for the indices of an agent ({error})") from error
 
 
 def cut_segments(
     episodes: Iterable[Episode], n_steps: int, *, stride: int | None = None, keep_short: bool = False
 ) -> Iterator[SegmentRecords]:
-    """Segments of T steps, none across the end of an episode, some hundreds at a time.
+    """Cut episodes into segments of T steps, and yield them `BATCH_SEGMENTS` at a time.
 
     Args:
         n_steps: T.
-        stride: steps from the start of one segment to the next; T when not given, so that none overlap.
-        keep_short: keep what is left at an episode's end, shorter than T; otherwise it is left out.
+        stride: steps from the start of one segment to the start of the next; T if None.
+        keep_short: also yield the shorter segment at the end of an episode.
 
     Raises:
-        ShapeError: if the episodes differ in agents, dimensions or in what is known.
+        ShapeError: if the episodes differ in agents, dimensions, or in which arrays are known.
     """
-    waiting: list[Episode] = []
+    batch: list[Episode] = []
     for episode in episodes:
         for first in range(0, len(episode), stride or n_steps):
             part = slice(first, first + n_steps)
             if keep_short or first + n_steps <= len(episode):
                 extras = {name: values[part] for name, values in episode.extras().items()}
-                waiting.append(Episode(episode.observations[part], episode.actions[part], **extras))
-            if len(waiting) == BATCH_SEGMENTS:
-                yield _stacked(waiting, n_steps)
-                waiting = []
-    if waiting:
-        yield _stacked(waiting, n_steps)
+                batch.append(Episode(episode.observations[part], episode.actions[part], **extras))
+            if len(batch) == BATCH_SEGMENTS:
+                yield _stacked(batch)
+                batch = []
+    if batch:
+        yield _stacked(batch)
 
 
 def episodes_of(records: SegmentRecords) -> Iterator[Episode]:
-    """Each segment as an episode of its own, without its padding."""
+    """Yield each segment as an episode, without padding."""
     for index, mask in enumerate(records.segments.mask):
         extras = {name: values[index][mask] for name, values in records.extras().items()}
         yield Episode(records.segments.observations[index][mask], records.segments.actions[index][mask], **extras)
 
 
-def _stacked(parts: list[Episode], n_steps: int) -> SegmentRecords:
+def _stacked(parts: list[Episode]) -> SegmentRecords:
     segments = SegmentArrays.stack([part.observations for part in parts], [part.actions for part in parts])
     extras: dict[str, NDArray[np.float64]] = {}
-    for name, first in parts[0].extras().items():
-        rows = np.zeros((len(parts), segments.n_steps, *first.shape[1:]))
-        for row, part in zip(rows, parts, strict=True):
-            values = part.extras().get(name)
-            if values is None or values.shape[1:] != first.shape[1:]:
-                raise ShapeError(
-                    name, () if values is None else values.shape, f"like the first episode's, {first.shape}"
-                )
-            row[: len(part)] = values
-        extras[name] = rows
+    for name in parts[0].extras():
+        if any(name not in part.extras() for part in parts):
+            raise ShapeError(name, (), "present in every episode or in none")
+        extras[name], _ = pad(name, [part.extras()[name] for part in parts])
     return SegmentRecords(segments, **extras)
+
+
+def _known(
+    rewards: NDArray[np.float64] | None, qpos: NDArray[np.float64] | None, qvel: NDArray[np.float64] | None
+) -> dict[str, NDArray[np.float64]]:
+    named = {"rewards": rewards, "qpos": qpos, "qvel": qvel}
+    return {name: values for name, values in named.items() if values is not None}

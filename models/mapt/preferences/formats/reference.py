@@ -1,8 +1,7 @@
-"""The pickle that the MAPT reference trains on: a list of {"traj0", "traj1", "label"}.
+"""The MAPT reference's pickled preference dataset: a list of {"traj0", "traj1", "label"}.
 
-Each trajectory has "obs" (T, N, C) and "actions" (T, N, A), or (T, N, 1) with the action's number where actions are
-discrete. The label is 1 where trajectory 0 is better, -1 where trajectory 1 is, and anything else where they are
-equal; the reference writes 0. Skipped pairs have no place in it.
+Each trajectory has "obs" (T, N, C) and "actions" (T, N, A), or indices (T, N, 1) of discrete actions. The label is 1 if
+trajectory 0 is preferred, -1 if trajectory 1 is, and any other value, usually 0, if they are equal. There are no skips.
 
 Source: https://github.com/catezi/MAPT, mat/algorithms/reward_model/utils/dataloader.py.
 """
@@ -23,20 +22,21 @@ from mapt.preferences.formats.records import Comparisons, SegmentRecords
 from mapt.preferences.segments import action_indices
 
 _LABELS = {1: 1.0, -1: 0.0, 0: 0.5}
-_KNOWN = "1 (first better), -1 (second better) and 0 (equal)"
+_KNOWN = "1 (first preferred), -1 (second preferred) and 0 (equal)"
 
 
 def read_reference(
     path: Path | str, *, n_actions: int | None = None, other_labels_are_equal: bool = False, max_bytes: int = MAX_BYTES
 ) -> Comparisons:
-    """
+    """Read a file of the MAPT reference.
+
     Args:
-        n_actions: of a task with discrete actions: their numbers become one-hot.
-        other_labels_are_equal: take a label that is none of 1, -1 and 0 for "equal", as the reference itself does.
-            It also takes 2, 0.7 or a label of the wrong polarity so; therefore it has to be asked for.
+        n_actions: number of discrete actions, to convert indices to one-hot; None for continuous actions.
+        other_labels_are_equal: accept labels other than 1, -1 and 0 as equal, as the reference does. Off by default,
+            because it hides labels of another format.
 
     Raises:
-        InvalidFile: with the first pair that is not of this format; see also `load_pickle`.
+        InvalidFile: for the first pair that does not follow the format; see also `load_pickle`.
         UnknownLabel: for a label other than 1, -1 and 0.
         ShapeError, NotFinite: if the trajectories differ in dimensions, or hold NaN.
     """
@@ -63,13 +63,13 @@ def read_reference(
 
 
 def write_reference(path: Path | str, dataset: PreferenceDataset, *, discrete: bool = False) -> None:
-    """Write labelled pairs for the reference to train on, in the memory of one pair.
+    """Write labelled pairs for the MAPT reference, one in memory at a time.
 
     Args:
-        discrete: actions are one-hot; they are written as their numbers, (T, N, 1).
+        discrete: actions are one-hot, to be written as indices (T, N, 1).
 
     Raises:
-        AlreadyExists: if there is a file.
+        AlreadyExists: if the file exists.
         NotOneHot: if discrete actions are not one-hot.
         NotRepresentable: if a label is not 1, 0 or 0.5, or the segments differ in length.
     """
@@ -77,19 +77,19 @@ def write_reference(path: Path | str, dataset: PreferenceDataset, *, discrete: b
 
 
 def _items(path: Path, dataset: PreferenceDataset, discrete: bool) -> Iterator[dict[str, Any]]:
-    words = {ours: theirs for theirs, ours in _LABELS.items()}
+    stored = {label: value for value, label in _LABELS.items()}
     for pair, label in zip(dataset.pairs, dataset.labels.tolist(), strict=True):
-        if label not in words:
-            raise NotRepresentable(path, f"a label of {label} has no place in this format, only 1, 0 and 0.5")
+        if label not in stored:
+            raise NotRepresentable(path, f"this format cannot represent a label of {label}, only 1, 0 and 0.5")
         segments = dataset.segments.take(pair)
         if not segments.mask.all():
-            # The reference cuts each trajectory to the length of the last: shorter ones would crash it.
-            raise NotRepresentable(path, "segments of unequal length have no place in this format")
+            # The reference truncates every trajectory to the length of the last one, and crashes on shorter ones.
+            raise NotRepresentable(path, "this format cannot represent segments of different lengths")
         actions: NDArray[Any] = action_indices(segments)[..., None] if discrete else segments.actions
         first, second = (
             {"obs": observed, "actions": acted} for observed, acted in zip(segments.observations, actions, strict=True)
         )
-        yield {"traj0": first, "traj1": second, "label": words[label]}
+        yield {"traj0": first, "traj1": second, "label": stored[label]}
 
 
 def _entry(path: Path, index: int, item: object, name: str) -> Any:
@@ -100,12 +100,12 @@ def _entry(path: Path, index: int, item: object, name: str) -> Any:
     return item[name]
 
 
-def _label(path: Path, index: int, label: object, other_is_equal: bool) -> float:
+def _label(path: Path, index: int, label: object, other_labels_are_equal: bool) -> float:
     if isinstance(label, np.ndarray) and label.size == 1:
         label = label.reshape(())[()]
     if not isinstance(label, int | float | np.number) or np.isnan(label):
         raise UnknownLabel(path, index, label, _KNOWN)
     known = _LABELS.get(float(label))  # pyright: ignore[reportArgumentType]
-    if known is None and not other_is_equal:
+    if known is None and not other_labels_are_equal:
         raise UnknownLabel(path, index, label, _KNOWN)
     return 0.5 if known is None else known

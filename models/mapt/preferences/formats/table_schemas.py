@@ -1,4 +1,4 @@
-"""The columns of our three Parquet tables, and what their metadata says."""
+"""Schemas and metadata of the three Parquet tables of an export."""
 
 import json
 from collections.abc import Mapping
@@ -21,47 +21,47 @@ _KEY = b"accord"
 
 @dataclass(frozen=True, slots=True)
 class SegmentRow:
-    """What is said of a segment beside its arrays."""
+    """A row of the segments table, without the arrays."""
 
     segment_id: str
-    #: iteration and environment steps of the policy that made it
+    #: iteration and environment steps of the policy that generated it
     policy_iteration: int | None = None
     policy_steps: int | None = None
-    #: the physics that made its simulator states
+    #: MuJoCo version of its simulator states
     mujoco_version: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class QueryRow:
-    """Two segments to be compared."""
+    """A row of the queries table: two segments to compare."""
 
     query_id: str
     segment_0_id: str
     segment_1_id: str
     #: name of the selector that chose it
     selector: str | None = None
-    #: the reward version whose scores it was chosen by
+    #: reward version whose scores the selector used
     reward_version_id: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class LabelRow:
-    """The newest word of one teacher on one query."""
+    """A row of the labels table: the latest label of one teacher for one query."""
 
     query_id: str
-    #: an identifier, no name
+    #: identifier, not the name
     teacher_id: str
-    #: label | skip
+    #: "label" or "skip"
     state: str
     #: P(segment 0 preferred); None for a skip
     label: float | None
-    #: the segment, 0 or 1, that was shown on the left; None for a program
+    #: the segment, 0 or 1, shown on the left; None for scripted teachers
     left_segment: int | None = None
-    #: from both clips playing to the answer
+    #: time from the start of both clips to the label
     response_seconds: float | None = None
-    #: a scripted teacher's name and parameters
+    #: name and parameters of a scripted teacher
     teacher: Mapping[str, Any] = field(default_factory=dict)
-    #: goes up with every word said in the experiment
+    #: counter of label changes in the experiment
     revision: int | None = None
     #: UTC
     labelled_at: datetime | None = None
@@ -69,13 +69,14 @@ class LabelRow:
 
 @dataclass(frozen=True, slots=True)
 class TableMetadata:
-    """What all three tables of an export say of themselves."""
+    """Metadata common to the three tables."""
 
     layout: SegmentLayout
-    #: where it comes from: experiment, task, versions
+    #: JSON metadata of the exporter: experiment, task, versions
     about: Mapping[str, Any]
 
     def encode(self, table: str) -> dict[bytes, bytes]:
+        """The Parquet metadata of a table."""
         document = {
             "format": FORMAT,
             "schema_version": SCHEMA_VERSION,
@@ -88,14 +89,15 @@ class TableMetadata:
 
     @classmethod
     def decode(cls, path: Path, table: str, metadata: Mapping[bytes, bytes] | None) -> "TableMetadata":
-        """
+        """Read the Parquet metadata of a table.
+
         Raises:
-            MissingPart: if there is no word of ours in it: another program's table.
-            NewerFile: if a newer version wrote it.
-            InvalidFile: if it is of another table or another polarity, or makes no sense.
+            MissingPart: if it is not a table of an export.
+            NewerFile: if a later version of this library wrote it.
+            InvalidFile: if it belongs to another table, defines labels differently, or is invalid.
         """
         if metadata is None or _KEY not in metadata:
-            raise MissingPart(path, f"metadata {_KEY.decode()!r}: it is no table of an Accord export")
+            raise MissingPart(path, f"metadata {_KEY.decode()!r}: it is not a table of an Accord export")
         try:
             document = json.loads(metadata[_KEY])
             version = document["schema_version"]
@@ -108,16 +110,16 @@ class TableMetadata:
         except InvalidFile:
             raise
         except (ValueError, TypeError, KeyError) as error:
-            raise InvalidFile(path, f"has metadata that makes no sense ({error!r})") from error
+            raise InvalidFile(path, f"has invalid metadata ({error!r})") from error
 
 
 def schema_of(table: str, metadata: TableMetadata) -> pa.Schema:
-    """Columns of a table. Arrays are flat lists of a segment's real steps, last dimension fastest."""
+    """The schema of a table. Arrays are flattened in C order, without padding."""
     return pa.schema(_COLUMNS[table] + (_arrays(metadata.layout) if table == SEGMENTS else []), metadata.encode(table))
 
 
 def array_shapes(layout: SegmentLayout) -> dict[str, tuple[int, ...]]:
-    """Each array of a segment and the dimensions of one of its steps."""
+    """The shape of one step of each array of a segment."""
     shapes: dict[str, tuple[int, ...]] = {
         "observations": (layout.n_agents, layout.observation_dim),
         "actions": (layout.n_agents,) if layout.discrete else (layout.n_agents, layout.action_dim),

@@ -1,4 +1,4 @@
-"""Writes our Parquet tables, in the memory of one row group; they are there whole or not at all."""
+"""Writing the Parquet tables of an export, in the memory of one row group, all or nothing."""
 
 import json
 import os
@@ -32,26 +32,26 @@ from mapt.preferences.formats.table_schemas import (
 from mapt.preferences.segments import action_indices
 from mapt.preferences.storage import SegmentFolder, SegmentLayout
 
-#: A row group is what writer and reader hold at once.
+#: Size of the row groups, each of which the writer and the reader hold in memory.
 ROW_GROUP_BYTES = 32 << 20
 ROW_GROUP_ROWS = 50_000
 
 
 class TableWriter:
-    """segments.parquet, queries.parquet and labels.parquet in a folder that appears when the block ends.
+    """Writes segments.parquet, queries.parquet and labels.parquet to a folder that appears when the block ends.
 
         with TableWriter(path, layout, about={"task": "half-cheetah-6x1"}) as tables:
             tables.add_segments(rows, records)
             tables.add_queries(queries)
             tables.add_labels(labels)
 
-    A block that raises, or a crash, leaves nothing at `path`.
+    If the block raises or the process crashes, nothing is left at `path`.
 
     Args:
-        layout: which arrays the segments have; `n_steps` is the longest.
+        layout: arrays of the segments; `n_steps` is the length of the longest.
 
     Raises:
-        AlreadyExists: if there is something at `path`.
+        AlreadyExists: if `path` exists.
     """
 
     def __init__(self, path: Path | str, layout: SegmentLayout, *, about: Mapping[str, Any] | None = None) -> None:
@@ -59,7 +59,7 @@ class TableWriter:
         if self._path.exists():
             raise AlreadyExists(self._path)
         self._metadata = TableMetadata(layout, about or {})
-        #: segments that fill a row group: fewer at a time make smaller ones
+        #: number of segments in a full row group; adding fewer at a time makes smaller row groups
         self.rows_per_group = max(1, ROW_GROUP_BYTES // replace(layout, discrete=False).segment_bytes)
         self._path.parent.mkdir(parents=True, exist_ok=True)
         self._folder = self._path.with_name(f".{self._path.name}.{os.getpid()}")
@@ -83,15 +83,17 @@ class TableWriter:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def add_segments(self, rows: Sequence[SegmentRow], records: SegmentRecords) -> None:
-        """
+        """Append segments.
+
         Args:
-            rows: one for each segment of `records`.
+            rows: one per segment of `records`.
 
         Raises:
-            ShapeError, NotOneHot: if they are not as many, or the arrays not of the layout.
+            ShapeError: if the numbers of rows and segments differ, or the arrays do not follow the layout.
+            NotOneHot: if discrete actions are not one-hot.
         """
         if len(rows) != len(records):
-            raise ShapeError("rows", (len(rows),), f"one for each of {len(records)} segments")
+            raise ShapeError("rows", (len(rows),), f"one per segment, {len(records)}")
         self._check(records)
         for first in range(0, len(rows), self.rows_per_group):
             part = rows[first : first + self.rows_per_group]
@@ -99,9 +101,11 @@ class TableWriter:
             self._write(SEGMENTS, [asdict(row) for row in part], arrays)
 
     def add_queries(self, queries: Iterable[QueryRow]) -> None:
+        """Append queries."""
         self._add(QUERIES, [asdict(query) for query in queries])
 
     def add_labels(self, labels: Iterable[LabelRow]) -> None:
+        """Append labels."""
         rows = [asdict(label) for label in labels]
         for row in rows:
             row["teacher"] = json.dumps(dict(row["teacher"]), allow_nan=False)
@@ -137,7 +141,7 @@ class TableWriter:
 
 
 def _writer(folder: Path, table: str, schema: pa.Schema) -> pq.ParquetWriter:
-    # A dictionary of floats is given up after a megabyte of them, and nobody asks for their least.
+    # Dictionary encoding and min/max statistics are useless for the arrays.
     plain: Any = [field.name for field in schema if not pa.types.is_list(field.type)]
     return pq.ParquetWriter(
         folder / f"{table}.parquet", schema, compression="zstd", use_dictionary=plain, write_statistics=plain
@@ -153,7 +157,7 @@ def _array_columns(records: SegmentRecords, layout: SegmentLayout) -> dict[str, 
     }
     columns: dict[str, pa.Array] = {"length_steps": pa.array(lengths.astype(np.int32))}
     for name, shape in array_shapes(layout).items():
-        # Real steps alone: the padding says nothing.
+        # Without the padding.
         flat = arrays[name][mask].reshape(-1)
         offsets = np.concatenate(([0], np.cumsum(lengths * int(np.prod(shape, dtype=np.int64)))))
         element = pa.field("element", pa.from_numpy_dtype(flat.dtype), nullable=False)
@@ -162,10 +166,10 @@ def _array_columns(records: SegmentRecords, layout: SegmentLayout) -> dict[str, 
 
 
 def write_tables(path: Path | str, comparisons: Comparisons, *, about: Mapping[str, Any] | None = None) -> None:
-    """Write comparisons that come from elsewhere as our tables.
+    """Write imported comparisons as tables.
 
     Raises:
-        AlreadyExists: if there is something at `path`.
+        AlreadyExists: if `path` exists.
     """
     layout = comparisons.records.layout()
     with TableWriter(path, layout, about=about) as tables:
@@ -173,10 +177,10 @@ def write_tables(path: Path | str, comparisons: Comparisons, *, about: Mapping[s
 
 
 def write_dataset(path: Path | str, dataset: PreferenceDataset, *, about: Mapping[str, Any] | None = None) -> None:
-    """Write a dataset as our tables, in the memory of some hundred segments where they lie on disk.
+    """Write a dataset as tables; segments on disk are read a few hundred at a time.
 
     Raises:
-        AlreadyExists: if there is something at `path`.
+        AlreadyExists: if `path` exists.
     """
     source = dataset.segments
     layout = (

@@ -1,9 +1,10 @@
-"""Our own export: three Parquet tables that pandas, polars, DuckDB and HuggingFace read too.
+"""Accord's export: three Parquet tables, readable by pandas, polars, DuckDB and HuggingFace datasets.
 
-`segments.parquet`: one row a segment, its real steps flat in `observations` (T, N, C), `actions` (T, N, A), or (T, N)
-numbers where actions are discrete, `rewards` (T,), `qpos` (T, nq), `qvel` (T, nv). `queries.parquet`: which two
-segments are compared. `labels.parquet`: the newest word of each teacher on each query, skips included. The metadata
-of each file, under the key "accord", is JSON: schema version, polarity, dimensions, and what is known of the source.
+`segments.parquet`: one row per segment with the flattened arrays `observations` (T, N, C), `actions` (T, N, A) or
+indices (T, N) of discrete actions, `rewards` (T,), `qpos` (T, nq) and `qvel` (T, nv), without padding.
+`queries.parquet`: the two segments of each query. `labels.parquet`: the latest label of each teacher for each query,
+skips included. The Parquet metadata under the key "accord" is JSON: schema version, meaning of labels, dimensions, and
+the exporter's metadata.
 """
 
 import json
@@ -36,28 +37,30 @@ from mapt.preferences.storage import SegmentLayout
 
 __all__ = ["LabelRow", "PreferenceTables", "QueryRow", "SegmentRow", "TableWriter"]
 
-#: The largest row group that is read: all of it lies in memory at once. Ours have 32 MiB.
+#: Limit on the size of a row group, which is read into memory at once. `TableWriter` writes 32 MiB.
 MAX_ROW_GROUP_BYTES = 1 << 30
 
 
 @dataclass(frozen=True, slots=True)
 class PreferenceTables:
-    """An export, opened: its metadata is checked, its rows are read when they are asked for."""
+    """An open export. Metadata is checked when it is opened; rows are read on demand."""
 
     path: Path
     layout: SegmentLayout
-    #: what the exporter said of it
+    #: JSON metadata of the exporter
     about: Mapping[str, Any]
     n_segments: int
     max_row_group_bytes: int
 
     @classmethod
     def open(cls, path: Path | str, *, max_row_group_bytes: int = MAX_ROW_GROUP_BYTES) -> "PreferenceTables":
-        """
+        """Open an export and check its metadata and columns.
+
         Raises:
-            MissingPart: if a table or a column is not there.
-            NewerFile: if a newer version wrote it.
-            InvalidFile: if a file is cut, is no Parquet, or is of another table, type or polarity.
+            MissingPart: if a table or a column is missing.
+            NewerFile: if a later version of this library wrote it.
+            InvalidFile: if a file is truncated, is not Parquet, or has other columns, types or label definitions.
+            FileTooLarge: if one segment would take more than `max_row_group_bytes`.
         """
         path = Path(path)
         metadata: list[TableMetadata] = []
@@ -71,26 +74,31 @@ class PreferenceTables:
         return cls(path, metadata[0].layout, metadata[0].about, n_segments, max_row_group_bytes)
 
     def queries(self) -> list[QueryRow]:
-        """Raises InvalidFile."""
+        """All queries. Raises InvalidFile if the table is damaged."""
         return [QueryRow(**row) for row in self._rows(QUERIES)]
 
     def labels(self) -> list[LabelRow]:
-        """Raises InvalidFile; UnknownLabel for a label that is not 1, 0 or 0.5, or a state that is not ours."""
+        """All labels, skips included.
+
+        Raises:
+            UnknownLabel: for a label other than 1, 0 and 0.5, or an unknown state.
+            InvalidFile: if the table is damaged.
+        """
         labels: list[LabelRow] = []
         path = _name(self.path, LABELS)
         for index, row in enumerate(self._rows(LABELS)):
             if (row["label"], row["state"]) not in ((1, "label"), (0, "label"), (0.5, "label"), (None, "skip")):
-                said = f"{row['label']!r} with state {row['state']!r}"
-                raise UnknownLabel(path, index, said, '1, 0 and 0.5 with state "label", none with "skip"')
+                found = f"{row['label']!r} with state {row['state']!r}"
+                raise UnknownLabel(path, index, found, '1, 0 and 0.5 with state "label", None with "skip"')
             labels.append(LabelRow(**{**row, "teacher": _teacher(path, index, row["teacher"])}))
         return labels
 
     def segments(self) -> Iterator[tuple[list[SegmentRow], SegmentRecords]]:
-        """All segments, a row group at a time.
+        """Read all segments, one row group at a time.
 
         Raises:
             FileTooLarge: if a row group would take more than `max_row_group_bytes`.
-            InvalidFile: if an array has not the size that its length and the layout say.
+            InvalidFile: if the size of an array does not match its length and the layout.
         """
         path = _name(self.path, SEGMENTS)
         names = [field.name for field in fields(SegmentRow)]
@@ -101,48 +109,50 @@ class PreferenceTables:
                 yield rows, _records(path, table, self.layout)
 
     def load(self, folder: Path | str) -> PreferenceDataset:
-        """Put the segments into a new folder on disk, and the labels that count with them, to train on.
+        """Make a dataset for training: write the segments to a new `SegmentFolder`, and pair the labels with them.
 
-        Each teacher's label on a query is a pair of its own; skips are left out. Runs in the memory of one row
-        group, and of the labels.
+        Labels of several teachers for one query become several pairs; skips are left out. Takes the memory of one row
+        group and of all labels.
 
         Raises:
-            AlreadyExists: if there is something at `folder`.
-            InvalidFile: as above, or if a label or query names what is not there. No folder is left then.
-            NotEnoughPairs: if nothing is labelled.
+            AlreadyExists: if `folder` exists.
+            InvalidFile: if a table is damaged, or refers to a query or segment that does not exist. No folder is left.
+            NotEnoughPairs: if there are no labels.
         """
-        place: dict[str, int] = {}
+        index_of: dict[str, int] = {}
         if Path(folder).exists():
             raise AlreadyExists(folder)
         queries = {query.query_id: query for query in self.queries()}
-        said = [label for label in self.labels() if label.label is not None]
-        for label in said:
+        labelled = [label for label in self.labels() if label.label is not None]
+        for label in labelled:
             if label.query_id not in queries:
-                raise InvalidFile(_name(self.path, LABELS), f"labels query {label.query_id!r}, which is not there")
+                raise InvalidFile(_name(self.path, LABELS), f"refers to query {label.query_id!r}, which does not exist")
         for query in queries.values():
             if query.segment_0_id == query.segment_1_id:
                 raise InvalidFile(_name(self.path, QUERIES), f"compares {query.segment_0_id!r} with itself")
-        if not said:
+        if not labelled:
             raise NotEnoughPairs(0, 1)
 
-        def counted() -> Iterator[SegmentRecords]:
+        def indexed() -> Iterator[SegmentRecords]:
             for rows, records in self.segments():
-                place.update({row.segment_id: len(place) + index for index, row in enumerate(rows)})
+                index_of.update({row.segment_id: len(index_of) + index for index, row in enumerate(rows)})
                 yield records
-            if len(place) != self.n_segments:
-                raise InvalidFile(_name(self.path, SEGMENTS), "names a segment twice")
+            if len(index_of) != self.n_segments:
+                raise InvalidFile(_name(self.path, SEGMENTS), "holds a segment_id twice")
             for query in queries.values():
-                missing = {query.segment_0_id, query.segment_1_id} - place.keys()
+                missing = {query.segment_0_id, query.segment_1_id} - index_of.keys()
                 if missing:
-                    raise InvalidFile(_name(self.path, QUERIES), f"asks about {min(missing)!r}, which is not there")
+                    raise InvalidFile(
+                        _name(self.path, QUERIES), f"refers to segment {min(missing)!r}, which does not exist"
+                    )
 
-        kept = save_records(
-            folder, counted(), n_steps=self.layout.n_steps, discrete=self.layout.discrete, about=self.about
+        segments = save_records(
+            folder, indexed(), n_steps=self.layout.n_steps, discrete=self.layout.discrete, about=self.about
         )
-        chosen = [queries[label.query_id] for label in said]
-        pairs = [(place[query.segment_0_id], place[query.segment_1_id]) for query in chosen]
-        labels = np.array([label.label for label in said], dtype=np.float32)
-        return PreferenceDataset(kept, np.array(pairs, dtype=np.int64), labels)
+        compared = [queries[label.query_id] for label in labelled]
+        pairs = [(index_of[query.segment_0_id], index_of[query.segment_1_id]) for query in compared]
+        labels = np.array([label.label for label in labelled], dtype=np.float32)
+        return PreferenceDataset(segments, np.array(pairs, dtype=np.int64), labels)
 
     def _rows(self, table: str) -> Iterator[dict[str, Any]]:
         for group in self._groups(table):
@@ -171,7 +181,7 @@ def _file(path: Path, table: str) -> pq.ParquetFile:
     try:
         return pq.ParquetFile(file)
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise InvalidFile(file, f"is no whole Parquet file ({error})") from error
+        raise InvalidFile(file, f"is not a complete Parquet file ({error})") from error
 
 
 def _read_group(path: Path, file: pq.ParquetFile, index: int) -> pa.Table:
@@ -189,13 +199,13 @@ def _check_columns(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:
             raise MissingPart(path, f"column {field.name!r}")
         column = found.field(field.name).type
         same_lists = pa.types.is_list(column) and pa.types.is_list(field.type)
-        # What another program calls the elements of a list, and whether it lets them be null, is its own.
+        # Other writers name the elements of a list differently, or declare them nullable.
         if column != field.type and not (same_lists and column.value_type == field.type.value_type):
-            raise InvalidFile(path, f"has column {field.name!r} of {column}, not of {field.type}")
+            raise InvalidFile(path, f"has column {field.name!r} of type {column}, not {field.type}")
 
 
 def _check_size(path: Path, group: Any, limit: int) -> None:
-    # Before anything is decoded: a few bytes of run lengths can stand for billions of numbers.
+    # Checked before decoding: a few bytes of run-length encoding can declare billions of values.
     declared = sum(
         max(column.total_uncompressed_size, column.num_values * 8)
         for column in (group.column(index) for index in range(group.num_columns))
@@ -205,7 +215,7 @@ def _check_size(path: Path, group: Any, limit: int) -> None:
 
 
 def _check_memory(path: Path, n_segments: int, layout: SegmentLayout, limit: int) -> None:
-    # Padding and one-hot actions take memory that is nowhere in the file.
+    # Padding and one-hot actions take memory, but no space in the file.
     padded = n_segments * replace(layout, discrete=False).segment_bytes
     if padded > limit:
         raise FileTooLarge(path, f"{n_segments} segments of {padded} bytes together", limit)
@@ -215,22 +225,22 @@ def _teacher(path: Path, index: int, text: str) -> dict[str, Any]:
     try:
         teacher = json.loads(text)
     except ValueError as error:
-        raise InvalidFile(path, f"has a teacher in row {index} that is no JSON") from error
+        raise InvalidFile(path, f"has a teacher in row {index} that is not JSON") from error
     if not isinstance(teacher, dict):
-        raise InvalidFile(path, f"has a teacher in row {index} that is no JSON object")
+        raise InvalidFile(path, f"has a teacher in row {index} that is not a JSON object")
     return teacher
 
 
 def _records(path: Path, table: pa.Table, layout: SegmentLayout) -> SegmentRecords:
     lengths = table.column("length_steps").to_numpy().astype(np.int64)
     if ((lengths < 1) | (lengths > layout.n_steps)).any():
-        raise InvalidFile(path, f"has a length_steps that is not within 1 to {layout.n_steps}")
+        raise InvalidFile(path, f"has a length_steps outside [1, {layout.n_steps}]")
     mask = np.arange(lengths.max()) < lengths[:, None]
     arrays = {name: _array(path, table, name, shape, mask) for name, shape in array_shapes(layout).items()}
     if layout.discrete:
         codes = arrays["actions"]
         if codes.max(initial=0) >= layout.action_dim:
-            raise InvalidFile(path, f"has an action that is none of {layout.action_dim}")
+            raise InvalidFile(path, f"has an action outside [0, {layout.action_dim})")
         actions = np.eye(layout.action_dim, dtype=np.float32)[codes]
         actions[~mask] = 0
         arrays["actions"] = actions
@@ -238,14 +248,14 @@ def _records(path: Path, table: pa.Table, layout: SegmentLayout) -> SegmentRecor
 
 
 def _array(path: Path, table: pa.Table, name: str, shape: tuple[int, ...], mask: NDArray[np.bool_]) -> NDArray[Any]:
-    """A column of flat lists as (S, T, ...), zeros in the padding."""
+    """A column of flattened lists as an array (S, T, ...), 0 in the padding."""
     column = table.column(name).combine_chunks()
     lists = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
     if lists.flatten().null_count:
-        raise InvalidFile(path, f"has a number that is missing in {name}")
+        raise InvalidFile(path, f"has a null value in {name}")
     sizes = np.diff(lists.offsets.to_numpy())
     if (sizes != mask.sum(axis=1) * int(np.prod(shape, dtype=np.int64))).any():
-        raise InvalidFile(path, f"has {name} of another size than length_steps and the layout say")
+        raise InvalidFile(path, f"has {name} whose size does not match length_steps and the layout")
     flat = lists.flatten().to_numpy()
     if not np.isfinite(flat).all():
         raise InvalidFile(path, f"has NaN or infinity in {name}")

@@ -316,10 +316,8 @@ def _changed(settings: Settings, changes: dict[str, Any], name: str) -> Settings
     hints = get_type_hints(type(settings))
     known = [field.name for field in fields(settings)]
     if unknown := changes.keys() - set(known):
-        there = (
-            f"beside {', '.join(field.name for field in fields(BPrefParameters))} it has {', '.join(known) or 'none'}"
-        )
-        raise InvalidTeacher(f"{name} has no parameter {', '.join(sorted(unknown))}; {there}")
+        accepted = dict.fromkeys([*(field.name for field in fields(BPrefParameters)), *known])
+        raise InvalidTeacher(f"{name} has no parameter {', '.join(sorted(unknown))}; known: {', '.join(accepted)}")
     return replace(settings, **{key: _typed(name, key, hints[key], value) for key, value in changes.items()})
 
 

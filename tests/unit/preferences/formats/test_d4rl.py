@@ -65,14 +65,16 @@ def test_numbers_fall_to_the_agents_that_indices_name(tmp_path):
 
 
 def test_indices_beyond_the_numbers_are_refused(tmp_path):
-    with pytest.raises(InvalidFile, match="indices"):
+    with pytest.raises(InvalidFile) as refused:
         list(read_d4rl(write(tmp_path), agents=AgentIndices([[6]], [[0]])))
+    assert "indices" in refused.value.problem
 
 
 def test_an_old_file_without_timeouts_needs_the_horizon(tmp_path):
     path = write(tmp_path, timeouts=None)
-    with pytest.raises(MissingPart, match="timeouts"):
+    with pytest.raises(MissingPart) as refused:
         list(read_d4rl(path))
+    assert "timeouts" in refused.value.part
     assert [len(episode) for episode in read_d4rl(path, horizon=3)] == [3, 1, 3, 2]
 
 
@@ -124,8 +126,9 @@ def test_a_file_that_is_there_is_not_written_over(tmp_path):
 
 @pytest.mark.parametrize("name", ["observations", "actions", "terminals"])
 def test_a_missing_array_is_named(tmp_path, name):
-    with pytest.raises(MissingPart, match=name):
+    with pytest.raises(MissingPart) as refused:
         list(read_d4rl(write(tmp_path, **{name: None})))
+    assert name in refused.value.part
 
 
 @pytest.mark.parametrize(
@@ -146,8 +149,9 @@ def test_a_missing_array_is_named(tmp_path, name):
 def test_an_array_of_another_shape_is_refused_and_nothing_changes(tmp_path, name, values):
     path = write(tmp_path, **{name: values})
     before = everything_in(tmp_path)
-    with pytest.raises(InvalidFile, match=r"d4rl\.hdf5"):
+    with pytest.raises(InvalidFile) as refused:
         list(read_d4rl(path))
+    assert "d4rl.hdf5" in str(refused.value.path)
     assert everything_in(tmp_path) == before
 
 
@@ -160,8 +164,9 @@ def test_a_file_that_was_cut_is_refused(tmp_path, share):
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(InvalidFile, match="nowhere"):
+    with pytest.raises(InvalidFile) as refused:
         list(read_d4rl(tmp_path / "nowhere.hdf5"))
+    assert "nowhere" in str(refused.value.path)
 
 
 def test_an_array_of_nothing_that_declares_a_terabyte_is_not_read(tmp_path):
@@ -169,8 +174,9 @@ def test_an_array_of_nothing_that_declares_a_terabyte_is_not_read(tmp_path):
     with h5py.File(path, "a") as file:
         file.create_dataset("observations", shape=(1 << 34, 8), dtype="f8", chunks=(1 << 10, 8))
     assert path.stat().st_size < 100_000
-    with pytest.raises(FileTooLarge, match="observations"):
+    with pytest.raises(FileTooLarge) as refused:
         list(read_d4rl(path))
+    assert "observations" in refused.value.what
 
 
 def test_an_array_that_lies_in_another_file_is_not_read(tmp_path):
@@ -192,7 +198,7 @@ def test_an_array_that_lies_in_another_file_is_not_read(tmp_path):
                 layout = h5py.VirtualLayout(shape=(9, 6), dtype="f8")
                 layout[:] = h5py.VirtualSource(str(tmp_path / "other.hdf5"), "observations", shape=(9, 6))
                 file.create_virtual_dataset("observations", layout)
-        with pytest.raises(InvalidFile, match="another"):
+        with pytest.raises(InvalidFile):
             list(read_d4rl(path))
 
 
@@ -201,5 +207,6 @@ def test_a_number_of_agents_that_makes_no_sense_is_refused(tmp_path, n_agents):
     path = write(tmp_path)
     with h5py.File(path, "a") as file:
         file.attrs["mapt_n_agents"] = n_agents
-    with pytest.raises(InvalidFile, match="agents"):
+    with pytest.raises(InvalidFile) as refused:
         list(read_d4rl(path))
+    assert "agents" in refused.value.problem

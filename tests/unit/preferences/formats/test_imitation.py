@@ -64,8 +64,9 @@ def test_a_file_of_one_agent_with_numbered_actions_is_read():
     assert found.labels.tolist() == [0.25, 1.0]
     assert found.records.segments.observations.shape == (4, 4, 1, 3)
     assert found.records.segments.actions[0].argmax(axis=-1)[:, 0].tolist() == [0, 1, 2, 0]
-    with pytest.raises(InvalidFile, match="action"):
+    with pytest.raises(InvalidFile) as refused:
         read_imitation(FIXTURES / "imitation_numbered.pkl", n_actions=2)
+    assert "action" in refused.value.problem
 
 
 @settings(max_examples=25)
@@ -142,8 +143,9 @@ def write(folder, first=None, labels=(1.0,), **changes):
 
 @pytest.mark.parametrize("label", [-1.0, 1.5, float("nan")])
 def test_a_label_of_another_polarity_is_refused(tmp_path, label):
-    with pytest.raises(UnknownLabel, match="label 0"):
+    with pytest.raises(UnknownLabel) as refused:
         read_imitation(write(tmp_path, labels=[label]))
+    assert refused.value.index == 0
 
 
 @pytest.mark.parametrize(
@@ -176,8 +178,9 @@ def test_datasets_that_are_none_are_refused(tmp_path):
         with pytest.raises(FileError):
             read_imitation(write(tmp_path, **changes))
     (tmp_path / "preferences.pkl").write_bytes(pickle.dumps([1, 2]))
-    with pytest.raises(InvalidFile, match="PreferenceDataset"):
+    with pytest.raises(InvalidFile) as refused:
         read_imitation(tmp_path / "preferences.pkl")
+    assert "PreferenceDataset" in refused.value.problem
 
 
 def test_a_file_that_was_cut_is_refused(tmp_path):
@@ -193,15 +196,17 @@ def test_a_file_that_runs_a_program_is_refused_and_runs_nothing(tmp_path):
             return os.system, (f"touch {tmp_path / 'ran'}",)
 
     (tmp_path / "preferences.pkl").write_bytes(pickle.dumps(Runs()))
-    with pytest.raises(UnsafePickle, match="system"):
+    with pytest.raises(UnsafePickle) as refused:
         read_imitation(tmp_path / "preferences.pkl")
+    assert "system" in refused.value.name
     assert not (tmp_path / "ran").exists()
 
 
 def test_another_class_of_imitations_is_refused(tmp_path):
     write_pickle(tmp_path / "preferences.pkl", Record("imitation.data.types.DictObs", {"_d": {}}))
-    with pytest.raises(UnsafePickle, match="DictObs"):
+    with pytest.raises(UnsafePickle) as refused:
         read_imitation(tmp_path / "preferences.pkl")
+    assert "DictObs" in refused.value.name
 
 
 def test_a_file_that_is_there_is_not_written_over(tmp_path):
@@ -309,17 +314,20 @@ def test_a_file_that_was_cut_anywhere_is_refused(tmp_path_factory, data):
 def test_a_state_that_makes_no_sense_or_leads_elsewhere_is_refused(tmp_path, state):
     shutil.copytree(FIXTURE, tmp_path / "copy")
     (tmp_path / "copy" / "state.json").write_text(json.dumps(state))
-    with pytest.raises(InvalidFile, match=r"state\.json"):
+    with pytest.raises(InvalidFile) as refused:
         list(read_imitation_trajectories(tmp_path / "copy"))
+    assert "state.json" in str(refused.value.path)
 
 
 def test_files_that_are_missing_are_named(tmp_path):
-    with pytest.raises(MissingPart, match=r"state\.json"):
+    with pytest.raises(MissingPart) as refused:
         list(read_imitation_trajectories(tmp_path))
+    assert "state.json" in refused.value.part
     shutil.copytree(FIXTURE, tmp_path / "copy")
     (tmp_path / "copy" / "data-00000-of-00001.arrow").unlink()
-    with pytest.raises(MissingPart, match="data-00000"):
+    with pytest.raises(MissingPart) as refused:
         list(read_imitation_trajectories(tmp_path / "copy"))
+    assert "data-00000" in refused.value.part
 
 
 def test_more_than_is_wanted_is_not_read():

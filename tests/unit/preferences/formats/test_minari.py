@@ -91,8 +91,9 @@ def test_numbered_actions_become_one_hot(tmp_path, monkeypatch):
     first = next(read_minari(path, n_actions=4))
     assert first.actions.shape == (4, 2, 4)
     np.testing.assert_array_equal(first.actions.argmax(axis=-1)[:, 0], buffers[0].actions["agent_2"])
-    with pytest.raises(InvalidFile, match="actions"):
+    with pytest.raises(InvalidFile) as refused:
         next(read_minari(path))
+    assert "actions" in refused.value.problem
 
 
 def test_episodes_are_cut_into_segments(tmp_path, monkeypatch):
@@ -177,8 +178,9 @@ def change(dataset, name, values):
 def test_a_dataset_of_another_shape_is_refused_and_nothing_changes(dataset, name, values, problem):
     change(dataset, name, values)
     before = everything_in(dataset)
-    with pytest.raises(problem, match=r"main_data\.hdf5"):
+    with pytest.raises(problem) as refused:
         list(read_minari(dataset))
+    assert "main_data.hdf5" in str(refused.value.path)
     assert everything_in(dataset) == before
 
 
@@ -197,8 +199,9 @@ def test_a_file_that_was_cut_is_refused(dataset, share):
 def test_metadata_that_makes_no_sense_is_refused(dataset, changes):
     path = dataset / "data" / "metadata.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | changes))
-    with pytest.raises(InvalidFile, match=r"metadata\.json"):
+    with pytest.raises(InvalidFile) as refused:
         list(read_minari(dataset))
+    assert "metadata.json" in str(refused.value.path)
 
 
 def test_metadata_that_is_none_is_refused(dataset):
@@ -208,10 +211,12 @@ def test_metadata_that_is_none_is_refused(dataset):
         with pytest.raises(InvalidFile):
             list(read_minari(dataset))
     path.unlink()
-    with pytest.raises(MissingPart, match="metadata"):
+    with pytest.raises(MissingPart) as refused:
         list(read_minari(dataset))
+    assert "metadata" in refused.value.part
 
 
 def test_more_than_is_wanted_is_not_read(dataset):
-    with pytest.raises(FileTooLarge, match="limit of 100"):
+    with pytest.raises(FileTooLarge) as refused:
         list(read_minari(dataset, max_bytes=100))
+    assert refused.value.limit == 100

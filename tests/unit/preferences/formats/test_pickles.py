@@ -94,8 +94,9 @@ class Runs:
 def test_a_pickle_that_runs_a_program_is_refused_and_runs_nothing(tmp_path, protocol):
     made = tmp_path / "made-by-the-pickle"
     path = write(tmp_path, pickle.dumps([Runs(os.system, f"touch {made}")], protocol))
-    with pytest.raises(UnsafePickle, match=r"posix\.system"):
+    with pytest.raises(UnsafePickle) as refused:
         load_pickle(path)
+    assert "posix.system" in refused.value.name
     assert not made.exists()
 
 
@@ -129,14 +130,16 @@ def test_an_allowed_function_cannot_be_changed(tmp_path):
     # BUILD on a function would write into its attributes.
     content = b"\x80\x02cnumpy\ndtype\n}X\x05\x00\x00\x00_callNsb."
     pickletools.dis(content, out=io.StringIO())
-    with pytest.raises(InvalidFile, match="changed"):
+    with pytest.raises(InvalidFile) as refused:
         load_pickle(write(tmp_path, content))
+    assert "changed" in refused.value.problem
     np.testing.assert_array_equal(load_pickle(write(tmp_path, pickle.dumps(np.arange(2)))), [0, 1])
 
 
 def test_an_object_outside_of_the_file_is_refused(tmp_path):
-    with pytest.raises(UnsafePickle, match="outside"):
+    with pytest.raises(UnsafePickle) as refused:
         load_pickle(write(tmp_path, b"Psomething\n."))
+    assert "outside" in refused.value.name
 
 
 def array_pickle(shape, dtype=("f8", False, True), content=b"", state_dtype=None):
@@ -239,13 +242,15 @@ def test_a_pickle_with_a_byte_changed_ends_in_an_error_or_in_data(tmp_path_facto
 
 def test_a_file_that_is_larger_than_wanted_is_not_read(tmp_path):
     path = write(tmp_path, pickle.dumps(np.arange(1000)))
-    with pytest.raises(FileTooLarge, match="limit of 100"):
+    with pytest.raises(FileTooLarge) as refused:
         load_pickle(path, max_bytes=100)
+    assert refused.value.limit == 100
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(InvalidFile, match="nowhere"):
+    with pytest.raises(InvalidFile) as refused:
         load_pickle(tmp_path / "nowhere.pkl")
+    assert "nowhere" in str(refused.value.path)
 
 
 class Foreign:

@@ -57,8 +57,9 @@ def test_trajectory_0_is_segment_0(tmp_path):
 
 @pytest.mark.parametrize("label", [2, 0.5, -0.7, float("nan"), "first", None, np.array([1, 0])])
 def test_a_label_of_another_polarity_is_refused(tmp_path, label):
-    with pytest.raises(UnknownLabel, match="label 1"):
+    with pytest.raises(UnknownLabel) as refused:
         read_reference(write(tmp_path, [pair(1), pair(label)]))
+    assert refused.value.index == 1
 
 
 def test_other_labels_are_equal_where_that_is_asked_for(tmp_path):
@@ -77,8 +78,9 @@ def test_numbered_actions_become_one_hot(tmp_path):
         item[name]["actions"] = np.array([[[2], [0]]] * 3)
     found = read_reference(write(tmp_path, [item]), n_actions=4)
     assert found.records.segments.actions[0, 0].tolist() == [[0, 0, 1, 0], [1, 0, 0, 0]]
-    with pytest.raises(InvalidFile, match="is not one of 0 to 1"):
+    with pytest.raises(InvalidFile) as refused:
         read_reference(write(tmp_path, [item]), n_actions=2)
+    assert "is not one of 0 to 1" in refused.value.problem
 
 
 @given(st.lists(st.sampled_from([0.0, 0.5, 1.0]), min_size=1, max_size=5), st.booleans())
@@ -171,11 +173,13 @@ def test_a_file_that_runs_a_program_is_refused_and_runs_nothing(tmp_path):
         def __reduce__(self):
             return os.system, (f"touch {tmp_path / 'ran'}",)
 
-    with pytest.raises(UnsafePickle, match="system"):
+    with pytest.raises(UnsafePickle) as refused:
         read_reference(write(tmp_path, [pair(1), Runs()]))
+    assert "system" in refused.value.name
     assert not (tmp_path / "ran").exists()
 
 
 def test_every_error_of_a_file_names_the_file(tmp_path):
-    with pytest.raises(FileError, match=r"reference\.pkl"):
+    with pytest.raises(FileError) as refused:
         read_reference(write(tmp_path, [pair(7)]))
+    assert "reference.pkl" in str(refused.value.path)

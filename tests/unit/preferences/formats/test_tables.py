@@ -199,8 +199,9 @@ def change_metadata(path, **changes):
 def test_a_newer_schema_is_refused_by_its_number(tmp_path, table):
     write(tmp_path / "export")
     change_metadata(tmp_path / "export" / f"{table}.parquet", schema_version=2)
-    with pytest.raises(NewerFile, match="version 2"):
+    with pytest.raises(NewerFile) as refused:
         PreferenceTables.open(tmp_path / "export")
+    assert (refused.value.found, refused.value.known) == (2, 1)
 
 
 @pytest.mark.parametrize(
@@ -217,15 +218,17 @@ def test_a_newer_schema_is_refused_by_its_number(tmp_path, table):
 def test_metadata_of_another_meaning_is_refused(tmp_path, changes):
     write(tmp_path / "export")
     change_metadata(tmp_path / "export" / "segments.parquet", **changes)
-    with pytest.raises(InvalidFile, match=r"segments\.parquet"):
+    with pytest.raises(InvalidFile) as refused:
         PreferenceTables.open(tmp_path / "export")
+    assert "segments.parquet" in str(refused.value.path)
 
 
 def test_a_table_of_another_program_is_refused(tmp_path):
     write(tmp_path / "export")
     pq.write_table(pa.table({"query_id": ["a"]}), tmp_path / "export" / "labels.parquet")
-    with pytest.raises(MissingPart, match="accord"):
+    with pytest.raises(MissingPart) as refused:
         PreferenceTables.open(tmp_path / "export")
+    assert "accord" in refused.value.part
 
 
 @pytest.mark.parametrize(
@@ -235,15 +238,17 @@ def test_a_table_of_another_program_is_refused(tmp_path):
 def test_a_missing_column_is_named(tmp_path, table, column):
     write(tmp_path / "export")
     change_table(tmp_path / "export" / f"{table}.parquet", lambda whole: whole.drop_columns([column]))
-    with pytest.raises(MissingPart, match=column):
+    with pytest.raises(MissingPart) as refused:
         PreferenceTables.open(tmp_path / "export")
+    assert column in refused.value.part
 
 
 def test_a_missing_table_is_named(tmp_path):
     write(tmp_path / "export")
     (tmp_path / "export" / "queries.parquet").unlink()
-    with pytest.raises(MissingPart, match=r"queries\.parquet"):
+    with pytest.raises(MissingPart) as refused:
         PreferenceTables.open(tmp_path / "export")
+    assert "queries.parquet" in refused.value.part
 
 
 @pytest.mark.parametrize("table", ["segments", "queries", "labels"])
@@ -290,8 +295,9 @@ def test_a_label_of_another_polarity_is_refused(tmp_path, label, state):
     path = tmp_path / "export" / "labels.parquet"
     change_table(path, lambda whole: replaced(whole, "label", [1.0, label, 0.0, None]))
     change_table(path, lambda whole: replaced(whole, "state", ["label", state, "label", "skip"]))
-    with pytest.raises(UnknownLabel, match="label 1"):
+    with pytest.raises(UnknownLabel) as refused:
         PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
+    assert refused.value.index == 1
     assert not (tmp_path / "segments").exists()
 
 
@@ -319,8 +325,9 @@ def test_rows_that_contradict_each_other_are_refused_and_load_nothing(tmp_path, 
     write(tmp_path / "export")
     change_table(tmp_path / "export" / f"{table}.parquet", lambda whole: replaced(whole, column, values))
     before = everything_in(tmp_path)
-    with pytest.raises(InvalidFile, match=table):
+    with pytest.raises(InvalidFile) as refused:
         PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
+    assert f"{table}.parquet" in str(refused.value.path)
     assert everything_in(tmp_path) == before
 
 
@@ -331,16 +338,18 @@ def test_an_action_beyond_the_tasks_is_refused(tmp_path):
         tmp_path / "export" / "segments.parquet",
         lambda whole: replaced(whole, "actions", [[5] * size for size in sizes]),
     )
-    with pytest.raises(InvalidFile, match="action"):
+    with pytest.raises(InvalidFile) as refused:
         list(PreferenceTables.open(tmp_path / "export").segments())
+    assert "action" in refused.value.problem
 
 
 def test_a_column_of_another_type_is_refused(tmp_path):
     write(tmp_path / "export")
     path = tmp_path / "export" / "labels.parquet"
     change_table(path, lambda whole: whole.set_column(3, "label", pa.array(["1", "0.5", "0", None])))
-    with pytest.raises(InvalidFile, match="label"):
+    with pytest.raises(InvalidFile) as refused:
         PreferenceTables.open(tmp_path / "export")
+    assert "label" in refused.value.problem
 
 
 def test_a_few_bytes_that_stand_for_billions_of_numbers_are_not_decoded(tmp_path):
