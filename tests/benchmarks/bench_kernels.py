@@ -1,7 +1,7 @@
 """CPU time of a policy update with the kernels of `mapt.policies.kernels`, and with the torch functions they replace.
 
-The variants take turns, pass by pass, on one thread; figures are medians of the update's CPU time relative to the
-kernels', and of a whole iteration (rollout and update).
+The variants alternate, pass by pass, on one thread. Figures are the extra CPU time without a kernel, relative to the
+update and to a whole iteration (rollout and update); lower quartiles over passes, which other load affects least.
 
     python tests/benchmarks/bench_kernels.py [--task HalfCheetah-6x1] [--algorithms mappo happo mat mat_dec]
         [--rounds 20]
@@ -90,12 +90,16 @@ def compare(task_name: str, algorithm: str, rounds: int) -> None:
     for _ in range(rounds + 1):
         for name, variant in variants.items():
             seconds[name].append(one_pass(*variant))
-    passes = {name: statistics.median(each[1:]) for name, each in seconds.items()}
+    passes = {name: lower_quartile(each[1:]) for name, each in seconds.items()}
     epochs = PolicyConfig.named(algorithm).epochs
-    whole = statistics.median(collecting) + epochs * passes["nothing"]
+    whole = min(collecting) + epochs * passes["nothing"]
     for name, each in passes.items():
         extra = each - passes["nothing"]
         print(f"{algorithm:<11}{name:<26}{extra / passes['nothing']:>+9.1%}{epochs * extra / whole:>+9.1%}", flush=True)
+
+
+def lower_quartile(seconds: list[float]) -> float:
+    return statistics.quantiles(seconds, n=4)[0]
 
 
 def ppo_update(learner: Learner, adam: type[TorchAdam] | None) -> ppo.Update:

@@ -1,15 +1,14 @@
-"""What a policy run makes of two cores, and the other ways to use them.
+"""Throughput of policy runs on two cores, for several ways to use them.
 
-Environment steps a second on the true reward, collecting and updating:
+Environment steps per second with the true reward, collecting and updating:
 
     a thread each       one thread of torch, one of physics
-    physics on two      two threads of physics: how `mapt train` makes one run
-    torch on two too    the same with two threads of torch
-    runs at once        two runs with a thread each, both together: how `mapt train` makes several seeds
+    physics on two      two threads of physics, as `mapt train` runs one seed
+    torch on two too    two threads of physics and two of torch
+    runs at once        two runs with one thread of each at the same time, as `mapt train` runs several seeds
 
-and microseconds a step of collecting alone: as `physics on two` does it, and as two halves of the environments, each
-with its physics and its inference in a Python thread of its own, so that the physics of one may hide behind the
-inference of the other.
+and microseconds per step of collecting alone: as `physics on two` does it, and with the environments split into two
+halves, each in a Python thread of its own, so that the physics of one can overlap with the inference of the other.
 
     python tests/benchmarks/bench_overlap.py [--task HalfCheetah-6x1] [--algorithms mappo happo mat mat_dec]
         [--iterations 3]
@@ -33,7 +32,7 @@ N_CORES = 2
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A learner to be timed."""
+    """Settings of a learner to time."""
 
     task: str
     algorithm: str
@@ -49,7 +48,7 @@ class Way:
 
 def main() -> None:
     arguments = _arguments()
-    print(f"{arguments.task}, environment steps a second; in brackets times those of a thread each")
+    print(f"{arguments.task}, environment steps per second; in brackets relative to one thread each")
     print(f"{'':<9}{'a thread each':>15}{'physics on two':>18}{'torch on two too':>18}{'runs at once':>18}", end="")
     print(f"{'collecting, us':>18}{'in halves':>12}")
     for algorithm in arguments.algorithms:
@@ -75,12 +74,12 @@ def _arguments() -> argparse.Namespace:
 
 
 def rate_of(way: Way, parent: ParentConnection) -> float:
-    """Steps a second of one run; a worker does it."""
+    """Steps per second of one run; runs in a worker process."""
     return _rates(way)[0]
 
 
 def _rates(*ways: Way) -> list[float]:
-    """Steps a second of each, taking turns, medians over iterations after the first."""
+    """Steps per second of each, alternating; medians over iterations after the first."""
     learners = [way.learner() for way in ways]
 
     def iterate(learner: Learner) -> None:
@@ -94,10 +93,10 @@ def _rates(*ways: Way) -> list[float]:
 
 
 def _collecting(way: Way) -> tuple[float, float]:
-    """Microseconds a step: all environments together, and two halves in a thread each."""
+    """Microseconds per step: all environments together, and two halves in a thread each."""
     whole = Way(way.task, way.algorithm, way.iterations, physics_threads=N_CORES).learner()
     halves = [Way(way.task, way.algorithm, way.iterations, n_envs=way.n_envs // 2).learner() for _ in range(2)]
-    # Each thread of Python has its own number of threads of torch.
+    # torch's number of threads is set per Python thread.
     with ThreadPoolExecutor(2, initializer=lambda: torch.set_num_threads(1)) as pool:
         seconds = median_seconds(
             time.perf_counter, 3 * way.iterations, whole.collect, lambda: list(pool.map(Learner.collect, halves))

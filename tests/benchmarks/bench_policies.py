@@ -1,16 +1,16 @@
-"""Environment steps a second of whole policy runs, and where the time goes.
+"""Environment steps per second of whole policy runs, and the time of each part.
 
-Each algorithm takes turns with the true reward and with MAPT's, iteration by iteration, so that a busy machine slows
-them alike; what is printed are medians over iterations. Microseconds are per environment step:
+Each algorithm alternates between the true reward and MAPT's reward, iteration by iteration, so that other load on the
+machine affects both alike. Figures are medians over iterations, in microseconds per environment step:
 
     physics     the task's own steps, with observations and resets
-    inference   the rest of `Learner.collect`: drawing actions and recording
+    inference   the rest of `Learner.collect`: sampling and recording actions
     reward      relabelling the rollout with a new MAPT `small`
     update      `Learner.update`
 
-Beside them, in the same run, the ceilings: the task stepped by itself with as many threads, and the matrix products of
-an update's pass alone, with the same shapes and layouts, as a share of the pass. Floating point operations a second are
-those of the pass, of its products alone, and of one product of 1,024 x 1,024 matrices. CPU seconds count every thread.
+Upper bounds are measured in the same run: the task stepped alone with as many threads, and the matrix products of one
+pass of an update alone, with the same shapes and layouts, as a fraction of the pass. GFLOP/s are those of the pass, of
+its products alone, and of one product of 1,024 x 1,024 matrices. CPU seconds count every thread.
 
     python tests/benchmarks/bench_policies.py [--tasks HalfCheetah-6x1] [--algorithms mappo happo mat mat_dec]
         [--iterations 5] [--threads 1] [--physics-threads 2]
@@ -61,7 +61,7 @@ class Clock:
 
 
 class TimedTask(WrappedTask):
-    """A task that tells a clock how long its physics takes."""
+    """A task whose steps are timed as physics."""
 
     def __init__(self, task: Task) -> None:
         super().__init__(task)
@@ -73,7 +73,7 @@ class TimedTask(WrappedTask):
 
 
 class Run:
-    """A learner and where its rewards come from."""
+    """A learner and its reward."""
 
     def __init__(self, task_name: str, config: PolicyConfig, reward: str, physics_threads: int) -> None:
         self.name = reward
@@ -128,7 +128,7 @@ def _arguments() -> argparse.Namespace:
 
 
 def _physics_alone(task_name: str, n_threads: int) -> tuple[float, float]:
-    """Steps a second, and CPU seconds a step, of the task with random actions."""
+    """Steps per second, and CPU seconds per step, of the task with random actions."""
     config = PolicyConfig()
     task = make_task(task_name, config.n_envs, n_threads=n_threads)
     task.reset(0)
@@ -169,7 +169,7 @@ def _print_run(algorithm: str, run: Run, n_steps: int) -> None:
 
 
 class Products(TorchDispatchMode):
-    """Remembers the matrix products that are computed, to compute them again without anything else."""
+    """Records the matrix products that are computed, to repeat them alone."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -186,14 +186,14 @@ class Products(TorchDispatchMode):
 
 
 def _like(argument: object) -> object:
-    """Numbers of the same shape and layout."""
+    """Random numbers of the same shape and layout."""
     if not isinstance(argument, Tensor):
         return argument
     return torch.empty_strided(argument.shape, argument.stride()).normal_()
 
 
 def _one_pass(task_name: str, config: PolicyConfig) -> str:
-    """One pass over a rollout, beside its matrix products alone and one large product, in CPU time."""
+    """CPU time of one pass over a rollout, of its matrix products alone, and of one large product."""
     learner = Learner(make_task(task_name, config.n_envs), replace(config, epochs=1))
     rollout = learner.collect()
     batch, _ = make_batch(learner.policy, rollout, team_rewards(rollout.rewards, rollout), config)
@@ -202,7 +202,7 @@ def _one_pass(task_name: str, config: PolicyConfig) -> str:
         learner._update.run(batch, torch.Generator().manual_seed(0))
 
     one_pass()
-    # Neither knows the fused attention of a CPU, but the products of the plain one.
+    # Neither counter sees inside fused attention; unfused attention is computed by matrix products.
     with sdpa_kernel(SDPBackend.MATH), FlopCounterMode(display=False) as counter:
         one_pass()
     with sdpa_kernel(SDPBackend.MATH), Products() as products:

@@ -1,4 +1,4 @@
-"""A task of discrete actions whose right answer is known: each agent should choose what it is shown."""
+"""A discrete task with a known optimum: each agent chooses the action it observes."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,17 +8,17 @@ from mapt.tasks import TaskSpec, TaskStep
 from mapt.tasks.snapshot import generator_from_array, generator_to_array
 
 N_AGENTS = 2
-N_CHOICES = 4
+N_ACTIONS = 4
 
 
 class ChoiceTask:
-    """E environments; reward is the share of agents that choose what they are shown.
+    """E environments; the reward is the fraction of agents that choose the action they observe.
 
-    The choice shown is always available, every other one half of the time. An agent that chooses at random among the
-    available ones is right with probability `CHANCE`. Episodes are cut after `horizon_steps`.
+    The observed action is always available, each other one with probability one half. An agent that chooses uniformly
+    among the available actions is correct with probability `CHANCE`. Episodes are truncated after `horizon_steps`.
     """
 
-    #: Mean of 1 / (1 + k) where k of three other choices are available, each half of the time.
+    #: Mean of 1 / (1 + k), where k of the three other actions are available.
     CHANCE = (1 / 1 + 3 / 2 + 3 / 3 + 1 / 4) / 8
 
     def __init__(self, n_envs: int, horizon_steps: int = 8) -> None:
@@ -26,20 +26,20 @@ class ChoiceTask:
         self._spec = TaskSpec(
             name="Choice",
             n_agents=N_AGENTS,
-            observation_dim=N_CHOICES,
-            action_dim=N_CHOICES,
-            state_dim=N_AGENTS * N_CHOICES,
+            observation_dim=N_ACTIONS,
+            action_dim=N_ACTIONS,
+            state_dim=N_AGENTS * N_ACTIONS,
             horizon_steps=horizon_steps,
             step_seconds=1.0,
             agent_names=("one", "two"),
             nq=0,
             nv=0,
-            instructions="Each agent should choose what it is shown.",
+            instructions="Each agent chooses the action it observes.",
             discrete_actions=True,
         )
         self._rng = np.random.default_rng(0)
-        self._shown = np.zeros((n_envs, N_AGENTS), dtype=np.int64)
-        self._available = np.ones((n_envs, N_AGENTS, N_CHOICES), dtype=bool)
+        self._targets = np.zeros((n_envs, N_AGENTS), dtype=np.int64)
+        self._available = np.ones((n_envs, N_AGENTS, N_ACTIONS), dtype=bool)
         self._elapsed_steps = np.zeros(n_envs, dtype=np.int64)
 
     @property
@@ -56,19 +56,19 @@ class ChoiceTask:
     def reset(self, seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         self._rng = np.random.default_rng(seed)
         self._elapsed_steps[:] = 0
-        self._draw()
+        self._sample_targets()
         return self._observe()
 
     def step(self, actions: NDArray[np.floating]) -> TaskStep:
-        """Raises InvalidAction if an action is no single available choice."""
+        """Raises InvalidAction if an action is not one-hot or not available."""
         chosen = actions.astype(bool)
         if not (chosen.sum(axis=-1) == 1).all() or (chosen & ~self._available).any():
-            raise InvalidAction("An action is no single available choice.")
-        reward = (actions.argmax(axis=-1) == self._shown).mean(axis=1)
+            raise InvalidAction("An action is not one-hot or not available.")
+        reward = (actions.argmax(axis=-1) == self._targets).mean(axis=1)
         self._elapsed_steps += 1
         truncated = self._elapsed_steps >= self._spec.horizon_steps
         self._elapsed_steps[truncated] = 0
-        self._draw()
+        self._sample_targets()
         observations, state = self._observe()
         return TaskStep(observations, state, reward, np.zeros(self._n_envs, dtype=bool), truncated, observations, state)
 
@@ -77,28 +77,28 @@ class ChoiceTask:
 
     def snapshot(self) -> dict[str, np.ndarray]:
         return {
-            "shown": self._shown.copy(),
+            "targets": self._targets.copy(),
             "available": self._available.copy(),
             "elapsed_steps": self._elapsed_steps.copy(),
             "random_state": generator_to_array(self._rng),
         }
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        if snapshot["shown"].shape != self._shown.shape:
+        if snapshot["targets"].shape != self._targets.shape:
             raise InvalidSnapshot(f"The snapshot is of {len(snapshot['shown'])} environments.")
-        self._shown, self._available = snapshot["shown"].copy(), snapshot["available"].copy()
+        self._targets, self._available = snapshot["targets"].copy(), snapshot["available"].copy()
         self._elapsed_steps = snapshot["elapsed_steps"].copy()
         self._rng = generator_from_array(snapshot["random_state"])
         return self._observe()
 
     def close(self) -> None:
-        """Nothing to free."""
+        """Does nothing: there are no resources to free."""
 
-    def _draw(self) -> None:
-        self._shown = self._rng.integers(N_CHOICES, size=(self._n_envs, N_AGENTS))
-        self._available = self._rng.random((self._n_envs, N_AGENTS, N_CHOICES)) < 0.5
-        np.put_along_axis(self._available, self._shown[..., None], True, axis=-1)
+    def _sample_targets(self) -> None:
+        self._targets = self._rng.integers(N_ACTIONS, size=(self._n_envs, N_AGENTS))
+        self._available = self._rng.random((self._n_envs, N_AGENTS, N_ACTIONS)) < 0.5
+        np.put_along_axis(self._available, self._targets[..., None], True, axis=-1)
 
     def _observe(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        observations = np.eye(N_CHOICES, dtype=np.float32)[self._shown]
+        observations = np.eye(N_ACTIONS, dtype=np.float32)[self._targets]
         return observations, observations.reshape(self._n_envs, -1)

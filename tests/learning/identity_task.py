@@ -1,4 +1,4 @@
-"""A task whose right answer is known: each agent should act out the number it sees."""
+"""A continuous task with a known optimum: each agent outputs the number it observes."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,10 @@ N_AGENTS = 3
 
 
 class IdentityTask:
-    """E environments of episodes of `horizon_steps` steps; reward is 1 less the mean squared error of the actions.
+    """E environments with episodes of `horizon_steps` steps; the reward is 1 minus the actions' mean squared error.
 
-    Every number is drawn anew each step, so no action decides the future: the best return is `horizon_steps`, and
-    actions of zero get 1 - 1/3 per step.
+    The numbers are uniform in [-1, 1] and independent of the actions. The best return is `horizon_steps`; actions of
+    zero get a reward of 2/3 per step on average.
     """
 
     def __init__(self, n_envs: int, horizon_steps: int = 8) -> None:
@@ -30,7 +30,7 @@ class IdentityTask:
             agent_names=("one", "two", "three"),
             nq=N_AGENTS,
             nv=0,
-            instructions="Each agent should say the number it sees.",
+            instructions="Each agent outputs the number it observes.",
         )
         self._rng = np.random.default_rng(0)
         self._targets = np.zeros((n_envs, N_AGENTS))
@@ -47,7 +47,7 @@ class IdentityTask:
     def reset(self, seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         self._rng = np.random.default_rng(seed)
         self._elapsed_steps[:] = 0
-        self._draw()
+        self._sample_targets()
         return self._observe()
 
     def step(self, actions: NDArray[np.floating]) -> TaskStep:
@@ -55,7 +55,7 @@ class IdentityTask:
         self._elapsed_steps += 1
         truncated = self._elapsed_steps >= self._spec.horizon_steps
         self._elapsed_steps[truncated] = 0
-        self._draw()
+        self._sample_targets()
         observations, state = self._observe()
         return TaskStep(observations, state, reward, np.zeros(self._n_envs, dtype=bool), truncated, observations, state)
 
@@ -78,9 +78,9 @@ class IdentityTask:
         return self._observe()
 
     def close(self) -> None:
-        """Nothing to free."""
+        """Does nothing: there are no resources to free."""
 
-    def _draw(self) -> None:
+    def _sample_targets(self) -> None:
         self._targets = self._rng.uniform(-1, 1, (self._n_envs, N_AGENTS))
 
     def _observe(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

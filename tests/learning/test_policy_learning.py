@@ -1,4 +1,4 @@
-"""The learner learns what it should, the same each time, and goes on exactly where it stopped."""
+"""Every algorithm learns, training is deterministic under a seed, and checkpoints resume exactly."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,7 @@ ALGORITHMS = ("mappo", "happo", "mat", "mat_dec")
 
 
 def of_algorithm(algorithm: str, **settings: object) -> PolicyConfig:
-    """Small and quick."""
+    """A small, quick configuration."""
     small = {"n_envs": 32, "rollout_steps": 16, "minibatches": 4, "epochs": 5, "hidden": [32], "width": 16, "seed": 1}
     return PolicyConfig.named(algorithm, **{"learning_rate": 3e-3, "device": "cpu", **small, **settings})
 
@@ -37,15 +37,15 @@ def returns(learner: Learner) -> np.ndarray:
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_every_algorithm_learns_to_say_what_is_seen(algorithm: str) -> None:
-    """Saying zero gets 2/3 a step, saying the number 1; the learner must close eight tenths of the gap."""
+def test_every_algorithm_learns_the_identity_task(algorithm: str) -> None:
+    """Actions of zero get 2/3 per step, the best ones 1; the learner closes at least 80% of the gap."""
     mean = returns(trained(of_algorithm(algorithm), total_steps=8_000)).mean() / HORIZON_STEPS
     assert mean > 2 / 3 + 0.8 / 3
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_every_algorithm_learns_to_choose_what_is_shown(algorithm: str) -> None:
-    """The task refuses an action that is not available, so none was drawn in thousands of steps."""
+def test_every_algorithm_learns_the_choice_task(algorithm: str) -> None:
+    """The task raises an error for unavailable actions, so none was sampled in thousands of steps."""
     config = of_algorithm(algorithm)
     learner = Learner(ChoiceTask(config.n_envs), config)
     train(learner, true_reward, total_steps=6_000)
@@ -56,22 +56,22 @@ def test_every_algorithm_learns_to_choose_what_is_shown(algorithm: str) -> None:
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 @pytest.mark.parametrize("task_type", [IdentityTask, ChoiceTask])
-def test_every_algorithm_goes_on_exactly_where_it_stopped(
+def test_every_algorithm_resumes_exactly(
     algorithm: str, task_type: type[IdentityTask] | type[ChoiceTask], tmp_path: Path
 ) -> None:
-    """After a new reward was announced, in the midst of episodes; every tensor is equal to the bit."""
+    """In the middle of episodes and after `reward_changed`; every tensor is bit-identical."""
     config = of_algorithm(algorithm, n_envs=4, rollout_steps=5, minibatches=2, anneal_steps=200)
 
-    def go_on(learner: Learner, rollouts: int) -> None:
+    def continue_training(learner: Learner, rollouts: int) -> None:
         train(learner, true_reward, learner.steps + rollouts * config.steps_per_rollout)
 
     whole = Learner(task_type(4), config)
-    go_on(whole, 3)
+    continue_training(whole, 3)
     whole.reward_changed()
     whole.save(tmp_path / "policy.safetensors")
     resumed = Learner.load(tmp_path / "policy.safetensors", task_type(4))
-    go_on(whole, 4)
-    go_on(resumed, 4)
+    continue_training(whole, 4)
+    continue_training(resumed, 4)
     expected = whole.state_dict()
     assert resumed.state_dict().keys() == expected.keys()
     for name, tensor in resumed.state_dict().items():
@@ -79,50 +79,50 @@ def test_every_algorithm_goes_on_exactly_where_it_stopped(
 
 
 @pytest.mark.parametrize("shared_actor", [True, False])
-def test_agents_learn_to_say_what_they_see(shared_actor: bool) -> None:
-    """Saying zero gets 2/3 a step, saying the number 1; the learner must close nine tenths of the gap."""
+def test_mappo_learns_the_identity_task(shared_actor: bool) -> None:
+    """Actions of zero get 2/3 per step, the best ones 1; the learner closes at least 90% of the gap."""
     mean = returns(trained(replace(CONFIG, shared_actor=shared_actor))).mean() / HORIZON_STEPS
     assert mean > 2 / 3 + 0.9 / 3
 
 
-def test_agents_of_their_own_learn_from_rewards_of_their_own() -> None:
-    """Agent 0 is paid for the number, agent 1 for its opposite, agent 2 for silence."""
+def test_individual_rewards_teach_each_agent_its_own_behaviour() -> None:
+    """Agent 0 is rewarded for the number it observes, agent 1 for its negative, agent 2 for zero."""
     signs = np.array([1.0, -1.0, 0.0])
 
     def individual(rollout: Rollout) -> np.ndarray:
         return -np.square(rollout.actions[..., 0] - signs * rollout.state)
 
     learner = trained(replace(CONFIG, shared_actor=False), individual)
-    seen = np.zeros((2, 3, 2), dtype=np.float32)
-    seen[..., 0], seen[..., 1] = [[0.6] * 3, [-0.6] * 3], 0.5
-    np.testing.assert_allclose(learner.policy.act(seen)[..., 0], 0.6 * np.outer([1, -1], signs), atol=0.15)
+    observations = np.zeros((2, 3, 2), dtype=np.float32)
+    observations[..., 0], observations[..., 1] = [[0.6] * 3, [-0.6] * 3], 0.5
+    np.testing.assert_allclose(learner.policy.act(observations)[..., 0], 0.6 * np.outer([1, -1], signs), atol=0.15)
 
 
-def test_another_reward_teaches_another_behaviour() -> None:
+def test_negated_reward_teaches_the_opposite_behaviour() -> None:
     learner = trained(CONFIG, lambda rollout: -rollout.rewards, total_steps=10_000)
     assert returns(learner).mean() / HORIZON_STEPS < 0.5
 
 
-@pytest.mark.parametrize("tell", [True, False])
-def test_learning_survives_a_reward_whose_scale_jumps(tell: bool) -> None:
+@pytest.mark.parametrize("announced", [True, False])
+def test_training_continues_when_the_scale_of_the_reward_changes(announced: bool) -> None:
     learner = Learner(IdentityTask(CONFIG.n_envs, HORIZON_STEPS), CONFIG)
     for factor, offset, until in ((1.0, 0.0, 6_000), (1e3, -50.0, 12_000), (1e-2, 3.0, 24_000)):
-        if tell:
+        if announced:
             learner.reward_changed()
         train(learner, lambda rollout, factor=factor, offset=offset: factor * rollout.rewards + offset, until)
     assert returns(learner).mean() / HORIZON_STEPS > 2 / 3 + 0.9 / 3
 
 
-def cheetahs(n_envs: int) -> Task:
+def cheetah_task(n_envs: int) -> Task:
     return make_task("HalfCheetah-6x1", n_envs, n_threads=2)
 
 
 CHEETAH = PolicyConfig(n_envs=8, rollout_steps=64, minibatches=2, epochs=2, anneal_steps=50_000, device="cpu")
 
 
-def test_a_seed_decides_everything() -> None:
+def test_same_seed_gives_identical_weights() -> None:
     def state(seed: int) -> dict[str, torch.Tensor]:
-        learner = Learner(cheetahs(8), replace(CHEETAH, seed=seed))
+        learner = Learner(cheetah_task(8), replace(CHEETAH, seed=seed))
         train(learner, true_reward, total_steps=4 * CHEETAH.steps_per_rollout)
         return learner.state_dict()
 
@@ -133,26 +133,24 @@ def test_a_seed_decides_everything() -> None:
 
 @pytest.mark.parametrize("shared_actor", [True, False])
 @pytest.mark.parametrize("stop_after_updates", [1, 15])
-def test_a_resumed_run_equals_one_that_never_stopped(
-    shared_actor: bool, stop_after_updates: int, tmp_path: Path
-) -> None:
-    """18 rollouts of 64 steps, so that episodes end and begin after the stop; every tensor is equal to the bit."""
+def test_resumed_run_equals_an_uninterrupted_run(shared_actor: bool, stop_after_updates: int, tmp_path: Path) -> None:
+    """18 rollouts of 64 steps, so that episodes end and start after the stop; every tensor is bit-identical."""
     config = replace(CHEETAH, shared_actor=shared_actor)
     total_steps = 18 * config.steps_per_rollout
-    whole = Learner(cheetahs(8), config)
-    ends: list[np.ndarray] = []
-    train(whole, true_reward, total_steps, lambda rollout: ends.append(rollout.episode_returns))
+    whole = Learner(cheetah_task(8), config)
+    episode_returns: list[np.ndarray] = []
+    train(whole, true_reward, total_steps, lambda rollout: episode_returns.append(rollout.episode_returns))
 
-    stopped = Learner(cheetahs(8), config)
+    stopped = Learner(cheetah_task(8), config)
     train(stopped, true_reward, stop_after_updates * config.steps_per_rollout)
     stopped.save(tmp_path / "policy.safetensors")
     del stopped
-    resumed = Learner.load(tmp_path / "policy.safetensors", cheetahs(8))
-    resumed_ends: list[np.ndarray] = []
-    train(resumed, true_reward, total_steps, lambda rollout: resumed_ends.append(rollout.episode_returns))
+    resumed = Learner.load(tmp_path / "policy.safetensors", cheetah_task(8))
+    resumed_returns: list[np.ndarray] = []
+    train(resumed, true_reward, total_steps, lambda rollout: resumed_returns.append(rollout.episode_returns))
 
-    np.testing.assert_array_equal(np.concatenate(resumed_ends), np.concatenate(ends))
-    assert len(np.concatenate(ends)) == 8
+    np.testing.assert_array_equal(np.concatenate(resumed_returns), np.concatenate(episode_returns))
+    assert len(np.concatenate(episode_returns)) == 8
     expected = whole.state_dict()
     for name, tensor in resumed.state_dict().items():
         assert torch.equal(tensor, expected[name]), name

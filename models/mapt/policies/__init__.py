@@ -1,6 +1,6 @@
-"""Multi-agent policies and how they learn from any reward.
+"""Multi-agent policies (MAPPO, HAPPO, MAT, MAT-Dec) and the learner that trains them with any reward.
 
-What needs torch is imported when it is first asked for, so that settings can be read and checked without it.
+Modules that need torch are imported on first use, so that settings can be read and validated without it.
 """
 
 from importlib import import_module

@@ -266,7 +266,7 @@ def make_batch(
     available = rollout.available_actions
     batch = Batch(
         observations=observations,
-        actions=_agent_first(policy, rollout.drawn_actions),
+        actions=_agent_first(policy, rollout.sampled_actions),
         log_probs=_agent_first(policy, rollout.log_probs),
         advantages=_agent_first(policy, advantages),
         state=state,

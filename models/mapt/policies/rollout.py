@@ -26,7 +26,7 @@ class Rollout:
     #: (L, E, N, A): actions given to the task, clipped to its limit.
     actions: Float32s
     #: (L, E, N, A): actions as the policy sampled them, before clipping.
-    drawn_actions: Float32s
+    sampled_actions: Float32s
     #: (L, E, N): log-probability or log-density of the sampled actions.
     log_probs: Float32s
     #: (L, E): the task's own reward, which the learner never reads.
@@ -108,7 +108,7 @@ class Collector:
             rollout.available_actions[t] = available_actions(self.task)
             available = policy.agent_first(rollout.available_actions[t])
         actions, log_probs = policy.sample(policy.agent_first(self._observations), noise, available)
-        rollout.drawn_actions[t] = actions.transpose(0, 1).cpu().numpy()
+        rollout.sampled_actions[t] = actions.transpose(0, 1).cpu().numpy()
         rollout.actions[t] = policy.clip(actions).transpose(0, 1).cpu().numpy()
         rollout.log_probs[t] = log_probs.transpose(0, 1).cpu().numpy()
 
@@ -133,7 +133,7 @@ class Collector:
             observations=np.empty(observations, np.float32),
             state=np.empty((*lead, spec.state_dim), np.float32),
             actions=np.empty(actions, np.float32),
-            drawn_actions=np.empty(actions, np.float32),
+            sampled_actions=np.empty(actions, np.float32),
             log_probs=np.empty(team, np.float32),
             rewards=np.empty(lead),
             terminated=np.empty(lead, bool),

@@ -8,16 +8,16 @@ from mapt.errors import InvalidConfig
 from mapt.policies import PolicyConfig
 
 
-def test_a_configuration_survives_json() -> None:
+def test_configuration_round_trips_through_json() -> None:
     config = PolicyConfig(hidden=(32, 16), shared_actor=False, seed=3)
     assert PolicyConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
 
-def test_what_is_left_out_keeps_its_default() -> None:
+def test_omitted_settings_keep_their_defaults() -> None:
     assert PolicyConfig.from_dict({"gamma": 0.9}) == PolicyConfig(gamma=0.9)
 
 
-def test_an_algorithm_has_defaults_of_its_own_under_what_is_set() -> None:
+def test_settings_override_the_defaults_of_the_algorithm() -> None:
     named = PolicyConfig.named("mat", gamma=0.9)
     assert named == PolicyConfig.from_dict({"algorithm": "mat", "gamma": 0.9})
     assert (named.algorithm, named.gamma) == ("mat", 0.9)
@@ -26,7 +26,7 @@ def test_an_algorithm_has_defaults_of_its_own_under_what_is_set() -> None:
     assert PolicyConfig.named("mappo") == PolicyConfig()
 
 
-def test_settings_written_before_there_was_a_choice_are_mappos() -> None:
+def test_settings_without_an_algorithm_are_mappos() -> None:
     before = {
         name: value
         for name, value in PolicyConfig(gamma=0.9).to_dict().items()
@@ -35,21 +35,21 @@ def test_settings_written_before_there_was_a_choice_are_mappos() -> None:
     assert PolicyConfig.from_dict(before) == PolicyConfig(gamma=0.9)
 
 
-def test_happo_does_not_share_its_actors() -> None:
-    with pytest.raises(InvalidConfig) as caught:
+def test_happo_does_not_accept_a_shared_actor() -> None:
+    with pytest.raises(InvalidConfig) as error:
         PolicyConfig.named("happo", shared_actor=True)
-    assert caught.value.field == "shared_actor"
+    assert error.value.field == "shared_actor"
 
 
-def test_a_whole_number_may_stand_for_a_float() -> None:
+def test_float_settings_accept_integers() -> None:
     assert PolicyConfig.from_dict({"gamma": 1}).gamma == 1
 
 
-def test_an_unknown_setting_is_named_beside_the_known_ones() -> None:
-    with pytest.raises(InvalidConfig) as caught:
+def test_error_for_an_unknown_setting_lists_the_known_ones() -> None:
+    with pytest.raises(InvalidConfig) as error:
         PolicyConfig.from_dict({"learning_rte": 1e-3})
-    assert caught.value.field == "learning_rte"
-    assert "learning_rate" in str(caught.value)
+    assert error.value.field == "learning_rte"
+    assert "learning_rate" in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -82,10 +82,10 @@ def test_an_unknown_setting_is_named_beside_the_known_ones() -> None:
         ("device", "tpu"),
     ],
 )
-def test_a_value_out_of_range_is_refused_by_name(name: str, value: object) -> None:
-    with pytest.raises(InvalidConfig) as caught:
+def test_error_for_a_value_out_of_range_names_the_setting(name: str, value: object) -> None:
+    with pytest.raises(InvalidConfig) as error:
         PolicyConfig.from_dict({name: value})
-    assert caught.value.field == name
+    assert error.value.field == name
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_a_value_out_of_range_is_refused_by_name(name: str, value: object) -> No
         ("activation", 3),
     ],
 )
-def test_a_value_of_another_type_is_refused_by_name(name: str, value: object) -> None:
-    with pytest.raises(InvalidConfig) as caught:
+def test_error_for_a_value_of_another_type_names_the_setting(name: str, value: object) -> None:
+    with pytest.raises(InvalidConfig) as error:
         PolicyConfig.from_dict({name: value})
-    assert caught.value.field == name
+    assert error.value.field == name

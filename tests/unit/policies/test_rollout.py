@@ -28,7 +28,7 @@ def test_arrays_have_the_documented_shapes(rollouts) -> None:
         "state": (*lead, spec.state_dim),
         "final_state": (*lead, spec.state_dim),
         "actions": (*lead, 6, 1),
-        "drawn_actions": (*lead, 6, 1),
+        "sampled_actions": (*lead, 6, 1),
         "log_probs": (*lead, 6),
         "rewards": lead,
         "terminated": lead,
@@ -70,9 +70,9 @@ def test_episode_returns_are_sums_of_the_true_rewards(rollouts) -> None:
 
 
 def test_actions_are_the_sampled_actions_clipped_to_the_limit(rollouts) -> None:
-    drawn = rollouts[0].drawn_actions
-    assert np.abs(drawn).max() > 1.0
-    np.testing.assert_array_equal(rollouts[0].actions, drawn.clip(-1.0, 1.0))
+    sampled = rollouts[0].sampled_actions
+    assert np.abs(sampled).max() > 1.0
+    np.testing.assert_array_equal(rollouts[0].actions, sampled.clip(-1.0, 1.0))
 
 
 def test_next_rollout_does_not_overwrite_the_last() -> None:
