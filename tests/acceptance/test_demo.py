@@ -1,6 +1,5 @@
 """The whole loop without a person, by the commands that people use."""
 
-import csv
 import json
 import os
 import sqlite3
@@ -10,12 +9,15 @@ from contextlib import closing
 from pathlib import Path
 
 from acceptance.accord_service import ENVIRONMENT, TINY, TINY_POLICY, Accord, Person
+from mapt.training.metrics import read_metrics
+from mapt.training.results import RunResult, find_runs
+from mapt.training.settings import PreferenceRewardSettings
 from support.waiting import PATIENCE_SECONDS, until
 
 
-def test_demo_runs_the_whole_loop_and_leaves_table_curves_and_plot(tmp_path: Path) -> None:
+def test_demo_runs_the_whole_loop_and_writes_runs_figure_and_table(tmp_path: Path) -> None:
     output = tmp_path / "out"
-    options = ["--steps", "10000", "--labels", "24", "--seed", "3", "--output", str(output)]
+    options = ["--steps", "10000", "--labels", "24", "--seeds", "3", "--output", str(output)]
     done = subprocess.run(
         [sys.executable, "-m", "accord.cli", "demo", *options],
         env=os.environ | ENVIRONMENT,
@@ -27,24 +29,41 @@ def test_demo_runs_the_whole_loop_and_leaves_table_curves_and_plot(tmp_path: Pat
     assert done.returncode == 0, done.stdout + done.stderr
     for heading in ("untrained", "learned", "share", "labels", "versions"):
         assert heading in done.stdout
-    baseline, learned = json.loads((output / "results.json").read_text())["runs"]
-    assert [run["plan"]["reward_source"] for run in (baseline, learned)] == ["true", "preferences"]
-    assert baseline["untrained"] == learned["untrained"], "one seed, one untrained policy"
-    assert learned["labels"] == 24
-    assert (baseline["teacher"], learned["teacher"]["name"], learned["teacher"]["seed"]) == ({}, "oracle", 3)
-    assert learned["versions"][-1]["label_count"] == 24
-    assert learned["steps"] >= 10_000
-    with (output / "curves.csv").open() as file:
-        assert {"learned_return"} <= {row["curve"] for row in csv.DictReader(file)}
+    folders = find_runs([output])
+    runs = [RunResult.read(folder) for folder in folders]
+    learned, baseline = sorted(runs, key=lambda run: run.settings.reward is None)
+    assert baseline.settings.reward is None
+    assert learned.settings.reward == PreferenceRewardSettings("MAPT", 24, 4, 2, "oracle")
+    for run in (baseline, learned):
+        assert run.settings.policy.seed == 3
+        assert run.steps >= 10_000
+        assert [one.steps for one in run.evaluations] == [0, run.steps]
+    assert baseline.evaluations[0].mean == learned.evaluations[0].mean, "one seed, one untrained policy"
+    [folder] = [folder for folder in folders if "MAPT" in folder.path.name]
+    last = read_metrics(folder.metrics)[-1]
+    assert last["labels"] == 24
+    assert {"learned_return", "reward_version"} <= set(last)
     assert (output / "returns.png").read_bytes().startswith(b"\x89PNG")
+    assert "| MAPT, 24 labels |" in (output / "returns.md").read_text()
+
+    evaluated = subprocess.run(
+        [sys.executable, "-m", "mapt.cli", "evaluate", str(folder.path), "--seed", "3", "--json"],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=PATIENCE_SECONDS,
+    )
+    stored = folder.read_evaluation(learned.steps)
+    assert stored is not None
+    assert json.loads(evaluated.stdout)["returns"] == list(stored.returns)
 
 
-def test_a_demo_that_was_killed_goes_on_with_every_label(tmp_path: Path) -> None:
+def test_a_killed_demo_resumes_with_every_label(tmp_path: Path) -> None:
     output = tmp_path / "out"
     policy = [word for name, value in TINY_POLICY.items() for word in ("--set", f"{name}={value}")]
     command = [
         *(sys.executable, "-m", "accord.cli", "demo", "--task", TINY["task"], "--no-baseline", "--steps", "4000"),
-        *("--labels", "12,24", "--reward-model", "MA-MLP", "--at-once", "2", "--output", str(output), *policy),
+        *("--labels", "12,24", "--models", "MA-MLP", "--workers", "2", "--json", "--output", str(output), *policy),
     ]
     database = output / "home" / "accord.db"
     process = subprocess.Popen(command, env=os.environ | ENVIRONMENT, stdout=subprocess.DEVNULL)
@@ -56,8 +75,8 @@ def test_a_demo_that_was_killed_goes_on_with_every_label(tmp_path: Path) -> None
 
     done = subprocess.run(command, env=os.environ | ENVIRONMENT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    runs = json.loads((output / "results.json").read_text())["runs"]
-    assert [(run["plan"]["label_budget"], run["labels"]) for run in runs] == [(12, 12), (24, 24)]
+    assert [row["labels"] for row in json.loads(done.stdout)] == [12, 24]
+    assert len(find_runs([output])) == 2
     assert before <= labels_in(database)
     assert len(labels_in(database)) == 36
 
@@ -94,7 +113,7 @@ def test_teach_labels_until_the_budget_is_met_through_rest_alone(accord: Accord)
     assert accord.rows(wrong) == [(0,)]
 
 
-def test_teach_says_in_a_sentence_what_was_wrong(accord: Accord) -> None:
+def test_teach_prints_what_is_wrong_in_one_line(accord: Accord) -> None:
     accord.start()
     token = accord.token("grace", "labeller")
     person = Person(accord, accord.token("ada", "researcher"))
@@ -104,7 +123,7 @@ def test_teach_says_in_a_sentence_what_was_wrong(accord: Accord) -> None:
         (("--experiment", id, "--token", token), "never for labellers"),
         (("--experiment", "exp_" + "0" * 24, "--token", token), "There is no experiment"),
         (("--experiment", id, "--token", token, "--teacher", "nobody"), "no teacher is called"),
-        (("--experiment", id, "--token", token, "--parameter", "mistake=2"), "mistake must lie in"),
+        (("--experiment", id, "--token", token, "--teacher", "oracle:mistake=2"), "mistake"),
     ):
         done = accord.run("teach", *arguments)
         assert done.returncode == 2

@@ -5,9 +5,9 @@ Run by `make learn`; prints the figures it judges by.
 
 import pytest
 
-from mapt.benchmarks.evaluate import Judge, examine, labelled_dataset
+from mapt.benchmarks.evaluate import DatasetTeacher, evaluate_model, labelled_dataset
 from mapt.benchmarks.job import network_of, training_of
-from mapt.benchmarks.recorded_dataset import Recording, Replay, record_replay
+from mapt.benchmarks.recorded_dataset import RecordedDataset, Recording, record_dataset
 from mapt.preferences.dataset import PreferenceDataset
 from mapt.rewards.trainer import TrainedReward, train_reward_model
 
@@ -22,20 +22,20 @@ pytestmark = pytest.mark.learn
 @pytest.fixture(scope="module", params=SEEDS)
 def seeded_replay(request, tmp_path_factory):
     recording = Recording("HalfCheetah-6x1", policy_steps=600_000, segment_steps=50, segments=4000, seed=request.param)
-    return request.param, record_replay(recording, tmp_path_factory.mktemp("replay") / "segments")
+    return request.param, record_dataset(recording, tmp_path_factory.mktemp("replay") / "segments")
 
 
-def oracle_pairs(replay: Replay, seed: int, n_pairs: int) -> PreferenceDataset:
-    return labelled_dataset(Judge("oracle", replay, seed), replay, n_pairs, seed)
+def oracle_pairs(replay: RecordedDataset, seed: int, n_pairs: int) -> PreferenceDataset:
+    return labelled_dataset(DatasetTeacher("oracle", replay, seed), replay, n_pairs, seed)
 
 
-def train(pairs: PreferenceDataset, model: str, replay: Replay, seed: int, **options: object) -> TrainedReward:
+def train(pairs: PreferenceDataset, model: str, replay: RecordedDataset, seed: int, **options: object) -> TrainedReward:
     network = network_of(model, "small", replay.source.layout)
     return train_reward_model(pairs, network, training_of(model, "small", seed, "cpu"), **options)
 
 
-def fresh_metrics(name: str, trained: TrainedReward, replay: Replay, seed: int) -> dict[str, float]:
-    metrics = dict(examine(trained.model, replay, "oracle", N_TEST_PAIRS, seed).metrics)
+def fresh_metrics(name: str, trained: TrainedReward, replay: RecordedDataset, seed: int) -> dict[str, float]:
+    metrics = dict(evaluate_model(trained.model, replay, "oracle", N_TEST_PAIRS, seed).metrics)
     figures = ", ".join(f"{key} {value:.3f}" for key, value in metrics.items())
     print(f"\nseed {seed}, {name}: {figures}; {trained.metrics['seconds']:.0f} s", end="")
     return metrics

@@ -7,11 +7,11 @@ from typing import Annotated
 import typer
 
 from accord.cli.options import Home, load_settings, service_url
-from accord.cli.output import out, say
 from accord.domain.enums import Role
 from accord.services import accounts
 from accord.settings import Settings
 from accord.store.database import Database
+from mapt.cli.output import out, print_line
 
 Name = Annotated[str, typer.Argument(help="Name of a user; `accord user list` shows them.")]
 
@@ -24,11 +24,14 @@ def users() -> None:
 
 
 def link(home: Home = None) -> None:
-    """Print a new sign-in link for the admin. It works once. For another user: `accord user link NAME`."""
+    """Print a new sign-in link for the admin.
+
+    The link works once. For another user, use `accord user link NAME`.
+    """
     settings = load_settings(home)
     with migrated(settings) as database, database.transaction() as session:
         token = accounts.make_link(session, accounts.ensure_admin(session).id, settings.link_minutes)
-    say(sign_in_url(settings, token))
+    print_line(sign_in_url(settings, token))
 
 
 @user.command("add")

@@ -1,179 +1,249 @@
-"""accord demo: the whole loop without a person. A real service, a scripted teacher over REST, a table and a plot."""
+"""The subcommand `accord demo`: the whole loop with a scripted teacher in place of a person."""
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
+from statistics import mean, stdev
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
 
 from accord.cli.client import Api
 from accord.cli.demo_runs import (
     PREFERENCES,
+    TRUE,
+    DemoClients,
+    DemoRun,
     Grid,
-    Lesson,
     RunPlan,
-    RunResult,
     RunState,
     check_known,
     experiments_by_name,
     pause_others,
     run_experiment,
 )
-from accord.cli.options import Parameters, TeacherName, parse_numbers, parse_settings, parse_words
-from accord.cli.output import note, on_terminal, out, say
 from accord.cli.own_service import OwnService
-from accord.cli.results import rows_of, table, write
-from accord.cli.teach import TeacherChoice, parse_teacher
+from accord.cli.teach import TeacherChoice
 from accord.domain.enums import Role
 from accord.workers.runner import Stop
+from mapt.benchmarks.specification import parse_list, parse_numbers
+from mapt.cli.options import Algorithm, Json, LabelCounts, Models, PolicySettings, Seeds, Steps, Task, Teacher, Workers
+from mapt.cli.output import ProgressBars, log_line, out, print_json, print_paths
 from mapt.processes import parallel_jobs
+from mapt.settings import parse_assignments
+from mapt.training.curves import draw_curves
+from mapt.training.results import RunResult, find_runs, grouped, markdown
 
-#: without a terminal, a line each time so much more of a run is done
-_NOTED_SHARE = 0.1
+_RUNS, _FIGURE, _TABLE = "runs", "returns.png", "returns.md"
+_DEFAULT_ALGORITHM = "mappo"
 
 
 def demo(
     *,
-    task: Annotated[str, typer.Option(help="Task by name; GET /api/v1/tasks lists them.")] = "HalfCheetah-6x1",
-    teacher: TeacherName = "oracle",
-    parameter: Parameters = None,
-    labels: Annotated[str, typer.Option(help="Numbers of labels, with commas between; each is a run.")] = "500",
-    reward_model: Annotated[
-        str, typer.Option(help="Models that learn from the labels, with commas between; each is a run.")
-    ] = "MAPT",
-    steps: Annotated[int, typer.Option(min=1, help="Environment steps of each policy.")] = 1_000_000,
-    seed: Annotated[str, typer.Option(help="Seeds, with commas between; each is a run.")] = "0",
-    policy: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="A setting of the policy, such as algorithm=mat; as often as wanted."
-        ),
-    ] = None,
-    baseline: Annotated[
-        bool, typer.Option(help="Train the same learner on the true reward beside it, for each seed.")
-    ] = True,
-    clips: Annotated[bool, typer.Option(help="Make a clip of every segment that is asked about.")] = False,
+    task: Task = "HalfCheetah-6x1",
+    teacher: Teacher = "oracle",
+    labels: LabelCounts = "500",
+    models: Models = "MAPT",
+    steps: Steps = 1_000_000,
+    seeds: Seeds = "0",
+    algorithm: Algorithm = _DEFAULT_ALGORITHM,
+    settings: PolicySettings = None,
+    baseline: Annotated[bool, typer.Option(help="Also train on the true reward, once per seed.")] = True,
+    clips: Annotated[bool, typer.Option(help="Render the clips that people would see.")] = False,
     initial_labels: Annotated[
         int | None,
-        typer.Option(min=2, help="Labels before the first reward version.  [default: a fifth of them, 100 at most]"),
+        typer.Option(min=2, help="Labels before the first reward version.  [default: a fifth, at most 100]"),
     ] = None,
     labels_per_version: Annotated[
-        int | None, typer.Option(min=1, help="New labels for each further version.  [default: a tenth of them]")
+        int | None, typer.Option(min=1, help="New labels for each further reward version.  [default: a tenth]")
     ] = None,
-    at_once: Annotated[
-        int, typer.Option(min=0, help="Runs at once, each with workers of its own; 0 for one per core.")
-    ] = 0,
+    workers: Workers = 0,
     home: Annotated[
-        Path | None, typer.Option(help="New folder for the service's data.  [default: home, in the output folder]")
+        Path | None, typer.Option(help="Folder of the demo's own service.  [default: home, in the output folder]")
     ] = None,
-    output: Annotated[
-        Path | None, typer.Option(help="Folder of results.json, curves.csv, returns.png.  [default: demo-<time>]")
-    ] = None,
+    output: Annotated[Path | None, typer.Option(help="Folder for the results.  [default: demo-TIME]")] = None,
+    as_json: Json = False,
 ) -> None:
-    """Run the whole loop with a scripted teacher and compare the result with the true reward's.
+    """Train policies from a scripted teacher's labels.
 
-    A demo that was ended goes on where it was when the same command is given again.
+    Starts a service of its own, labels through its REST API, and compares each policy with one trained on the true
+    reward. Trains one policy for each combination of --labels, --models and --seeds. Writes a run folder for each, as
+    `mapt train` does, with a figure and a table of all. Rerun the command to resume.
     """
-    choice = parse_teacher(teacher, parameter or ())
+    choice = TeacherChoice.parse(teacher)
+    own = parse_assignments(settings or ())
     plans = Grid(
         task=task,
         total_steps=steps,
-        seeds=parse_numbers("--seed", seed, 0),
+        seeds=parse_numbers("--seeds", seeds, 0),
         labels=parse_numbers("--labels", labels, 2),
-        reward_models=parse_words("--reward-model", reward_model),
+        reward_models=parse_list("--models", models),
         initial_labels=initial_labels,
         labels_per_version=labels_per_version,
         render_clips=clips,
         baseline=baseline,
-        policy=parse_settings("--set", policy or (), "algorithm=mat"),
+        # Experiments of the default algorithm do not name it.
+        policy=own if algorithm == _DEFAULT_ALGORITHM else {"algorithm": algorithm} | own,
     ).plans(choice.title)
     folder = output or Path(datetime.now().astimezone().strftime("demo-%Y%m%d-%H%M%S"))
     stop = Stop()
     stop.install()
-    n_runs = parallel_jobs(at_once, len(plans))
+    n_runs = parallel_jobs(workers, len(plans))
     with OwnService(home or folder / "home", _environment(clips, n_runs), lambda: stop.requested) as service:
-        lesson = _lesson(service, choice, stop)
+        clients = _connect(service, choice, stop, quiet=as_json)
         try:
-            results, paths = _run_all(lesson, plans, n_runs, stop, folder)
+            runs = _run_all(clients, plans, n_runs, stop, folder, quiet=as_json)
         finally:
-            lesson.close()
-    out.print(table(rows_of(results), f"{task}: true return after {steps:,} steps"))
-    say("[dim]" + ", ".join(str(path) for path in paths) + "[/dim]")
+            clients.close()
+    rows = rows_of(runs)
+    if as_json:
+        print_json([asdict(row) | {"share": row.share} for row in rows])
+    else:
+        out.print(table(rows, f"{task}: true return after {steps:,} steps"))
+        print_paths(*(folder / name for name in (_RUNS, _FIGURE, _TABLE)))
 
 
-def _environment(clips: bool, at_once: int) -> dict[str, str]:
-    workers = {"ACCORD_POLICY_WORKERS": str(at_once), "ACCORD_REWARD_WORKERS": str(at_once)}
+def _environment(clips: bool, n_runs: int) -> dict[str, str]:
+    workers = {"ACCORD_POLICY_WORKERS": str(n_runs), "ACCORD_REWARD_WORKERS": str(n_runs)}
     return workers if clips else workers | {"ACCORD_RENDER_WORKERS": "0"}
 
 
-def _lesson(service: OwnService, teacher: TeacherChoice, stop: Stop) -> Lesson:
+def _connect(service: OwnService, teacher: TeacherChoice, stop: Stop, *, quiet: bool) -> DemoClients:
     def stopped() -> bool:
         return stop.requested
 
     url = service.url()
-    note("demo", f"service at {url}, data in {service.home}")
+    if not quiet:
+        log_line(f"service at {url}, data in {service.home}", "demo")
     researcher, labeller = (
         Api(url, service.token(name, role), stopped=stopped)
         for name, role in (("demo researcher", Role.RESEARCHER), (f"demo {teacher.name}", Role.TEACHER))
     )
-    return Lesson(researcher, labeller, teacher, stopped, service.check)
+    return DemoClients(service, researcher, labeller, teacher, stopped)
 
 
 def _run_all(
-    lesson: Lesson, plans: Sequence[RunPlan], at_once: int, stop: Stop, folder: Path
-) -> tuple[list[RunResult], list[Path]]:
-    """Results in the plans' order, and the files that hold them: written anew after every run."""
-    known = experiments_by_name(lesson.researcher)
+    clients: DemoClients, plans: Sequence[RunPlan], n_runs: int, stop: Stop, folder: Path, *, quiet: bool
+) -> list[DemoRun]:
+    """Finished runs in the order of the plans. Figure and table are written again after every run."""
+    known = experiments_by_name(clients.researcher)
     check_known(plans, known)
-    pause_others(lesson.researcher, plans, known)
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"), TimeElapsedColumn())
-    results: dict[str, RunResult] = {}
-    paths: list[Path] = []
-    with (
-        Progress(*columns, console=out, disable=not on_terminal()) as progress,
-        ThreadPoolExecutor(at_once) as pool,
-    ):
-        # Finished ones first, so that the files are never without them.
+    pause_others(clients.researcher, plans, known)
+    finished: dict[str, DemoRun] = {}
+    with ProgressBars(hidden=quiet) as bars, ThreadPoolExecutor(n_runs) as pool:
+        for plan in plans:
+            bars.add(plan.name, plan.name, plan.total_steps)
+        # Those that are finished already come first, so that figure and table always include them.
         order = sorted(plans, key=lambda plan: known.get(plan.name, {}).get("status") != "finished")
-        runs = [pool.submit(run_experiment, lesson, plan, known, _shower(progress, plan)) for plan in order]
+        runs = [
+            pool.submit(run_experiment, clients, plan, known, folder / _RUNS, _updater(bars, plan)) for plan in order
+        ]
         try:
             for run in as_completed(runs):
-                results[run.result().plan.name] = run.result()
-                paths = write(folder, _ordered(results, plans))
+                finished[run.result().plan.name] = run.result()
+                write_results(folder)
         finally:
-            # Whoever still runs after a failure should not.
+            # If one run fails, the others stop.
             stop.request()
             pool.shutdown(cancel_futures=True)
-    return _ordered(results, plans), paths
+    return [finished[plan.name] for plan in plans]
 
 
-def _ordered(results: dict[str, RunResult], plans: Sequence[RunPlan]) -> list[RunResult]:
-    return [results[plan.name] for plan in plans if plan.name in results]
+def write_results(folder: Path) -> None:
+    """Draw and tabulate every run in the folder of a demo."""
+    groups = grouped([RunResult.read(run) for run in find_runs([folder / _RUNS])])
+    draw_curves(groups, folder / _FIGURE)
+    (folder / _TABLE).write_text(markdown(groups))
 
 
-def _shower(progress: Progress, plan: RunPlan) -> Callable[[RunState], None]:
-    bar: TaskID = progress.add_task(plan.name, total=plan.total_steps, state="waiting", start=False)
-    noted = -_NOTED_SHARE
+def _updater(bars: ProgressBars, plan: RunPlan) -> Callable[[RunState], None]:
+    def update(state: RunState) -> None:
+        bars.update(plan.name, min(state.steps, plan.total_steps), describe(plan, state))
 
-    def show(state: RunState) -> None:
-        nonlocal noted
-        words = describe(plan, state)
-        progress.start_task(bar)
-        progress.update(bar, completed=min(state.steps, plan.total_steps), state=words)
-        share = state.steps / plan.total_steps
-        if not on_terminal() and share >= noted + _NOTED_SHARE:
-            noted = share
-            note(plan.name, f"{share:.0%} of steps, {words}")
-
-    return show
+    return update
 
 
 def describe(plan: RunPlan, state: RunState) -> str:
-    """The words beside the bar."""
+    """The words beside a run's bar."""
     parts = [] if state.true_return is None else [f"return {state.true_return:,.0f}"]
     if plan.reward_source == PREFERENCES:
         parts = [f"labels {state.labels}/{plan.label_budget}", f"version {state.version}", *parts]
     return " · ".join([*parts, state.detail])
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A line of the table: true returns of one seed, or their means over seeds."""
+
+    reward_model: str
+    labels: float
+    seed: str
+    untrained: float
+    #: of a policy trained on the true reward; NaN without a baseline
+    true_reward: float
+    learned_reward: float
+    versions: float
+    seconds: float
+    #: standard deviation of `learned_reward` over seeds; NaN for one seed
+    std: float = math.nan
+
+    @property
+    def share(self) -> float:
+        """`learned_reward` as a fraction of `true_reward`; NaN if that is not positive."""
+        return self.learned_reward / self.true_reward if self.true_reward > 0 else math.nan
+
+
+def rows_of(runs: Sequence[DemoRun]) -> list[Row]:
+    """One row per seed for each number of labels and reward model, and one of means if there are several seeds."""
+    true = {run.plan.seed: run.final for run in runs if run.plan.reward_source == TRUE}
+    kinds: dict[tuple[int, str], list[Row]] = {}
+    for run in runs:
+        if run.plan.reward_source == PREFERENCES:
+            row = Row(
+                run.plan.reward_model,
+                run.labels,
+                str(run.plan.seed),
+                run.untrained,
+                true.get(run.plan.seed, math.nan),
+                run.final,
+                run.versions,
+                run.seconds,
+            )
+            kinds.setdefault((run.plan.label_budget, run.plan.reward_model), []).append(row)
+    return [row for _, rows in sorted(kinds.items()) for row in (rows if len(rows) == 1 else [*rows, _mean(rows)])]
+
+
+def _mean(rows: Sequence[Row]) -> Row:
+    names = ("labels", "untrained", "true_reward", "learned_reward", "versions", "seconds")
+    means = {name: mean(getattr(row, name) for row in rows) for name in names}
+    return Row(rows[0].reward_model, seed="mean", std=stdev(row.learned_reward for row in rows), **means)
+
+
+def table(rows: Sequence[Row], title: str) -> Table:
+    """The rows for the terminal."""
+    made = Table(title=title)
+    made.add_column("reward model")
+    for heading in ("labels", "seed", "untrained", "true reward", "learned reward", "share", "versions", "minutes"):
+        made.add_column(heading, justify="right")
+    for row in rows:
+        made.add_row(
+            row.reward_model,
+            _number(row.labels),
+            row.seed,
+            _number(row.untrained),
+            _number(row.true_reward),
+            _number(row.learned_reward) + ("" if math.isnan(row.std) else f" ± {_number(row.std)}"),
+            "-" if math.isnan(row.share) else f"{row.share:.0%}",
+            _number(row.versions),
+            f"{row.seconds / 60:.1f}",
+            end_section=row.seed == "mean",
+        )
+    return made
+
+
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:,.0f}"

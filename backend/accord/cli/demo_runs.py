@@ -1,25 +1,51 @@
-"""What a demo runs: one plan for each seed, number of labels and reward model, and for the true reward beside them."""
+"""The runs of a demo: planned, started and labelled through the REST API, and saved as run folders of `mapt`."""
 
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from accord.cli.client import Api
+from accord.cli.own_service import OwnService
 from accord.cli.teach import TeacherChoice, teach_experiment
 from accord.domain.errors import AccordError, Invalid, Unavailable
+from mapt.io import atomic_write
+from mapt.policies import PolicyConfig
+from mapt.training.evaluation import evaluate_policy
+from mapt.training.metrics import MetricsFile
+from mapt.training.run_folder import RunFolder, load_policy
+from mapt.training.settings import PreferenceRewardSettings, RunSettings
 
 TRUE = "true"
 PREFERENCES = "preferences"
-#: More labels on the untrained team's few segments teach the reward those by heart: of 3,000, 600 before the first
-#: version led to a return of 2,976, 100 to 4,167 (HalfCheetah-6x1, seed 2).
-MOST_INITIAL_LABELS = 100
+#: More labels of the untrained policy's few segments make the reward model overfit them: of 3,000 labels, 600 before
+#: the first version led to a return of 2,976, 100 to 4,167 (HalfCheetah-6x1, seed 2).
+MAX_INITIAL_LABELS = 100
+_POLL_SECONDS = 0.5
+_SHOW_SECONDS = 1.0
+#: The service's curves of one point, and how a line of metrics.jsonl names the same measurements.
+_EVALUATIONS = {
+    "true_return_untrained": "evaluation_mean",
+    "true_return_untrained_std": "evaluation_std",
+    "true_return_untrained_min": "evaluation_min",
+    "true_return_untrained_max": "evaluation_max",
+}
+
+
+class RunFailed(AccordError):
+    """An experiment of the demo did not finish."""
+
+    code = "run_failed"
 
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """What to run: an experiment's settings, as the API takes them."""
+    """One run: the name and settings of an experiment, as the API takes them."""
 
     name: str
     task: str
@@ -32,38 +58,59 @@ class RunPlan:
     labels_per_version: int
     render_clips: bool
     reward_model: str = "MAPT"
-    #: settings of the policy's learner
+    #: policy settings that differ from the defaults
     policy: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def differences(self, config: Mapping[str, Any]) -> list[str]:
-        """In what an experiment's settings are not these, as sentences' ends."""
+        """How an experiment's settings differ from these, as clauses of a sentence."""
         own = {name: value for name, value in asdict(self).items() if name != "name"}
         return [f"{name} is {config[name]!r}, not {value!r}" for name, value in own.items() if config[name] != value]
+
+    @property
+    def folder_name(self) -> str:
+        """The name of its run folder."""
+        return re.sub(r"[^\w.+=-]+", "-", self.name.replace("*", "-star")).strip("-")
+
+    def settings(self, teacher: TeacherChoice) -> RunSettings:
+        """The settings of run.json.
+
+        Raises:
+            mapt.policies.InvalidConfig: if a policy setting is invalid.
+        """
+        learned = PreferenceRewardSettings(
+            self.reward_model, self.label_budget, self.initial_labels, self.labels_per_version, teacher.title
+        )
+        return RunSettings(
+            task=self.task,
+            policy=PolicyConfig.from_dict({"seed": self.seed, **self.policy}),
+            steps=self.total_steps,
+            reward=learned if self.reward_source == PREFERENCES else None,
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Every combination of the lists, on one task."""
+    """Every combination of seeds, numbers of labels and reward models, on one task."""
 
     task: str
     total_steps: int
     seeds: Sequence[int]
     labels: Sequence[int]
     reward_models: Sequence[str]
-    #: labels before the first version; None for a fifth of them, at most `MOST_INITIAL_LABELS`
+    #: labels before the first version; None for a fifth of them, at most `MAX_INITIAL_LABELS`
     initial_labels: int | None = None
     #: labels for each further version; None for a tenth of them
     labels_per_version: int | None = None
     render_clips: bool = False
-    #: train on the true reward too, once for each seed
+    #: add a run with the true reward for each seed
     baseline: bool = True
     policy: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def plans(self, teacher: str) -> list[RunPlan]:
-        """Seed after seed, so that what is there when a long demo is ended can be compared.
+        """One plan per combination, ordered by seed, so that an interrupted demo can be compared seed by seed.
 
         Args:
-            teacher: how the teacher is called in the names of the runs.
+            teacher: the teacher's title, for the names of the runs.
         """
         return [plan for seed in self.seeds for plan in self._of_seed(seed, teacher)]
 
@@ -74,7 +121,7 @@ class Grid:
                 seed,
                 PREFERENCES,
                 label_budget=labels,
-                initial_labels=self.initial_labels or max(2, min(labels // 5, MOST_INITIAL_LABELS)),
+                initial_labels=self.initial_labels or max(2, min(labels // 5, MAX_INITIAL_LABELS)),
                 labels_per_version=self.labels_per_version or max(1, labels // 10),
                 render_clips=self.render_clips,
                 reward_model=model,
@@ -82,9 +129,9 @@ class Grid:
             for labels in self.labels
             for model in self.reward_models
         ]
-        # Nothing about labels, so that the same run serves demos that differ in them.
-        nothing = {"label_budget": 0, "initial_labels": 0, "labels_per_version": 1, "render_clips": False}
-        true = [self._plan(f"{self.task} seed {seed}, true reward", seed, TRUE, **nothing)] if self.baseline else []
+        # Constants, so that demos with other numbers of labels share the run.
+        no_labels = {"label_budget": 0, "initial_labels": 0, "labels_per_version": 1, "render_clips": False}
+        true = [self._plan(f"{self.task} seed {seed}, true reward", seed, TRUE, **no_labels)] if self.baseline else []
         return [*true, *learned]
 
     def _plan(self, name: str, seed: int, source: str, **settings: Any) -> RunPlan:
@@ -99,20 +146,9 @@ class Grid:
         )
 
 
-_POLL_SECONDS = 0.5
-_SHOWN_SECONDS = 1.0
-_CURVES = ("true_return", "true_return_untrained", "true_return_final", "true_return_final_std", "learned_return")
-
-
-class RunFailed(AccordError):
-    """An experiment of the demo did not come to its end."""
-
-    code = "run_failed"
-
-
 @dataclass(frozen=True, slots=True)
 class RunState:
-    """How far it is, for the progress bar."""
+    """Progress of a run, for its bar."""
 
     steps: int
     labels: int
@@ -122,44 +158,32 @@ class RunState:
 
 
 @dataclass(frozen=True, slots=True)
-class RunResult:
-    """What came of it."""
+class DemoRun:
+    """A finished run of a demo and its results."""
 
     plan: RunPlan
-    experiment_id: str
-    #: from its creation to its end, breaks of the demo included
+    folder: Path
+    #: from creation to end, pauses included
     seconds: float
-    steps: int
     labels: int
-    #: true returns of whole episodes with mean actions
+    versions: int
+    #: mean true return with mean actions before and after the training
     untrained: float
     final: float
-    final_std: float
-    #: curve name -> [[step, value], ...]
-    curves: dict[str, list[list[float]]]
-    #: per reward version: number, policy_steps, label_count and its metrics
-    versions: list[dict[str, Any]]
-    #: the teacher's name and parameters; empty where there was none
-    teacher: dict[str, Any] = field(default_factory=dict[str, Any])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values, fit for JSON."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)
-class Lesson:
-    """Who asks and who labels."""
+class DemoClients:
+    """Clients of the demo's service, and who labels."""
 
+    service: OwnService
     #: with a researcher's token
     researcher: Api
-    #: with a teacher's
+    #: with a teacher's token
     teacher: Api
     choice: TeacherChoice
-    #: true ends the run
+    #: true ends the runs
     stopped: Callable[[], bool]
-    #: raises when the service is gone
-    check: Callable[[], None]
 
     def close(self) -> None:
         self.researcher.close()
@@ -177,7 +201,7 @@ def experiments_by_name(api: Api) -> dict[str, dict[str, Any]]:
 
 
 def check_known(plans: Sequence[RunPlan], known: Mapping[str, dict[str, Any]]) -> None:
-    """Whether the service's experiments of these names are these plans'.
+    """Check that experiments with the plans' names have the plans' settings.
 
     Raises:
         Invalid: if one has other settings.
@@ -186,13 +210,13 @@ def check_known(plans: Sequence[RunPlan], known: Mapping[str, dict[str, Any]]) -
         experiment = known.get(plan.name)
         if experiment and (differences := plan.differences(experiment["config"])):
             raise Invalid(
-                f"There is a run {plan.name!r} already, of which {'; '.join(differences)}. "
-                "Choose another folder with --output, or the same settings to go on."
+                f"The run {plan.name!r} exists with other settings: {'; '.join(differences)}. "
+                "Use another --output, or the same settings to resume."
             )
 
 
 def pause_others(api: Api, plans: Sequence[RunPlan], known: Mapping[str, dict[str, Any]]) -> None:
-    """Pause running experiments that are no plan's: without a teacher, they would keep a worker waiting."""
+    """Pause running experiments that belong to no plan: nobody labels them, and they would occupy a worker."""
     names = {plan.name for plan in plans}
     for name, experiment in known.items():
         if experiment["status"] == "running" and name not in names:
@@ -200,48 +224,50 @@ def pause_others(api: Api, plans: Sequence[RunPlan], known: Mapping[str, dict[st
 
 
 def run_experiment(
-    lesson: Lesson, plan: RunPlan, known: Mapping[str, dict[str, Any]], show: Callable[[RunState], None]
-) -> RunResult:
-    """Create the experiment, or go on with the known one of its name; teach it, and wait for its end.
+    clients: DemoClients,
+    plan: RunPlan,
+    known: Mapping[str, dict[str, Any]],
+    root: Path,
+    show: Callable[[RunState], None],
+) -> DemoRun:
+    """Create or resume the plan's experiment, label it, wait until it is finished and save its run folder in `root`.
 
     Raises:
-        RunFailed: if it failed, or was stopped.
-        Refused, Unavailable: if the service says so, or is gone.
+        RunFailed: if it failed or was stopped.
+        Refused, Unavailable: if the service refuses a request or is gone.
     """
-    experiment_id = _begin(lesson.researcher, plan, known.get(plan.name))
+    experiment_id = _create_or_resume(clients.researcher, plan, known.get(plan.name))
     shown_at = 0.0
 
     def refresh(_: int = 0) -> None:
         nonlocal shown_at
-        lesson.check()
-        if time.monotonic() - shown_at >= _SHOWN_SECONDS:
+        clients.service.check()
+        if time.monotonic() - shown_at >= _SHOW_SECONDS:
             shown_at = time.monotonic()
-            show(_state(lesson.researcher, experiment_id))
+            show(_state(clients.researcher, experiment_id))
 
-    teacher = lesson.choice.teacher(plan.seed) if plan.reward_source == PREFERENCES else None
-    if teacher is not None:
-        given = lesson.researcher.get(f"/experiments/{experiment_id}")["labels"]["labels"]
+    if plan.reward_source == PREFERENCES:
+        given = clients.researcher.get(f"/experiments/{experiment_id}")["labels"]["labels"]
         teach_experiment(
-            lesson.teacher,
+            clients.teacher,
             experiment_id,
-            teacher,
+            clients.choice.teacher(plan.seed),
             plan.label_budget - given,
             on_progress=refresh,
-            stopped=lesson.stopped,
+            stopped=clients.stopped,
         )
-    while (experiment := lesson.researcher.get(f"/experiments/{experiment_id}"))["status"] == "running":
-        if lesson.stopped():
-            raise Unavailable("Stopped before the experiment was over. The same command goes on with it.")
+    while (experiment := clients.researcher.get(f"/experiments/{experiment_id}"))["status"] == "running":
+        if clients.stopped():
+            raise Unavailable("Stopped before the experiment was finished. Rerun the command to resume.")
         refresh()
         time.sleep(_POLL_SECONDS)
     if experiment["status"] != "finished":
         raise RunFailed(f"{plan.name} is {experiment['status']}: {experiment['phase_detail']}")
-    show(_state(lesson.researcher, experiment_id))
-    found = _result(lesson.researcher, plan, experiment)
-    return found if teacher is None else replace(found, teacher=teacher.parameters())
+    show(_state(clients.researcher, experiment_id))
+    return save_run(clients, plan, experiment, RunFolder(root / plan.folder_name))
 
 
-def _begin(api: Api, plan: RunPlan, known: dict[str, Any] | None) -> str:
+def _create_or_resume(api: Api, plan: RunPlan, known: dict[str, Any] | None) -> str:
     if known is None:
         return api.post("/experiments", asdict(plan))["id"]
     if known["status"] in {"paused", "failed"}:
@@ -251,39 +277,64 @@ def _begin(api: Api, plan: RunPlan, known: dict[str, Any] | None) -> str:
 
 def _state(api: Api, experiment_id: str) -> RunState:
     experiment = api.get(f"/experiments/{experiment_id}")
-    curve = _curves(api, experiment_id, ("true_return",)).get("true_return", [])
+    curve = _curves(api, experiment_id, ["true_return"]).get("true_return", {})
     return RunState(
         steps=experiment["steps"],
         labels=experiment["labels"]["labels"],
         version=experiment["reward_version"] or 0,
-        true_return=curve[-1][1] if curve else None,
+        true_return=list(curve.values())[-1] if curve else None,
         detail=experiment["phase_detail"] or experiment["phase"],
     )
 
 
-def _result(api: Api, plan: RunPlan, experiment: dict[str, Any]) -> RunResult:
+def save_run(clients: DemoClients, plan: RunPlan, experiment: dict[str, Any], folder: RunFolder) -> DemoRun:
+    """Write run.json, metrics.jsonl, checkpoint.safetensors and evaluation.json of a finished experiment.
+
+    `mapt curves` and `mapt evaluate` read such a folder as they read those of `mapt train`.
+    """
     id = experiment["id"]
-    curves = _curves(api, id, _CURVES)
-    keys = ("number", "policy_steps", "label_count", "metrics")
-    versions = [{key: item[key] for key in keys} for item in api.get(f"/experiments/{id}/reward-versions")["items"]]
-    return RunResult(
+    folder.path.mkdir(parents=True, exist_ok=True)
+    folder.claim(plan.settings(clients.choice))
+    curves = _curves(clients.researcher, id)
+    write_metrics(folder, curves)
+    if not folder.checkpoint.exists():
+        atomic_write(folder.checkpoint, clients.service.policy_checkpoint(id))
+    evaluation = folder.read_evaluation(experiment["steps"])
+    if evaluation is None:
+        saved = load_policy(folder.path)
+        evaluation = evaluate_policy(saved.policy, saved.task, agent_obsk=saved.agent_obsk, seed=plan.seed)
+        folder.write_evaluation(experiment["steps"], evaluation)
+    ended, created = (datetime.fromisoformat(experiment[name]) for name in ("ended_at", "created_at"))
+    return DemoRun(
         plan=plan,
-        experiment_id=id,
-        seconds=(_time(experiment["ended_at"]) - _time(experiment["created_at"])).total_seconds(),
-        steps=experiment["steps"],
+        folder=folder.path,
+        seconds=(ended - created).total_seconds(),
         labels=experiment["labels"]["labels"],
-        untrained=curves["true_return_untrained"][-1][1],
-        final=curves["true_return_final"][-1][1],
-        final_std=curves["true_return_final_std"][-1][1],
-        curves={name: points for name, points in curves.items() if len(points) > 1 or name == "true_return"},
-        versions=versions,
+        versions=experiment["reward_version"] or 0,
+        untrained=next(iter(curves["true_return_untrained"].values())),
+        final=float(np.mean(evaluation.returns)),
     )
 
 
-def _time(text: str) -> datetime:
-    return datetime.fromisoformat(text)
+def write_metrics(folder: RunFolder, curves: Mapping[str, Mapping[int, float]]) -> None:
+    """Write the service's curves, value by name and step, as lines of metrics.jsonl."""
+    named = {_EVALUATIONS.get(name, name): points for name, points in curves.items()}
+    # The final evaluation is in evaluation.json.
+    named = {name: points for name, points in named.items() if not name.startswith("true_return_final")}
+    lines: dict[int, dict[str, float]] = {}
+    for name, points in named.items():
+        for step, value in points.items():
+            lines.setdefault(step, {})[name] = value
+    folder.metrics.unlink(missing_ok=True)
+    file = MetricsFile(folder.metrics, 0)
+    for number, (step, values) in enumerate(sorted(lines.items())):
+        file.append({"iteration": number, "steps": step, **values})
+    file.sync()
+    file.close()
 
 
-def _curves(api: Api, experiment_id: str, names: tuple[str, ...]) -> dict[str, list[list[float]]]:
-    found = api.get(f"/experiments/{experiment_id}/metrics", names=list(names))["series"]
-    return {curve["name"]: [[point["step"], point["value"]] for point in curve["points"]] for curve in found}
+def _curves(api: Api, experiment_id: str, names: Sequence[str] | None = None) -> dict[str, dict[int, float]]:
+    """Values by curve and step; all curves without `names`."""
+    query = {} if names is None else {"names": list(names)}
+    found = api.get(f"/experiments/{experiment_id}/metrics", **query)["series"]
+    return {curve["name"]: {point["step"]: point["value"] for point in curve["points"]} for curve in found}

@@ -1,27 +1,28 @@
-"""accord doctor: what this machine can and cannot do, each with its fix."""
+"""The subcommand `accord doctor`: checks of this machine, each with its fix."""
 
 import errno
 import shutil
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated
 
 import psutil
 import typer
 from rich.markup import escape
 
-from accord.cli.options import Home, load_settings
-from accord.cli.output import say
+from accord.cli.options import Home, Port, load_settings
 from accord.domain.checks import Check
 from accord.domain.errors import AccordError
 from accord.rendering.checks import check_encoder, check_rendering
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from mapt.cli.options import Json
+from mapt.cli.output import print_json, print_line
 
 _PYTHON = (3, 11)
 _FREE_BYTES = 2_000_000_000
@@ -29,23 +30,29 @@ _MEMORY_BYTES = 2_000_000_000
 _REINSTALL = "pip install --force-reinstall accord"
 
 
-def doctor(
-    home: Home = None,
-    port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Port that `accord up` is to use.  [default: 8000]")
-    ] = None,
-) -> None:
-    """Check this machine: versions, OpenGL, encoder, disk, database, blobs, port, page. Status 1 if one fails."""
+def doctor(*, home: Home = None, port: Port = None, as_json: Json = False) -> None:
+    """Check that this machine can run Accord.
+
+    Checks package versions, rendering, the video encoder, disk, memory, the database, the blobs, the port and the web
+    page. Exits with status 1 if a check fails.
+    """
     settings = load_settings(home, port=port)
     checks = [found for check in CHECKS for found in check(settings)]
+    if as_json:
+        print_json([asdict(found) for found in checks])
+    else:
+        _print(checks)
+    raise typer.Exit(0 if all(found.ok for found in checks) else 1)
+
+
+def _print(checks: Sequence[Check]) -> None:
     for found in checks:
         mark = "[green]ok[/green]    " if found.ok else "[bold red]failed[/bold red]"
-        say(f"{mark} {escape(found.name)}: {escape(found.detail)}")
+        print_line(f"{mark} {escape(found.name)}: {escape(found.detail)}")
         if found.fix:
-            say(f"       fix: {escape(found.fix)}")
+            print_line(f"       fix: {escape(found.fix)}")
     failed = sum(not found.ok for found in checks)
-    say(f"{len(checks) - failed} of {len(checks)} checks passed.")
-    raise typer.Exit(1 if failed else 0)
+    print_line(f"{len(checks) - failed} of {len(checks)} checks passed.")
 
 
 def check_python(settings: Settings) -> list[Check]:
@@ -54,7 +61,7 @@ def check_python(settings: Settings) -> list[Check]:
     if found[:2] == _PYTHON:
         return [Check("Python", True, detail)]
     wanted = ".".join(map(str, _PYTHON))
-    return [Check("Python", False, detail, f"install Python {wanted} and make the environment anew with it")]
+    return [Check("Python", False, detail, f"install Python {wanted} and create a new environment with it")]
 
 
 def check_packages(settings: Settings) -> list[Check]:
@@ -73,7 +80,7 @@ def check_drawing(settings: Settings) -> list[Check]:
 
 
 def check_machine(settings: Settings) -> list[Check]:
-    """Free disk where the home is, or will be, and free memory."""
+    """Free disk space at the home folder, and free memory."""
     folder = existing_parent(settings.home.resolve())
     disk, memory = shutil.disk_usage(folder).free, psutil.virtual_memory().available
     return [
@@ -81,21 +88,21 @@ def check_machine(settings: Settings) -> list[Check]:
             "disk",
             disk >= _FREE_BYTES,
             f"{disk / 1e9:.1f} GB free at {folder}",
-            None if disk >= _FREE_BYTES else "free 2 GB there, or choose another folder with --home",
+            None if disk >= _FREE_BYTES else "free 2 GB there, or use another --home",
         ),
         Check(
             "memory",
             memory >= _MEMORY_BYTES,
             f"{memory / 1e9:.1f} GB available",
-            None if memory >= _MEMORY_BYTES else "end other programs: the workers need 2 GB together",
+            None if memory >= _MEMORY_BYTES else "close other programs: the workers need 2 GB in total",
         ),
     ]
 
 
 def check_database(settings: Settings) -> list[Check]:
-    """Whether the database can be opened and is not newer than this version. A missing one is no fault."""
+    """Whether the database can be opened and is not newer than this version. A missing one passes."""
     if not settings.database_url and not (settings.home / "accord.db").exists():
-        return [Check("database", True, "none yet; `accord up` makes it")]
+        return [Check("database", True, "none yet; `accord up` creates it")]
     try:
         database = Database.open(settings.resolved_database_url)
         database.migrate()
@@ -106,19 +113,19 @@ def check_database(settings: Settings) -> list[Check]:
 
 
 def _failed(name: str, error: AccordError) -> Check:
-    """An error's first sentence is what was found, the rest what to do."""
+    """A failed check: the error's first sentence is the finding, the rest is the fix."""
     detail, _, fix = str(error).partition(". ")
     return Check(name, False, detail, fix or None)
 
 
 def check_blobs(settings: Settings) -> list[Check]:
     if not settings.blob_url and not settings.home.exists():
-        return [Check("blobs", True, "no folder yet; `accord up` makes it")]
+        return [Check("blobs", True, "no folder yet; `accord up` creates it")]
     try:
         open_blobs(settings.resolved_blob_url).check_writable()
     except AccordError as error:
         return [_failed("blobs", error)]
-    return [Check("blobs", True, f"{settings.resolved_blob_url} can be written")]
+    return [Check("blobs", True, f"{settings.resolved_blob_url} is writable")]
 
 
 def check_port(settings: Settings) -> list[Check]:
@@ -130,7 +137,7 @@ def check_port(settings: Settings) -> list[Check]:
         except OSError as error:
             used = error.errno == errno.EADDRINUSE
             detail = "in use" if used else str(error.strerror)
-            fix = f"if it is not Accord itself, choose another: accord up --port {settings.port + 1}"
+            fix = f"if it is not Accord itself, use another: accord up --port {settings.port + 1}"
             return [Check("port", False, f"{settings.host}:{settings.port} {detail}", fix)]
     return [Check("port", True, f"{settings.host}:{settings.port} is free")]
 
@@ -138,15 +145,15 @@ def check_port(settings: Settings) -> list[Check]:
 def check_page(settings: Settings) -> list[Check]:
     if files("accord").joinpath("static", "index.html").is_file():
         return [Check("page", True, "built")]
-    return [Check("page", False, "the page was not built", "pip install -e . (in the repository), or make page")]
+    return [Check("page", False, "not built", "pip install -e . (in the repository), or make page")]
 
 
 def existing_parent(path: Path) -> Path:
-    """The path, or the nearest folder above it that is there."""
+    """The path itself, or the nearest folder above it that exists."""
     return next(each for each in (path, *path.parents) if each.exists())
 
 
-#: in the order they are shown
+#: In the order of the output.
 CHECKS: tuple[Callable[[Settings], list[Check]], ...] = (
     check_python,
     check_packages,

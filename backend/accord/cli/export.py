@@ -1,28 +1,32 @@
-"""accord export: an experiment as Parquet tables."""
+"""The subcommand `accord export`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from sqlalchemy.engine import make_url
 
-from accord.cli.options import Home, load_settings
-from accord.cli.output import out, say
+from accord.cli.options import Experiment, Home, load_settings
 from accord.domain.errors import Unavailable
 from accord.services.export import contents, write
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from mapt.cli.options import Json
+from mapt.cli.output import ProgressBars, print_json, print_line
 
 
 def export(
     *,
-    experiment: Annotated[str, typer.Option(help="Id of the experiment, exp_...")],
-    output: Annotated[Path, typer.Option(help="New folder for segments, queries and labels.")],
+    experiment: Experiment,
+    output: Annotated[Path, typer.Option(help="Folder for the results; it must not exist.")],
     home: Home = None,
+    as_json: Json = False,
 ) -> None:
-    """Write an experiment's segments, queries and labels as Parquet tables. A service may go on running."""
+    """Export an experiment as Parquet tables.
+
+    Writes its segments, queries and labels. The service may keep running.
+    """
     settings = load_settings(home)
     database = _open_existing(settings)
     try:
@@ -30,27 +34,34 @@ def export(
             found = contents(session, experiment)
     finally:
         database.close()
-    columns = (TextColumn("segments"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=out) as progress:
-        bar = progress.add_task("segments", total=len(found.segments))
+    with ProgressBars(hidden=as_json) as bars:
+        bars.add("segments", "segments", len(found.segments))
         write(
             open_blobs(settings.resolved_blob_url),
             found,
             output,
-            lambda count: progress.update(bar, completed=count),
+            lambda count: bars.update("segments", count, f"{count}/{len(found.segments)}"),
         )
     skips = sum(label.state == "skip" for label in found.labels)
-    counts = f"{len(found.segments)} segments, {len(found.queries)} queries, {len(found.labels) - skips} labels"
-    say(f"{counts} and {skips} skips are in {output}.")
+    counts = {
+        "segments": len(found.segments),
+        "queries": len(found.queries),
+        "labels": len(found.labels) - skips,
+        "skips": skips,
+    }
+    if as_json:
+        print_json(counts | {"output": str(output)})
+    else:
+        print_line(", ".join(f"{count} {name}" for name, count in counts.items()) + f" written to {output}.")
 
 
 def _open_existing(settings: Settings) -> Database:
-    """The database as it is: an export makes none, and changes none.
+    """The database, which an export neither creates nor changes.
 
     Raises:
         Unavailable: if there is none.
     """
     url = make_url(settings.resolved_database_url)
     if url.get_backend_name() == "sqlite" and url.database and not Path(url.database).exists():
-        raise Unavailable(f"There is no database at {url.database}. Give the folder of the service with --home.")
+        raise Unavailable(f"There is no database at {url.database}. Set the home folder of the service with --home.")
     return Database.open(settings.resolved_database_url)

@@ -1,43 +1,36 @@
-"""Commands put together, and what a failure looks like: one sentence, status 2, no traceback."""
+"""The command `accord`: its subcommands, and how errors end it."""
 
 import sys
 
-import typer
 from pydantic import ValidationError
 
-from accord.cli import accounts, demo, doctor, export, tasks, teach, up
-from accord.cli.output import complain
 from accord.domain.errors import AccordError
+from mapt.cli.app import LazyCommand, make_app, run_app
+from mapt.cli.output import print_error
+from mapt.errors import MaptError
 
-app = typer.Typer(
-    name="accord",
-    help="Teach teams of agents by comparing short clips.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+app = make_app(
+    "accord",
+    "Label pairs of clips in the browser and train multi-agent policies on the preferences.",
+    {
+        "up": LazyCommand("accord.cli.up", "up", "Start the service: web page, API and workers."),
+        "link": LazyCommand("accord.cli.accounts", "link", "Print a new sign-in link for the admin."),
+        "user": LazyCommand("accord.cli.accounts", "user", "People and programs that may sign in."),
+        "teach": LazyCommand("accord.cli.teach", "teach", "Label an experiment with a scripted teacher."),
+        "demo": LazyCommand("accord.cli.demo", "demo", "Train policies from a scripted teacher's labels."),
+        "tasks": LazyCommand("mapt.cli.tasks", "tasks", "List the tasks."),
+        "export": LazyCommand("accord.cli.export", "export", "Export an experiment as Parquet tables."),
+        "doctor": LazyCommand("accord.cli.doctor", "doctor", "Check that this machine can run Accord."),
+    },
 )
-app.command("up")(up.up)
-app.command("link")(accounts.link)
-app.command("teach")(teach.teach)
-app.command("demo")(demo.demo)
-app.command("tasks")(tasks.tasks)
-app.command("export")(export.export)
-app.command("doctor")(doctor.doctor)
-app.add_typer(accounts.user, name="user")
 
 
 def main() -> None:
-    """The entry point of the script `accord`."""
+    """Entry point of the script `accord`."""
     try:
-        app()
-    except AccordError as error:
-        complain(str(error))
-        sys.exit(2)
+        run_app(app, "accord", (AccordError, MaptError))
     except ValidationError as error:
         for problem in error.errors():
             setting = "_".join(["ACCORD", *(str(part).upper() for part in problem["loc"])])
-            complain(f"{setting}: {problem['msg']}.")
+            print_error(f"{setting}: {problem['msg']}.", program="accord")
         sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(130)

@@ -1,4 +1,4 @@
-"""A whole Accord of one's own, as a child process: what `accord demo` runs against."""
+"""The service of a demo: `accord up` as a child process, with a home folder of its own."""
 
 import contextlib
 import os
@@ -13,41 +13,42 @@ from typing import Self
 from accord.cli.options import address_file, load_settings
 from accord.domain.enums import Role
 from accord.domain.errors import Unavailable
-from accord.services import accounts
+from accord.services import accounts, checkpoints
 from accord.store import accounts as users
+from accord.store.blobs import open_blobs
 from accord.store.database import Database
 
-#: this file in a home says that it serves a demo alone
+#: This file marks a home folder that belongs to a demo.
 _MARK = "own-service"
-#: imports and migrations of a busy machine
+#: Time for imports and migrations on a busy machine.
 _START_SECONDS = 60.0
-#: longer than the supervisor's own grace
+#: Longer than the supervisor waits for its children.
 _END_SECONDS = 20.0
 
 
 class OwnService:
-    """`accord up` on a free port with a home of its own; ended at the end of the block."""
+    """`accord up` on a free port; the process ends with the `with` block."""
 
     def __init__(self, home: Path, environment: Mapping[str, str], stopped: Callable[[], bool] = bool) -> None:
         """
         Args:
-            home: a folder without a database, or one that another of these made.
-            environment: ACCORD_* variables besides.
-            stopped: asked while waiting for the start; true gives up.
+            home: a folder without a database, or the home of an earlier demo.
+            environment: additional ACCORD_* variables.
+            stopped: checked while waiting for the start; true gives up.
 
         Raises:
-            Unavailable: if there is a database of another service.
+            Unavailable: if the folder has the database of another service.
         """
         mark = home / _MARK
         if (home / "accord.db").exists() and not mark.exists():
-            raise Unavailable(f"{home} holds the database of another service. Choose another folder with --home.")
+            raise Unavailable(f"{home} contains the database of another service. Use another --home.")
         self.home = home
         self._stopped = stopped
         self._settings = load_settings(home)
         self._log = home / "logs" / "up.log"
         self._log.parent.mkdir(parents=True, exist_ok=True)
         mark.touch()
-        # Of a service that was killed: nobody listens there.
+        # A killed service leaves its address behind.
         address_file(self._settings).unlink(missing_ok=True)
         command = [sys.executable, "-m", "accord.cli", "up", "--home", str(home), "--port", "0", "--no-example"]
         with self._log.open("ab") as log:
@@ -57,14 +58,14 @@ class OwnService:
                 stdout=log,
                 stderr=log,
                 env=os.environ | dict(environment),
-                start_new_session=True,  # Ctrl-C on the terminal reaches the demo alone, which ends the service
+                start_new_session=True,  # so that Ctrl-C reaches only the demo, which then ends the service
             )
 
     def url(self) -> str:
-        """Where it listens. Waits for its start.
+        """The service's URL. Waits until the service listens.
 
         Raises:
-            Unavailable: if it does not come up; the message is its own.
+            Unavailable: if it does not start; the message includes its last line of output.
         """
         path, deadline = address_file(self._settings), time.monotonic() + _START_SECONDS
         while not path.exists():
@@ -75,13 +76,13 @@ class OwnService:
         return path.read_text().strip()
 
     def check(self) -> None:
-        """Raises Unavailable if the service has ended by itself."""
+        """Raises Unavailable if the service process has ended."""
         if self._process.poll() is not None:
             lines = self._log.read_text(errors="replace").strip().splitlines()
-            raise Unavailable(f"The service ended: {lines[-1] if lines else 'it said nothing'}")
+            raise Unavailable(f"The service ended: {lines[-1] if lines else 'without output'}")
 
     def token(self, name: str, role: Role) -> str:
-        """Another bearer token of the user with this name, who is made where there is none."""
+        """A new bearer token of the user with this name, who is created if there is none."""
         database = Database.open(load_settings(self.home).resolved_database_url)
         try:
             with database.transaction() as session:
@@ -92,13 +93,30 @@ class OwnService:
         finally:
             database.close()
 
+    def policy_checkpoint(self, experiment_id: str) -> bytes:
+        """The newest checkpoint of an experiment's policy, as `mapt.training.run_folder.PolicyCheckpoint` stores it.
+
+        Raises:
+            Unavailable: if there is none.
+        """
+        settings = load_settings(self.home)
+        database = Database.open(settings.resolved_database_url)
+        try:
+            with database.reading() as session:
+                row = checkpoints.newest(session, experiment_id)
+        finally:
+            database.close()
+        if row is None:
+            raise Unavailable(f"The experiment {experiment_id} has no checkpoint.")
+        return open_blobs(settings.resolved_blob_url).read(row.blob_key)
+
     def close(self) -> None:
-        """End the service and everything it started."""
+        """End the service and its workers."""
         if self._process.poll() is None:
             self._process.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(_END_SECONDS)
-        # Its children follow it: see accord.workers.runner.
+        # Its children end with it.
         self._process.kill()
         self._process.wait()
 

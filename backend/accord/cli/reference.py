@@ -1,19 +1,29 @@
-"""python -m accord.cli.reference: writes the generated parts of docs/reference.md.
+"""Write the generated parts of docs/reference.md: `python -m accord.cli.reference`.
 
-A part stands between `<!-- begin NAME -->` and `<!-- end NAME -->`; the rest of the page is written by hand.
+Tables of settings are between `<!-- begin NAME -->` and `<!-- end NAME -->`. A table of options is the first table with
+the heading `option` in the section of its command. The rest of the page is written by hand.
 """
 
 import argparse
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
+import typer
+
+from accord.cli.main import app as accord
 from accord.services.experiment_config import ExperimentConfig
 from accord.settings import Settings as ServiceSettings
+from mapt.cli.main import app as mapt
 from mapt.policies.config import ALGORITHM_DEFAULTS, PolicyConfig
 from mapt.settings import SettingDescription, Settings, accepted_values, describe
 
 DEFAULT_FILE = Path("docs/reference.md")
+_OPTIONS_HEADING = "| option | default | |\n|---|---|---|\n"
+#: A table of options, with any second column.
+_OPTIONS_TABLE = re.compile(r"\| option \|.*\n\|[-|]+\n(?:\|.*\n)*")
+_DEFAULT_IN_HELP = re.compile(r"\s+\[default: (.*)\]$")
 
 
 def service_settings() -> str:
@@ -59,7 +69,7 @@ def fill(page: str) -> str:
     """The page with every generated part up to date.
 
     Raises:
-        ValueError: if a part has no place in the page.
+        ValueError: if the page lacks the markers of a part, or the section of a command.
     """
     for name, part in PARTS.items():
         begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
@@ -67,7 +77,69 @@ def fill(page: str) -> str:
             raise ValueError(f"{begin} and {end} are missing from the page.")
         before, _, rest = page.partition(begin)
         page = f"{before}{begin}\n\n{part()}\n\n{end}{rest.partition(end)[2]}"
-    return page
+    return fill_options(page)
+
+
+def commands() -> dict[str, Any]:
+    """Every click command of `accord` and `mapt` by its words, such as `accord user add`."""
+    groups = {"accord": accord, "mapt": mapt}
+    return {
+        words: command for name, app in groups.items() for words, command in _leaves(typer.main.get_command(app), name)
+    }
+
+
+def _leaves(command: Any, words: str) -> Iterator[tuple[str, Any]]:
+    # Typer has a private copy of click, so there is no public type of a group.
+    if not hasattr(command, "list_commands"):
+        yield words, command
+        return
+    with command.make_context(words, [], resilient_parsing=True) as context:
+        for name in command.list_commands(context):
+            yield from _leaves(command.get_command(context, name), f"{words} {name}")
+
+
+def options_of(command: Any) -> list[Any]:
+    """The options that `--help` shows, except --help itself."""
+    return [one for one in command.params if one.param_type_name == "option" and not one.hidden]
+
+
+def options_table(command: Any) -> str:
+    """A Markdown table of a command's options: names, default and help; empty without options."""
+    rows = [_row(option) for option in options_of(command)]
+    return _OPTIONS_HEADING + "\n".join(rows) + "\n" if rows else ""
+
+
+def _row(option: Any) -> str:
+    names = ", ".join(f"`{name}`" for name in (*option.opts, *option.secondary_opts))
+    help = option.help or ""
+    if found := _DEFAULT_IN_HELP.search(help):
+        help, default = help[: found.start()], found.group(1)
+    elif option.required:
+        default = "required"
+    elif option.is_flag and not option.secondary_opts:
+        default = ""
+    elif isinstance(option.default, bool):
+        default = f"`{(option.opts if option.default else option.secondary_opts)[0]}`"
+    else:
+        default = "" if option.default is None else f"`{getattr(option.default, 'value', option.default)}`"
+    return f"| {names} | {default} | {help.replace('|', chr(92) + '|')} |"
+
+
+def fill_options(text: str) -> str:
+    """The reference with the table of each command's section replaced by the current one."""
+    for words, command in commands().items():
+        start = text.find(f"### {words}\n")
+        if start < 0:
+            raise ValueError(f"docs/reference.md has no section ### {words}")
+        following = re.compile(r"\n##+ ").search(text, start + 4)
+        end = following.start() + 1 if following else len(text)
+        section, table = text[start:end], options_table(command)
+        if _OPTIONS_TABLE.search(section):
+            section = _OPTIONS_TABLE.sub(lambda _, table=table: table, section, count=1)
+        elif table:
+            section = f"{section.rstrip()}\n\n{table}\n"
+        text = text[:start] + section + text[end:]
+    return text
 
 
 def main() -> None:

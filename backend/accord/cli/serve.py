@@ -1,6 +1,6 @@
-"""The API's process: `python -m accord.cli.serve --fd N`, started by `accord up` with a socket that listens already.
+"""The API process: `python -m accord.cli.serve --fd N`, started by `accord up` with a listening socket.
 
-The socket is the parent's, so a request that comes while this process is started again waits instead of failing.
+The parent owns the socket, so that requests wait while this process restarts.
 """
 
 import argparse
@@ -17,9 +17,9 @@ from mapt.processes import follow_parent
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m accord.cli.serve", description=__doc__)
     parser.add_argument("--fd", type=int, required=True, help="descriptor of the listening socket")
-    parser.add_argument("--parent", type=int, default=0, help="pid to end with; 0 for none")
+    parser.add_argument("--parent", type=int, default=0, help="exit when the process with this id exits; 0 for none")
     arguments = parser.parse_args()
-    # uvicorn raises once more the signal that stopped it: without this the database would not be closed.
+    # uvicorn raises the signal that stopped it again; without this the database would not be closed.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, end_by_exception)
     follow_parent(arguments.parent)

@@ -1,4 +1,4 @@
-"""accord teach: a scripted teacher for an experiment of a service that runs."""
+"""The subcommand `accord teach`, and the loop of a scripted teacher over the REST API."""
 
 import json
 import math
@@ -11,71 +11,74 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from safetensors.numpy import load
 
 from accord.cli.client import Api
-from accord.cli.options import Home, Parameters, TeacherName, Token, Url, load_settings, parse_settings, service_url
-from accord.cli.output import out, say
-from accord.domain.errors import Invalid
+from accord.cli.options import Experiment, Home, Token, Url, load_settings, service_url
 from accord.workers.runner import Stop
-from mapt.errors import PreferenceError
+from mapt.benchmarks.specification import NamedSettings
+from mapt.cli.options import Json, Teacher
+from mapt.cli.output import ProgressBars, print_json, print_line
 from mapt.preferences.teachers import ScriptedTeacher, TeacherView, make_teacher
+
+#: Queries per request; the API allows no more.
+_QUERIES_PER_REQUEST = 16
+#: Segments whose arrays are cached: a segment is in several queries, usually close together.
+_CACHED_SEGMENTS = 256
+#: Points of the curve of true returns that are averaged, as B-Pref's ten episodes.
+_RETURN_POINTS = 10
+_IDLE_SECONDS = 0.25
+#: Reasons of the API after which no further query comes.
+_FINAL_REASONS = frozenset({"all_labelled", "experiment_over"})
 
 
 def teach(
     *,
-    experiment: Annotated[str, typer.Option(help="Id of the experiment to label, exp_...")],
+    experiment: Experiment,
     token: Token,
     url: Url = None,
-    teacher: TeacherName = "oracle",
-    parameter: Parameters = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the teacher's chance.")] = 0,
+    teacher: Teacher = "oracle",
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the teacher.")] = 0,
     labels: Annotated[
         int | None,
-        typer.Option(min=1, help="How many labels to give.  [default: what the experiment's budget still lacks]"),
+        typer.Option(min=1, help="Number of labels to give.  [default: the rest of the experiment's budget]"),
     ] = None,
     home: Home = None,
+    as_json: Json = False,
 ) -> None:
-    """Label an experiment by a program that knows the true reward. It uses the same API as everyone."""
-    choice = parse_teacher(teacher, parameter or ())
+    """Label an experiment with a scripted teacher.
+
+    The teacher reads true rewards and labels through the same REST API as people do.
+    """
+    choice = TeacherChoice.parse(teacher)
     stop = Stop()
     stop.install()
     api = Api(url or service_url(load_settings(home)), token, stopped=lambda: stop.requested)
     counts = api.get(f"/experiments/{experiment}")["labels"]
     wanted = labels or max(0, counts["budget"] - counts["labels"])
-    columns = (TextColumn("labels"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=out) as progress:
-        bar = progress.add_task("labels", total=wanted)
-        taught = teach_experiment(
+    with ProgressBars(hidden=as_json) as bars:
+        bars.add("labels", "labels", wanted)
+        outcome = teach_experiment(
             api,
             experiment,
             choice.teacher(seed),
             wanted,
-            on_progress=lambda given: progress.update(bar, completed=given),
+            on_progress=lambda given: bars.update("labels", given, f"{given}/{wanted}"),
             stopped=lambda: stop.requested,
         )
     api.close()
-    say(f"{taught.labels} labels given ({taught.reason}).")
-
-
-#: the API gives at most so many queries at once
-_MOST_QUERIES = 16
-#: segments whose arrays are kept: a segment may be in several queries, most often in two soon after another
-_KEPT_SEGMENTS = 256
-#: points of the curve of true returns that make a running mean, as B-Pref's ten episodes
-_RETURN_POINTS = 10
-_IDLE_SECONDS = 0.25
-#: reasons after which no query will ever come
-_OVER = frozenset({"all_labelled", "experiment_over"})
+    if as_json:
+        print_json({"labels": outcome.labels, "reason": outcome.reason})
+    else:
+        print_line(f"{outcome.labels} labels given ({outcome.reason}).")
 
 
 @dataclass(frozen=True, slots=True)
 class TeacherChoice:
-    """Which scripted teacher, and with what parameters.
+    """A scripted teacher's name and parameters.
 
     Raises:
-        Invalid: if there is no such teacher, or it has no such parameters.
+        InvalidTeacher: if there is no such teacher, or it has no such parameters.
     """
 
     name: str = "oracle"
@@ -84,36 +87,35 @@ class TeacherChoice:
     def __post_init__(self) -> None:
         self.teacher(0)
 
+    @classmethod
+    def parse(cls, text: str) -> "TeacherChoice":
+        """Parse NAME or NAME:KEY=VALUE:KEY=VALUE.
+
+        Raises:
+            InvalidTeacher: as the class does.
+            InvalidConfig: if a parameter is not KEY=VALUE.
+        """
+        named = NamedSettings.parse(text)
+        return cls(named.name, named.settings)
+
     @property
     def title(self) -> str:
-        """Its name and parameters, for people."""
-        told = ", ".join(f"{name}={json.dumps(value)}" for name, value in sorted(self.parameters.items()))
-        return f"{self.name} ({told})" if told else self.name
+        """Name and parameters for people, such as `mistake (mistake=0.05)`."""
+        parameters = ", ".join(f"{name}={json.dumps(value)}" for name, value in sorted(self.parameters.items()))
+        return f"{self.name} ({parameters})" if parameters else self.name
 
     def teacher(self, seed: int) -> ScriptedTeacher:
-        """A new one, whose chance is the seed's."""
-        try:
-            return make_teacher(self.name, **{"seed": seed, **self.parameters})
-        except PreferenceError as error:
-            raise Invalid(f"--teacher {self.name}: {error}.") from error
-
-
-def parse_teacher(name: str, parameters: Sequence[str]) -> TeacherChoice:
-    """A teacher from the command line, its parameters as KEY=VALUE.
-
-    Raises:
-        Invalid: as TeacherChoice, or if a parameter is no KEY=VALUE.
-    """
-    return TeacherChoice(name, parse_settings("--parameter", parameters, "mistake=0.1"))
+        """A new teacher with this random seed."""
+        return make_teacher(self.name, **{"seed": seed, **self.parameters})
 
 
 @dataclass(frozen=True, slots=True)
-class Taught:
-    """How a lesson went."""
+class TeachingOutcome:
+    """How many labels a teacher gave, and why it stopped."""
 
-    #: labels this teacher gave, skips not counted
+    #: without skips
     labels: int
-    #: why it ended: done, or the API's reason
+    #: done, stopped, or the API's reason
     reason: str
 
 
@@ -125,85 +127,80 @@ def teach_experiment(
     *,
     on_progress: Callable[[int], None],
     stopped: Callable[[], bool],
-) -> Taught:
-    """Label queries of one experiment until enough are labelled or there will be no more.
+) -> TeachingOutcome:
+    """Label the queries of one experiment until `labels` are given or no further query comes.
 
     Args:
-        labels: how many labels to give.
-        on_progress: called with the labels given so far, also while waiting.
-        stopped: asked between calls; true ends the lesson.
+        on_progress: called with the number of labels given so far, also while waiting.
+        stopped: checked between requests; true ends the loop.
 
     Raises:
-        Refused, Unavailable: if the API does.
-        Invalid: if the experiment's segments lack what the teacher judges by.
+        Refused, Unavailable: if the API refuses a request, or does not answer.
+        PreferenceError: if the segments lack what the teacher judges by.
     """
-    sight, given = Sight(api, teacher), 0
+    reader, given = SegmentReader(api, teacher), 0
     horizon_steps = api.get(f"/experiments/{experiment_id}")["task"]["horizon_steps"]
     while given < labels and not stopped():
-        count = min(_MOST_QUERIES, labels - given)
+        count = min(_QUERIES_PER_REQUEST, labels - given)
         path = f"/experiments/{experiment_id}/queries/next"
-        answer = api.post(path, count=count, returns=not sight.needs_arrays)
-        if answer["items"]:
+        response = api.post(path, count=count, returns=not reader.needs_arrays)
+        if response["items"]:
             if teacher.uses_episode_return:
-                _tell_of_episodes(api, experiment_id, teacher, horizon_steps)
-            given += _label(api, experiment_id, teacher, sight, answer["items"])
+                _update_episode_return(api, experiment_id, teacher, horizon_steps)
+            given += _label(api, experiment_id, teacher, reader, response["items"])
         on_progress(given)
-        if not answer["items"]:
-            if answer["reason"] in _OVER:
-                return Taught(given, answer["reason"])
+        if not response["items"]:
+            if response["reason"] in _FINAL_REASONS:
+                return TeachingOutcome(given, response["reason"])
             time.sleep(_IDLE_SECONDS)
-    return Taught(given, "done" if given >= labels else "stopped")
+    return TeachingOutcome(given, "done" if given >= labels else "stopped")
 
 
-class Sight:
-    """What a teacher sees of queries: their true rewards, or all arrays of their segments."""
+class SegmentReader:
+    """Reads what a teacher judges by: true rewards, or all arrays of the segments."""
 
     def __init__(self, api: Api, teacher: ScriptedTeacher) -> None:
-        #: rewards come with the queries; whatever else a rule reads does not
+        #: False if true rewards, which come with the queries, are enough
         self.needs_arrays = teacher.rule.reads != ("rewards",)
-        self._arrays = lru_cache(_KEPT_SEGMENTS)(lambda id: load(api.get_bytes(f"/segments/{id}/arrays")))
+        self._arrays = lru_cache(_CACHED_SEGMENTS)(lambda id: load(api.get_bytes(f"/segments/{id}/arrays")))
 
-    def of(self, queries: Sequence[dict[str, Any]]) -> tuple[TeacherView, TeacherView]:
-        """Segments 0 and segments 1 of these queries, whatever sides they were drawn on."""
+    def read(self, queries: Sequence[dict[str, Any]]) -> tuple[TeacherView, TeacherView]:
+        """Segments 0 and segments 1 of these queries, whatever sides they are shown on."""
         sides = [sorted((query["left"], query["right"]), key=lambda side: side["index"]) for query in queries]
-        first, second = (TeacherView.stack([self._one(pair[index]) for pair in sides]) for index in (0, 1))
+        first, second = (TeacherView.stack([self._segment(pair[index]) for pair in sides]) for index in (0, 1))
         return first, second
 
-    def _one(self, side: dict[str, Any]) -> Mapping[str, NDArray[np.floating]]:
+    def _segment(self, side: dict[str, Any]) -> Mapping[str, NDArray[np.floating]]:
         if self.needs_arrays:
             return self._arrays(side["segment_id"])
         return {"rewards": np.array(side["true_rewards"], dtype=np.float64)}
 
 
-def judge(teacher: ScriptedTeacher, sight: Sight, queries: Sequence[dict[str, Any]]) -> list[float | None]:
-    """The teacher's labels in segment order; None to skip.
+def judge(teacher: ScriptedTeacher, reader: SegmentReader, queries: Sequence[dict[str, Any]]) -> list[float | None]:
+    """The teacher's labels, P(segment 0 preferred); None where it skips.
 
     Raises:
-        Invalid: if the segments lack what the teacher judges by.
+        PreferenceError: if the segments lack what the teacher judges by.
     """
-    try:
-        labels = teacher.judge(*sight.of(queries)).tolist()
-    except PreferenceError as error:
-        raise Invalid(f"This teacher cannot judge these segments: {error}.") from error
-    return [None if math.isnan(label) else label for label in labels]
+    return [None if math.isnan(label) else label for label in teacher.judge(*reader.read(queries)).tolist()]
 
 
 def _label(
-    api: Api, experiment_id: str, teacher: ScriptedTeacher, sight: Sight, queries: Sequence[dict[str, Any]]
+    api: Api, experiment_id: str, teacher: ScriptedTeacher, reader: SegmentReader, queries: Sequence[dict[str, Any]]
 ) -> int:
-    """Judge and post these queries. Returns how many labels the service took."""
-    described = teacher.parameters()
+    """Judge these queries and post the labels. Returns how many the service accepted."""
+    parameters = teacher.parameters()
     batch = [
-        {"query_id": query["id"], "label": label, "order": "segments", "teacher": described}
-        for query, label in zip(queries, judge(teacher, sight, queries), strict=True)
+        {"query_id": query["id"], "label": label, "order": "segments", "teacher": parameters}
+        for query, label in zip(queries, judge(teacher, reader, queries), strict=True)
     ]
     outcomes = api.post(f"/experiments/{experiment_id}/labels", {"labels": batch})["items"]
-    # A query whose lease was lost meanwhile is refused, and comes again.
+    # A query whose lease expired meanwhile is refused, and is offered again.
     return sum(1 for outcome in outcomes if outcome["ok"] and outcome["label"]["label"] is not None)
 
 
-def _tell_of_episodes(api: Api, experiment_id: str, teacher: ScriptedTeacher, horizon_steps: int) -> None:
-    """The running mean of true episode returns, as far as there is one yet."""
+def _update_episode_return(api: Api, experiment_id: str, teacher: ScriptedTeacher, horizon_steps: int) -> None:
+    """Give the teacher the running mean of true episode returns, once there is one."""
     series = api.get(f"/experiments/{experiment_id}/metrics", names=["true_return"])["series"]
     points = [point["value"] for curve in series for point in curve["points"]][-_RETURN_POINTS:]
     if points:

@@ -1,4 +1,4 @@
-"""accord up: the service on this machine, one parent and its processes."""
+"""The subcommand `accord up`: one parent process that keeps the API and the workers running."""
 
 import os
 import socket
@@ -13,8 +13,7 @@ from rich.markup import escape
 from sqlalchemy.exc import SQLAlchemyError
 
 from accord.api.server import listen
-from accord.cli.options import Home, address_file, load_settings, url_of
-from accord.cli.output import note, on_terminal, out, say
+from accord.cli.options import Home, Port, address_file, load_settings, url_of
 from accord.domain.enums import WorkerRole
 from accord.domain.errors import AccordError, NameTaken, Unavailable
 from accord.services import accounts, experiments, workers
@@ -24,22 +23,23 @@ from accord.store.blobs import open_blobs
 from accord.store.database import Database
 from accord.workers.runner import RETRY_TEXT, Stop
 from accord.workers.supervisor import ChildSpec, Death, Supervisor
+from mapt.cli.output import log_line, on_terminal, out, print_line
 from mapt.processes import SHARED_CORES_ENVIRONMENT, follow_parent
 
-#: how often the supervisor looks after its children
+#: Time between two checks of the child processes.
 _TICK_SECONDS = 0.2
-#: frames may come late, labels and updates should not
+#: Rendering may be late; labels and policy updates should not.
 _RENDER_NICE = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """What is needed to start the processes."""
+    """What the processes are started with."""
 
-    #: with the port that was really given
+    #: with the actual port
     settings: Settings
     database: Database
-    #: listens already; the API's process inherits it
+    #: listening; the API's process inherits it
     listener: socket.socket
 
 
@@ -47,15 +47,14 @@ def up(
     *,
     home: Home = None,
     host: Annotated[str | None, typer.Option(help="Address to listen on.  [default: 127.0.0.1]")] = None,
-    port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Port to listen on; 0 takes a free one.  [default: 8000]")
-    ] = None,
-    example: Annotated[
-        bool, typer.Option(help="Make an example experiment at the first start, so that there is something to label.")
-    ] = True,
-    parent: Annotated[int, typer.Option(hidden=True, help="Pid to end with; 0 for none.")] = 0,
+    port: Port = None,
+    example: Annotated[bool, typer.Option(help="Create an example experiment at the first start.")] = True,
+    parent: Annotated[int, typer.Option(hidden=True, help="Exit when the process with this id exits; 0 for none.")] = 0,
 ) -> None:
-    """Start the service: the page, the API and the workers. Ctrl-C ends it."""
+    """Start the service: web page, API and workers.
+
+    Prints a link that signs the admin in. Ctrl-C stops the service; a second Ctrl-C stops it at once.
+    """
     stop = Stop()
     stop.install()
     follow_parent(parent)
@@ -70,39 +69,39 @@ def up(
 
 
 def announce(ready: Ready, example: bool) -> None:
-    """Print where to go, and leave the address for the other commands."""
+    """Print the sign-in link, and write the address to a file for the other commands."""
     if example:
         create_example(ready.database)
     link = sign_in_link(ready)
     address_file(ready.settings).write_text(url_of(ready.settings.host, ready.settings.port) + "\n")
-    say("[bold]Accord[/bold] is starting. Open this link to sign in:")
+    print_line("[bold]Accord[/bold] is starting. Open this link to sign in as the admin:")
     out.print(f"\n  {link}\n", markup=False)
-    say("[dim]It works once; `accord link` prints a new one. Ctrl-C ends Accord.[/dim]")
+    print_line("[dim]The link works once; `accord link` prints a new one. Ctrl-C stops Accord.[/dim]")
 
 
 def _serve(ready: Ready, stop: Stop) -> None:
-    watch, specs = Watch(ready.database), child_specs(ready)
-    watch.begin(specs)
-    supervisor = Supervisor(specs, ready.settings.home / "logs", watch.died)
-    status = out.status("starting", refresh_per_second=2) if on_terminal() else None
+    status, specs = WorkerStatus(ready.database), child_specs(ready)
+    status.reset(specs)
+    supervisor = Supervisor(specs, ready.settings.home / "logs", status.record_death)
+    spinner = out.status("starting", refresh_per_second=2) if on_terminal() else None
     try:
-        if status:
-            status.start()
+        if spinner:
+            spinner.start()
         while not stop.wait(_TICK_SECONDS):
             supervisor.tick()
-            line = watch.look()
-            if status and line:
-                status.update(escape(line))
+            line = status.poll()
+            if spinner and line:
+                spinner.update(escape(line))
     finally:
-        if status:
-            status.stop()
-        note("accord", "stopping; Ctrl-C again kills what is left")
+        if spinner:
+            spinner.stop()
+        log_line("stopping; press Ctrl-C again to kill the remaining processes", "accord")
         killed = supervisor.shutdown(stop)
-        note("accord", f"stopped; killed: {', '.join(killed)}" if killed else "stopped")
+        log_line(f"stopped; killed: {', '.join(killed)}" if killed else "stopped", "accord")
 
 
 def child_specs(ready: Ready) -> list[ChildSpec]:
-    """The API and the workers, as the settings ask for them."""
+    """The processes of the API and of the workers."""
     settings, environment = ready.settings, environment_of(ready.settings)
     api = ChildSpec(
         "api",
@@ -127,13 +126,13 @@ def child_specs(ready: Ready) -> list[ChildSpec]:
 
 
 def environment_of(settings: Settings) -> dict[str, str]:
-    """The settings as variables, for a child to read back; folders absolute."""
+    """The settings as environment variables for a child process; the home folder is absolute."""
     values = settings.model_dump() | {"home": settings.home.resolve()}
     return {f"ACCORD_{name.upper()}": str(Path(value) if name == "home" else value) for name, value in values.items()}
 
 
 EXAMPLE_NAME = "Teach the cheetah to run"
-#: first labels soon, so that a newcomer sees the policy change within minutes
+#: Few initial labels, so that a new user sees the policy change within minutes.
 EXAMPLE = ExperimentConfig(
     task="HalfCheetah-6x1",
     total_steps=1_000_000,
@@ -144,16 +143,16 @@ EXAMPLE = ExperimentConfig(
 
 
 class HomeNotWritable(Unavailable):
-    """The home folder cannot be made or written."""
+    """The home folder cannot be created or written."""
 
     code = "home_not_writable"
 
 
 def prepare(settings: Settings) -> Ready:
-    """Check the home folder, the blobs and the port; bring the database up to date.
+    """Check the home folder, the blobs and the port, and migrate the database.
 
     Raises:
-        HomeNotWritable, BlobsNotWritable, DatabaseTooNew, DatabaseUnreachable, PortInUse: a sentence with the fix.
+        HomeNotWritable, BlobsNotWritable, DatabaseTooNew, DatabaseUnreachable, PortInUse: with what to do about it.
     """
     make_home(settings)
     open_blobs(settings.resolved_blob_url).check_writable()
@@ -168,27 +167,27 @@ def prepare(settings: Settings) -> Ready:
 
 
 def make_home(settings: Settings) -> None:
-    """Make the home folder and its logs.
+    """Create the home folder and its folder of logs.
 
     Raises:
-        HomeNotWritable: if that cannot be done.
+        HomeNotWritable: if that fails.
     """
     logs = settings.home / "logs"
     try:
         logs.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise HomeNotWritable(
-            f"The home folder {settings.home} cannot be made: {error.strerror}. Choose another with --home."
+            f"The home folder {settings.home} cannot be created: {error.strerror}. Use another --home."
         ) from error
     if not os.access(logs, os.W_OK):
         raise HomeNotWritable(
-            f"The home folder {settings.home} cannot be written. Give this user the right to, "
-            "or choose another with --home."
+            f"The home folder {settings.home} is not writable by this user. "
+            "Change its permissions, or use another --home."
         )
 
 
 def sign_in_link(ready: Ready) -> str:
-    """A one-time link that signs the admin in; the admin is made at the first start."""
+    """A one-time link that signs the admin in; the admin is created at the first start."""
     with ready.database.transaction() as session:
         admin = accounts.ensure_admin(session)
         token = accounts.make_link(session, admin.id, ready.settings.link_minutes)
@@ -197,7 +196,7 @@ def sign_in_link(ready: Ready) -> str:
 
 
 def create_example(database: Database) -> bool:
-    """Make the example experiment, unless it was made before. Returns whether it was made now."""
+    """Create the example experiment unless it exists. Returns whether it was created."""
     try:
         with database.transaction() as session:
             admin = accounts.ensure_admin(session)
@@ -207,28 +206,28 @@ def create_example(database: Database) -> bool:
     return True
 
 
-_LOOK_SECONDS = 1.0
+_POLL_SECONDS = 1.0
 
 
-class Watch:
-    """Reads the workers' rows once a second, and says once what is new about a failure."""
+class WorkerStatus:
+    """Reads the workers' rows once a second, and prints each failure once."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
-        self._said: dict[str, str] = {}
-        self._next_look = 0.0
+        self._printed: dict[str, str] = {}
+        self._next_poll = 0.0
 
-    def begin(self, specs: Iterable[ChildSpec]) -> None:
-        """Count the restarts of these workers from 0."""
+    def reset(self, specs: Iterable[ChildSpec]) -> None:
+        """Set the number of restarts of these workers to 0."""
         with self._database.transaction() as session:
             for spec in specs:
                 if spec.role:
                     workers.report(session, spec.name, WorkerRole(spec.role), 0, "starting", restarts=0)
 
-    def died(self, death: Death) -> None:
-        """Print a death and write it on the worker's row, where the page finds it."""
-        note(death.name, death.description)
-        self._said[death.name] = death.description
+    def record_death(self, death: Death) -> None:
+        """Print that a process died, and write it to the worker's row, which the page shows."""
+        log_line(death.description, death.name)
+        self._printed[death.name] = death.description
         if not death.role:
             return
         try:
@@ -243,29 +242,29 @@ class Watch:
                     restarts=death.restarts,
                 )
         except (AccordError, SQLAlchemyError) as error:
-            note("accord", f"The death of {death.name} could not be recorded: {error}")
+            log_line(f"The death of {death.name} could not be recorded: {error}", "accord")
 
-    def look(self) -> str | None:
-        """A line about all workers, once a second; None in between. Failures are printed when they are new."""
-        if time.monotonic() < self._next_look:
+    def poll(self) -> str | None:
+        """One line about all workers, once a second; None in between. Prints new failures."""
+        if time.monotonic() < self._next_poll:
             return None
-        self._next_look = time.monotonic() + _LOOK_SECONDS
+        self._next_poll = time.monotonic() + _POLL_SECONDS
         try:
             with self._database.reading() as session:
                 rows = [(row.id, row.state, row.detail) for row in workers.all(session)]
         except (AccordError, SQLAlchemyError) as error:
-            return f"The database does not answer: {error}"
+            return f"The database is unreachable: {error}"
         for id, state, detail in rows:
-            self._say_failure(id, state, detail)
+            self._print_failure(id, state, detail)
         return " · ".join(f"{id}: {detail if state == 'working' and detail else state}" for id, state, detail in rows)
 
-    def _say_failure(self, id: str, state: str, detail: str) -> None:
+    def _print_failure(self, id: str, state: str, detail: str) -> None:
         if state == "working":
-            self._said.pop(id, None)
+            self._printed.pop(id, None)
         if state != "backing_off":
             return
-        # The pause grows with every try; the failure is the same.
+        # Without the words about the next attempt, repeated failures are equal.
         failure = detail.partition(RETRY_TEXT)[0].strip()
-        if failure and self._said.get(id) != failure:
-            self._said[id] = failure
-            note(id, failure)
+        if failure and self._printed.get(id) != failure:
+            self._printed[id] = failure
+            log_line(failure, id)

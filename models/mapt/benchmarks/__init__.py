@@ -1,1 +1,1 @@
-"""Studies of reward models: recorded replays, the table of variants, the report on a trained model."""
+"""Benchmarks of reward models: recorded datasets, tables, figures and reports. See `mapt table` and `mapt report`."""

@@ -1,4 +1,4 @@
-"""Pairs to learn from and pairs to test on, from segments that the two never share."""
+"""Evaluate reward models on a recorded dataset: hold-out split, scripted labels, accuracy and reward agreement."""
 
 import math
 from collections.abc import Mapping
@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mapt.benchmarks.recorded_dataset import Replay
-from mapt.benchmarks.specification import Written
+from mapt.benchmarks.recorded_dataset import RecordedDataset
+from mapt.benchmarks.specification import NamedSettings
 from mapt.errors import InvalidConfig, TooFewLabels
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.teachers import ScriptedTeacher, TeacherView, make_teacher
@@ -18,33 +18,41 @@ from mapt.rewards.metrics import correlation, evaluate_logits, rank_correlation
 from mapt.rewards.model import RewardModel
 
 IntArray = NDArray[np.int64]
-#: what part of a replay is kept for testing, and the most segments
-TEST_SHARE, MOST_TEST_SEGMENTS = 0.2, 1000
+#: Fraction of a dataset's segments that is held out for testing, and the maximum number.
+TEST_FRACTION, MAX_TEST_SEGMENTS = 0.2, 1000
+#: Give up on a teacher that skips more than this many pairs per label.
+_MAX_SKIPS_PER_LABEL = 20
+#: Segments that a teacher reads at a time, so that memory does not grow with the number of labels.
+_SEGMENTS_AT_ONCE = 1000
+#: Fraction of the test segments, the newest, that counts as late.
+_LATE_FRACTION = 0.2
+#: Added to the seed, so that the teacher's random draws on test pairs differ from those on training pairs.
+_TEST_SEED_OFFSET = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """Indices of a replay's segments, each in the order they were made."""
+    """Positions of a dataset's segments, ascending."""
 
     train: IntArray
     test: IntArray
 
 
-def split_replay(n_segments: int, seed: int) -> Split:
-    """Keep some segments, drawn at random, for testing alone.
+def split_dataset(n_segments: int, seed: int) -> Split:
+    """Hold out randomly drawn segments for testing.
 
     Raises:
         InvalidConfig: with fewer than 10 segments.
     """
     if n_segments < 10:
-        raise InvalidConfig(f"a replay of {n_segments} segments is too small to split; it needs 10")
-    n_test = min(MOST_TEST_SEGMENTS, round(TEST_SHARE * n_segments))
+        raise InvalidConfig(f"A dataset of {n_segments} segments is too small to split; it needs 10.", "segments")
+    n_test = min(MAX_TEST_SEGMENTS, round(TEST_FRACTION * n_segments))
     order = np.random.default_rng([seed, 0]).permutation(n_segments)
     return Split(np.sort(order[n_test:]), np.sort(order[:n_test]))
 
 
 def random_pairs(pool: IntArray, n_pairs: int, rng: np.random.Generator) -> IntArray:
-    """(P, 2) pairs of different segments of `pool`, uniformly; a longer draw begins with the shorter one."""
+    """Pairs (P, 2) of different segments of `pool`, drawn uniformly. A longer draw starts with the shorter one."""
     first, second = rng.random((n_pairs, 2)).T
     first = (first * len(pool)).astype(np.int64)
     second = (second * (len(pool) - 1)).astype(np.int64)
@@ -53,97 +61,87 @@ def random_pairs(pool: IntArray, n_pairs: int, rng: np.random.Generator) -> IntA
 
 
 def training_pairs(n_segments: int, n_pairs: int, seed: int) -> IntArray:
-    """Pairs (P, 2) of segments to learn from."""
-    return random_pairs(split_replay(n_segments, seed).train, n_pairs, np.random.default_rng([seed, 1]))
+    """Pairs (P, 2) of training segments."""
+    return random_pairs(split_dataset(n_segments, seed).train, n_pairs, np.random.default_rng([seed, 1]))
 
 
-def fresh_pairs(n_segments: int, n_pairs: int, seed: int) -> IntArray:
-    """Pairs (P, 2) of segments to test on."""
-    return random_pairs(split_replay(n_segments, seed).test, n_pairs, np.random.default_rng([seed, 2]))
+def held_out_pairs(n_segments: int, n_pairs: int, seed: int) -> IntArray:
+    """Pairs (P, 2) of test segments."""
+    return random_pairs(split_dataset(n_segments, seed).test, n_pairs, np.random.default_rng([seed, 2]))
 
 
-#: give up on a teacher that skips more than this many pairs for each it labels
-_MOST_SKIPS_PER_LABEL = 20
-#: a teacher looks at so many segments at once, so that memory does not grow with the labels
-_SEGMENTS_AT_ONCE = 1000
-
-
-class Judge:
-    """A scripted teacher who looks at segments of one replay.
+class DatasetTeacher:
+    """A scripted teacher that labels pairs of a recorded dataset.
 
     Args:
-        teacher: a name of `teacher_names`, or one with parameters: `phase+mistake:mistake=0.05`.
-        seed: of what it does by chance.
+        teacher: a name of `teacher_names`, with parameters if wanted: `phase+mistake:mistake=0.05`.
+        seed: of its random draws.
 
     Raises:
-        UnknownTeacher, InvalidTeacher: if there is none such.
+        UnknownTeacher, InvalidTeacher: if there is no such teacher or parameter.
     """
 
-    def __init__(self, teacher: str, replay: Replay, seed: int) -> None:
-        written = Written.parse(teacher)
+    def __init__(self, teacher: str, dataset: RecordedDataset, seed: int) -> None:
+        named = NamedSettings.parse(teacher)
         self.name = teacher
-        self._teacher: ScriptedTeacher = make_teacher(written.name, seed=seed, **written.settings)
-        self._replay = replay
+        self._teacher: ScriptedTeacher = make_teacher(named.name, seed=seed, **named.settings)
+        self._dataset = dataset
 
     def parameters(self) -> Mapping[str, object]:
-        """Everything that decides its labels, fit for JSON."""
+        """Everything that determines its labels, for JSON."""
         return self._teacher.parameters()
 
     def labels(self, pairs: IntArray) -> NDArray[np.float32]:
-        """P(segment 0 preferred) of pairs (P, 2), (P,); NaN where it skips."""
+        """Labels (P,) of pairs (P, 2): P(segment 0 preferred), NaN where it skips."""
         parts = np.array_split(pairs, max(1, 2 * len(pairs) // _SEGMENTS_AT_ONCE))
         sides = ((self._evidence(part[:, 0]), self._evidence(part[:, 1])) for part in parts)
         return np.concatenate([self._teacher.judge(first, second) for first, second in sides])
 
     def scores(self, indices: IntArray) -> NDArray[np.float64]:
-        """What it judges these segments by, without mistakes or doubt, (S,)."""
+        """Scores (S,) of segments by the teacher's criterion, without its mistakes and skips."""
         parts = np.array_split(indices, max(1, len(indices) // _SEGMENTS_AT_ONCE))
         return np.concatenate([self._teacher.scores(self._evidence(part)) for part in parts])
 
     def _evidence(self, indices: IntArray) -> TeacherView:
-        """These segments, as much of them as the teacher reads."""
-        replay, reads = self._replay, self._teacher.rule.reads
-        seen: dict[str, NDArray[np.floating]] = {}
+        """The arrays of these segments that the teacher reads."""
+        dataset, reads = self._dataset, self._teacher.rule.reads
+        arrays: dict[str, NDArray[np.floating]] = {}
         if {"observations", "actions"} & set(reads):
-            segments = replay.segments(indices)
-            seen = {"observations": segments.observations, "actions": segments.actions}
-        for name, read in (("qpos", replay.source.qpos), ("qvel", replay.source.qvel)):
+            segments = dataset.segments(indices)
+            arrays = {"observations": segments.observations, "actions": segments.actions}
+        for name, read in (("qpos", dataset.source.qpos), ("qvel", dataset.source.qvel)):
             if name in reads:
-                seen[name] = read(indices)
-        return TeacherView(replay.rewards[indices], replay.mask[indices], **seen)
+                arrays[name] = read(indices)
+        return TeacherView(dataset.rewards[indices], dataset.mask[indices], **arrays)
 
 
-def labelled_dataset(judge: Judge, replay: Replay, n_labels: int, seed: int) -> PreferenceDataset:
-    """Exactly `n_labels` labelled pairs of segments to learn from; those skipped are replaced by further ones.
+def labelled_dataset(teacher: DatasetTeacher, dataset: RecordedDataset, n_labels: int, seed: int) -> PreferenceDataset:
+    """Exactly `n_labels` labelled pairs of training segments; a skipped pair is replaced by another.
 
     Raises:
-        TooFewLabels: if the teacher skips nearly everything.
+        TooFewLabels: if the teacher skips nearly every pair.
     """
     labels = np.empty(0, np.float32)
     pairs = np.empty((0, 2), np.int64)
     while (given := int(np.isfinite(labels).sum())) < n_labels:
-        if len(labels) > _MOST_SKIPS_PER_LABEL * n_labels:
-            raise TooFewLabels(judge.name, n_labels, given)
-        more = training_pairs(len(replay), len(labels) + n_labels - given, seed)[len(labels) :]
-        pairs, labels = np.concatenate((pairs, more)), np.concatenate((labels, judge.labels(more)))
+        if len(labels) > _MAX_SKIPS_PER_LABEL * n_labels:
+            raise TooFewLabels(teacher.name, n_labels, given)
+        more = training_pairs(len(dataset), len(labels) + n_labels - given, seed)[len(labels) :]
+        pairs, labels = np.concatenate((pairs, more)), np.concatenate((labels, teacher.labels(more)))
     kept = np.flatnonzero(np.isfinite(labels))
     used, positions = np.unique(pairs[kept], return_inverse=True)
-    return PreferenceDataset(replay.view(used), positions.reshape(-1, 2), labels[kept])
-
-
-#: what part of the test segments, the newest, counts as late
-LATE_SHARE = 0.2
+    return PreferenceDataset(dataset.view(used), positions.reshape(-1, 2), labels[kept])
 
 
 @dataclass(frozen=True, slots=True)
 class Predictions:
-    """What a model says of S segments."""
+    """Outputs of a model for S segments."""
 
     #: float32 (S,)
     scores: NDArray[np.float32]
     #: r-hat, float32 (S, T, N)
     agent_rewards: NDArray[np.float32]
-    #: how much each step counts, float32 (S, T)
+    #: weight of each step in the score, float32 (S, T)
     weights: NDArray[np.float32]
 
     @property
@@ -154,7 +152,7 @@ class Predictions:
 
 @torch.inference_mode()
 def predict(model: RewardModel, segments: SegmentArrays) -> Predictions:
-    """Run `model`, on the CPU, over segments, some at a time."""
+    """Run `model` on the CPU over segments, in batches."""
     arrays = (segments.observations, segments.actions, segments.mask)
     parts = zip(*(torch.as_tensor(array).split(EVALUATION_SEGMENTS) for array in arrays), strict=True)
     outputs = [model(*part) for part in parts]
@@ -165,27 +163,28 @@ def predict(model: RewardModel, segments: SegmentArrays) -> Predictions:
     )
 
 
-def preference_quality(logits: NDArray[np.floating], labels: NDArray[np.floating]) -> dict[str, float]:
+def preference_metrics(logits: NDArray[np.floating], labels: NDArray[np.floating]) -> dict[str, float]:
     """`accuracy`, `loss` (nats) and `ece` of predicted logits (P,) against labels (P,), NaN where skipped."""
     given = np.isfinite(labels)
     judged = evaluate_logits(torch.as_tensor(logits[given]).double(), torch.as_tensor(labels[given]).double())
     return {"accuracy": judged.accuracy, "loss": judged.loss, "ece": judged.calibration_error}
 
 
-def reward_quality(
+def reward_metrics(
     predictions: Predictions, true_rewards: NDArray[np.floating], mask: NDArray[np.bool_]
 ) -> dict[str, float]:
-    """Agreement with the true reward (S, T) of segments in the order they were made; mask (S, T).
+    """Correlation of learned with true rewards (S, T), for segments in the order of recording; mask (S, T).
 
     Returns:
-        `rank_correlation` of scores and true returns (Spearman), `step_correlation` of r-hat_t and the true reward
-        over all real steps (Pearson), `step_correlation_within` after taking each segment's mean away from both, and
-        `rank_correlation_late` and `step_correlation_late` over the newest fifth.
+        `rank_correlation`: Spearman correlation of scores and true returns.
+        `step_correlation`: Pearson correlation of r-hat_t and the true reward over all real steps.
+        `step_correlation_within`: the same after subtracting each segment's mean from both.
+        `rank_correlation_late`, `step_correlation_late`: over the newest fifth of the segments.
     """
     true = np.where(mask, true_rewards, 0.0)
     learned = np.where(mask, predictions.rewards, 0.0)
     returns, scores = true.sum(axis=1), predictions.scores
-    late = slice(round(len(returns) * (1 - LATE_SHARE)), None)
+    late = slice(round(len(returns) * (1 - _LATE_FRACTION)), None)
     return {
         "rank_correlation": rank_correlation(scores, returns),
         "rank_correlation_late": rank_correlation(scores[late], returns[late]),
@@ -199,49 +198,48 @@ def _centred(steps: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[np
     return steps - steps.sum(axis=1, keepdims=True) / mask.sum(axis=1, keepdims=True)
 
 
-#: added to a seed: the teacher's chance on the fresh pairs is not that on the pairs to learn from
-_FRESH_SEED = 1_000_000
-
-
 @dataclass(frozen=True, slots=True)
-class Examination:
-    """What a model says of P fresh pairs, and how good that is."""
+class ModelEvaluation:
+    """A model's predictions for P test pairs, and its metrics."""
 
-    #: `accuracy` in telling the segment that is better by what the teacher judges by; `label_accuracy`, `loss` and
-    #: `ece` against the labels it gives, with its mistakes, skips and ties; `rank_correlation_teacher` of scores with
-    #: what it judges by; those of `reward_quality`. What cannot be measured is left out
+    #: `accuracy` is against the better segment by the teacher's own scores; `label_accuracy`, `loss` and `ece` are
+    #: against the teacher's labels, mistakes included; `rank_correlation_teacher` is of the model's scores with the
+    #: teacher's; and those of `reward_metrics`. Metrics that are not finite are left out
     metrics: Mapping[str, float]
     #: score_0 - score_1, float32 (P,)
     logits: NDArray[np.float32]
-    #: the teacher's, NaN where it skips, and what it would say without chance; float32 (P,)
+    #: the teacher's labels, NaN where it skips, and its labels without randomness; float32 (P,)
     labels: NDArray[np.float32]
     clean_labels: NDArray[np.float32]
-    #: which segments of the replay, int64 (P, 2)
+    #: positions in the dataset, int64 (P, 2)
     pairs: IntArray
 
 
-def examine(model: RewardModel, replay: Replay, teacher: str, n_pairs: int, seed: int) -> Examination:
-    """Examine `model` on fresh pairs.
+def evaluate_model(
+    model: RewardModel, dataset: RecordedDataset, teacher: str, n_pairs: int, seed: int
+) -> ModelEvaluation:
+    """Evaluate `model` on pairs of held-out segments.
 
     Args:
-        teacher: see `Judge`.
-        seed: the one of the pairs that it has learned from, which decides what segments are fresh.
+        teacher: see `DatasetTeacher`.
+        seed: the seed of the model's training pairs, which decides the hold-out split.
     """
-    fresh, pairs = split_replay(len(replay), seed).test, fresh_pairs(len(replay), n_pairs, seed)
-    judge = Judge(teacher, replay, seed + _FRESH_SEED)
-    labels, judged_by = judge.labels(pairs), judge.scores(fresh)
-    predictions = predict(model, replay.segments(fresh))
-    place = np.searchsorted(fresh, pairs)
-    logits = np.subtract(*predictions.scores[place].T)
-    clean = (0.5 + 0.5 * np.sign(np.subtract(*judged_by[place].T))).astype(np.float32)
-    by_labels = preference_quality(logits, labels)
+    test = split_dataset(len(dataset), seed).test
+    pairs = held_out_pairs(len(dataset), n_pairs, seed)
+    judge = DatasetTeacher(teacher, dataset, seed + _TEST_SEED_OFFSET)
+    labels, teacher_scores = judge.labels(pairs), judge.scores(test)
+    predictions = predict(model, dataset.segments(test))
+    positions = np.searchsorted(test, pairs)
+    logits = np.subtract(*predictions.scores[positions].T)
+    clean = (0.5 + 0.5 * np.sign(np.subtract(*teacher_scores[positions].T))).astype(np.float32)
+    against_labels = preference_metrics(logits, labels)
     metrics = {
-        "accuracy": preference_quality(logits, clean)["accuracy"],
-        "label_accuracy": by_labels["accuracy"],
-        "loss": by_labels["loss"],
-        "ece": by_labels["ece"],
-        "rank_correlation_teacher": rank_correlation(predictions.scores, judged_by),
-        **reward_quality(predictions, replay.rewards[fresh], replay.mask[fresh]),
+        "accuracy": preference_metrics(logits, clean)["accuracy"],
+        "label_accuracy": against_labels["accuracy"],
+        "loss": against_labels["loss"],
+        "ece": against_labels["ece"],
+        "rank_correlation_teacher": rank_correlation(predictions.scores, teacher_scores),
+        **reward_metrics(predictions, dataset.rewards[test], dataset.mask[test]),
     }
-    measured = {name: value for name, value in metrics.items() if math.isfinite(value)}
-    return Examination(measured, logits, labels, clean, pairs)
+    finite = {name: value for name, value in metrics.items() if math.isfinite(value)}
+    return ModelEvaluation(finite, logits, labels, clean, pairs)

@@ -1,4 +1,7 @@
-"""One cell of a table: a model trained on so many labels of one teacher, with one seed, and what came of it."""
+"""Results of `mapt table`: their settings, how one is computed in a worker process, and how they are stored.
+
+A cell is a model trained on a number of labels of one teacher with one seed, and its evaluation.
+"""
 
 import hashlib
 import json
@@ -14,9 +17,9 @@ from safetensors.numpy import load_file, save
 
 import mapt.preferences
 import mapt.rewards
-from mapt.benchmarks.evaluate import Examination, Judge, examine, labelled_dataset, split_replay
-from mapt.benchmarks.recorded_dataset import Replay
-from mapt.benchmarks.specification import Written
+from mapt.benchmarks.evaluate import DatasetTeacher, ModelEvaluation, evaluate_model, labelled_dataset, split_dataset
+from mapt.benchmarks.recorded_dataset import RecordedDataset
+from mapt.benchmarks.specification import NamedSettings
 from mapt.errors import DamagedCell, InvalidConfig
 from mapt.io import atomic_write
 from mapt.preferences.storage import SegmentLayout
@@ -26,95 +29,106 @@ from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
 from mapt.rewards.model import RewardModel
 from mapt.rewards.trainer import TrainedReward, train_reward_model
 
+FORMAT_VERSION = 1
+#: Prefix of a training setting; other settings of a model are its network's.
+TRAINING_PREFIX = "train."
+_ARRAYS = ("logits", "labels", "clean_labels", "pairs")
+_FINGERPRINT_LENGTH = 12
+#: Characters that are not allowed in folder names everywhere.
+_NOT_IN_PATHS = re.compile(r"[^\w.+=-]")
+
 
 @dataclass(frozen=True, slots=True)
 class CellSettings:
-    """Everything that decides a cell, but for the code."""
+    """Everything that determines a cell except the code."""
 
     task: str
-    #: fingerprint of the replay that pairs are drawn from
+    #: fingerprint of the recorded dataset; the field's name is part of stored keys
     replay: str
-    #: the model as the table calls it
+    #: the model's name in the table
     model: str
     network: Mapping[str, object]
     training: Mapping[str, object]
     teacher: str
     teacher_parameters: Mapping[str, object]
     labels: int
-    #: of the replay's split, the pairs, the teacher's chance, the network's start and the training
+    #: of the hold-out split, the pairs, the teacher, the network's initial weights and the training
     seed: int
-    #: fresh pairs it is tested on
+    #: number of test pairs
     test_pairs: int
 
     @property
     def key(self) -> str:
-        """A name that only these settings have."""
+        """A hash of the settings."""
         text = json.dumps(asdict(self), sort_keys=True, allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
     def to_dict(self) -> dict[str, object]:
-        """Plain values, fit for JSON."""
+        """Plain values for JSON."""
         return asdict(self)
 
 
 def run_cell(
     settings: CellSettings,
-    replay: Replay,
+    dataset: RecordedDataset,
     stop: Callable[[], bool] | None = None,
     keep: Callable[[TrainedReward], None] | None = None,
-) -> Examination | None:
-    """Have pairs labelled, train, examine. None if `stop` came true; else `keep` is given what was trained.
+) -> ModelEvaluation | None:
+    """Label pairs, train the model and evaluate it.
 
-    Beside those of `Examination`, the metrics have of the training: `train_holdout_accuracy`, `train_holdout_loss`,
-    `train_epochs`, `parameters`, `seconds` and `cpu_seconds`.
+    Besides those of `ModelEvaluation`, the metrics are `train_holdout_accuracy`, `train_holdout_loss`, `train_epochs`,
+    `parameters`, `seconds` and `cpu_seconds`.
+
+    Args:
+        stop: true stops the training.
+        keep: called with the trained model.
+
+    Returns:
+        None if the training was stopped.
     """
-    dataset = labelled_dataset(Judge(settings.teacher, replay, settings.seed), replay, settings.labels, settings.seed)
+    teacher = DatasetTeacher(settings.teacher, dataset, settings.seed)
+    labelled = labelled_dataset(teacher, dataset, settings.labels, settings.seed)
     started, started_cpu = time.perf_counter(), time.process_time()
     network, training = RewardConfig.from_dict(settings.network), TrainConfig.from_dict(settings.training)
-    trained = train_reward_model(dataset, network, training, stop=stop)
+    trained = train_reward_model(labelled, network, training, stop=stop)
     seconds, cpu_seconds = time.perf_counter() - started, time.process_time() - started_cpu
     if trained.metrics["stopped"]:
         return None
     if keep is not None:
         keep(trained)
-    examined = examine(trained.model, replay, settings.teacher, settings.test_pairs, settings.seed)
-    kept = ("holdout_accuracy", "holdout_loss", "epochs")
-    of_training = {f"train_{name}": trained.metrics[name] for name in kept if name in trained.metrics}
+    evaluation = evaluate_model(trained.model, dataset, settings.teacher, settings.test_pairs, settings.seed)
+    copied = ("holdout_accuracy", "holdout_loss", "epochs")
+    of_training = {f"train_{name}": trained.metrics[name] for name in copied if name in trained.metrics}
     cost = {"parameters": float(count_parameters(trained.model)), "seconds": seconds, "cpu_seconds": cpu_seconds}
-    return replace(examined, metrics={**examined.metrics, **of_training, **cost})
+    return replace(evaluation, metrics={**evaluation.metrics, **of_training, **cost})
 
 
 def count_parameters(model: RewardModel) -> int:
-    """Numbers that training can move."""
+    """Number of trainable parameters."""
     return sum(parameter.numel() for parameter in model.parameters() if parameter.requires_grad)
-
-
-FORMAT_VERSION = 1
-_ARRAYS = ("logits", "labels", "clean_labels", "pairs")
-_KEY_LENGTH_SHOWN = 12
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A finished cell."""
+    """A stored result."""
 
     settings: CellSettings
-    result: Examination
-    #: which state of the library's code made it, see `code_fingerprint`
+    result: ModelEvaluation
+    #: `code_fingerprint` of the code that computed it
     code: str
 
 
 class CellFolder:
-    """One JSON file and one of arrays for each cell, named by the key of its settings."""
+    """Stores each cell as a JSON file and a safetensors file, named by the key of its settings."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder
 
     def read(self, settings: CellSettings) -> Cell | None:
-        """The cell of exactly these settings, or None if it was not made yet.
+        """The cell with exactly these settings; None if there is none.
 
         Raises:
-            DamagedCell: if its files are not as they were written.
+            DamagedCell: if its files cannot be read.
         """
         card_path, arrays_path = self._paths(settings)
         if not card_path.exists():
@@ -123,15 +137,15 @@ class CellFolder:
             card = json.loads(card_path.read_text())
             arrays = load_file(arrays_path)
             if card["format_version"] != FORMAT_VERSION:
-                raise DamagedCell(card_path, f"its format is {card['format_version']}, known is {FORMAT_VERSION}")
+                raise DamagedCell(card_path, f"its format is {card['format_version']}, supported is {FORMAT_VERSION}")
             if card["settings"] != json.loads(json.dumps(settings.to_dict())):
-                raise DamagedCell(card_path, "its settings are not those of its name")
-            return Cell(settings, Examination(card["metrics"], *(arrays[name] for name in _ARRAYS)), card["code"])
+                raise DamagedCell(card_path, "its settings do not match its name")
+            return Cell(settings, ModelEvaluation(card["metrics"], *(arrays[name] for name in _ARRAYS)), card["code"])
         except (json.JSONDecodeError, KeyError, TypeError, OSError, SafetensorError) as error:
             raise DamagedCell(card_path, f"{type(error).__name__}: {error}") from error
 
-    def write(self, settings: CellSettings, result: Examination, code: str) -> None:
-        """Keep a cell; its card comes last and whole, so that a kill leaves no half of one."""
+    def write(self, settings: CellSettings, result: ModelEvaluation, code: str) -> None:
+        """Store a cell. The JSON file is written last, so that a killed process leaves no incomplete cell."""
         self.path.mkdir(parents=True, exist_ok=True)
         card_path, arrays_path = self._paths(settings)
         card = {
@@ -149,95 +163,81 @@ class CellFolder:
 
 @cache
 def code_fingerprint() -> str:
-    """A short name for the state of the code that trains and judges.
+    """A short hash of the code that trains and labels, as loaded by this process.
 
-    It is recorded with a cell, and no part of its key: a corrected docstring would else undo a night's work. The
-    table says when its cells come from several states.
+    It is stored with a cell but is not part of its key, so that an edited docstring does not invalidate a night's
+    results. The table says if its cells were computed by several versions of the code.
     """
     digest = hashlib.sha256()
     for package in (mapt.preferences, mapt.rewards):
         for path in sorted(Path(package.__path__[0]).rglob("*.py")):
             digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:_KEY_LENGTH_SHOWN]
+    return digest.hexdigest()[:_FINGERPRINT_LENGTH]
 
 
 @dataclass(frozen=True, slots=True)
 class CellJob:
-    """A cell to make."""
+    """A cell to compute."""
 
     settings: CellSettings
-    #: folder of the replay it is made from
-    replay: Path
-    #: where the trained model is kept; None lets it go
+    #: folder of the recorded dataset
+    dataset: Path
+    #: folder for the trained model; None does not save it
     model: Path | None = None
 
 
 def make_cell(cells: Path, job: CellJob, parent: ParentConnection) -> None:
-    """Make a cell into the folder `cells`, unless it is no longer wanted; `run_jobs` has a worker do it."""
-    replay, code = Replay.open(job.replay), _code()
-    result = run_cell(job.settings, replay, parent.cancelled, partial(_keep, job.model, replay.source.n_steps))
+    """Compute a cell in a worker of `run_jobs` and store it in `cells`, unless the parent cancels the job."""
+    dataset, code = RecordedDataset.open(job.dataset), code_fingerprint()
+    result = run_cell(job.settings, dataset, parent.cancelled, partial(_save_model, job.model, dataset.source.n_steps))
     if result is not None:
         CellFolder(cells).write(job.settings, result, code)
 
 
-@cache
-def _code() -> str:
-    """Of the files as the worker that calls this first has loaded them."""
-    return code_fingerprint()
-
-
-def _keep(folder: Path | None, segment_steps: int, trained: TrainedReward) -> None:
+def _save_model(folder: Path | None, segment_steps: int, trained: TrainedReward) -> None:
     if folder is not None:
         save_reward_model(trained.model, trained.metrics, segment_steps=segment_steps).write(folder)
 
 
-#: before a setting of the training; all others are the network's
-TRAINING_PREFIX = "train."
-
-
 def network_of(model: str, preset: PresetName, segments: SegmentLayout) -> RewardConfig:
-    """The network of `model` for segments of these dimensions.
+    """The network of a model for segments of these dimensions.
 
     Args:
-        model: a name of `MODEL_NAMES`, or one with settings: `MAPT:markov_path=false`.
+        model: a name of `MODEL_NAMES`, with settings if wanted: `MAPT:markov_path=false`.
 
     Raises:
         InvalidConfig: if there is no such model, or a setting is unknown or out of its range.
     """
-    written = Written.parse(model)
+    specified = NamedSettings.parse(model)
     named = RewardConfig.named(
-        written.name,
+        specified.name,
         preset,
         observation_dim=segments.observation_dim,
         action_dim=segments.action_dim,
         n_agents=segments.n_agents,
         discrete_actions=segments.discrete,
     )
-    own = {key: value for key, value in written.settings.items() if not key.startswith(TRAINING_PREFIX)}
+    own = {key: value for key, value in specified.settings.items() if not key.startswith(TRAINING_PREFIX)}
     return RewardConfig.from_dict(named.to_dict() | own)
 
 
 def training_of(model: str, preset: PresetName, seed: int, device: str) -> TrainConfig:
-    """The training of `model`: the preset's, but for its settings after `train.`, as in `MAPT:train.lr=1e-3`.
+    """The training of a model: the preset's, with the settings after `train.`, as in `MAPT:train.lr=1e-3`.
 
     Raises:
         InvalidConfig: if a setting is unknown or out of its range.
     """
     own = {
         key.removeprefix(TRAINING_PREFIX): value
-        for key, value in Written.parse(model).settings.items()
+        for key, value in NamedSettings.parse(model).settings.items()
         if key.startswith(TRAINING_PREFIX)
     }
     return TrainConfig.from_dict(TrainConfig.preset(preset).to_dict() | own | {"seed": seed, "device": device})
 
 
-#: what is not fit for a folder's name everywhere
-_NO_PATH = re.compile(r"[^\w.+=-]")
-
-
 @dataclass(frozen=True, slots=True)
 class TablePlan:
-    """A table: every model with every teacher, number of labels and seed."""
+    """The cells of a table: every combination of models, teachers, numbers of labels and seeds."""
 
     task: str
     models: tuple[str, ...]
@@ -245,60 +245,64 @@ class TablePlan:
     labels: tuple[int, ...]
     seeds: tuple[int, ...]
     preset: PresetName
-    #: fresh pairs each cell is tested on
+    #: number of test pairs of each cell
     test_pairs: int
     #: as in `TrainConfig`
     device: str
-    #: the model that the others are tested against
+    #: the model that the others are compared with
     baseline: str
 
     def __post_init__(self) -> None:
         for name in ("models", "teachers", "labels", "seeds"):
             values = getattr(self, name)
             if not values or len(set(values)) != len(values):
-                raise InvalidConfig(f"{name} must be at least one, each once; got {', '.join(map(str, values))!r}")
+                listed = ", ".join(map(str, values))
+                raise InvalidConfig(f"{name} must have at least one value and no repeats; got {listed!r}.", name)
         if min(self.labels) < 2 or min(self.seeds) < 0 or self.test_pairs < 1:
-            raise InvalidConfig("labels must be 2 or more, seeds 0 or more, test pairs 1 or more")
+            raise InvalidConfig("labels must be 2 or more, seeds 0 or more, test pairs 1 or more.")
         if self.baseline not in self.models:
-            raise InvalidConfig(f"the baseline {self.baseline!r} is none of the models: {', '.join(self.models)}")
+            known = ", ".join(self.models)
+            raise InvalidConfig(f"The baseline {self.baseline!r} is not one of the models: {known}.", "baseline")
 
 
-def replay_folder(root: Path, seed: int) -> Path:
-    """Where the replay of a seed lies among those of a study."""
+def dataset_folder(root: Path, seed: int) -> Path:
+    """The folder of a seed's recorded dataset."""
     return root / f"seed-{seed}"
 
 
 def model_folder(root: Path, settings: CellSettings) -> Path:
-    """Where the model of a cell is kept: a name to read, and one that only these settings have."""
-    words = f"{settings.model}-{settings.teacher}-{settings.labels}-seed-{settings.seed}"
-    return root / f"{_NO_PATH.sub('_', words)}-{settings.key[:8]}"
+    """The folder of a cell's trained model: a readable name with the start of the cell's key."""
+    name = f"{settings.model}-{settings.teacher}-{settings.labels}-seed-{settings.seed}"
+    return root / f"{_NOT_IN_PATHS.sub('_', name)}-{settings.key[:8]}"
 
 
-def table_jobs(plan: TablePlan, replays: Mapping[int, Replay], models: Path | None = None) -> list[CellJob]:
-    """Every cell of `plan`: few labels first, so that a table that is not finished can be read.
+def table_jobs(plan: TablePlan, datasets: Mapping[int, RecordedDataset], models: Path | None = None) -> list[CellJob]:
+    """The cells of `plan`, few labels first, so that an unfinished table is useful.
 
     Args:
-        replays: one of the task for each seed.
-        models: folder to keep the trained models in; None lets them go.
+        datasets: recorded datasets of the task by seed.
+        models: folder for the trained models; None does not save them.
 
     Raises:
-        InvalidConfig, UnknownTeacher, InvalidTeacher: if a model, teacher or setting is unknown, or a
-            replay does not fit.
+        InvalidConfig, UnknownTeacher, InvalidTeacher: if a model, teacher or setting is unknown, or a dataset is of
+            another task.
     """
-    for replay in replays.values():
-        if replay.origin.get("task") != plan.task:
-            raise InvalidConfig(f"the replay in {replay.path} is of {replay.origin.get('task')}, not of {plan.task}")
-        split_replay(len(replay), 0)
-    fingerprints = {seed: replay.fingerprint() for seed, replay in replays.items()}
+    for dataset in datasets.values():
+        if dataset.origin.get("task") != plan.task:
+            raise InvalidConfig(
+                f"The dataset in {dataset.path} is of {dataset.origin.get('task')}, not of {plan.task}.", "task"
+            )
+        split_dataset(len(dataset), 0)
+    fingerprints = {seed: dataset.fingerprint() for seed, dataset in datasets.items()}
     cells = [
         CellSettings(
             task=plan.task,
             replay=fingerprints[seed],
             model=model,
-            network=network_of(model, plan.preset, replays[seed].source.layout).to_dict(),
-            training=_from_scratch(training_of(model, plan.preset, seed, plan.device)),
+            network=network_of(model, plan.preset, datasets[seed].source.layout).to_dict(),
+            training=_without_warm_start(training_of(model, plan.preset, seed, plan.device)),
             teacher=teacher,
-            teacher_parameters=Judge(teacher, replays[seed], seed).parameters(),
+            teacher_parameters=DatasetTeacher(teacher, datasets[seed], seed).parameters(),
             labels=labels,
             seed=seed,
             test_pairs=plan.test_pairs,
@@ -309,10 +313,11 @@ def table_jobs(plan: TablePlan, replays: Mapping[int, Replay], models: Path | No
         for model in plan.models
     ]
     return [
-        CellJob(cell, replays[cell.seed].path, None if models is None else model_folder(models, cell)) for cell in cells
+        CellJob(cell, datasets[cell.seed].path, None if models is None else model_folder(models, cell))
+        for cell in cells
     ]
 
 
-def _from_scratch(training: TrainConfig) -> dict[str, object]:
-    # No cell goes on from another: what a warm start does decides nothing of it.
+def _without_warm_start(training: TrainConfig) -> dict[str, object]:
+    # Every cell is trained from scratch, so that settings of warm starts do not affect it.
     return {name: value for name, value in training.to_dict().items() if not name.startswith("warm_")}

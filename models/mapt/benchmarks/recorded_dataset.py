@@ -1,4 +1,7 @@
-"""A recorded replay: segments of a policy's training with true rewards and simulator states, as they were made."""
+"""Recorded datasets: segments of a policy's training, with true rewards and simulator states, for benchmarks.
+
+Written by `mapt dataset`.
+"""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
@@ -24,24 +27,24 @@ _BYTES_AT_ONCE = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Replay:
-    """S segments of T steps, in the order they were made; observations, actions and states stay on disk."""
+class RecordedDataset:
+    """S segments of T steps in the order of recording. Observations, actions and states stay on disk."""
 
     path: Path
     source: SegmentFolder
-    #: the task's own reward, float64 (S, T), 0 in the padding
+    #: true rewards, float64 (S, T), 0 on padding
     rewards: NDArray[np.float64]
-    #: bool (S, T), true where the step is real
+    #: bool (S, T), true for real steps
     mask: NDArray[np.bool_]
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open the replay in a folder, one of `SegmentFolder`.
+        """Open the dataset in a folder, in the format of `SegmentFolder`.
 
         Raises:
             ReplayNotFound: if there is none.
-            NoTrueRewards: if its segments were kept without.
-            FileError: if it is not whole.
+            NoTrueRewards: if its segments have no true rewards.
+            FileError: if it is incomplete.
         """
         if not (path / MANIFEST).is_file():
             raise ReplayNotFound(path)
@@ -65,15 +68,15 @@ class Replay:
         return self.rewards.sum(axis=1)
 
     def segments(self, indices: ArrayLike) -> SegmentArrays:
-        """What a reward model sees of the segments at `indices`, in that order, read into memory."""
+        """The segments at `indices`, in that order, read into memory."""
         return self.source.take(indices)
 
     def view(self, indices: ArrayLike) -> "SegmentView":
-        """The segments at `indices` as a source of their own, which stays on disk."""
+        """The segments at `indices` as a `SegmentSource`; they stay on disk."""
         return SegmentView(self.source, np.asarray(indices, dtype=np.int64))
 
     def fingerprint(self) -> str:
-        """SHA-256 of every number in it: two replays with the same fingerprint are the same. Reads all its files."""
+        """SHA-256 of all its arrays. Reads all its files."""
         digest = hashlib.sha256()
         for name, column in sorted(self.source.layout.columns.items()):
             digest.update(f"{name} {column} {len(self)}\n".encode())
@@ -87,7 +90,7 @@ class Replay:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SegmentView:
-    """Some segments of a source, as a `SegmentSource`."""
+    """A subset of a source's segments, as a `SegmentSource`."""
 
     source: SegmentSource
     #: int64 (S,)
@@ -129,34 +132,34 @@ Number = TypeVar("Number", bound=np.floating)
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What to record."""
+    """Settings of a recording."""
 
     task: str
     #: environment steps of the policy's training
     policy_steps: int
     #: T, at most the steps of one rollout
     segment_steps: int
-    #: how many segments to keep, spread evenly over the training
+    #: number of segments, spread evenly over the training
     segments: int
     seed: int
 
 
-def record_replay(
+def record_dataset(
     recording: Recording,
     path: Path,
     progress: Callable[[int, float], None] | None = None,
     *,
     physics_threads: int = 0,
-) -> Replay:
-    """Train a team on the true reward and keep segments of every rollout, cut as the service cuts them.
+) -> RecordedDataset:
+    """Train a policy on the true reward and record segments of every rollout, cut as the service cuts them.
 
-    They go to disk as they come: memory does not grow with their number. At the end the trained team plays some
-    episodes, which are kept whole in `episodes_path`.
+    Segments are written to disk immediately: memory does not grow with their number. At the end, `EPISODES` whole
+    episodes of the trained policy are recorded in `episodes_path`.
 
     Args:
-        path: of the new folder.
-        progress: called after each rollout with the steps so far and the mean true reward of a step.
-        physics_threads: as `n_threads` of `make_task`; nothing that is recorded depends on it.
+        path: the folder to create.
+        progress: called after each rollout with the steps so far and the mean true reward per step.
+        physics_threads: `n_threads` of `make_task`; it does not affect what is recorded.
 
     Raises:
         InvalidConfig: if a number is out of its range.
@@ -165,9 +168,12 @@ def record_replay(
     """
     config = PolicyConfig(seed=recording.seed, device="cpu")
     if not 1 <= recording.segment_steps <= config.rollout_steps:
-        raise InvalidConfig(f"segments of {recording.segment_steps} steps; a rollout has {config.rollout_steps}")
+        raise InvalidConfig(
+            f"segment_steps is {recording.segment_steps}; it must be 1 to {config.rollout_steps}, a rollout's steps.",
+            "segment_steps",
+        )
     if recording.segments < 1 or recording.policy_steps < 1:
-        raise InvalidConfig("segments and policy steps must be 1 or more")
+        raise InvalidConfig("segments and steps must be 1 or more.")
     rng = np.random.default_rng([recording.seed, 3])
     about = asdict(recording) | {"policy": config.to_dict()}
     task = make_task(recording.task, config.n_envs, n_threads=physics_threads)
@@ -186,16 +192,16 @@ def record_replay(
         record_episodes(recording.task, learner.policy, episodes_path(path), recording.seed)
     finally:
         task.close()
-    return Replay.open(path)
+    return RecordedDataset.open(path)
 
 
 def episodes_path(replay: Path) -> Path:
-    """Where whole episodes of a replay's trained team lie: a folder of segments as long as the task's horizon."""
+    """The folder of whole episodes of the trained policy: segments as long as the task's horizon."""
     return replay / "episodes"
 
 
 def record_episodes(task_name: str, policy: Policy, path: Path, seed: int) -> None:
-    """Play `EPISODES` episodes with draws of the policy, each to its end or the task's horizon."""
+    """Record `EPISODES` episodes with sampled actions, each until its end or the task's horizon."""
     task = make_task(task_name, EPISODES)
     try:
         length = task.spec.horizon_steps
@@ -219,7 +225,7 @@ def record_episodes(task_name: str, policy: Policy, path: Path, seed: int) -> No
 
 
 def layout_of(spec: TaskSpec, n_steps: int) -> SegmentLayout:
-    """How segments of this task are kept."""
+    """The storage layout of this task's segments."""
     return SegmentLayout(
         n_steps=n_steps,
         n_agents=spec.n_agents,
@@ -233,13 +239,13 @@ def layout_of(spec: TaskSpec, n_steps: int) -> SegmentLayout:
 
 
 def draw_places(rollout: Rollout, n_steps: int, count: int, rng: np.random.Generator) -> list[StepRange]:
-    """At most `count` segments drawn at random, in the order they were made; see `cut`."""
+    """At most `count` randomly drawn segments, in chronological order; see `cut_rollout`."""
     chosen = cut_rollout(rollout.episode_start, rollout.terminated, n_steps, rng)[: max(0, count)]
     return sorted(chosen, key=lambda place: (place.first, place.env))
 
 
 def append(writer: SegmentWriter, rollout: Rollout, chosen: Sequence[StepRange]) -> None:
-    """Write these parts of a rollout, short ones padded with zeros."""
+    """Write these parts of a rollout as segments; short ones are padded with zeros."""
     if not chosen:
         return
     lead = len(chosen), writer.layout.n_steps
@@ -258,32 +264,32 @@ def append(writer: SegmentWriter, rollout: Rollout, chosen: Sequence[StepRange])
 
 
 @dataclass(frozen=True, slots=True)
-class ReplayJob:
-    """A replay to record."""
+class RecordingJob:
+    """A dataset to record."""
 
     recording: Recording
-    #: where it will lie
+    #: the folder to create
     folder: Path
-    #: as `n_threads` of `make_task`
+    #: `n_threads` of `make_task`
     physics_threads: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingProgress:
-    """How far a recording is."""
+    """Progress of a recording."""
 
-    #: of the policy's training
+    #: environment steps of the training so far
     steps: int
-    #: mean true reward of a step in the newest rollout
+    #: mean true reward per step in the newest rollout
     reward: float
 
 
-def make_replay(job: ReplayJob, parent: ParentConnection) -> None:
-    """`record_replay` by a worker of `run_jobs`, which is told a `RecordingProgress` after each rollout.
+def run_recording(job: RecordingJob, parent: ParentConnection) -> None:
+    """`record_dataset` in a worker of `run_jobs`; sends a `RecordingProgress` after each rollout.
 
     Raises:
-        RecordingStopped: if the parent asked to stop, or is gone.
-        See `record_replay` for what else.
+        RecordingStopped: if the parent cancels the job, or has ended.
+        See `record_dataset` for other errors.
     """
 
     def tell(steps: int, reward: float) -> None:
@@ -291,4 +297,4 @@ def make_replay(job: ReplayJob, parent: ParentConnection) -> None:
         if parent.cancelled():
             raise RecordingStopped(job.folder)
 
-    record_replay(job.recording, job.folder, tell, physics_threads=job.physics_threads)
+    record_dataset(job.recording, job.folder, tell, physics_threads=job.physics_threads)

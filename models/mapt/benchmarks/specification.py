@@ -1,74 +1,51 @@
-"""What is written on a command line: settings as KEY=VALUE, lists with commas, and models and teachers as NAME, or
-NAME:setting=value:setting=value."""
+"""Parse comma-separated lists, and names with settings: NAME:KEY=VALUE:KEY=VALUE."""
 
-import json
 from dataclasses import dataclass
 
 from mapt.errors import InvalidConfig
+from mapt.settings import parse_assignments
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
-    """A name and the settings in which something differs from what usually has it."""
+class NamedSettings:
+    """A name and the settings that it overrides, such as `MAPT:tpa=false:hidden_dim=128`."""
 
     name: str
     settings: dict[str, object]
 
     @classmethod
-    def parse(cls, text: str) -> "Written":
-        """Read a text such as `MAPT:tpa=false:hidden_dim=128`.
+    def parse(cls, text: str) -> "NamedSettings":
+        """Parse NAME:KEY=VALUE:KEY=VALUE.
 
         Raises:
-            InvalidConfig: if a part is no setting=value.
+            InvalidConfig: if a part after the name is not KEY=VALUE.
         """
         name, *parts = text.strip().split(":")
-        settings: dict[str, object] = {}
-        for part in parts:
-            try:
-                key, value = setting(part)
-            except InvalidConfig as error:
-                raise InvalidConfig(f"{error} in {text!r}; one looks like hidden_dim=128") from error
-            settings[key] = value
-        return cls(name, settings)
+        return cls(name, parse_assignments(parts))
 
 
-def setting(text: str) -> tuple[str, object]:
-    """Key and value of KEY=VALUE: a number, true, false, null or a list as JSON writes them, or else a word.
+def parse_list(option: str, text: str) -> tuple[str, ...]:
+    """The parts of a comma-separated list.
 
     Raises:
-        InvalidConfig: if it is none.
-    """
-    name, equals, value = text.strip().partition("=")
-    if not name or not equals:
-        raise InvalidConfig(f"{text!r} is no KEY=VALUE")
-    try:
-        return name, json.loads(value)
-    except ValueError:
-        return name, value
-
-
-def words(option: str, text: str) -> tuple[str, ...]:
-    """The parts of a list with commas.
-
-    Raises:
-        InvalidConfig: if one is empty or comes twice.
+        InvalidConfig: if a part is empty or repeated.
     """
     parts = tuple(part.strip() for part in text.split(","))
     if not all(parts) or len(set(parts)) != len(parts):
-        raise InvalidConfig(f"{option} {text!r} must name at least one, each once, with commas between")
+        raise InvalidConfig(f"{option} {text!r} must be a comma-separated list without empty or repeated values.")
     return parts
 
 
-def numbers(option: str, text: str, least: int) -> tuple[int, ...]:
-    """The whole numbers of a list with commas.
+def parse_numbers(option: str, text: str, minimum: int) -> tuple[int, ...]:
+    """The integers of a comma-separated list.
 
     Raises:
-        InvalidConfig: if one is no number, too small, or comes twice.
+        InvalidConfig: if a part is not an integer, is less than `minimum` or is repeated.
     """
     try:
-        parts = tuple(int(part) for part in words(option, text))
+        parts = tuple(int(part) for part in parse_list(option, text))
     except ValueError as error:
-        raise InvalidConfig(f"{option} {text!r} is no list of numbers; it looks like 0,1,2") from error
-    if min(parts) < least or len(set(parts)) != len(parts):
-        raise InvalidConfig(f"{option} {text!r}: each must be {least} or more, and come once")
+        raise InvalidConfig(f"{option} {text!r} must be a comma-separated list of integers, such as 0,1,2.") from error
+    if min(parts) < minimum or len(set(parts)) != len(parts):
+        raise InvalidConfig(f"{option} {text!r}: each value must be {minimum} or more, without repeats.")
     return parts

@@ -1,4 +1,4 @@
-"""mapt dataset: record replays to draw preferences from."""
+"""The subcommands `mapt dataset`, `mapt table` and `mapt report`."""
 
 import time
 from collections.abc import Sequence
@@ -7,144 +7,166 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mapt.benchmarks.figures import draw_table
-from mapt.benchmarks.job import CellFolder, CellJob, TablePlan, code_fingerprint, make_cell, replay_folder, table_jobs
-from mapt.benchmarks.recorded_dataset import Recording, RecordingProgress, Replay, ReplayJob, make_replay
+from mapt.benchmarks.job import CellFolder, CellJob, TablePlan, code_fingerprint, dataset_folder, make_cell, table_jobs
+from mapt.benchmarks.recorded_dataset import RecordedDataset, Recording, RecordingJob, RecordingProgress, run_recording
 from mapt.benchmarks.report import ReportPlan, make_report
-from mapt.benchmarks.specification import numbers, words
-from mapt.benchmarks.tables import Summary, markdown, summarise, write_cells, write_comparisons
-from mapt.cli.options import PolicySteps, Preset, Seeds, Segments, SegmentSteps, Task, Workers
-from mapt.cli.output import Bars, complain, note, on_terminal, out, say
+from mapt.benchmarks.specification import parse_list, parse_numbers
+from mapt.benchmarks.tables import Summary, markdown, rows, summarise, write_cells, write_comparisons
+from mapt.cli.options import (
+    Device,
+    Json,
+    LabelCounts,
+    Models,
+    Output,
+    Preset,
+    Seeds,
+    Segments,
+    SegmentSteps,
+    Steps,
+    Task,
+    Teacher,
+    Teachers,
+    TestPairs,
+    Workers,
+)
+from mapt.cli.output import ProgressBars, log_line, print_error, print_json, print_paths
 from mapt.errors import InvalidConfig
 from mapt.processes import cores_per_job, parallel_jobs, run_jobs
 from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model
 from mapt.rewards.config import MODEL_NAMES
 from mapt.rewards.model import RewardModel
 
-_NOTED_SHARE = 0.25
+_LOG_EVERY = 0.25
+_ALL_MODELS = ",".join(MODEL_NAMES)
 
 
 def dataset(
     *,
-    output: Annotated[Path, typer.Option(help="Folder of the replays: one folder in it for each seed.")],
+    output: Output,
     task: Task = "HalfCheetah-6x1",
     seeds: Seeds = "0",
-    policy_steps: PolicySteps = 800_000,
+    steps: Steps = 800_000,
     segment_steps: SegmentSteps = 50,
     segments: Segments = 6000,
     workers: Workers = 0,
 ) -> None:
-    """Train a team on the true reward and keep segments of its whole training."""
-    recordings = [Recording(task, policy_steps, segment_steps, segments, seed) for seed in numbers("--seeds", seeds, 0)]
+    """Record a dataset of segments per seed.
+
+    Trains a policy on the true reward and records segments throughout the training, with true rewards and simulator
+    states, for scripted teachers to label. Each seed has its own folder, such as OUTPUT/seed-0.
+    """
+    recordings = [Recording(task, steps, segment_steps, segments, seed) for seed in parse_numbers("--seeds", seeds, 0)]
     record_all(recordings, output, workers)
 
 
-def record_all(recordings: Sequence[Recording], root: Path, workers: int) -> None:
-    """Record replays, `workers` of them at once, with a bar for each.
+def record_all(recordings: Sequence[Recording], root: Path, workers: int, *, quiet: bool = False) -> None:
+    """Record datasets in parallel, with a progress bar for each.
 
     Raises:
-        typer.Exit: if one could not be recorded; the others are.
+        typer.Exit: if any of them failed; the others are recorded.
     """
     n_workers = parallel_jobs(workers, len(recordings))
     threads = cores_per_job(n_workers)
-    jobs = [ReplayJob(recording, replay_folder(root, recording.seed), threads) for recording in recordings]
+    jobs = [RecordingJob(recording, dataset_folder(root, recording.seed), threads) for recording in recordings]
     failed = False
-    with Bars(_NOTED_SHARE) as bars:
+    with ProgressBars(_LOG_EVERY, hidden=quiet) as bars:
 
-        def begin(job: ReplayJob) -> None:
-            bars.begin(job, _name(job), job.recording.policy_steps)
+        def start(job: RecordingJob) -> None:
+            bars.add(job, _name(job), job.recording.policy_steps)
 
-        def tell(job: ReplayJob, news: RecordingProgress) -> None:
-            bars.show(job, news.steps, f"true reward of a step {news.reward:.2f}")
+        def update(job: RecordingJob, progress: RecordingProgress) -> None:
+            bars.update(job, progress.steps, f"mean true reward {progress.reward:.2f}")
 
-        for done in run_jobs(make_replay, jobs, n_workers, on_start=begin, on_message=tell):
-            bars.end(done.job)
+        for done in run_jobs(run_recording, jobs, n_workers, on_start=start, on_message=update):
+            bars.stop(done.job)
             if done.failure is not None:
                 failed = True
-                complain(f"{_name(done.job)}: {done.failure}")
-                continue
-            replay = Replay.open(done.job.folder)
-            note(f"{_name(done.job)}: {len(replay):,} segments of {replay.source.n_steps} steps in {replay.path}")
+                print_error(f"{_name(done.job)}: {done.failure}")
+            elif not quiet:
+                found = RecordedDataset.open(done.job.folder)
+                log_line(f"{_name(done.job)}: {len(found):,} segments of {found.source.n_steps} steps in {found.path}")
     if failed:
         raise typer.Exit(2)
 
 
-def _name(job: ReplayJob) -> str:
-    return f"replay, seed {job.recording.seed}"
+def _name(job: RecordingJob) -> str:
+    return f"dataset, seed {job.recording.seed}"
 
 
 def table(
     *,
-    output: Annotated[
-        Path, typer.Option(help="Folder of table.md, cells.csv, comparisons.csv, table.png and the finished cells.")
-    ],
+    output: Output,
     task: Task = "HalfCheetah-6x1",
-    models: Annotated[
-        str,
-        typer.Option(help="Models, with commas between; NAME:setting=value differs from NAME in a setting."),
-    ] = ",".join(MODEL_NAMES),
-    teachers: Annotated[str, typer.Option(help="Scripted teachers, with commas between.")] = "oracle",
-    labels: Annotated[str, typer.Option(help="Numbers of labels, with commas between.")] = "500,2000,10000",
+    models: Models = _ALL_MODELS,
+    teachers: Teachers = "oracle",
+    labels: LabelCounts = "500,2000,10000",
     seeds: Seeds = "0,1,2",
     baseline: Annotated[
         str | None,
-        typer.Option(help="Model that the others are tested against.  [default: MA-MLP, or the first model]"),
+        typer.Option(help="Model to compare the others with.  [default: MA-MLP, or the first model]"),
     ] = None,
-    replay: Annotated[
+    datasets: Annotated[
         Path | None,
-        typer.Option(help="Folder of replays, as `mapt dataset` leaves it.  [default: replays, in the output folder]"),
+        typer.Option(help="Folder written by `mapt dataset`.  [default: datasets, in the output folder]"),
     ] = None,
-    preset: Annotated[Preset, typer.Option(help="Size of the networks and their training.")] = Preset.SMALL,
+    preset: Annotated[Preset, typer.Option(help="Size of the networks and length of their training.")] = Preset.SMALL,
     segment_steps: SegmentSteps = 50,
-    policy_steps: PolicySteps = 800_000,
+    steps: Steps = 800_000,
     segments: Segments = 6000,
-    test_pairs: Annotated[int, typer.Option(min=1, help="Fresh pairs that each cell is tested on.")] = 4000,
-    device: Annotated[str, typer.Option(help="Where models are trained: cpu, cuda or auto.")] = "cpu",
+    test_pairs: TestPairs = 4000,
+    device: Device = "cpu",
     workers: Workers = 0,
     keep_models: Annotated[
-        bool, typer.Option("--keep-models", help="Keep every trained model in models, in the output folder.")
+        bool, typer.Option("--keep-models", help="Save every trained model in OUTPUT/models.")
     ] = False,
     same_code: Annotated[
-        bool, typer.Option("--same-code", help="Make cells anew that another state of the code made.")
+        bool, typer.Option("--same-code", help="Recompute results that another version of the code produced.")
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Make no cell: write the table of those that are finished.")
+        bool, typer.Option("--dry-run", help="Train nothing; write the table of the results there are.")
     ] = False,
+    as_json: Json = False,
 ) -> None:
-    """Train every model on every number of labels of every teacher, and compare them on fresh pairs.
+    """Compare reward models on recorded datasets.
 
-    A run that was ended goes on where it was when the same command is given again.
+    Trains every model for every teacher, number of labels and seed, and tests it on pairs of held-out segments. In
+    --models, NAME:KEY=VALUE overrides a setting of the network and NAME:train.KEY=VALUE one of its training. Missing
+    datasets are recorded first. Rerun the command to resume.
     """
-    names = words("--models", models)
+    names = parse_list("--models", models)
     plan = TablePlan(
         task=task,
         models=names,
-        teachers=words("--teachers", teachers),
-        labels=numbers("--labels", labels, 2),
-        seeds=numbers("--seeds", seeds, 0),
+        teachers=parse_list("--teachers", teachers),
+        labels=parse_numbers("--labels", labels, 2),
+        seeds=parse_numbers("--seeds", seeds, 0),
         preset=preset.value,
         test_pairs=test_pairs,
         device=device,
         baseline=baseline or ("MA-MLP" if "MA-MLP" in names else names[0]),
     )
-    root = replay or output / "replays"
-    recordings = [Recording(task, policy_steps, segment_steps, segments, seed) for seed in plan.seeds]
-    jobs = table_jobs(plan, _replays(recordings, root, workers), output / "models" if keep_models else None)
+    root = datasets or _default_datasets(output)
+    recordings = [Recording(task, steps, segment_steps, segments, seed) for seed in plan.seeds]
+    found = _datasets(recordings, root, workers, quiet=as_json)
+    jobs = table_jobs(plan, found, output / "models" if keep_models else None)
     folder = CellFolder(output / "cells")
     if not dry_run:
-        _make(jobs, folder, workers, same_code)
+        _train_all(jobs, folder, workers, same_code, quiet=as_json)
     summary = summarise(plan, [cell for job in jobs if (cell := folder.read(job.settings)) is not None])
-    for path in write(summary, output):
-        say(f"[dim]{path}[/dim]")
+    paths = write(summary, output)
+    if as_json:
+        print_json(rows(summary))
+    else:
+        print_paths(*paths)
     if summary.missing and not dry_run:
-        complain(f"{summary.missing} cells are missing; the same command makes them.")
+        print_error(f"{summary.missing} results are missing. Rerun the command to compute them.")
         raise typer.Exit(1)
 
 
 def write(summary: Summary, output: Path) -> list[Path]:
-    """Write the table in all its forms. Returns their paths."""
+    """Write table.md, cells.csv, comparisons.csv and table.png; returns their paths."""
     output.mkdir(parents=True, exist_ok=True)
     paths = [output / name for name in ("table.md", "cells.csv", "comparisons.csv", "table.png")]
     paths[0].write_text(markdown(summary))
@@ -154,37 +176,44 @@ def write(summary: Summary, output: Path) -> list[Path]:
     return paths
 
 
-def _replays(recordings: Sequence[Recording], root: Path, workers: int) -> dict[int, Replay]:
-    """The replays that are there, and the others recorded now."""
-    absent = [recording for recording in recordings if not replay_folder(root, recording.seed).exists()]
-    record_all(absent, root, workers)
-    return {recording.seed: Replay.open(replay_folder(root, recording.seed)) for recording in recordings}
+def _default_datasets(output: Path) -> Path:
+    """The folder of datasets in the output folder; earlier versions named it `replays`."""
+    earlier = output / "replays"
+    return earlier if earlier.exists() else output / "datasets"
 
 
-def _make(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: bool) -> None:
+def _datasets(recordings: Sequence[Recording], root: Path, workers: int, *, quiet: bool) -> dict[int, RecordedDataset]:
+    """Datasets by seed; those that do not exist are recorded."""
+    absent = [recording for recording in recordings if not dataset_folder(root, recording.seed).exists()]
+    record_all(absent, root, workers, quiet=quiet)
+    return {recording.seed: RecordedDataset.open(dataset_folder(root, recording.seed)) for recording in recordings}
+
+
+def _train_all(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: bool, *, quiet: bool) -> None:
+    """Compute the results that are missing, in parallel."""
     wanted = [job for job in jobs if not _finished(job, folder, same_code)]
-    n_workers = parallel_jobs(workers, len(wanted))
-    note(f"{len(jobs)} cells, {len(jobs) - len(wanted)} of them finished; {n_workers} at once")
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(
-        *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=out, disable=not on_terminal()
-    ) as progress:
-        bar = progress.add_task("cells", total=len(jobs), completed=len(jobs) - len(wanted))
-        started: dict[str, float] = {}
-        make = partial(make_cell, folder.path)
+    n_workers, n_done = parallel_jobs(workers, len(wanted)), len(jobs) - len(wanted)
+    if not quiet:
+        log_line(f"{len(jobs)} models to train, {n_done} of them done; {n_workers} in parallel")
+    started: dict[str, float] = {}
+    # Each finished model logs a line of its own.
+    with ProgressBars(log_every=2.0, hidden=quiet) as bars:
+        bars.add("models", "models", len(jobs), n_done)
+        train = partial(make_cell, folder.path)
         for done in run_jobs(
-            make, wanted, n_workers, on_start=lambda job: started.update({job.settings.key: time.time()})
+            train, wanted, n_workers, on_start=lambda job: started.update({job.settings.key: time.time()})
         ):
             settings = done.job.settings
             name = f"{settings.model}, {settings.teacher}, {settings.labels:,} labels, seed {settings.seed}"
             if done.failure:
-                complain(f"{name}: {done.failure}")
+                print_error(f"{name}: {done.failure}")
                 continue
-            progress.advance(bar)
+            n_done += 1
+            bars.update("models", n_done, f"{n_done}/{len(jobs)}")
             cell = folder.read(settings)
-            if cell is not None:
+            if cell is not None and not quiet:
                 seconds = time.time() - started[settings.key]
-                note(f"{name}: accuracy {cell.result.metrics.get('accuracy', float('nan')):.4f}, {seconds:.0f} s")
+                log_line(f"{name}: accuracy {cell.result.metrics.get('accuracy', float('nan')):.4f}, {seconds:.0f} s")
 
 
 def _finished(job: CellJob, folder: CellFolder, same_code: bool) -> bool:
@@ -197,40 +226,41 @@ def _finished(job: CellJob, folder: CellFolder, same_code: bool) -> bool:
 def report(
     checkpoints: Annotated[
         list[str],
-        typer.Argument(help=f"Folders of {WEIGHTS_FILE} and {CARD_FILE}; NAME=FOLDER gives a model a name."),
+        typer.Argument(help=f"Folders with {WEIGHTS_FILE} and {CARD_FILE}; NAME=FOLDER names a model."),
     ],
     *,
-    replay: Annotated[Path, typer.Option(help="Folder of one replay, such as seed-0 of `mapt dataset`.")],
-    output: Annotated[Path, typer.Option(help="Folder of report.html, report.json and the pictures.")],
-    teacher: Annotated[str, typer.Option(help="Scripted teacher who labels pairs for the calibration.")] = "oracle",
-    pairs: Annotated[int, typer.Option(min=1, help="Pairs that it labels.")] = 4000,
+    dataset: Annotated[Path, typer.Option(help="One recorded dataset, such as seed-0 written by `mapt dataset`.")],
+    output: Output,
+    teacher: Teacher = "oracle",
+    test_pairs: TestPairs = 4000,
     seed: Annotated[
         int | None,
-        typer.Option(
-            min=0, help="Take only segments that no cell of `mapt table` with this seed learns from.  [default: all]"
-        ),
+        typer.Option(min=0, help="Use only the segments that `mapt table` holds out for this seed.  [default: all]"),
     ] = None,
 ) -> None:
-    """Show learned beside true rewards, what the attentions look at, and how sure the model may be."""
+    """Describe trained reward models in an HTML report.
+
+    Plots learned and true rewards, attention weights and calibration, and writes report.html, report.json and the
+    figures.
+    """
     models = load_models(checkpoints)
-    for path in make_report(models, Replay.open(replay), ReportPlan(teacher, pairs, seed), output):
-        say(f"[dim]{path}[/dim]")
+    print_paths(*make_report(models, RecordedDataset.open(dataset), ReportPlan(teacher, test_pairs, seed), output))
 
 
 def load_models(checkpoints: list[str]) -> dict[str, RewardModel]:
-    """Models by name.
+    """Reward models by name, from `FOLDER` or `NAME=FOLDER`.
 
     Raises:
-        InvalidConfig: if two have the same name.
+        InvalidConfig: if two models have the same name.
         CheckpointError: if one cannot be read.
     """
     models: dict[str, RewardModel] = {}
     for text in checkpoints:
-        # A folder's own name may hold an equals sign.
+        # A folder's own name may contain an equals sign.
         name, equals, folder = ("", "", text) if Path(text).is_dir() else text.partition("=")
         path = Path(folder if equals or not name else text)
         name = name if equals else path.name
         if name in models:
-            raise InvalidConfig(f"two models are called {name!r}; give them names: NAME=FOLDER")
+            raise InvalidConfig(f"Two models are named {name!r}. Name them: NAME=FOLDER.")
         models[name] = load_reward_model(path / WEIGHTS_FILE, path / CARD_FILE).model
     return models

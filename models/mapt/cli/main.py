@@ -1,36 +1,23 @@
-"""Commands put together, and what a failure looks like: one sentence, status 2, no traceback."""
+"""The command `mapt`: its subcommands, and how errors end it."""
 
-import sys
-
-import typer
-
-from mapt.cli import benchmarks, results, tasks, train
-from mapt.cli.output import complain
+from mapt.cli.app import LazyCommand, make_app, run_app
 from mapt.errors import MaptError
 
-app = typer.Typer(
-    name="mapt",
-    help="Learn rewards of teams of agents from preferences, train policies, and see how good they are.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+app = make_app(
+    "mapt",
+    "Train multi-agent policies and preference-based reward models, and compare them.",
+    {
+        "tasks": LazyCommand("mapt.cli.tasks", "tasks", "List the tasks."),
+        "train": LazyCommand("mapt.cli.train", "train", "Train a policy per seed, evaluate it and record a video."),
+        "evaluate": LazyCommand("mapt.cli.results", "evaluate", "Evaluate a trained policy by the true reward."),
+        "curves": LazyCommand("mapt.cli.results", "curves", "Plot and tabulate the true return of runs."),
+        "dataset": LazyCommand("mapt.cli.benchmarks", "dataset", "Record a dataset of segments per seed."),
+        "table": LazyCommand("mapt.cli.benchmarks", "table", "Compare reward models on recorded datasets."),
+        "report": LazyCommand("mapt.cli.benchmarks", "report", "Describe trained reward models in an HTML report."),
+    },
 )
-app.command("tasks")(tasks.tasks)
-app.command("train")(train.train)
-app.command("evaluate")(results.evaluate)
-app.command("curves")(results.curves)
-app.command("dataset")(benchmarks.dataset)
-app.command("table")(benchmarks.table)
-app.command("report")(benchmarks.report)
 
 
 def main() -> None:
-    """The entry point of the script `mapt`."""
-    try:
-        app()
-    except MaptError as error:
-        complain(str(error))
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    """Entry point of the script `mapt`."""
+    run_app(app, "mapt", (MaptError,))

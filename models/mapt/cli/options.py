@@ -1,25 +1,48 @@
-"""Options that several commands share."""
+"""Options of the commands `mapt` and `accord`: each is declared once, so that it has one name and one meaning."""
 
 from enum import StrEnum
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, get_args
 
 import typer
 
-Task = Annotated[str, typer.Option(help="Task by name.")]
-Seeds = Annotated[str, typer.Option(help="Seeds, with commas between; each has a replay of its own.")]
+from mapt.policies import Algorithm as AlgorithmName
+from mapt.preferences.teachers import teacher_names
+
+AgentObsk = Annotated[
+    int, typer.Option("--agent-obsk", min=0, help="How many joints away an agent observes; MuJoCo tasks only.")
+]
+Algorithm = Annotated[str, typer.Option(help=f"Policy algorithm: {', '.join(get_args(AlgorithmName))}.")]
+Device = Annotated[str, typer.Option(help="Device of the networks: cpu, cuda or auto.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+LabelCounts = Annotated[str, typer.Option("--labels", help="Comma-separated numbers of labels.")]
+Models = Annotated[str, typer.Option(help="Comma-separated reward models.")]
+Output = Annotated[Path, typer.Option(help="Folder for the results.")]
+PolicySettings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="A policy setting, such as clip=0.2 or hidden=[64,64]; repeatable."
+    ),
+]
+Seeds = Annotated[str, typer.Option(help="Comma-separated random seeds.")]
 SegmentSteps = Annotated[int, typer.Option(min=1, help="Steps of a segment, T.")]
-PolicySteps = Annotated[
-    int, typer.Option(min=1, help="Environment steps of the policy's training from which segments are kept.")
+Segments = Annotated[int, typer.Option(min=10, help="Segments to record per seed, spread over the training.")]
+Steps = Annotated[int, typer.Option(min=1, help="Environment steps to train each policy for.")]
+Task = Annotated[str, typer.Option(help="Task name; `mapt tasks` lists them.")]
+Teacher = Annotated[
+    str,
+    typer.Option(
+        help=f"Scripted teacher: {', '.join(teacher_names())}. RULE+PRESET combines two, such as phase+mistake; "
+        "NAME:KEY=VALUE sets a parameter, such as mistake:mistake=0.05."
+    ),
 ]
-Device = Annotated[str, typer.Option(help="Where the networks are: cpu, cuda or auto.")]
-Workers = Annotated[
-    int, typer.Option(min=0, help="How many at once, each in a process of its own; 0 for one per core.")
-]
-Segments = Annotated[int, typer.Option(min=10, help="Segments to keep of each replay, spread over the training.")]
+Teachers = Annotated[str, typer.Option(help="Comma-separated scripted teachers; NAME:KEY=VALUE sets a parameter.")]
+TestPairs = Annotated[int, typer.Option(min=1, help="Pairs of segments to test each model on.")]
+Workers = Annotated[int, typer.Option(min=0, help="Parallel worker processes; 0 for one per core.")]
 
 
 class Preset(StrEnum):
-    """Size of a network and its training."""
+    """Size of a reward model and length of its training."""
 
     SMALL = "small"
     PAPER = "paper"

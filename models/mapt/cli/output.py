@@ -1,5 +1,9 @@
-"""What the commands print: plain lines where the output is no terminal."""
+"""What the commands `mapt` and `accord` print: lines, errors, JSON and progress bars.
 
+Where stdout is not a terminal, output is plain text and progress is logged as lines.
+"""
+
+import json
 import sys
 from collections.abc import Hashable
 from dataclasses import dataclass
@@ -11,49 +15,57 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from mapt.training.evaluation import Evaluation
-from mapt.training.metrics import Metrics
-from mapt.training.run import RunJob, RunReport
-
-#: what was asked for
 out = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 100)
-#: what went wrong
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
-def say(text: str) -> None:
-    """A line of rich markup."""
+def print_line(text: str) -> None:
+    """Print a line of rich markup."""
     out.print(text)
 
 
-def note(text: str) -> None:
-    """A line of a long run: the time, and what. No markup."""
+def print_paths(*paths: object) -> None:
+    """Print the files that a command wrote, one on a line."""
+    for path in paths:
+        out.print(f"[dim]{escape(str(path))}[/dim]")
+
+
+def print_json(value: object) -> None:
+    """Print JSON; NaN and infinities become null."""
+    out.print_json(json.dumps(_finite(value)), highlight=False)
+
+
+def log_line(text: str, source: str = "") -> None:
+    """Print a line with the time and, if given, its source. `text` is not markup."""
     now = datetime.now().astimezone().strftime("%H:%M:%S")
-    out.print(f"[dim]{now}[/dim] {escape(text)}")
+    out.print(f"[dim]{now}[/dim] " + (f"[bold]{escape(source)}[/bold] " if source else "") + escape(text))
 
 
-def complain(text: str) -> None:
-    """An error: one sentence."""
-    err.print(f"[bold red]mapt:[/bold red] {escape(text)}")
+def print_error(text: str, program: str = "mapt") -> None:
+    """Print an error on stderr, after the program's name."""
+    err.print(f"[bold red]{program}:[/bold red] {escape(text)}")
 
 
 def on_terminal() -> bool:
+    """Whether stdout is a terminal."""
     return sys.stdout.isatty()
 
 
-class Bars:
-    """A bar for each of several works, as they begin.
+class ProgressBars:
+    """Progress bars of several jobs.
 
     Args:
-        noted_share: without a terminal, a line each time so much more of a work is done.
+        log_every: where stdout is not a terminal, log a line whenever this fraction more of a job is done.
+        hidden: draw and log nothing, as under `--json`.
     """
 
-    def __init__(self, noted_share: float) -> None:
+    def __init__(self, log_every: float = 0.1, *, hidden: bool = False) -> None:
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"))
         self._progress = Progress(
-            *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=out, disable=not on_terminal()
+            *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=out, disable=hidden or not on_terminal()
         )
-        self._noted_share = noted_share
+        self._log_every = log_every
+        self._logs = not hidden and not on_terminal()
         self._bars: dict[Hashable, _Bar] = {}
 
     def __enter__(self) -> Self:
@@ -65,70 +77,40 @@ class Bars:
     ) -> None:
         self._progress.stop()
 
-    def begin(self, work: Hashable, name: str, total: float) -> None:
-        self._bars[work] = _Bar(name, total, self._progress.add_task(name, total=total, state=""))
+    def add(self, job: Hashable, name: str, total: float, done: float = 0.0) -> None:
+        """Add the bar of a job."""
+        bar = self._progress.add_task(name, total=total, state="")
+        self._progress.update(bar, completed=done)
+        self._bars[job] = _Bar(name, total, bar, logged=done / total if total else 0.0)
 
-    def show(self, work: Hashable, done: float, state: str) -> None:
-        """Say how much of a work is done, and in a few words what that is like."""
-        bar = self._bars[work]
-        share = min(1.0, done / bar.total)
-        self._progress.update(bar.drawn, completed=share * bar.total, state=state)
-        if not on_terminal() and share >= bar.noted + self._noted_share:
-            bar.noted = share
-            note(f"{bar.name}: {share:.0%}, {state}")
+    def update(self, job: Hashable, done: float, state: str = "") -> None:
+        """Set how much of a job is done, and the words beside its bar."""
+        bar = self._bars[job]
+        fraction = min(1.0, done / bar.total) if bar.total else 1.0
+        self._progress.update(bar.id, completed=fraction * bar.total, state=state)
+        if self._logs and fraction >= bar.logged + self._log_every:
+            bar.logged = fraction
+            log_line(f"{bar.name}: {fraction:.0%}" + (f", {state}" if state else ""))
 
-    def end(self, work: Hashable) -> None:
-        self._progress.stop_task(self._bars[work].drawn)
+    def stop(self, job: Hashable) -> None:
+        """Stop the clock of a job's bar."""
+        self._progress.stop_task(self._bars[job].id)
 
 
 @dataclass(slots=True)
 class _Bar:
     name: str
     total: float
-    drawn: TaskID
-    #: share of the work that was last told of in a line
-    noted: float = 0.0
+    id: TaskID
+    #: fraction of the job at the last logged line
+    logged: float
 
 
-class RunBars:
-    """One bar for each run that was begun."""
-
-    def __init__(self, bars: Bars) -> None:
-        self._bars = bars
-        #: how a run's newest episodes ended, in words
-        self._returns: dict[RunJob, str] = {}
-
-    def begin(self, job: RunJob) -> None:
-        self._bars.begin(job, _name(job), job.settings.steps)
-
-    def tell(self, job: RunJob, news: RunReport) -> None:
-        if isinstance(news, str):
-            note(f"{_name(job)}: {news}")
-        else:
-            self._bars.show(job, float(news["steps"]), self._state(job, news))
-
-    def end(self, job: RunJob, evaluation: Evaluation | None) -> None:
-        """Say what the run's final policy did, if it came to that."""
-        self._bars.end(job)
-        if evaluation is not None:
-            note(f"seed {job.settings.policy.seed}: {sentence(evaluation)}; {job.folder}")
-
-    def _state(self, job: RunJob, metrics: Metrics) -> str:
-        # In most iterations no episode ends.
-        if "true_return" in metrics:
-            self._returns[job] = f"true return {float(metrics['true_return']):,.0f}, "
-        return f"{self._returns.get(job, '')}{float(metrics['steps_per_second']):,.0f} steps/s"
-
-
-def sentence(evaluation: Evaluation) -> str:
-    """What the episodes of an evaluation were like."""
-    found = evaluation.summary()
-    return (
-        f"true return {found['mean']:,.1f} ± {found['std']:,.1f} (interquartile mean {found['iqm']:,.1f}) "
-        f"over {len(evaluation.returns)} episodes of {found['length']:,.0f} steps"
-    )
-
-
-def _name(job: RunJob) -> str:
-    settings = job.settings
-    return f"{settings.task}, {settings.policy.algorithm}, seed {settings.policy.seed}"
+def _finite(value: object) -> object:
+    if isinstance(value, float):
+        return value if abs(value) < float("inf") else None
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(inner) for inner in value]
+    return value

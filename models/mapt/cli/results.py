@@ -1,67 +1,79 @@
-"""mapt evaluate: what a trained policy gets."""
+"""The subcommands `mapt evaluate` and `mapt curves`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from mapt.benchmarks.specification import numbers
-from mapt.cli.options import Device
-from mapt.cli.output import out, say, sentence
+from mapt.benchmarks.specification import parse_numbers
+from mapt.cli.options import Device, Json
+from mapt.cli.output import print_json, print_line, print_paths
 from mapt.training.curves import draw_curves
 from mapt.training.evaluation import EPISODES, evaluate_policy
-from mapt.training.results import RunResult, find_runs, grouped, markdown
+from mapt.training.results import RunResult, find_runs, grouped, markdown, returns_table
 from mapt.training.run_folder import load_policy
 from mapt.training.video import record_video
 
 
 def evaluate(
-    run: Annotated[Path, typer.Argument(help="Folder of a run, or a checkpoint of a policy.")],
+    run: Annotated[Path, typer.Argument(help="Run folder, or a policy checkpoint.")],
     *,
-    episodes: Annotated[int, typer.Option(min=1, help="Whole episodes to play.")] = EPISODES,
-    seed: Annotated[int, typer.Option(min=0, help="Decides their starts.")] = 0,
+    episodes: Annotated[int, typer.Option(min=1, help="Number of whole episodes.")] = EPISODES,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the initial states.")] = 0,
     agent_obsk: Annotated[
-        int | None, typer.Option(min=0, help="How many joints away an agent sees.  [default: what the run says, or 1]")
+        int | None,
+        typer.Option(min=0, help="How many joints away an agent observes.  [default: as in run.json, or 1]"),
     ] = None,
     device: Device = "auto",
-    video: Annotated[Path | None, typer.Option(help="Film an episode too, to this mp4.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, with every episode.")] = False,
+    video: Annotated[Path | None, typer.Option(help="Record one episode to this mp4 file.")] = None,
+    as_json: Json = False,
 ) -> None:
-    """Play whole episodes with mean actions: mean, spread and interquartile mean of the true return."""
+    """Evaluate a trained policy by the true reward.
+
+    The policy acts by its mean actions. Prints mean, standard deviation and interquartile mean of the return.
+    """
     saved = load_policy(run, device, agent_obsk)
     evaluation = evaluate_policy(saved.policy, saved.task, agent_obsk=saved.agent_obsk, episodes=episodes, seed=seed)
     about = {"task": saved.task, "algorithm": saved.algorithm, "steps": saved.steps}
     if as_json:
-        out.print_json(json.dumps(about | evaluation.to_dict()), highlight=False)
+        print_json(about | evaluation.to_dict())
     else:
-        say(f"{saved.task}, {saved.algorithm} after {saved.steps:,} steps: {sentence(evaluation)}")
+        print_line(f"{saved.task}, {saved.algorithm} after {saved.steps:,} steps: {evaluation.describe()}")
     if video is not None:
         record_video(saved.policy, saved.task, video, agent_obsk=saved.agent_obsk, seed=seed)
         if not as_json:
-            say(f"[dim]{video}[/dim]")
+            print_paths(video)
 
 
 def curves(
-    runs: Annotated[list[Path], typer.Argument(help="Folders of runs, or folders that hold such.")],
+    runs: Annotated[list[Path], typer.Argument(help="Run folders, or folders that contain runs at any depth.")],
     *,
-    output: Annotated[Path, typer.Option(help="The picture, as png, pdf or svg.")],
-    table: Annotated[Path | None, typer.Option(help="Markdown table to write beside it.")] = None,
-    steps: Annotated[
+    output: Annotated[Path, typer.Option(help="Image to write: png, pdf or svg.")],
+    table: Annotated[Path | None, typer.Option(help="Markdown table to write as well.")] = None,
+    milestones: Annotated[
         str | None,
         typer.Option(
-            help="Steps that the table tells of, with commas between; `--evaluate-every` of `mapt train` makes them.  "
+            help="Comma-separated environment steps to tabulate; `mapt train --evaluate-every` evaluates at them.  "
             "[default: the last evaluation]"
         ),
     ] = None,
+    as_json: Json = False,
 ) -> None:
-    """Draw true return over steps, mean and spread over seeds, for each task, algorithm and reward."""
-    milestones = numbers("--steps", steps, 1) if steps else ()
+    """Plot and tabulate the true return of runs.
+
+    Runs that differ only in their seed form one line: mean and standard deviation over seeds. Reads the runs of
+    `mapt train` and `accord demo`.
+    """
+    steps = parse_numbers("--milestones", milestones, 1) if milestones else ()
     groups = grouped([RunResult.read(folder) for folder in find_runs(runs)])
+    written = [output]
     output.parent.mkdir(parents=True, exist_ok=True)
     draw_curves(groups, output)
-    say(f"[dim]{output}[/dim]")
     if table is not None:
         table.parent.mkdir(parents=True, exist_ok=True)
-        table.write_text(markdown(groups, milestones))
-        say(f"[dim]{table}[/dim]")
+        table.write_text(markdown(groups, steps))
+        written.append(table)
+    if as_json:
+        print_json(returns_table(groups, steps))
+    else:
+        print_paths(*written)

@@ -1,18 +1,32 @@
-"""mapt tasks: what there is to learn."""
+"""The subcommand `tasks` of both `mapt` and `accord`."""
 
-from typing import Annotated
-
-import typer
-
-from mapt.cli.output import out
-from mapt.tasks.registry import DEFAULT_AGENT_OBSK, task_listing
+from mapt.cli.options import AgentObsk, Json
+from mapt.cli.output import out, print_json
+from mapt.tasks.registry import DEFAULT_AGENT_OBSK, task_listing, task_names, task_spec
 
 
-def tasks(
-    *,
-    agent_obsk: Annotated[
-        int, typer.Option(min=0, help="How many joints away an agent sees; observations grow with it.")
-    ] = DEFAULT_AGENT_OBSK,
-) -> None:
-    """List every task: agents N, observation C, action A of an agent, and steps of an episode."""
-    out.print(task_listing(agent_obsk), markup=False)
+def tasks(*, agent_obsk: AgentObsk = DEFAULT_AGENT_OBSK, as_json: Json = False) -> None:
+    """List the tasks.
+
+    The columns are the number of agents N, the size of an agent's observation C and action A, the steps of an
+    episode, the size of the simulator's state and the seconds of a step.
+    """
+    if not as_json:
+        out.print(task_listing(agent_obsk), markup=False)
+        return
+    specs = [task_spec(name, agent_obsk=agent_obsk) for name in task_names()]
+    print_json(
+        [
+            {
+                "name": spec.name,
+                "agents": spec.n_agents,
+                "observation_dim": spec.observation_dim,
+                "action_dim": spec.action_dim,
+                "discrete_actions": spec.discrete_actions,
+                "horizon_steps": spec.horizon_steps,
+                "state_dim": spec.state_dim,
+                "step_seconds": spec.step_seconds,
+            }
+            for spec in specs
+        ]
+    )

@@ -1,4 +1,4 @@
-"""mapt train: a policy from its first step to its video, without the service."""
+"""The subcommand `mapt train`."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -7,90 +7,86 @@ from typing import Annotated, get_args
 
 import typer
 
-from mapt.benchmarks.specification import numbers, setting
-from mapt.cli.options import Device, Task, Workers
-from mapt.cli.output import Bars, RunBars, complain
+from mapt.benchmarks.specification import parse_numbers
+from mapt.cli.options import AgentObsk, Algorithm, Device, Output, PolicySettings, Seeds, Steps, Task, Workers
+from mapt.cli.output import ProgressBars, log_line, print_error
 from mapt.errors import InvalidConfig
-from mapt.policies import Algorithm, PolicyConfig
+from mapt.policies import PolicyConfig
 from mapt.processes import JobResult, cores_per_job, parallel_jobs, run_jobs, stop_requests
 from mapt.rewards.checkpoints import load_reward_model
 from mapt.rewards.model import PolicyReward
-from mapt.rewards.relabelling import Credit
+from mapt.settings import parse_assignments
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 from mapt.training.evaluation import Evaluation
+from mapt.training.metrics import Metrics
 from mapt.training.reward_source import reward_files
-from mapt.training.run import RunJob, do_run, do_run_in_worker
+from mapt.training.run import RunJob, RunReport, do_run, do_run_in_worker
 from mapt.training.settings import TRUE, LearnedRewardSettings, RunSettings
 
-_NOTED_SHARE = 0.1
-#: status of a command that was asked to stop
-_STOPPED = 130
-#: status of a command of which a run failed
-_FAILED = 2
-#: settings of a policy that are options of their own
+_STATUS_STOPPED = 130
+_STATUS_FAILED = 2
+#: policy settings that have options of their own
 _OPTIONS = {"algorithm", "seed", "device"}
 
 
 def train(
     *,
-    output: Annotated[Path, typer.Option(help="Folder of the runs: one folder in it for each seed.")],
+    output: Output,
     task: Task = "HalfCheetah-6x1",
-    algorithm: Annotated[str, typer.Option(help=f"One of {', '.join(get_args(Algorithm))}.")] = "mappo",
+    algorithm: Algorithm = "mappo",
     reward: Annotated[
         str,
         typer.Option(
-            help="true, or a reward model: a folder of reward.safetensors and reward.json, or a .safetensors file with "
-            "its .json beside it. When it is replaced, the next rollout gets the new one."
+            help="true for the task's own reward, or a reward model: a folder with reward.safetensors and "
+            "reward.json, or a .safetensors file with its .json beside it. When the files are replaced, the next "
+            "rollout uses the new model."
         ),
     ] = TRUE,
-    steps: Annotated[int, typer.Option(min=1, help="Environment steps of each run.")] = 1_000_000,
-    seed: Annotated[str, typer.Option(help="Seeds, with commas between; each is a run of its own.")] = "0",
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="A setting of the policy, such as clip=0.2; as often as wanted."
-        ),
-    ] = None,
-    agent_obsk: Annotated[int, typer.Option(min=0, help="How many joints away an agent sees.")] = DEFAULT_AGENT_OBSK,
+    steps: Steps = 1_000_000,
+    seeds: Seeds = "0",
+    settings: PolicySettings = None,
+    agent_obsk: AgentObsk = DEFAULT_AGENT_OBSK,
     segment_steps: Annotated[
         int | None,
-        typer.Option(min=1, help="Steps that the reward model looks back on, T.  [default: what its card says]"),
+        typer.Option(min=1, help="Segment length T of the reward model.  [default: from its reward.json]"),
     ] = None,
     policy_reward: Annotated[
-        str, typer.Option(help=f"What of the reward model the policy is given: {', '.join(get_args(PolicyReward))}.")
+        str,
+        typer.Option(help=f"Output of the reward model to train on: {', '.join(get_args(PolicyReward))}."),
     ] = "value",
     credit: Annotated[
-        str, typer.Option(help=f"{' or '.join(get_args(Credit))}: the mean learned reward for all, or each its own.")
+        str,
+        typer.Option(help="shared: every agent gets the mean learned reward; individual: each agent gets its own."),
     ] = "shared",
     evaluate_every: Annotated[
-        int, typer.Option(min=0, help="Environment steps between evaluations; 0 for one at the end alone.")
+        int, typer.Option(min=0, help="Environment steps between evaluations; 0 evaluates only at the end.")
     ] = 0,
     checkpoint_minutes: Annotated[
-        float, typer.Option(min=0, help="Minutes between checkpoints; 0 for one after every iteration.")
+        float, typer.Option(min=0, help="Minutes between checkpoints; 0 saves one after every iteration.")
     ] = 5.0,
     device: Device = "auto",
     workers: Workers = 0,
     physics_threads: Annotated[
-        int, typer.Option(min=0, help="Threads that step the task of a seed; 0 shares the cores out.")
+        int, typer.Option(min=0, help="Simulator threads per seed; 0 divides the cores among the workers.")
     ] = 0,
-    video: Annotated[bool, typer.Option(help="Make a video of the final policy.")] = True,
+    video: Annotated[bool, typer.Option(help="Record a video of the final policy.")] = True,
 ) -> None:
-    """Train a policy with each seed, measure it and film it.
+    """Train a policy per seed, evaluate it and record a video.
 
-    The same command goes on with runs that were ended; with more steps it makes finished ones longer.
+    Rerun the command to resume interrupted runs, or with more --steps to extend finished ones.
     """
-    learned = None if reward == TRUE else _learned(Path(reward), segment_steps, policy_reward, credit)
-    own = _own(settings or [])
+    learned = None if reward == TRUE else _learned_reward(Path(reward), segment_steps, policy_reward, credit)
+    own = _policy_settings(settings or [])
     runs = [
         RunSettings(
             task=task,
-            policy=PolicyConfig.named(algorithm, **own, device=device, seed=number),
+            policy=PolicyConfig.named(algorithm, **own, device=device, seed=seed),
             steps=steps,
             reward=learned,
             agent_obsk=agent_obsk,
             evaluate_every_steps=evaluate_every,
         )
-        for number in numbers("--seed", seed, 0)
+        for seed in parse_numbers("--seeds", seeds, 0)
     ]
     n_workers = parallel_jobs(workers, len(runs))
     threads = physics_threads or cores_per_job(n_workers)
@@ -98,58 +94,94 @@ def train(
     _train_all(jobs, n_workers)
 
 
-def _own(settings: Sequence[str]) -> dict[str, object]:
-    """Raises InvalidConfig."""
-    own = dict(setting(text) for text in settings)
+def _policy_settings(settings: Sequence[str]) -> dict[str, object]:
+    """Raises InvalidConfig, InvalidConfig."""
+    own = parse_assignments(settings)
     for name in _OPTIONS & own.keys():
-        raise InvalidConfig(f"--set {name}: give --{name} instead.")
+        raise InvalidConfig(f"--set {name}: use --{'seeds' if name == 'seed' else name} instead.")
     return own
 
 
-def _learned(path: Path, segment_steps: int | None, kind: str, credit: str) -> LearnedRewardSettings:
+def _learned_reward(path: Path, segment_steps: int | None, kind: str, credit: str) -> LearnedRewardSettings:
     """Raises InvalidConfig, CheckpointError."""
     steps = segment_steps or load_reward_model(*reward_files(path)).segment_steps
     if steps is None:
-        raise InvalidConfig(f"The card of {path} does not say what T was; give --segment-steps.")
-    return LearnedRewardSettings(str(path.resolve()), steps, kind, credit)  # pyright: ignore[reportArgumentType]  (checked on creation)
+        raise InvalidConfig(f"The reward.json of {path} has no segment_steps. Set --segment-steps.")
+    return LearnedRewardSettings(str(path.resolve()), steps, kind, credit)  # pyright: ignore[reportArgumentType]  (validated by the class)
 
 
 def _train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
-    """Make every run that can be made; a failure of one of several at once leaves the others be.
+    """Train every run; with several workers, a failed run does not affect the others.
 
     Raises:
-        typer.Exit: if not all were finished.
-        See `do_run` for what else, of runs in turn.
+        typer.Exit: if a run failed or was stopped.
+        MaptError: with one worker, if a run fails; see `do_run`.
     """
     n_finished = n_failed = 0
-    with Bars(_NOTED_SHARE) as drawn, stop_requests() as stopped:
-        bars = RunBars(drawn)
-        make = _make_in_turn if n_workers == 1 else partial(_make_at_once, n_workers)
-        for done in make(jobs, bars, stopped):
-            bars.end(done.job, done.result)
+    with ProgressBars() as bars, stop_requests() as stopped:
+        progress = _RunProgress(bars)
+        make = _train_in_turn if n_workers == 1 else partial(_train_in_parallel, n_workers)
+        for done in make(jobs, progress, stopped):
+            progress.finish(done.job, done.result)
             n_finished += done.result is not None
             if done.failure is not None:
                 n_failed += 1
-                complain(f"seed {done.job.settings.policy.seed}: {done.failure}")
+                print_error(f"seed {done.job.settings.policy.seed}: {done.failure}")
     if n_failed:
-        raise typer.Exit(_FAILED)
+        raise typer.Exit(_STATUS_FAILED)
     if n_finished < len(jobs):
-        complain("Stopped; the same command goes on.")
-        raise typer.Exit(_STOPPED)
+        print_error("Stopped. Rerun the command to resume.")
+        raise typer.Exit(_STATUS_STOPPED)
 
 
-def _make_in_turn(
-    jobs: Sequence[RunJob], bars: RunBars, stopped: Callable[[], bool]
+class _RunProgress:
+    """Progress bars of runs; a line with the evaluation when a run finishes."""
+
+    def __init__(self, bars: ProgressBars) -> None:
+        self._bars = bars
+        #: mean return of each run's latest episodes, as text
+        self._returns: dict[RunJob, str] = {}
+
+    def start(self, job: RunJob) -> None:
+        self._bars.add(job, _name(job), job.settings.steps)
+
+    def update(self, job: RunJob, report: RunReport) -> None:
+        if isinstance(report, str):
+            log_line(f"{_name(job)}: {report}")
+        else:
+            self._bars.update(job, float(report["steps"]), self._state(job, report))
+
+    def finish(self, job: RunJob, evaluation: Evaluation | None) -> None:
+        self._bars.stop(job)
+        if evaluation is not None:
+            log_line(f"seed {job.settings.policy.seed}: {evaluation.describe()}; {job.folder}")
+
+    def _state(self, job: RunJob, metrics: Metrics) -> str:
+        if "true_return" in metrics:
+            self._returns[job] = f"return {float(metrics['true_return']):,.0f}, "
+        return f"{self._returns.get(job, '')}{float(metrics['steps_per_second']):,.0f} steps/s"
+
+
+def _name(job: RunJob) -> str:
+    settings = job.settings
+    return f"{settings.task}, {settings.policy.algorithm}, seed {settings.policy.seed}"
+
+
+def _train_in_turn(
+    jobs: Sequence[RunJob], progress: _RunProgress, stopped: Callable[[], bool]
 ) -> Iterator[JobResult[RunJob, Evaluation | None]]:
-    """In this process."""
+    """Train the runs one after another in this process."""
     for job in jobs:
         if stopped():
             return
-        bars.begin(job)
-        yield JobResult(job, do_run(job, partial(bars.tell, job), stopped))
+        progress.start(job)
+        yield JobResult(job, do_run(job, partial(progress.update, job), stopped))
 
 
-def _make_at_once(
-    n_workers: int, jobs: Sequence[RunJob], bars: RunBars, stopped: Callable[[], bool]
+def _train_in_parallel(
+    n_workers: int, jobs: Sequence[RunJob], progress: _RunProgress, stopped: Callable[[], bool]
 ) -> Iterator[JobResult[RunJob, Evaluation | None]]:
-    return run_jobs(do_run_in_worker, jobs, n_workers, on_start=bars.begin, on_message=bars.tell, should_stop=stopped)
+    """Train the runs in worker processes."""
+    return run_jobs(
+        do_run_in_worker, jobs, n_workers, on_start=progress.start, on_message=progress.update, should_stop=stopped
+    )

@@ -1,60 +1,98 @@
-"""Curves of true return over steps: mean and spread over seeds, one panel for each task."""
+"""Figures of runs: true return by environment steps, and by number of labels."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import NullLocator
 
-from mapt.plotting import style
-from mapt.training.results import Group, deviation, seed_curves
+from mapt.plotting import (
+    LineStyle,
+    draw_mean_and_deviation,
+    format_steps,
+    format_thousands,
+    line_style,
+    panel_grid,
+    sample_deviation,
+    save_figure,
+)
+from mapt.training.results import Group
+
+#: Models at the same number of labels are drawn this far apart, as a fraction of the labels.
+_SHIFT = 0.02
 
 
 def draw_curves(groups: Sequence[Group], path: Path) -> None:
-    """Write the picture: lines for means, bands for spreads, thin lines for seeds, marks for evaluations."""
-    tasks = list(dict.fromkeys(group.task for group in groups))
-    figure = Figure(figsize=(1.0 + 6.5 * len(tasks), 4.8), layout="constrained")
-    panels = figure.subplots(1, len(tasks), squeeze=False)[0]
-    for axes, task in zip(panels, tasks, strict=True):
-        for index, group in enumerate(group for group in groups if group.task == task):
-            _draw_group(axes, group, index)
+    """Draw the true return of runs and write the figure to `path`.
+
+    One panel per task shows training curves by environment steps: means over seeds with standard deviations, thin
+    lines for single seeds, markers for evaluations with mean actions. A task whose reward models were trained on
+    several numbers of labels has a second panel with the final evaluations by number of labels.
+    """
+    panels = [
+        (task, draw)
+        for task in dict.fromkeys(group.task for group in groups)
+        for draw in (_draw_steps, _draw_labels)
+        if draw is _draw_steps or len({group.labels for group in groups if group.task == task} - {None}) > 1
+    ]
+    figure, axes_of = panel_grid(len(panels), width=6.5, height=4.5, max_columns=len(panels))
+    for axes, (task, draw) in zip(axes_of, panels, strict=True):
+        draw(axes, [group for group in groups if group.task == task])
         axes.set_title(task)
-        axes.set_xlabel("environment steps")
-        axes.set_ylabel("true return of an episode")
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _short(value)))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
         axes.grid(alpha=0.25)
         axes.legend(frameon=False, fontsize="small", loc="best")
-    figure.suptitle(
-        "Returns while training: mean and standard deviation over seeds, thin lines single seeds; "
-        "marks: evaluations with mean actions",
-        fontsize="small",
-    )
-    figure.savefig(path, dpi=130)
+        format_thousands(axes)
+    save_figure(figure, path)
 
 
-def _draw_group(axes: Axes, group: Group, index: int) -> None:
-    drawn, seeds = style(index), len(group.runs)
-    # For the legend alone: one entry for line and marks.
-    label = f"{group.label} ({seeds} seed{'s' if seeds > 1 else ''})"
-    axes.plot([], [], color=drawn.colour, linestyle=drawn.dashes, marker=drawn.mark, markersize=5, label=label)
-    if any(len(run.curve_steps) for run in group.runs):
-        curves = seed_curves(group.runs)
-        whole = curves.whole()
-        steps, returns = curves.steps[whole], curves.returns[:, whole]
-        mean, spread = returns.mean(axis=0), deviation(returns)
-        axes.plot(steps, mean, color=drawn.colour, linestyle=drawn.dashes, linewidth=1.8)
-        axes.fill_between(steps, mean - spread, mean + spread, color=drawn.colour, alpha=0.15, linewidth=0)
-        axes.plot(curves.steps, curves.returns.T, color=drawn.colour, linewidth=0.5, alpha=0.4)
-    evaluated = [(one.steps, one.mean) for run in group.runs for one in run.evaluations]
-    axes.plot(*np.array(evaluated).reshape(-1, 2).T, drawn.mark, markersize=5, color=drawn.colour)
+def _draw_steps(axes: Axes, groups: Sequence[Group]) -> None:
+    for index, group in enumerate(groups):
+        style, n_seeds = line_style(index), len(group.runs)
+        # An empty line, so that the legend has one entry for line and markers.
+        label = f"{group.label} ({n_seeds} seed{'s' if n_seeds > 1 else ''})"
+        axes.plot([], [], color=style.colour, linestyle=style.dashes, marker=style.marker, markersize=5, label=label)
+        draw_mean_and_deviation(axes, [run.curve for run in group.runs], style)
+        evaluations = [(one.steps, one.mean) for run in group.runs for one in run.evaluations]
+        axes.plot(*np.array(evaluations).reshape(-1, 2).T, style.marker, markersize=5, color=style.colour)
+    format_steps(axes)
+    axes.set_ylabel("true return of an episode")
 
 
-def _short(steps: float) -> str:
-    """1.5M, 400k."""
-    for size, letter in ((1e6, "M"), (1e3, "k")):
-        if steps >= size:
-            return f"{steps / size:g}{letter}"
-    return f"{steps:g}"
+def _draw_labels(axes: Axes, groups: Sequence[Group]) -> None:
+    by_model: dict[str, dict[int, list[float]]] = {}
+    baselines: list[tuple[str, list[float]]] = []
+    for group in groups:
+        returns = [run.evaluations[-1].mean for run in group.runs if run.evaluations]
+        if not returns:
+            continue
+        if group.labels is None:
+            baselines.append((group.label, returns))
+        else:
+            by_model.setdefault(group.name_without_labels, {})[group.labels] = returns
+    for index, (name, returns) in enumerate(baselines):
+        _draw_baseline(axes, name, returns, line_style(index))
+    for index, (name, found) in enumerate(by_model.items()):
+        _draw_model(axes, name, found, line_style(index + len(baselines)), shift=1 + _SHIFT * index)
+    counts = sorted({count for found in by_model.values() for count in found})
+    axes.set_xscale("log")
+    axes.set_xticks(counts, [f"{count:,}" for count in counts])
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel("labels")
+    axes.set_ylabel("true return of the final policy")
+
+
+def _draw_baseline(axes: Axes, name: str, returns: Sequence[float], style: LineStyle) -> None:
+    mean, deviation = float(np.mean(returns)), float(sample_deviation(returns))
+    axes.axhline(mean, color=style.colour, label=name)
+    axes.axhspan(mean - deviation, mean + deviation, color=style.colour, alpha=0.1)
+
+
+def _draw_model(axes: Axes, name: str, found: dict[int, list[float]], style: LineStyle, shift: float) -> None:
+    counts = sorted(found)
+    means = [float(np.mean(found[count])) for count in counts]
+    deviations = [float(sample_deviation(found[count])) for count in counts]
+    places = np.array(counts) * shift
+    axes.errorbar(places, means, deviations, fmt=f"{style.marker}-", color=style.colour, capsize=3, label=name)
+    for place, count in zip(places, counts, strict=True):
+        axes.plot([place] * len(found[count]), found[count], ".", color=style.colour, alpha=0.5)

@@ -46,6 +46,14 @@ class Evaluation:
             "lengths": list(self.lengths),
         }
 
+    def describe(self) -> str:
+        """Mean, standard deviation and interquartile mean of the returns in one line."""
+        found = self.summary()
+        return (
+            f"true return {found['mean']:,.1f} ± {found['std']:,.1f} (interquartile mean {found['iqm']:,.1f}) "
+            f"over {len(self.returns)} episodes of {found['length']:,.0f} steps"
+        )
+
     @classmethod
     def from_dict(cls, values: Mapping[str, Sequence[float]]) -> "Evaluation":
         """What `to_dict` gave; raises KeyError where something is missing."""

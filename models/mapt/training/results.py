@@ -1,167 +1,116 @@
-"""Runs read back from disk and compared: groups over seeds, curves, Markdown tables."""
+"""Read runs back, group them by their settings and tabulate their returns."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from mapt.errors import RunNotFound
+from mapt.plotting import Curve
 from mapt.training.metrics import Metrics, read_metrics
 from mapt.training.run_folder import RUN_FILE, RunFolder
-from mapt.training.settings import TRUE, RunSettings
+from mapt.training.settings import TRUE, LearnedRewardSettings, PreferenceRewardSettings, RunSettings
 
-#: parts of a curve, in each of which a seed's points are averaged: more cannot be told apart
-MOST_BINS = 150
-
-
-class Curve(Protocol):
-    """Returns of the episodes of one run, by the steps at which they ended."""
-
-    @property
-    def curve_steps(self) -> NDArray[np.int64]:
-        """(P,), in order."""
-        ...
-
-    @property
-    def curve_returns(self) -> NDArray[np.float64]:
-        """(P,)."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class SeedCurves:
-    """Curves of several seeds at the same steps."""
-
-    #: (B,)
-    steps: NDArray[np.float64]
-    #: (seeds, B); NaN outside of what a seed has seen
-    returns: NDArray[np.float64]
-
-    def whole(self) -> NDArray[np.bool_]:
-        """(B,): where every seed has a value; elsewhere a mean would jump where a seed ends."""
-        return np.all(np.isfinite(self.returns), axis=0, keepdims=True)[0]
-
-
-def seed_curves(runs: Sequence[Curve], most_bins: int = MOST_BINS) -> SeedCurves:
-    """Means of each run's points by bins of steps; a bin without points lies on the line between its neighbours."""
-    points = max(len(run.curve_steps) for run in runs)
-    last = max(int(run.curve_steps[-1]) for run in runs if len(run.curve_steps))
-    edges = np.linspace(0, last, min(points, most_bins) + 1)
-    # Binned alike, steps at the bins' ends and returns belong together for all seeds.
-    return SeedCurves(edges[1:], np.stack([_binned(run, edges) for run in runs]))
-
-
-def deviation(returns: ArrayLike) -> NDArray[np.float64]:
-    """Sample standard deviation over the first axis, the seeds; 0 of a single one."""
-    values = np.asarray(returns, dtype=np.float64)
-    return np.asarray(values.std(axis=0, ddof=min(1, len(values) - 1)))
-
-
-def _binned(run: Curve, edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    values = np.full(len(edges) - 1, np.nan)
-    if not len(run.curve_steps):
-        return values
-    place = np.clip(np.searchsorted(edges, run.curve_steps, side="left") - 1, 0, len(values) - 1)
-    counts = np.bincount(place, minlength=len(values))
-    sums = np.bincount(place, run.curve_returns, minlength=len(values))
-    filled = np.flatnonzero(counts)
-    between = np.arange(filled[0], filled[-1] + 1)
-    values[between] = np.interp(between, filled, sums[filled] / counts[filled])
-    return values
-
-
-#: settings in which the runs of one line of a picture may differ
-_FREE = frozenset({"policy.seed", "policy.device", "policy.n_threads", "steps", "evaluate_every_steps"})
-#: where the time of an iteration goes
+#: Runs that differ only in these settings belong to one group.
+_PER_RUN = frozenset({"policy.seed", "policy.device", "policy.n_threads", "steps", "evaluate_every_steps"})
+#: Parts of an iteration whose time is measured.
 PARTS = ("physics", "inference", "reward", "update")
+_NONE = "-"
 
 
 @dataclass(frozen=True, slots=True)
-class Evaluated:
-    """Mean actions after some steps."""
+class EvaluationPoint:
+    """An evaluation with mean actions during or after the training."""
 
     steps: int
-    #: mean and interquartile mean over the episodes
     mean: float
+    #: interquartile mean over episodes; NaN where it was not recorded
     iqm: float
 
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """What one run has come to."""
+    """One run, finished or not."""
 
     settings: RunSettings
     #: environment steps so far
     steps: int
-    #: (P,) steps, and true return of the episodes that ended there while training
-    curve_steps: NDArray[np.int64]
-    curve_returns: NDArray[np.float64]
-    #: in order of their steps
-    evaluations: tuple[Evaluated, ...]
+    #: true return of the episodes that ended during training
+    curve: Curve
+    #: ordered by steps
+    evaluations: tuple[EvaluationPoint, ...]
     #: seconds by part, over the whole run
     seconds: dict[str, float]
 
     @classmethod
     def read(cls, folder: RunFolder) -> "RunResult":
-        """The run in a folder, trained to its end or not.
+        """Read a run folder.
 
         Raises:
-            DamagedRun: if a file of it cannot be read.
+            DamagedRun: if one of its files cannot be read.
         """
         settings, lines = folder.settings(), read_metrics(folder.metrics)
         steps = int(lines[-1]["steps"]) if lines else 0
         points = [(int(line["steps"]), float(line["true_return"])) for line in lines if "true_return" in line]
-        evaluations = {line["steps"]: _evaluated(line) for line in lines if "evaluation_mean" in line}
+        evaluations = {int(line["steps"]): _evaluation_of(line) for line in lines if "evaluation_mean" in line}
         final = folder.read_evaluation(steps)
         if final is not None:
             found = final.summary()
-            evaluations[steps] = Evaluated(steps, found["mean"], found["iqm"])
+            evaluations[steps] = EvaluationPoint(steps, found["mean"], found["iqm"])
         return cls(
             settings,
             steps,
-            np.array([step for step, _ in points], dtype=np.int64),
-            np.array([value for _, value in points]),
+            Curve(np.array([step for step, _ in points], dtype=np.int64), np.array([value for _, value in points])),
             tuple(evaluations.values()),
-            {part: sum(float(line[f"seconds_{part}"]) for line in lines) for part in PARTS},
+            {part: sum(float(line.get(f"seconds_{part}", 0.0)) for line in lines) for part in PARTS},
         )
 
-    def evaluated_at(self, steps: int) -> Evaluated | None:
-        """The first evaluation from so many steps on, if it came within a twentieth of them or a rollout."""
-        late = max(steps // 20, self.settings.policy.steps_per_rollout)
-        return next((one for one in self.evaluations if steps <= one.steps < steps + late), None)
+    def evaluation_at(self, steps: int) -> EvaluationPoint | None:
+        """The first evaluation at or after `steps`, within 5% of them or one rollout; None if there is none."""
+        tolerance = max(steps // 20, self.settings.policy.steps_per_rollout)
+        return next((one for one in self.evaluations if steps <= one.steps < steps + tolerance), None)
 
 
-def _evaluated(line: Metrics) -> Evaluated:
-    return Evaluated(int(line["steps"]), float(line["evaluation_mean"]), float(line["evaluation_iqm"]))
+def _evaluation_of(line: Metrics) -> EvaluationPoint:
+    iqm = float(line.get("evaluation_iqm", "nan"))
+    return EvaluationPoint(int(line["steps"]), float(line["evaluation_mean"]), iqm)
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Runs that differ in their seeds alone."""
+    """Runs that differ only in their seed."""
 
     task: str
     algorithm: str
-    #: `true`, or the reward model's name
+    #: `true`, or the name of the reward model
     reward: str
-    #: settings in which it differs from others of the same task, algorithm and reward
+    #: labels that the reward model was trained on during the run; None for other rewards
+    labels: int | None
+    #: settings in which it differs from other groups with the same fields above
     differs: str
     runs: tuple[RunResult, ...]
 
     @property
     def label(self) -> str:
-        """What it is called beside others of its task."""
+        """Its name among the groups of its task."""
+        return self._name(f"{self.labels:,} labels" if self.labels is not None else "")
+
+    @property
+    def name_without_labels(self) -> str:
+        """Its name without the number of labels."""
+        return self._name("")
+
+    def _name(self, labels: str) -> str:
         reward = "true reward" if self.reward == TRUE else self.reward
-        return ", ".join(part for part in (self.algorithm, reward, self.differs) if part)
+        return ", ".join(part for part in (self.algorithm, reward, labels, self.differs) if part)
 
 
 def find_runs(paths: Iterable[Path]) -> list[RunFolder]:
-    """Runs at these paths or anywhere below them, each once.
+    """Run folders at these paths or anywhere below them, each once.
 
     Raises:
-        RunNotFound: if there is none at one of them.
+        RunNotFound: if there is none at one of the paths.
     """
     found: dict[Path, RunFolder] = {}
     for path in paths:
@@ -173,97 +122,129 @@ def find_runs(paths: Iterable[Path]) -> list[RunFolder]:
 
 
 def grouped(runs: Sequence[RunResult]) -> list[Group]:
-    """Groups in the order of their first runs."""
+    """Group runs by their settings other than the seed, in the order of their first runs."""
     by_settings: dict[tuple[tuple[str, str], ...], list[RunResult]] = {}
     for run in runs:
-        by_settings.setdefault(_fixed(run.settings), []).append(run)
+        by_settings.setdefault(_shared(run.settings), []).append(run)
     return [
-        Group(*_name(members[0]), differs=_differences(key, _name(members[0]), by_settings), runs=tuple(members))
-        for key, members in by_settings.items()
+        Group(*_key(members[0]), differs=_differences(settings, _key(members[0]), by_settings), runs=tuple(members))
+        for settings, members in by_settings.items()
     ]
 
 
-def _fixed(settings: RunSettings) -> tuple[tuple[str, str], ...]:
+def _shared(settings: RunSettings) -> tuple[tuple[str, str], ...]:
     flat = settings.flat()
-    return tuple(sorted((name, str(value)) for name, value in flat.items() if name not in _FREE))
+    return tuple(sorted((name, str(value)) for name, value in flat.items() if name not in _PER_RUN))
 
 
-def _name(run: RunResult) -> tuple[str, str, str]:
+def _key(run: RunResult) -> tuple[str, str, str, int | None]:
     settings = run.settings
-    reward = settings.reward_name if settings.reward is None else Path(settings.reward.path).stem
-    return settings.task, settings.policy.algorithm, reward
+    match settings.reward:
+        case None:
+            reward, labels = TRUE, None
+        case LearnedRewardSettings(path=path):
+            reward, labels = Path(path).stem, None
+        case PreferenceRewardSettings(model=reward, labels=labels):
+            pass
+    return settings.task, settings.policy.algorithm, reward, labels
 
 
 def _differences(
     own: tuple[tuple[str, str], ...],
-    name: tuple[str, str, str],
+    key: tuple[str, str, str, int | None],
     others: dict[tuple[tuple[str, str], ...], list[RunResult]],
 ) -> str:
-    """The settings in which groups of the same name differ, as this one has them."""
-    alike = [dict(key) for key, members in others.items() if _name(members[0]) == name]
-    varying = [setting for setting, _ in own if len({each.get(setting) for each in alike}) > 1]
-    return ", ".join(f"{setting.removeprefix('policy.')}={dict(own)[setting]}" for setting in varying)
+    """The settings in which groups of one key differ, with the values of this one."""
+    alike = [dict(settings) for settings, members in others.items() if _key(members[0]) == key]
+    varying = [name for name, _ in own if len({each.get(name) for each in alike}) > 1]
+    return ", ".join(f"{name.partition('.')[2] or name}={dict(own)[name]}" for name in varying)
 
 
-_NONE = "-"
+def returns_table(groups: Sequence[Group], milestones: Sequence[int] = ()) -> list[dict[str, object]]:
+    """One row per group and milestone: mean and sample standard deviation of the true return over seeds.
+
+    Args:
+        milestones: environment steps; without any, the last evaluation of each group.
+    """
+    rows: list[dict[str, object]] = []
+    for group in groups:
+        last = max((run.evaluations[-1].steps for run in group.runs if run.evaluations), default=0)
+        for steps in milestones or [last]:
+            found = [(run, one) for run in group.runs if (one := run.evaluation_at(steps)) is not None]
+            values = np.array([one.mean for _, one in found])
+            rows.append(
+                {
+                    "task": group.task,
+                    "algorithm": group.algorithm,
+                    "reward": group.reward,
+                    "labels": group.labels,
+                    "differs": group.differs,
+                    "steps": steps,
+                    "seeds": len(values),
+                    "mean": float(values.mean()) if found else None,
+                    "std": float(values.std(ddof=1)) if len(found) > 1 else None,
+                    "iqm": float(np.mean([one.iqm for _, one in found])) if found else None,
+                    "by_seed": {str(run.settings.policy.seed): one.mean for run, one in found},
+                }
+            )
+    return rows
 
 
 def markdown(groups: Sequence[Group], milestones: Sequence[int] = ()) -> str:
-    """Both tables, and which runs are not there yet.
+    """Markdown tables of returns and of where the time went, and a list of unfinished runs.
 
     Args:
-        milestones: steps to tell of; without any, each group's last evaluation.
+        milestones: see `returns_table`.
     """
     lines = [
-        "True return of mean actions. Mean and sample standard deviation are over seeds, each seed's value the mean "
-        "over its episodes. The interquartile mean is of a seed's episodes, averaged over seeds.",
+        "True return with mean actions. Mean and sample standard deviation are over seeds; a seed's value is the mean "
+        "over its episodes. The interquartile mean is over the episodes of a seed, averaged over seeds.",
         "",
-        "| task | algorithm | reward | steps | seeds | mean | spread | interquartile mean | by seed |",
+        "| task | algorithm | reward | steps | seeds | mean | std | interquartile mean | by seed |",
         "|---|---|---|---:|---:|---:|---:|---:|---|",
-        *(line for group in groups for line in _returns(group, milestones)),
+        *(_returns_line(row) for row in returns_table(groups, milestones)),
         "",
         "| task | algorithm | reward | steps/s | " + " | ".join(PARTS) + " |",
         "|---|---|---|---:|" + "---:|" * len(PARTS),
-        *(line for group in groups if (line := _times(group))),
+        *(line for group in groups if (line := _time_line(group))),
     ]
     unfinished = [line for group in groups for run in group.runs if (line := _unfinished(group, run))]
     return "\n".join([*lines, *(["", "Not finished:", "", *unfinished] if unfinished else [])]) + "\n"
 
 
-def _returns(group: Group, milestones: Sequence[int]) -> list[str]:
-    if milestones:
-        return [_row(group, steps, [(run, run.evaluated_at(steps)) for run in group.runs]) for steps in milestones]
-    steps = max((run.evaluations[-1].steps for run in group.runs if run.evaluations), default=0)
-    return [_row(group, steps, [(run, run.evaluated_at(steps)) for run in group.runs])]
-
-
-def _row(group: Group, steps: int, found: Sequence[tuple[RunResult, Evaluated | None]]) -> str:
-    there = [(run, one) for run, one in found if one is not None]
-    values = np.array([one.mean for _, one in there])
-    spread = _whole(values.std(ddof=1)) if len(values) > 1 else _NONE
-    mean, iqm = (_whole(values.mean()), _whole(np.mean([one.iqm for _, one in there]))) if there else (_NONE, _NONE)
-    each = ", ".join(f"{run.settings.policy.seed}: {_whole(one.mean)}" for run, one in there) or _NONE
-    cells = [*_names(group), f"{steps:,}", str(len(values)), mean, spread, iqm, each]
+def _returns_line(row: dict[str, object]) -> str:
+    by_seed = row["by_seed"]
+    assert isinstance(by_seed, dict)
+    cells = [
+        *_names(str(row["task"]), str(row["algorithm"]), str(row["reward"]), row["labels"], str(row["differs"])),
+        f"{row['steps']:,}",
+        str(row["seeds"]),
+        *(_rounded(row[name]) for name in ("mean", "std", "iqm")),
+        ", ".join(f"{seed}: {_rounded(value)}" for seed, value in by_seed.items()) or _NONE,
+    ]
     return f"| {' | '.join(cells)} |"
 
 
-def _whole(value: np.floating | float) -> str:
-    """Without a sign where it is 0."""
-    return f"{round(float(value)):,}"
+def _rounded(value: object) -> str:
+    return f"{round(value):,}" if isinstance(value, float) and np.isfinite(value) else _NONE
 
 
-def _times(group: Group) -> str | None:
+def _time_line(group: Group) -> str | None:
     seconds = {part: sum(run.seconds[part] for run in group.runs) for part in PARTS}
     total, steps = sum(seconds.values()), sum(run.steps for run in group.runs)
     if not total:
         return None
-    cells = [*_names(group), f"{steps / total:,.0f}", *(f"{seconds[part] / total:.0%}" for part in PARTS)]
+    names = _names(group.task, group.algorithm, group.reward, group.labels, group.differs)
+    cells = [*names, f"{steps / total:,.0f}", *(f"{seconds[part] / total:.0%}" for part in PARTS)]
     return f"| {' | '.join(cells)} |"
 
 
-def _names(group: Group) -> list[str]:
-    algorithm = f"{group.algorithm} ({group.differs})" if group.differs else group.algorithm
-    return [group.task, algorithm, group.reward]
+def _names(task: str, algorithm: str, reward: str, labels: object, differs: str) -> list[str]:
+    return [
+        task,
+        f"{algorithm} ({differs})" if differs else algorithm,
+        reward if labels is None else f"{reward}, {labels:,} labels",
+    ]
 
 
 def _unfinished(group: Group, run: RunResult) -> str | None:

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.errors import RenderingError
+from mapt.errors import InvalidConfig, RenderingError
 from mapt.io import atomic_write
 from mapt.policies import Learner
 from mapt.processes import ParentConnection, stop_requests
@@ -19,7 +19,7 @@ from mapt.training.metrics import EventFile, Metrics, MetricsFile, read_metrics
 from mapt.training.policy_trainer import PolicyTrainer
 from mapt.training.reward_source import LearnedReward, RewardFiles, RewardSource, TrueReward, save_version
 from mapt.training.run_folder import PolicyCheckpoint, RunFolder
-from mapt.training.settings import RunSettings
+from mapt.training.settings import PreferenceRewardSettings, RunSettings
 from mapt.training.video import record_video
 
 #: digits of a reward model's SHA-256 in the metrics
@@ -160,6 +160,8 @@ class Run:
         reward = self._settings.reward
         if reward is None:
             return TrueReward()
+        if isinstance(reward, PreferenceRewardSettings):
+            raise InvalidConfig("A reward that is learned from labels needs a teacher.", "reward")
         self._reward_files = RewardFiles(Path(reward.path), self._task.spec, self._callbacks.on_message)
         sha = stored.progress.get("reward_sha")
         return LearnedReward(

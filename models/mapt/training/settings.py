@@ -43,6 +43,22 @@ class LearnedRewardSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class PreferenceRewardSettings:
+    """A reward model that is trained on preference labels while the policy learns from it."""
+
+    #: a name of `mapt.rewards.config.MODEL_NAMES`
+    model: str
+    #: labels in all
+    labels: int
+    #: labels before the first version
+    initial_labels: int
+    #: new labels for each further version
+    labels_per_version: int
+    #: who labels, such as `oracle` or `mistake (mistake=0.05)`
+    teacher: str
+
+
+@dataclass(frozen=True, slots=True)
 class RunSettings:
     """One policy's training.
 
@@ -56,7 +72,7 @@ class RunSettings:
     #: environment steps to train for, rounded up to whole rollouts
     steps: int
     #: None for the task's own reward
-    reward: LearnedRewardSettings | None = None
+    reward: LearnedRewardSettings | PreferenceRewardSettings | None = None
     #: how many joints away an agent sees
     agent_obsk: int = DEFAULT_AGENT_OBSK
     #: environment steps between evaluations; 0 for one at the end alone
@@ -67,11 +83,6 @@ class RunSettings:
             raise InvalidConfig(f"steps is {self.steps}; it must be 1 or more")
         if self.evaluate_every_steps < 0:
             raise InvalidConfig(f"evaluate_every_steps is {self.evaluate_every_steps}; it must be 0 or more")
-
-    @property
-    def reward_name(self) -> str:
-        """`true`, or the path of the reward model."""
-        return self.reward.path if self.reward else TRUE
 
     def to_dict(self) -> dict[str, object]:
         """What `from_dict` reads, ready for JSON."""
@@ -96,8 +107,7 @@ class RunSettings:
             policy, reward = values.pop("policy"), values.pop("reward")
             if not isinstance(policy, Mapping) or not isinstance(reward, Mapping | None):
                 raise InvalidConfig("policy and reward of a run must be settings by name")
-            learned = None if reward is None else LearnedRewardSettings(**reward)
-            return cls(policy=PolicyConfig.from_dict(policy), reward=learned, **values)  # pyright: ignore[reportArgumentType]
+            return cls(policy=PolicyConfig.from_dict(policy), reward=_reward_of(reward), **values)  # pyright: ignore[reportArgumentType]
         except (KeyError, TypeError) as error:
             raise InvalidConfig(f"These are not the settings of a run: {error}") from error
 
@@ -110,6 +120,14 @@ class RunSettings:
         own, its = self.flat(), other.flat()
         names = [name for name in own | its if name != "steps" and own.get(name) != its.get(name)]
         return [f"{name}: {own.get(name)}, not {its.get(name)}" for name in names]
+
+
+def _reward_of(settings: Mapping[str, object] | None) -> LearnedRewardSettings | PreferenceRewardSettings | None:
+    """Raises InvalidConfig, TypeError."""
+    if settings is None:
+        return None
+    kind = PreferenceRewardSettings if "model" in settings else LearnedRewardSettings
+    return kind(**settings)  # pyright: ignore[reportArgumentType]
 
 
 def _flat(settings: Mapping[str, object]) -> dict[str, object]:

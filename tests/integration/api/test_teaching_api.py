@@ -8,12 +8,12 @@ import pytest
 from sqlalchemy import select as sql_select
 
 from accord.cli.client import Api, Refused
-from accord.cli.teach import parse_teacher, teach_experiment
+from accord.cli.teach import TeacherChoice, teach_experiment
 from accord.domain.enums import Role
-from accord.domain.errors import Invalid
 from accord.services import collect, metrics, select
 from accord.services.collect import NewSegment, load_arrays
 from accord.store.tables import LabelRow, QueryRow, SegmentRow
+from mapt.errors import PreferenceError
 from mapt.preferences.teachers import RULES, TeacherView, make_teacher, teacher_names
 from support.api_in_thread import Served
 from support.scenes import AGENTS, NQ, NV, OBSERVATION, STEPS, Scene, scene
@@ -56,7 +56,7 @@ def made(api: Served) -> Scene:
 
 
 def teach(api: Api, made: Scene, name: str, *parameters: str, labels: int = N_LABELS, seed: int = 0) -> int:
-    teacher = parse_teacher(name, parameters).teacher(seed)
+    teacher = TeacherChoice.parse(":".join((name, *parameters))).teacher(seed)
     taught = teach_experiment(
         api, made.experiment.id, teacher, labels, on_progress=lambda _: None, stopped=lambda: False
     )
@@ -83,7 +83,7 @@ def test_every_rule_labels_over_rest_as_it_does_by_itself(
 ) -> None:
     short = ("window_steps=2",) if hasattr(make_teacher(name).rule, "window_steps") else ()
     assert teach(api_of_teacher, made, name, *short) == N_LABELS
-    judge = parse_teacher(name, short).teacher(0).judge
+    judge = TeacherChoice.parse(":".join((name, *short))).teacher(0).judge
     rows = labelled(api)
     assert [row.value for row, _, _ in rows] == [judge(first, second)[0] for _, first, second in rows]
     assert {0.0, 1.0} <= {row.value for row, _, _ in rows}
@@ -134,6 +134,6 @@ def test_a_labeller_is_no_scripted_teacher(api: Served, made: Scene) -> None:
 
 
 def test_what_a_rule_cannot_see_is_named(api: Served, api_of_teacher: Api, made: Scene) -> None:
-    with pytest.raises(Invalid, match="column 77"):
+    with pytest.raises(PreferenceError, match="column 77"):
         teach(api_of_teacher, made, "phase", "column=77")
     assert labelled(api) == []

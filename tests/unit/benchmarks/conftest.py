@@ -3,12 +3,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from mapt.benchmarks.recorded_dataset import Replay
+from mapt.benchmarks.recorded_dataset import RecordedDataset
 from unit.benchmarks.tiny_replay import write_replay
 
 
 @pytest.fixture
-def replay(tmp_path: Path) -> Replay:
+def replay(tmp_path: Path) -> RecordedDataset:
     return write_replay(tmp_path / "replay")
 
 

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from mapt.benchmarks.evaluate import (
-    Judge,
+    DatasetTeacher,
     Predictions,
-    examine,
-    fresh_pairs,
+    evaluate_model,
+    held_out_pairs,
     labelled_dataset,
     predict,
-    preference_quality,
-    reward_quality,
-    split_replay,
+    preference_metrics,
+    reward_metrics,
+    split_dataset,
     training_pairs,
 )
 from mapt.errors import InvalidConfig, InvalidTeacher, TooFewLabels, UnknownTeacher
@@ -20,35 +20,35 @@ from unit.benchmarks.tiny_replay import KnowingModel, write_replay
 
 
 def test_a_model_that_knows_the_reward_is_right(replay):
-    examined = examine(KnowingModel(), replay, "oracle", 500, seed=0)
+    examined = evaluate_model(KnowingModel(), replay, "oracle", 500, seed=0)
     metrics = examined.metrics
     for name in ("accuracy", "label_accuracy", "rank_correlation", "rank_correlation_teacher", "step_correlation"):
         assert metrics[name] == pytest.approx(1.0)
     assert metrics["step_correlation_within"] == pytest.approx(1.0)
-    assert set(examined.pairs.ravel()) <= set(split_replay(len(replay), 0).test)
+    assert set(examined.pairs.ravel()) <= set(split_dataset(len(replay), 0).test)
 
 
 def test_its_opposite_is_wrong(replay):
-    metrics = examine(KnowingModel(-1.0), replay, "oracle", 500, seed=0).metrics
+    metrics = evaluate_model(KnowingModel(-1.0), replay, "oracle", 500, seed=0).metrics
     assert metrics["accuracy"] == metrics["label_accuracy"] == 0
     assert metrics["rank_correlation"] == pytest.approx(-1.0)
     assert metrics["loss"] > np.log(2)
 
 
 def test_mistakes_count_against_labels_and_not_against_judgement(replay):
-    metrics = examine(KnowingModel(), replay, "mistake:mistake=0.2", 2000, seed=0).metrics
+    metrics = evaluate_model(KnowingModel(), replay, "mistake:mistake=0.2", 2000, seed=0).metrics
     assert metrics["accuracy"] == 1.0
     assert 0.77 < metrics["label_accuracy"] < 0.83
 
 
 def test_another_seed_examines_on_other_segments(replay):
-    first, second = (examine(KnowingModel(), replay, "oracle", 50, seed) for seed in (0, 1))
+    first, second = (evaluate_model(KnowingModel(), replay, "oracle", 50, seed) for seed in (0, 1))
     assert not np.array_equal(first.pairs, second.pairs)
 
 
 def test_skipped_pairs_are_left_out():
     logits, labels = np.array([2.0, -2.0, 5.0]), np.array([1.0, 0.0, np.nan])
-    quality = preference_quality(logits, labels)
+    quality = preference_metrics(logits, labels)
     assert quality["accuracy"] == 1.0
     assert quality["loss"] == pytest.approx(np.log1p(np.exp(-2.0)))
 
@@ -61,7 +61,7 @@ def test_padding_does_not_change_the_quality_of_rewards():
 
     def quality(padding: float) -> dict[str, float]:
         filled = np.where(mask, learned, padding).astype(np.float32)[..., None]
-        return reward_quality(Predictions(scores, filled, filled[..., 0]), np.where(mask, true, padding), mask)
+        return reward_metrics(Predictions(scores, filled, filled[..., 0]), np.where(mask, true, padding), mask)
 
     assert quality(0.0) == pytest.approx(quality(1e3))
 
@@ -71,7 +71,7 @@ def test_within_segments_only_the_course_counts():
     course, level = rng.normal(size=(30, 8)), 100 * rng.normal(size=(30, 1))
     true, learned = course + level, course - level
     predictions = Predictions(learned.sum(axis=1).astype(np.float32), learned[..., None].astype(np.float32), learned)
-    quality = reward_quality(predictions, true, np.ones((30, 8), np.bool_))
+    quality = reward_metrics(predictions, true, np.ones((30, 8), np.bool_))
     assert quality["step_correlation"] < -0.9
     assert quality["step_correlation_within"] == pytest.approx(1.0, abs=1e-4)
 
@@ -85,13 +85,13 @@ def test_predictions_do_not_depend_on_how_many_segments_go_at_once(replay):
 def test_the_oracle_judges_by_the_true_return(replay):
     pairs = training_pairs(len(replay), 200, seed=0)
     better = np.subtract(*replay.returns[pairs].T) > 0
-    judge = Judge("oracle", replay, seed=0)
+    judge = DatasetTeacher("oracle", replay, seed=0)
     np.testing.assert_array_equal(judge.labels(pairs) == 1, better)
     np.testing.assert_allclose(judge.scores(np.arange(10)), replay.returns[:10])
 
 
 def test_a_myopic_teacher_scores_late_steps_higher(replay):
-    scores = Judge("myopic", replay, seed=0).scores(np.arange(5))
+    scores = DatasetTeacher("myopic", replay, seed=0).scores(np.arange(5))
     fading = 0.9 ** np.arange(replay.source.n_steps)[::-1]
     np.testing.assert_allclose(scores, (replay.rewards[:5] * fading).sum(axis=1))
 
@@ -99,22 +99,22 @@ def test_a_myopic_teacher_scores_late_steps_higher(replay):
 def test_labels_without_chance_follow_the_scores(replay):
     pairs = training_pairs(len(replay), 200, seed=0)
     for name in ("oracle", "myopic", "smoothness"):
-        judge = Judge(name, replay, seed=0)
+        judge = DatasetTeacher(name, replay, seed=0)
         scores = judge.scores(np.arange(len(replay)))
         np.testing.assert_array_equal(judge.labels(pairs), 0.5 + 0.5 * np.sign(np.subtract(*scores[pairs].T)))
 
 
 def test_parameters_in_the_name_change_the_teacher(replay):
     pairs = training_pairs(len(replay), 400, seed=0)
-    usual, careless = (Judge(name, replay, seed=0) for name in ("oracle", "mistake:mistake=0.4"))
+    usual, careless = (DatasetTeacher(name, replay, seed=0) for name in ("oracle", "mistake:mistake=0.4"))
     assert careless.parameters()["mistake"] == 0.4
     assert 0.3 < (usual.labels(pairs) != careless.labels(pairs)).mean() < 0.5
 
 
 def test_a_teacher_says_the_same_of_many_pairs_at_once_as_of_few(replay):
     pairs = training_pairs(len(replay), 1600, seed=0)
-    at_once = Judge("stochastic", replay, seed=3).labels(pairs)
-    one_by_one = Judge("stochastic", replay, seed=3)
+    at_once = DatasetTeacher("stochastic", replay, seed=3).labels(pairs)
+    one_by_one = DatasetTeacher("stochastic", replay, seed=3)
     np.testing.assert_array_equal(
         at_once, np.concatenate([one_by_one.labels(part) for part in pairs.reshape(8, -1, 2)])
     )
@@ -122,15 +122,15 @@ def test_a_teacher_says_the_same_of_many_pairs_at_once_as_of_few(replay):
 
 def test_skipped_pairs_are_replaced(replay):
     skipping = "skip:skip=1.2"
-    dataset = labelled_dataset(Judge(skipping, replay, seed=0), replay, 150, seed=0)
+    dataset = labelled_dataset(DatasetTeacher(skipping, replay, seed=0), replay, 150, seed=0)
     assert len(dataset) == 150
     assert np.isfinite(dataset.labels).all()
-    asked = Judge(skipping, replay, seed=0).labels(training_pairs(len(replay), 150, seed=0))
+    asked = DatasetTeacher(skipping, replay, seed=0).labels(training_pairs(len(replay), 150, seed=0))
     assert np.isnan(asked).any()
 
 
 def test_labels_belong_to_the_segments_they_were_given_for(replay):
-    dataset = labelled_dataset(Judge("oracle", replay, seed=0), replay, 100, seed=0)
+    dataset = labelled_dataset(DatasetTeacher("oracle", replay, seed=0), replay, 100, seed=0)
     returns = dataset.segments.take(np.arange(len(dataset.segments))).observations[..., 0].mean(axis=2).sum(axis=1)
     np.testing.assert_array_equal(dataset.labels == 1, np.subtract(*returns[dataset.pairs].T) > 0)
 
@@ -138,28 +138,28 @@ def test_labels_belong_to_the_segments_they_were_given_for(replay):
 def test_a_teacher_that_skips_everything_is_given_up(tmp_path):
     replay = write_replay(tmp_path / "small")
     with pytest.raises(TooFewLabels, match="skip:skip=1000"):
-        labelled_dataset(Judge("skip:skip=1000", replay, seed=0), replay, 10, seed=0)
+        labelled_dataset(DatasetTeacher("skip:skip=1000", replay, seed=0), replay, 10, seed=0)
 
 
 @pytest.mark.parametrize(("name", "error"), [("nobody", UnknownTeacher), ("oracle:age=3", InvalidTeacher)])
 def test_an_unknown_teacher_or_parameter_is_refused(replay, name, error):
     with pytest.raises(error):
-        Judge(name, replay, seed=0)
+        DatasetTeacher(name, replay, seed=0)
 
 
 def test_no_test_segment_is_learned_from():
-    split = split_replay(300, seed=4)
+    split = split_dataset(300, seed=4)
     assert len(split.test) == 60
     assert sorted([*split.train, *split.test]) == list(range(300))
     assert set(training_pairs(300, 2000, seed=4).ravel()) <= set(split.train)
-    assert set(fresh_pairs(300, 2000, seed=4).ravel()) <= set(split.test)
+    assert set(held_out_pairs(300, 2000, seed=4).ravel()) <= set(split.test)
 
 
 def test_pairs_are_of_two_segments_and_every_segment_is_drawn():
     pairs = training_pairs(50, 3000, seed=0)
     assert (pairs[:, 0] != pairs[:, 1]).all()
     for side in pairs.T:
-        assert set(side) == set(split_replay(50, seed=0).train)
+        assert set(side) == set(split_dataset(50, seed=0).train)
 
 
 def test_more_pairs_begin_with_the_fewer():
@@ -167,10 +167,10 @@ def test_more_pairs_begin_with_the_fewer():
 
 
 def test_seeds_split_and_draw_differently():
-    assert not np.array_equal(split_replay(100, 0).test, split_replay(100, 1).test)
+    assert not np.array_equal(split_dataset(100, 0).test, split_dataset(100, 1).test)
     assert not np.array_equal(training_pairs(100, 40, 0), training_pairs(100, 40, 1))
 
 
 def test_a_handful_of_segments_cannot_be_split():
     with pytest.raises(InvalidConfig):
-        split_replay(9, seed=0)
+        split_dataset(9, seed=0)

@@ -5,14 +5,14 @@ import pytest
 
 from mapt.benchmarks.recorded_dataset import (
     EPISODES,
+    RecordedDataset,
     Recording,
+    RecordingJob,
     RecordingProgress,
-    Replay,
-    ReplayJob,
     draw_places,
     episodes_path,
-    make_replay,
-    record_replay,
+    record_dataset,
+    run_recording,
 )
 from mapt.errors import AlreadyExists, FileError, InvalidConfig, NoTrueRewards, ReplayNotFound, UnknownTask
 from mapt.policies import Rollout
@@ -46,7 +46,7 @@ def test_as_many_places_are_drawn_as_are_wanted_in_the_order_they_were_made():
 
 def test_falls_are_kept_as_shorter_segments(tmp_path):
     recording = Recording("Hopper-3x1", policy_steps=4096, segment_steps=20, segments=100, seed=0)
-    replay = record_replay(recording, tmp_path)
+    replay = record_dataset(recording, tmp_path)
     n_steps = replay.mask.sum(axis=1)
     assert n_steps.max() == 20
     short = np.flatnonzero(n_steps < 20)
@@ -64,7 +64,7 @@ def test_falls_are_kept_as_shorter_segments(tmp_path):
 
 def test_a_replay_is_spread_over_the_training_and_its_states_are_the_simulators(tmp_path):
     seen: list[int] = []
-    replay = record_replay(SHORT, tmp_path / "replay", lambda steps, _reward: seen.append(steps))
+    replay = record_dataset(SHORT, tmp_path / "replay", lambda steps, _reward: seen.append(steps))
     assert seen == [4096, 8192]
     assert len(replay) == 30
     assert replay.mask.all()
@@ -78,31 +78,31 @@ def test_a_replay_is_spread_over_the_training_and_its_states_are_the_simulators(
     speed = np.diff(x, axis=1) / spec.step_seconds
     cost = 0.1 * (actions.astype(float) ** 2).sum(axis=(2, 3))[:, :-1]
     np.testing.assert_allclose(replay.rewards[:, :-1], speed - cost, atol=1e-5)
-    episodes = Replay.open(episodes_path(replay.path))
+    episodes = RecordedDataset.open(episodes_path(replay.path))
     assert episodes.rewards.shape == (EPISODES, spec.horizon_steps)
     assert episodes.mask.all()
 
 
 def test_the_same_recording_gives_the_same_replay(tmp_path):
     short = Recording("HalfCheetah-2x3", policy_steps=4096, segment_steps=30, segments=12, seed=0)
-    first, second = (record_replay(short, tmp_path / name) for name in "ab")
+    first, second = (record_dataset(short, tmp_path / name) for name in "ab")
     assert first.fingerprint() == second.fingerprint()
 
 
 def test_a_replay_is_never_written_over(tmp_path, replay):
     with pytest.raises(AlreadyExists):
-        record_replay(SHORT, replay.path)
+        record_dataset(SHORT, replay.path)
 
 
 @pytest.mark.parametrize("changes", [{"segment_steps": 129}, {"segment_steps": 0}, {"segments": 0}])
 def test_a_recording_out_of_range_is_refused(tmp_path, changes):
     with pytest.raises(InvalidConfig):
-        record_replay(Recording(**{**{f: getattr(SHORT, f) for f in SHORT.__dataclass_fields__}, **changes}), tmp_path)
+        record_dataset(Recording(**{**{f: getattr(SHORT, f) for f in SHORT.__dataclass_fields__}, **changes}), tmp_path)
 
 
 def test_an_unknown_task_is_refused_and_leaves_nothing(tmp_path):
     with pytest.raises(UnknownTask):
-        record_replay(Recording("Nothing", 4096, 40, 30, 0), tmp_path / "replay")
+        record_dataset(Recording("Nothing", 4096, 40, 30, 0), tmp_path / "replay")
     assert not (tmp_path / "replay").exists()
 
 
@@ -138,21 +138,21 @@ def test_one_number_makes_another_fingerprint(replay):
 
 def test_an_empty_folder_is_no_replay(tmp_path):
     with pytest.raises(ReplayNotFound, match="mapt dataset"):
-        Replay.open(tmp_path)
+        RecordedDataset.open(tmp_path)
 
 
 def test_a_replay_cut_short_is_refused(replay):
     with (replay.path / "rewards.bin").open("r+b") as file:
         file.truncate(100)
     with pytest.raises(FileError):
-        Replay.open(replay.path)
+        RecordedDataset.open(replay.path)
 
 
 def test_segments_without_true_rewards_are_no_replay(tmp_path, replay):
     with SegmentWriter.create(tmp_path / "bare", SegmentLayout(N_STEPS, 2, 3, 1)) as writer:
         writer.append(replay.segments(range(4)))
     with pytest.raises(NoTrueRewards):
-        Replay.open(tmp_path / "bare")
+        RecordedDataset.open(tmp_path / "bare")
 
 
 IN_WORKER = Recording("HalfCheetah-2x3", policy_steps=8192, segment_steps=30, segments=12, seed=1)
@@ -161,19 +161,19 @@ IN_WORKER = Recording("HalfCheetah-2x3", policy_steps=8192, segment_steps=30, se
 def test_a_worker_records_what_is_recorded_here_and_tells_how_far_it_is(tmp_path):
     told: list[RecordingProgress] = []
     (done,) = run_jobs(
-        make_replay, [ReplayJob(IN_WORKER, tmp_path / "there")], 1, on_message=lambda job, news: told.append(news)
+        run_recording, [RecordingJob(IN_WORKER, tmp_path / "there")], 1, on_message=lambda job, news: told.append(news)
     )
     assert done.failure is None
     assert [news.steps for news in told] == [4096, 8192]
-    here = record_replay(IN_WORKER, tmp_path / "here")
-    assert Replay.open(tmp_path / "there").fingerprint() == here.fingerprint()
+    here = record_dataset(IN_WORKER, tmp_path / "here")
+    assert RecordedDataset.open(tmp_path / "there").fingerprint() == here.fingerprint()
 
 
 def test_of_a_recording_that_is_stopped_nothing_is_kept(tmp_path):
     told: list[RecordingProgress] = []
     (done,) = run_jobs(
-        make_replay,
-        [ReplayJob(Recording("HalfCheetah-2x3", 10**9, 30, 12, 1), tmp_path / "replay")],
+        run_recording,
+        [RecordingJob(Recording("HalfCheetah-2x3", 10**9, 30, 12, 1), tmp_path / "replay")],
         1,
         on_message=lambda job, news: told.append(news),
         should_stop=lambda: bool(told),

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from mapt.benchmarks.evaluate import predict, split_replay
+from mapt.benchmarks.evaluate import predict, split_dataset
 from mapt.benchmarks.job import network_of
-from mapt.benchmarks.recorded_dataset import Replay, episodes_path
+from mapt.benchmarks.recorded_dataset import RecordedDataset, episodes_path
 from mapt.benchmarks.report import ReportPlan, agent_names, make_report
 from mapt.benchmarks.reward_analysis import (
     STATE_ACTIONS,
+    analyse,
     attention_maps,
     breadth,
-    diagnose,
     draw_sample,
     rollout_series,
     weight_concentration,
@@ -104,7 +104,7 @@ def test_the_command_reads_checkpoints_and_names_them(tmp_path, replay, monkeypa
     assert list(load_models([str(tmp_path / "a=b")])) == ["a=b"]
     with pytest.raises(InvalidConfig, match="NAME=FOLDER"):
         load_models([str(tmp_path / "a=b"), str(tmp_path / "a=b")])
-    arguments = ["--replay", replay.path, "--output", tmp_path / "report", "--pairs", 40]
+    arguments = ["--dataset", replay.path, "--output", tmp_path / "report", "--test-pairs", 40]
     monkeypatch.setattr(sys, "argv", ["mapt", "report", f"MAPT-TPA={tmp_path / 'a=b'}", *map(str, arguments)])
     with pytest.raises(SystemExit) as ended:
         main()
@@ -113,7 +113,7 @@ def test_the_command_reads_checkpoints_and_names_them(tmp_path, replay, monkeypa
 
 
 def test_a_checkpoint_that_is_not_there_is_told_in_one_sentence(tmp_path, replay, monkeypatch, capsys):
-    arguments = [tmp_path / "nothing", "--replay", replay.path, "--output", tmp_path / "report"]
+    arguments = [tmp_path / "nothing", "--dataset", replay.path, "--output", tmp_path / "report"]
     monkeypatch.setattr(sys, "argv", ["mapt", "report", *map(str, arguments)])
     with pytest.raises(SystemExit) as ended:
         main()
@@ -124,7 +124,7 @@ def test_a_checkpoint_that_is_not_there_is_told_in_one_sentence(tmp_path, replay
 WITH_AGENTS, WITH_STEPS = {"MAPT", "MAPT-TPA", "MAPT*"}, {"MAPT", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-Transformer"}
 
 
-def drawn_model(name: str, replay: Replay) -> RewardModel:
+def drawn_model(name: str, replay: RecordedDataset) -> RewardModel:
     """A small model whose every parameter was drawn, so that no path is silent."""
     model = build_reward_model(network_of(f"{name}:hidden_dim=8", "small", replay.source.layout)).eval()
     generator = torch.Generator().manual_seed(0)
@@ -186,14 +186,14 @@ def test_a_sample_has_the_papers_number_of_state_actions_at_most(replay):
 
 
 def test_a_sample_may_be_of_fresh_segments_alone(replay):
-    sample = draw_sample(replay, "oracle", 50, fresh_of_seed=3)
-    np.testing.assert_array_equal(sample.indices, split_replay(len(replay), 3).test)
+    sample = draw_sample(replay, "oracle", 50, held_out_seed=3)
+    np.testing.assert_array_equal(sample.indices, split_dataset(len(replay), 3).test)
 
 
 def test_the_past_has_no_share_in_a_markov_model_and_all_of_it_without_a_markov_path(replay):
     sample = draw_sample(replay, "oracle", 50, None)
     share = {
-        name: diagnose(name, drawn_model(name, replay), sample).metrics["past_share"]
+        name: analyse(name, drawn_model(name, replay), sample).metrics["past_share"]
         for name in ("MA-MLP", "MAPT", "MAPT:markov_path=false")
     }
     assert share["MA-MLP"] == pytest.approx(0.0, abs=1e-9)
@@ -203,8 +203,8 @@ def test_the_past_has_no_share_in_a_markov_model_and_all_of_it_without_a_markov_
 
 def test_agents_of_a_joint_reward_do_not_differ(replay):
     sample = draw_sample(replay, "oracle", 50, None)
-    joint = diagnose("joint", drawn_model("MA-Transformer:markov_path=false", replay), sample)
-    own = diagnose("own", drawn_model("MA-MLP", replay), sample)
+    joint = analyse("joint", drawn_model("MA-Transformer:markov_path=false", replay), sample)
+    own = analyse("own", drawn_model("MA-MLP", replay), sample)
     assert joint.metrics["spread_across_agents"] == pytest.approx(0.0, abs=1e-5)
     assert own.metrics["spread_across_agents"] > 0.1
     assert own.agent_attention is None

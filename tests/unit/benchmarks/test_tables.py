@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapt.benchmarks.evaluate import Examination
+from mapt.benchmarks.evaluate import ModelEvaluation
 from mapt.benchmarks.figures import draw_table
 from mapt.benchmarks.job import Cell, CellSettings, TablePlan
 from mapt.benchmarks.tables import markdown, summarise, write_cells, write_comparisons
@@ -22,7 +22,7 @@ def cell(model: str, seed: int, n_right: int, *, labels: int = 100, teacher: str
     settings = CellSettings("Tiny", "f", model, {}, {}, teacher, {}, labels, seed, 10)
     logits = np.where(np.arange(10) < n_right, 1.0, -1.0).astype(np.float32)
     metrics = {"accuracy": n_right / 10, "loss": 0.5, "seconds": 60.0}
-    return Cell(settings, Examination(metrics, logits, np.ones(10), np.ones(10), PAIRS), code)
+    return Cell(settings, ModelEvaluation(metrics, logits, np.ones(10), np.ones(10), PAIRS), code)
 
 
 THREE_SEEDS = [
@@ -33,7 +33,7 @@ THREE_SEEDS = [
 
 def test_means_and_spreads_are_over_seeds():
     accuracy = summarise(PLAN, THREE_SEEDS).line("oracle", 100, "MA-MLP").metrics["accuracy"]
-    assert (accuracy.mean, accuracy.deviation, accuracy.n) == pytest.approx((0.6, 0.1, 3))
+    assert (accuracy.mean, accuracy.std, accuracy.n) == pytest.approx((0.6, 0.1, 3))
 
 
 def test_the_comparison_is_paired_by_seed_and_by_pair():
@@ -66,7 +66,7 @@ def test_a_cell_that_is_not_finished_stays_empty():
     summary = summarise(PLAN, THREE_SEEDS)
     assert summary.missing == 2 * 2 * 2 * 3 - 6
     text = markdown(summary)
-    assert "18 cells are not finished" in text
+    assert "18 results are missing" in text
     assert "| MA-MLP | 60.0 ± 10.0 |  |" in text
     (row,) = [line for line in text.partition("### phase, 500 labels")[2].splitlines() if line.startswith("| MAPT")]
     assert set(row.removeprefix("| MAPT")) <= {"|", " "}
@@ -88,12 +88,14 @@ def test_an_arrow_shows_a_difference_beyond_chance():
     assert "| MAPT | 30.0 |" in markdown(summarise(PLAN, [cell("MA-MLP", 0, 2), cell("MAPT", 0, 3)]))
 
 
-def test_the_markdown_says_when_cells_come_from_several_states_of_the_code():
-    assert "states of the code" not in markdown(summarise(PLAN, THREE_SEEDS))
-    assert "2 states of the code" in markdown(summarise(PLAN, [*THREE_SEEDS, cell("MAPT", 0, 5, labels=500, code="b")]))
+def test_the_markdown_warns_of_results_from_several_versions_of_the_code():
+    assert "versions of the code" not in markdown(summarise(PLAN, THREE_SEEDS))
+    assert "2 versions of the code" in markdown(
+        summarise(PLAN, [*THREE_SEEDS, cell("MAPT", 0, 5, labels=500, code="b")])
+    )
 
 
-def test_csv_has_a_line_for_each_cell_and_each_comparison(tmp_path):
+def test_csv_has_a_line_per_cell_and_per_comparison(tmp_path):
     summary = summarise(PLAN, THREE_SEEDS)
     write_cells(summary, tmp_path / "cells.csv")
     write_comparisons(summary, tmp_path / "comparisons.csv")
@@ -108,7 +110,7 @@ def test_csv_has_a_line_for_each_cell_and_each_comparison(tmp_path):
 
 
 @pytest.mark.parametrize("cells", [THREE_SEEDS, [], [cell("MAPT", 0, 10)]], ids=["some", "none", "one, all right"])
-def test_the_plot_is_drawn_of_whatever_is_there(tmp_path, cells):
+def test_an_incomplete_table_can_be_plotted(tmp_path, cells):
     draw_table(summarise(PLAN, cells), tmp_path / "table.png")
     assert (tmp_path / "table.png").read_bytes().startswith(b"\x89PNG")
 
@@ -116,6 +118,6 @@ def test_the_plot_is_drawn_of_whatever_is_there(tmp_path, cells):
 @pytest.mark.parametrize(
     "changes", [{"models": ()}, {"seeds": (0, 0)}, {"labels": (1,)}, {"baseline": "MA-LSTM"}, {"test_pairs": 0}]
 )
-def test_a_plan_that_makes_no_sense_is_refused(changes):
+def test_an_invalid_plan_is_refused(changes):
     with pytest.raises(InvalidConfig):
         replace(PLAN, **changes)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor, nn
 
-from mapt.benchmarks.recorded_dataset import Replay
+from mapt.benchmarks.recorded_dataset import RecordedDataset
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.storage import SegmentLayout, SegmentWriter
 from mapt.rewards.model import RewardOutput
@@ -14,7 +14,7 @@ N_SEGMENTS, N_STEPS, N_AGENTS, OBSERVATION_DIM = 80, 6, 2, 3
 TASK = "Tiny"
 
 
-def write_replay(path: Path, seed: int = 0, n_segments: int = N_SEGMENTS) -> Replay:
+def write_replay(path: Path, seed: int = 0, n_segments: int = N_SEGMENTS) -> RecordedDataset:
     """Reward of a step: the mean over agents of their first number."""
     rng = np.random.default_rng(seed)
     observations = rng.normal(size=(n_segments, N_STEPS, N_AGENTS, OBSERVATION_DIM)).astype(np.float32)
@@ -23,7 +23,7 @@ def write_replay(path: Path, seed: int = 0, n_segments: int = N_SEGMENTS) -> Rep
     with SegmentWriter.create(path, layout, about={"task": TASK, "seed": seed}) as writer:
         whole = np.ones((n_segments, N_STEPS), np.bool_)
         writer.append(SegmentArrays(observations, actions, whole), rewards=observations[..., 0].mean(axis=2))
-    return Replay.open(path)
+    return RecordedDataset.open(path)
 
 
 class KnowingModel(nn.Module):

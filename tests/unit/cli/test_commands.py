@@ -1,45 +1,80 @@
+import os
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+import typer
 
-from accord.cli.main import app, main
+from accord.cli.main import app as accord_app
+from accord.cli.main import main
 from accord.cli.options import load_settings, service_url, url_of
 from accord.cli.up import environment_of
 from accord.domain.errors import DatabaseTooNew
 from accord.settings import Settings
-from support.reference import commands_of
-
-COMMANDS = commands_of(app, "accord")
-
-
-def test_the_commands_are_those_of_the_documents():
-    assert set(COMMANDS) == {
-        "accord up",
-        "accord link",
-        "accord teach",
-        "accord demo",
-        "accord doctor",
-        "accord export",
-        "accord tasks",
-        "accord user add",
-        "accord user link",
-        "accord user list",
-        "accord user remove",
-    }
+from mapt.cli.app import LazyGroup
+from mapt.cli.main import app as mapt_app
+from mapt.cli.main import main as mapt_main
 
 
-@pytest.mark.parametrize("module", ["accord.cli.main", "accord.cli.serve"])
-def test_commands_and_server_start_without_torch_and_matplotlib(module):
-    # They take longer to import than most commands take to run. The import rules do not see what a package's
-    # __init__.py brings along.
+@pytest.mark.parametrize("module", ["accord.cli.serve", "accord.cli.up"])
+def test_the_service_starts_without_torch_and_matplotlib(module):
+    # They take longer to import than the service takes to start. The import rules do not see what a package's
+    # __init__.py imports.
     program = f"import sys, {module}; print({{'torch', 'matplotlib'}} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout.strip() == "set()"
 
 
-def test_an_error_of_ours_is_one_sentence_and_status_2(monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("command", "arguments"),
+    [("mapt", ["--help"]), ("mapt", ["tasks"]), ("mapt", ["--version"]), ("accord", ["--help"]), ("accord", ["tasks"])],
+)
+def test_short_commands_do_not_import_torch(command, arguments):
+    program = (
+        f"import sys; from {command}.cli.main import main; sys.argv = {['x', *arguments]!r}\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert not end.code\n"
+        "print({'torch', 'matplotlib'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.splitlines()[-1] == "set()"
+
+
+@pytest.mark.parametrize(("name", "app"), [("accord", accord_app), ("mapt", mapt_app)])
+def test_help_shows_the_first_line_of_each_commands_docstring(name, app):
+    group = typer.main.get_command(app)
+    assert isinstance(group, LazyGroup)
+    with group.make_context(name, [], resilient_parsing=True) as context:
+        for command, lazy in group.lazy.items():
+            loaded = group.get_command(context, command)
+            assert (loaded.help or "").splitlines()[0] == lazy.summary
+
+
+@pytest.mark.parametrize("name", ["accord", "mapt"])
+def test_version_is_that_of_the_distribution(monkeypatch, capsys, name):
+    monkeypatch.setattr(sys, "argv", [name, "--version"])
+    with pytest.raises(SystemExit) as ended:
+        {"accord": main, "mapt": mapt_main}[name]()
+    assert not ended.value.code
+    assert capsys.readouterr().out == f"{name} {version('accord')}\n"
+
+
+def test_names_of_commands_are_completed_without_importing_them():
+    program = "import sys; sys.argv = ['mapt']; from mapt.cli.main import main; main()"
+    environment = os.environ | {"_MAPT_COMPLETE": "complete_bash", "COMP_WORDS": "mapt t", "COMP_CWORD": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert {"tasks", "train", "table"} <= set(done.stdout.split()), done.stderr
+
+
+def test_an_error_is_printed_in_one_line_with_status_2(monkeypatch, capsys):
     def fail() -> None:
         raise DatabaseTooNew("The database [x] is too new.")
 

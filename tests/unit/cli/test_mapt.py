@@ -1,4 +1,4 @@
-"""The mapt command: what it refuses in one sentence, what it leaves behind, and that a killed run goes on."""
+"""The subcommands of `mapt`: their output files, their error messages, and resuming after a kill."""
 
 import json
 import subprocess
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mapt.benchmarks.specification import numbers, words
+from mapt.benchmarks.specification import parse_list, parse_numbers
 from mapt.errors import InvalidConfig
 from mapt.training.run_folder import RunFolder
 from support.short_tasks import SHORTEST_NAME
@@ -32,14 +32,14 @@ def replays(tmp_path_factory) -> Path:
 
 def table_arguments(replays: Path, output: Path) -> list[str | Path]:
     plan = ["--task", TASK, "--models", MODELS, "--labels", "30", "--seeds", "0,1", "--test-pairs", "100"]
-    return ["table", *plan, "--replay", replays, "--output", output]
+    return ["table", *plan, "--datasets", replays, "--output", output]
 
 
 def arrays(output: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted((output / "cells").glob("*.safetensors"))}
 
 
-def test_a_killed_table_goes_on_and_is_the_same_as_one_that_was_not(tmp_path, replays, mapt):
+def test_a_killed_table_resumes_with_the_same_results(tmp_path, replays, mapt):
     process = subprocess.Popen(
         command(*table_arguments(replays, tmp_path / "killed"), "--workers", "1"), stdout=subprocess.DEVNULL
     )
@@ -56,24 +56,24 @@ def test_a_killed_table_goes_on_and_is_the_same_as_one_that_was_not(tmp_path, re
     assert whole.status == 0, whole.errors
     assert len(arrays(tmp_path / "whole")) == 4
     assert arrays(tmp_path / "killed") == arrays(tmp_path / "whole")
-    assert "not finished" not in (tmp_path / "whole" / "table.md").read_text()
+    assert "missing" not in (tmp_path / "whole" / "table.md").read_text()
     assert len(list((tmp_path / "whole" / "models").glob("*/reward.json"))) == 4
 
 
-def test_a_dry_run_makes_no_cell_and_leaves_a_table_with_empty_places(tmp_path, replays, mapt):
+def test_a_dry_run_trains_nothing_and_writes_an_empty_table(tmp_path, replays, mapt):
     assert mapt(*table_arguments(replays, tmp_path), "--dry-run").status == 0
     assert not (tmp_path / "cells").exists()
-    assert "4 cells are not finished" in (tmp_path / "table.md").read_text()
+    assert "4 results are missing" in (tmp_path / "table.md").read_text()
     assert len((tmp_path / "cells.csv").read_text().splitlines()) == 1
     assert (tmp_path / "table.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_table_that_lacks_cells_ends_with_status_1(tmp_path, replays, mapt):
+def test_missing_results_exit_with_status_1(tmp_path, replays, mapt):
     # A teacher who skips every pair never gives 30 labels.
     failed = mapt(*table_arguments(replays, tmp_path), "--teachers", "skip:skip=1000")
     assert failed.status == 1
     assert "gave 0 of 30 labels" in failed.errors
-    assert "4 cells are missing" in failed.errors
+    assert "4 results are missing" in failed.errors
 
 
 @pytest.mark.parametrize(
@@ -81,35 +81,35 @@ def test_a_table_that_lacks_cells_ends_with_status_1(tmp_path, replays, mapt):
     [
         (["--models", "Nobody"], "no reward model is called 'Nobody'"),
         (["--teachers", "nobody"], "no teacher is called 'nobody'"),
-        (["--labels", "many"], "it looks like 0,1,2"),
-        (["--baseline", "MAPT*"], "none of the models"),
+        (["--labels", "many"], "--labels"),
+        (["--baseline", "MAPT*"], "baseline"),
         (["--task", "HalfCheetah-6x1"], "is of Tiny"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_sentence(tmp_path, replays, mapt, arguments, sentence):
+def test_invalid_arguments_of_table_are_refused_in_one_line(tmp_path, replays, mapt, arguments, sentence):
     refused = mapt(*table_arguments(replays, tmp_path), *arguments)
     assert refused.status == 2
     assert refused.errors.startswith("mapt: ")
     assert sentence in refused.errors
 
 
-def test_dataset_records_the_replay_of_a_seed(tmp_path, mapt):
-    counts = ["--policy-steps", "4096", "--segment-steps", "20", "--segments", "10"]
+def test_dataset_records_a_dataset_per_seed(tmp_path, mapt):
+    counts = ["--steps", "4096", "--segment-steps", "20", "--segments", "10"]
     made = mapt("dataset", "--task", "HalfCheetah-2x3", "--seeds", "2", *counts, "--output", tmp_path)
     assert made.status == 0, made.errors
     about = json.loads((tmp_path / "seed-2" / "manifest.json").read_text())
     assert (about["n_segments"], about["about"]["seed"]) == (10, 2)
 
 
-def test_lists_are_read_with_commas():
-    assert words("--models", "MAPT, MA-MLP") == ("MAPT", "MA-MLP")
-    assert numbers("--seeds", "0,2", 0) == (0, 2)
+def test_lists_are_comma_separated():
+    assert parse_list("--models", "MAPT, MA-MLP") == ("MAPT", "MA-MLP")
+    assert parse_numbers("--seeds", "0,2", 0) == (0, 2)
 
 
 @pytest.mark.parametrize("text", ["", "0,,1", "0,0", "1,-1", "a"])
-def test_lists_that_make_no_sense_are_refused(text):
+def test_invalid_lists_are_refused(text):
     with pytest.raises(InvalidConfig, match="--seeds"):
-        numbers("--seeds", text, 0)
+        parse_numbers("--seeds", text, 0)
 
 
 TINY = ("n_envs=4", "rollout_steps=24", "minibatches=2", "epochs=2", "hidden=[8]")
@@ -128,8 +128,8 @@ def training(output: Path, *more: str | Path) -> list[str | Path]:
     ]
 
 
-def test_seeds_are_trained_measured_and_compared(mapt, tmp_path):
-    trained = mapt(*training(tmp_path / "runs", "--seed", "0,1"))
+def test_runs_are_trained_evaluated_and_compared(mapt, tmp_path):
+    trained = mapt(*training(tmp_path / "runs", "--seeds", "0,1"))
     assert trained.status == 0, trained.errors
     assert trained.printed.count("true return") >= 2
     for seed in (0, 1):
@@ -155,7 +155,7 @@ def test_a_finished_run_is_not_trained_again(mapt, tmp_path):
     assert RunFolder(tmp_path / "seed-0").metrics.read_bytes() == before
 
 
-def test_what_a_reward_looks_back_on_is_on_its_card_or_has_to_be_said(mapt, tmp_path):
+def test_segment_steps_come_from_the_card_or_the_option(mapt, tmp_path):
     write_reward(tmp_path / "told", reward_model(), segment_steps=7)
     write_reward(tmp_path / "silent", reward_model(), segment_steps=None)
     assert mapt(*training(tmp_path / "a", "--reward", tmp_path / "told")).status == 0
@@ -167,7 +167,7 @@ def test_what_a_reward_looks_back_on_is_on_its_card_or_has_to_be_said(mapt, tmp_
     assert [reward.segment_steps for reward in steps if reward] == [7, 4]
 
 
-def test_a_reward_is_taken_as_the_service_keeps_it(mapt, tmp_path):
+def test_a_reward_model_is_read_from_the_blobs_of_the_service(mapt, tmp_path):
     write_reward(tmp_path, reward_model())
     for name, kept in (("reward.safetensors", "rwb_1.safetensors"), ("reward.json", "rwb_1.json")):
         (tmp_path / name).rename(tmp_path / kept)
@@ -179,18 +179,18 @@ def test_a_reward_is_taken_as_the_service_keeps_it(mapt, tmp_path):
     ("arguments", "message"),
     [
         (["--set", "learning_rte=1"], "learning_rte"),
-        (["--set", "learning_rate"], "'learning_rate' is no KEY=VALUE"),
-        (["--set", "learning_rate=fast"], "learning_rate is 'fast'"),
-        (["--set", "seed=3"], "give --seed instead"),
+        (["--set", "learning_rate"], "NAME=VALUE"),
+        (["--set", "learning_rate=fast"], "learning_rate"),
+        (["--set", "seed=3"], "--seeds"),
         (["--algorithm", "ppo"], "one of mappo, happo, mat, mat_dec"),
         (["--task", "Cheetah"], "No task is called 'Cheetah'"),
-        (["--seed", "0,0"], "--seed '0,0'"),
+        (["--seeds", "0,0"], "--seeds"),
         (["--reward", "nowhere"], "reward.safetensors is missing"),
         (["--reward", "nowhere", "--segment-steps", "5"], "reward.safetensors is missing"),
-        (["--device", "tpu"], "device is"),
+        (["--device", "tpu"], "device"),
     ],
 )
-def test_what_cannot_be_trained_is_refused_in_one_sentence(mapt, tmp_path, arguments, message):
+def test_invalid_arguments_of_train_are_refused_in_one_line(mapt, tmp_path, arguments, message):
     ended = mapt(*training(tmp_path / "run", *arguments))
     assert ended.status == 2
     assert message in ended.errors
@@ -198,11 +198,11 @@ def test_what_cannot_be_trained_is_refused_in_one_sentence(mapt, tmp_path, argum
     assert not (tmp_path / "run" / "seed-0" / "run.json").exists()
 
 
-def test_a_folder_of_another_run_is_refused(mapt, tmp_path):
+def test_a_folder_with_another_run_is_refused(mapt, tmp_path):
     mapt(*training(tmp_path))
     for more, message in (
         (("--set", "clip=0.3"), "policy.clip: 0.1, not 0.3"),
-        (("--set", "n_envs=8"), "policy.n_envs: 4, not 8"),
+        (("--set", "gamma=0.5"), "policy.gamma"),
         (("--task", "Ant-4x2"), f"task: {SHORTEST_NAME}, not Ant-4x2"),
     ):
         ended = mapt(*training(tmp_path, *more))
@@ -211,7 +211,7 @@ def test_a_folder_of_another_run_is_refused(mapt, tmp_path):
 
 
 @pytest.mark.parametrize("command", [["evaluate"], ["curves", "--output", "c.png"]])
-def test_a_folder_without_a_run_is_told(mapt, tmp_path, command):
+def test_a_folder_without_a_run_is_refused(mapt, tmp_path, command):
     ended = mapt(*command, tmp_path)
     assert ended.status == 2
     assert "is neither the folder of a run" in ended.errors

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from mapt.errors import DamagedRun, RunNotFound
+from mapt.plotting import bin_curves
 from mapt.training.curves import draw_curves
 from mapt.training.evaluation import Evaluation, interquartile_mean
 from mapt.training.metrics import MetricsFile
-from mapt.training.results import RunResult, find_runs, grouped, markdown, seed_curves
+from mapt.training.results import RunResult, find_runs, grouped, markdown
 from mapt.training.run_folder import RunFolder
 from mapt.training.settings import LearnedRewardSettings, RunSettings
 from support.training_runs import STEPS_PER_ITERATION
@@ -50,8 +51,8 @@ def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end():
 def test_a_run_is_read_as_it_was_written(settings, tmp_path):
     folder = write_run(tmp_path / "run", settings(3), [None, 5.0, 6.0], final=[1.0, 3.0])
     run = RunResult.read(folder)
-    assert run.curve_steps.tolist() == [2 * STEPS_PER_ITERATION, 3 * STEPS_PER_ITERATION]
-    assert run.curve_returns.tolist() == [5.0, 6.0]
+    assert run.curve.steps.tolist() == [2 * STEPS_PER_ITERATION, 3 * STEPS_PER_ITERATION]
+    assert run.curve.values.tolist() == [5.0, 6.0]
     assert [(one.steps, one.mean) for one in run.evaluations] == [(3 * STEPS_PER_ITERATION, 2.0)]
     assert run.seconds == {"physics": 3.0, "inference": 6.0, "reward": 9.0, "update": 12.0}
 
@@ -120,16 +121,16 @@ def test_the_table_tells_of_steps_on_the_way_and_of_what_is_missing(settings, tm
 def test_a_mean_is_drawn_where_every_seed_has_been(settings, tmp_path):
     long = write_run(tmp_path / "0", settings(4), [1.0, 2.0, None, 4.0, 5.0])
     short = write_run(tmp_path / "1", settings(4, policy_seed=1), [None, 7.0, 9.0])
-    curves = seed_curves(read(long, short))
+    curves = bin_curves([run.curve for run in read(long, short)])
     # Five iterations in four bins, as many as the longest run has points: ends at 1.25, 2.5, 3.75 and 5 iterations.
-    np.testing.assert_array_equal(curves.returns, [[1.0, 2.0, 3.25, 4.5], [np.nan, 7.0, 9.0, np.nan]])
-    assert curves.whole().tolist() == [False, True, True, False]
+    np.testing.assert_array_equal(curves.values, [[1.0, 2.0, 3.25, 4.5], [np.nan, 7.0, 9.0, np.nan]])
+    assert curves.complete().tolist() == [False, True, True, False]
 
 
 def test_many_points_are_averaged_by_bins(settings, tmp_path):
     run = RunResult.read(write_run(tmp_path / "0", settings(100), [float(n) for n in range(100)]))
-    curves = seed_curves([run], most_bins=10)
-    np.testing.assert_allclose(curves.returns[0], 4.5 + 10 * np.arange(10))
+    curves = bin_curves([run.curve], max_bins=10)
+    np.testing.assert_allclose(curves.values[0], 4.5 + 10 * np.arange(10))
     assert curves.steps[-1] == 100 * STEPS_PER_ITERATION
 
 

@@ -5,9 +5,8 @@ from hypothesis import strategies as st
 from accord.cli.client import Api
 from accord.cli.demo import describe
 from accord.cli.demo_runs import RunPlan, RunState
-from accord.cli.options import parse_numbers
-from accord.cli.teach import Sight, judge, parse_teacher
-from accord.domain.errors import Invalid
+from accord.cli.teach import SegmentReader, TeacherChoice, judge
+from mapt.errors import InvalidConfig, InvalidTeacher, UnknownTeacher
 from mapt.preferences.teachers import make_teacher
 
 REWARDS = st.lists(st.floats(-10, 10), min_size=3, max_size=3)
@@ -21,7 +20,7 @@ def query(rewards_0: list[float], rewards_1: list[float], left: int) -> dict:
 def labels_of(*queries: dict, name: str = "oracle", **parameters: object) -> list[float | None]:
     teacher, api = make_teacher(name, **parameters), Api("http://localhost", "none")
     try:
-        return judge(teacher, Sight(api, teacher), queries)
+        return judge(teacher, SegmentReader(api, teacher), queries)
     finally:
         api.close()
 
@@ -48,45 +47,52 @@ def test_a_skip_is_none():
     assert labels_of(query([0.0], [0.0], left=0), query([5.0], [9.0], left=0), name="skip", skip=0.1) == [None, 0.0]
 
 
-def test_parameters_are_json_or_words():
-    choice = parse_teacher("phase+stochastic", ["want=equal", "column=0", "beta=2.5", "mistake=0.25"])
-    told = choice.teacher(9).parameters()
-    assert (told["want"], told["column"], told["beta"], told["mistake"], told["seed"]) == ("equal", 0, 2.5, 0.25, 9)
-    assert parse_teacher("smoothness", ["columns=[0, 1]"]).teacher(0).parameters()["columns"] == [0, 1]
-    assert parse_teacher("stochastic", ["beta=null"]).teacher(0).parameters()["beta"] is None
+def test_parameters_are_json_or_strings():
+    choice = TeacherChoice.parse("phase+stochastic:want=equal:column=0:beta=2.5:mistake=0.25")
+    found = choice.teacher(9).parameters()
+    assert (found["want"], found["column"], found["beta"], found["mistake"], found["seed"]) == (
+        "equal",
+        0,
+        2.5,
+        0.25,
+        9,
+    )
+    assert TeacherChoice.parse("smoothness:columns=[0, 1]").teacher(0).parameters()["columns"] == [0, 1]
+    assert TeacherChoice.parse("stochastic:beta=null").teacher(0).parameters()["beta"] is None
 
 
-def test_a_seed_of_the_teachers_own_goes_before_the_runs():
-    assert parse_teacher("mistake", ["seed=3"]).teacher(9).parameters()["seed"] == 3
+def test_a_seed_parameter_overrides_the_seed_of_the_run():
+    assert TeacherChoice.parse("mistake:seed=3").teacher(9).parameters()["seed"] == 3
 
 
 @pytest.mark.parametrize(
-    ("name", "parameters", "words"),
+    "text",
     [
-        ("nobody", [], "no teacher is called 'nobody'"),
-        ("oracle", ["mistake"], "KEY=VALUE"),
-        ("oracle", ["=1"], "KEY=VALUE"),
-        ("oracle", ["mistake=often"], "mistake of oracle must be a number"),
-        ("oracle", ["mistake=2"], "0, 1"),
-        ("oracle", ["colour=1"], "no parameter colour"),
-        ("oracle", ["name=x"], "no parameter name"),
-        ("oracle", ["seed=x"], "seed of oracle must be a whole number"),
-        ("phase+myopic", [], "gamma"),
+        "oracle:mistake=often",
+        "oracle:mistake=2",
+        "oracle:colour=1",
+        "oracle:name=x",
+        "oracle:seed=x",
+        "phase+myopic",
     ],
 )
-def test_a_teacher_that_cannot_be_is_refused_in_a_sentence(name, parameters, words):
-    with pytest.raises(Invalid, match=words):
-        parse_teacher(name, parameters)
+def test_invalid_parameters_are_refused(text):
+    with pytest.raises(InvalidTeacher):
+        TeacherChoice.parse(text)
 
 
-def test_seeds_are_numbers_with_commas_each_once():
-    assert parse_numbers("--seed", "0,1, 2", 0) == (0, 1, 2)
-    for text in ("", "a", "1,1", "-1", "0;1"):
-        with pytest.raises(Invalid, match="--seed"):
-            parse_numbers("--seed", text, 0)
+def test_an_unknown_teacher_is_refused():
+    with pytest.raises(UnknownTeacher):
+        TeacherChoice.parse("nobody")
 
 
-def test_words_beside_the_bar_say_how_far_it_is():
+@pytest.mark.parametrize("text", ["oracle:mistake", "oracle:=1", "oracle:mistake=0:mistake=1"])
+def test_a_parameter_must_be_an_assignment(text):
+    with pytest.raises(InvalidConfig):
+        TeacherChoice.parse(text)
+
+
+def test_the_words_beside_the_bar_show_labels_version_and_return():
     plan = RunPlan("run", "HalfCheetah-6x1", "preferences", 0, 100, 50, 10, 5, False)
     words = describe(plan, RunState(steps=10, labels=7, version=2, true_return=-12.3, detail="training"))
     assert words == "labels 7/50 · version 2 · return -12 · training"

@@ -1,0 +1,141 @@
+"""Plans, tables and run folders of a demo."""
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+from matplotlib.image import imread
+
+from accord.cli.demo import rows_of, write_results
+from accord.cli.demo_runs import DemoRun, Grid, RunPlan, write_metrics
+from accord.cli.teach import TeacherChoice
+from mapt.training.evaluation import Evaluation
+from mapt.training.results import RunResult, find_runs, grouped
+from mapt.training.run_folder import RunFolder
+
+STEPS = 1000
+
+
+def plan(seed: int, source: str, model: str = "MAPT", labels: int = 50) -> RunPlan:
+    name = f"{source} {model} {labels} {seed}"
+    return RunPlan(name, "HalfCheetah-6x1", source, seed, STEPS, labels, 10, 5, False, model)
+
+
+def run(seed: int, source: str, final: float, model: str = "MAPT", labels: int = 50) -> DemoRun:
+    learned = source != "true"
+    return DemoRun(
+        plan(seed, source, model, labels), Path("run"), 60.0, 50 if learned else 0, 1 if learned else 0, -5.0, final
+    )
+
+
+def test_each_seed_is_compared_with_its_own_baseline_and_the_means_come_last():
+    runs = [run(0, "true", 100.0), run(0, "preferences", 80.0), run(1, "true", 300.0)]
+    rows = rows_of([*runs, run(1, "preferences", 150.0)])
+    assert [(row.seed, row.share) for row in rows] == [("0", 0.8), ("1", 0.5), ("mean", 115 / 200)]
+    assert rows[0].untrained == -5.0
+
+
+def test_rows_are_grouped_by_labels_and_model():
+    runs = [
+        run(0, "preferences", 80.0),
+        run(0, "preferences", 70.0, "MA-MLP"),
+        run(0, "preferences", 90.0, labels=99),
+    ]
+    rows = rows_of([*runs, run(1, "preferences", 60.0)])
+    found = [(row.reward_model, row.seed, row.learned_reward) for row in rows]
+    assert found == [
+        ("MA-MLP", "0", 70.0),
+        ("MAPT", "0", 80.0),
+        ("MAPT", "1", 60.0),
+        ("MAPT", "mean", 70.0),
+        ("MAPT", "0", 90.0),
+    ]
+    assert rows[3].std == 200**0.5
+
+
+def test_the_share_is_undefined_without_a_positive_baseline():
+    assert math.isnan(rows_of([run(0, "true", -1.0), run(0, "preferences", 5.0)])[0].share)
+    assert math.isnan(rows_of([run(0, "preferences", 5.0)])[0].share)
+
+
+def test_a_grid_has_a_plan_per_combination_and_a_baseline_per_seed():
+    grid = Grid("HalfCheetah-6x1", 1000, seeds=(0, 1), labels=(50, 100), reward_models=("MAPT", "MA-MLP"))
+    plans = grid.plans("oracle")
+    assert len({plan.name for plan in plans}) == len(plans) == 2 * (1 + 2 * 2)
+    assert [plan.reward_source for plan in plans[:2]] == ["true", "preferences"]
+    assert {(plan.label_budget, plan.initial_labels, plan.labels_per_version) for plan in plans[1:5]} == {
+        (50, 10, 5),
+        (100, 20, 10),
+    }
+
+
+def test_at_most_100_labels_precede_the_first_reward_version():
+    [plan] = Grid("HalfCheetah-6x1", 1000, (0,), (3000,), ("MAPT",), baseline=False).plans("oracle")
+    assert (plan.initial_labels, plan.labels_per_version) == (100, 300)
+
+
+def test_a_plan_names_how_an_experiment_differs():
+    [plan] = Grid("HalfCheetah-6x1", 1000, (0,), (50,), ("MAPT",), baseline=False).plans("oracle")
+    config = {**asdict(plan), "pacing": "wait"}
+    assert plan.differences(config) == []
+    assert plan.differences(config | {"seed": 1, "pacing": "free"}) == ["seed is 1, not 0"]
+
+
+def test_models_with_a_star_have_folders_of_their_own():
+    names = {plan(0, "preferences", model).folder_name for model in ("MAPT", "MAPT*", "MAPT*-CPA", "MAPT-CPA")}
+    assert len(names) == 4
+    assert not any("*" in name or " " in name for name in names)
+
+
+def write_run(root: Path, plan: RunPlan, final: float, *, episodes: bool = True) -> RunFolder:
+    """A run folder as a demo writes it."""
+    folder = RunFolder(root / "runs" / plan.folder_name)
+    folder.path.mkdir(parents=True)
+    folder.claim(plan.settings(TeacherChoice()))
+    curves = {
+        "true_return_untrained": {0: -5.0},
+        "true_return_untrained_std": {0: 1.0},
+        "true_return_final": {STEPS: final},
+        "policy_loss": {500: 0.1, STEPS: 0.2},
+        "true_return": {500: final / 2, STEPS: final} if episodes else {},
+    }
+    write_metrics(folder, curves)
+    folder.write_evaluation(STEPS, Evaluation((final - 1, final + 1), (20, 20)))
+    return folder
+
+
+def test_a_run_folder_of_a_demo_is_read_as_one_of_mapt_train(tmp_path):
+    folder = write_run(tmp_path, plan(3, "preferences", labels=60), 80.0)
+    result = RunResult.read(folder)
+    assert (result.settings.policy.seed, result.settings.steps, result.steps) == (3, STEPS, STEPS)
+    assert result.curve.steps.tolist() == [500, STEPS]
+    assert [(one.steps, one.mean) for one in result.evaluations] == [(0, -5.0), (STEPS, 80.0)]
+    [group] = grouped([result])
+    assert (group.reward, group.labels) == ("MAPT", 60)
+    lines = [json.loads(line) for line in folder.metrics.read_text().splitlines()]
+    assert [line["steps"] for line in lines] == [0, 500, STEPS]
+
+
+def test_metrics_are_replaced_when_a_run_is_saved_again(tmp_path):
+    folder = write_run(tmp_path, plan(0, "true"), 80.0)
+    before = folder.metrics.read_text()
+    write_metrics(folder, {"true_return": {500: 1.0}})
+    assert len(folder.metrics.read_text().splitlines()) == 1 < len(before.splitlines())
+
+
+@pytest.mark.parametrize("learned", [1, 2])
+def test_the_figure_and_the_table_show_every_run_of_the_folder(tmp_path, learned):
+    write_run(tmp_path, plan(0, "true"), 100.0)
+    for labels in (50, 99)[:learned]:
+        for seed in (0, 1):
+            write_run(tmp_path, plan(seed, "preferences", labels=labels), 80.0 + seed, episodes=seed == 0)
+    write_results(tmp_path)
+    text = (tmp_path / "returns.md").read_text()
+    assert "| MAPT, 50 labels |" in text
+    assert "| true |" in text
+    assert len(find_runs([tmp_path])) == 1 + 2 * learned
+    # With several numbers of labels, a second panel shows returns by labels.
+    width = imread(tmp_path / "returns.png").shape[1]
+    assert (width > 1500) == (learned == 2)
