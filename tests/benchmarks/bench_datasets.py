@@ -1,8 +1,8 @@
-"""Peak memory and speed of 50,000 pairs on disk: written, read in order, read at random, trained on.
+"""Peak memory and speed of 50,000 pairs on disk: writing, sequential and random reading, training.
 
-The training is one epoch of the Markov path of MAPT `small` and the first hundred steps of the whole network. A tenth
-of the pairs goes to Parquet and back. Each pass runs in a process of its own, whose peak resident memory is what the
-system reports at its end. A memory map of the same files makes the random pass beside ours.
+Training runs one epoch of MAPT `small`'s Markov path, then the first hundred steps of the whole network. A tenth of the
+pairs is exported to Parquet and loaded again. Each pass runs in its own process, so that its peak resident memory is
+measured separately. Random reading of a memory map of the same files is measured for comparison.
 
     python tests/benchmarks/bench_datasets.py [pairs] [pass,pass]
 """
@@ -68,7 +68,7 @@ def read_at_random(path: Path, n_pairs: int) -> None:
 
 
 def map_at_random(path: Path, n_pairs: int) -> None:
-    """The same with a memory map: what is not done here."""
+    """As `read_at_random`, from memory maps, for comparison."""
     rows = (2 * n_pairs, LAYOUT.n_steps, LAYOUT.n_agents)
     observations = np.memmap(path / "segments/observations.bin", "<f4", "r", shape=(*rows, LAYOUT.observation_dim))
     actions = np.memmap(path / "segments/actions.bin", "<f4", "r", shape=(*rows, LAYOUT.action_dim))
@@ -92,7 +92,7 @@ def train(path: Path, n_pairs: int) -> None:
 
 
 def export(path: Path, n_pairs: int) -> None:
-    """To our Parquet tables."""
+    """Export to Parquet tables."""
     folder, n_segments = SegmentFolder.open(path / "segments"), 2 * n_pairs
     with TableWriter(path / "export", LAYOUT) as tables:
         for first in range(0, n_segments, tables.rows_per_group):
@@ -103,13 +103,13 @@ def export(path: Path, n_pairs: int) -> None:
 
 
 def load(path: Path, n_pairs: int) -> None:
-    """From the tables to a folder."""
+    """Load the tables into a `SegmentFolder`."""
     assert len(PreferenceTables.open(path / "export").load(path / "loaded")) == n_pairs
 
 
-#: Steps of the whole network in the training pass: its memory stands after the first.
+#: Training steps of the whole network; its memory is constant after the first.
 WHOLE_STEPS = 100
-#: Passes that a tenth of the pairs says enough of.
+#: Passes that run on a tenth of the pairs.
 SHORT = ("export", "load")
 PASSES: dict[str, Callable[[Path, int], None]] = {
     each.__name__: each for each in (write, read_in_order, read_at_random, map_at_random, train, export, load)
@@ -117,7 +117,7 @@ PASSES: dict[str, Callable[[Path, int], None]] = {
 
 
 def run(name: str, path: Path, n_pairs: int) -> None:
-    """One pass in this process; prints its row."""
+    """Run one pass in this process and print its row."""
     before = peak_bytes()
     started = time.perf_counter()
     PASSES[name](path, n_pairs)

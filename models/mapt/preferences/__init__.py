@@ -1,4 +1,4 @@
-"""Preferences between segments: the Bradley-Terry loss, datasets, scripted teachers, query selection.
+"""Preferences between segments: the Bradley-Terry loss, datasets, scripted teachers, query selection, file formats.
 
-Import the submodules: only `mapt.preferences.loss` needs torch.
+Import the submodules. Only `mapt.preferences.loss` imports torch.
 """

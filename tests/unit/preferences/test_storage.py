@@ -50,7 +50,7 @@ def assert_equal(found, expected):
     np.testing.assert_array_equal(found.mask, expected.mask)
 
 
-def test_segments_come_back_as_they_were(tmp_path):
+def test_segments_are_read_back_equal(tmp_path):
     arrays = written(tmp_path / "segments")
     folder = SegmentFolder.open(tmp_path / "segments")
     dimensions = (folder.n_steps, folder.n_agents, folder.observation_dim, folder.action_dim)
@@ -59,20 +59,20 @@ def test_segments_come_back_as_they_were(tmp_path):
 
 
 @given(st.lists(st.integers(0, 3), max_size=12))
-def test_any_indices_in_any_order_come_as_they_would_from_memory(tmp_path_factory, indices):
+def test_take_equals_take_of_arrays_in_memory(tmp_path_factory, indices):
     path = tmp_path_factory.mktemp("any") / "segments"
     arrays = written(path)
     assert_equal(SegmentFolder.open(path).take(indices), arrays.take(np.array(indices, dtype=np.int64)))
 
 
 @pytest.mark.parametrize("indices", [[0, 4], [-1], [[0]], [0.5], [True]])
-def test_an_index_that_names_no_segment_is_refused(tmp_path, indices):
+def test_index_out_of_range_is_refused(tmp_path, indices):
     written(tmp_path / "segments")
     with pytest.raises(IndexError):
         SegmentFolder.open(tmp_path / "segments").take(indices)
 
 
-def test_batches_appended_one_by_one_lie_in_their_order(tmp_path):
+def test_appended_batches_keep_their_order(tmp_path):
     parts = [segments((5, 2), seed=seed) for seed in range(3)]
     with SegmentWriter.create(tmp_path / "segments", LAYOUT) as writer:
         places = [writer.append(part).tolist() for part in parts]
@@ -94,7 +94,7 @@ def test_shorter_segments_are_padded_to_the_layout(tmp_path):
     assert not found.observations[:, 3:].any()
 
 
-def test_rewards_and_simulator_states_are_kept_exactly(tmp_path):
+def test_rewards_and_simulator_states_are_stored_exactly(tmp_path):
     arrays, rng = segments((5, 3)), np.random.default_rng(1)
     rewards, qpos, qvel = (rng.normal(size=(2, 5, *shape)) for shape in ((), (3,), (2,)))
     with SegmentWriter.create(tmp_path / "segments", FULL) as writer:
@@ -105,14 +105,14 @@ def test_rewards_and_simulator_states_are_kept_exactly(tmp_path):
         assert not found([1])[:, 3:].any()
 
 
-def test_what_a_folder_does_not_keep_cannot_be_read(tmp_path):
+def test_array_that_is_not_stored_is_refused(tmp_path):
     written(tmp_path / "segments")
     with pytest.raises(MissingPart) as refused:
         SegmentFolder.open(tmp_path / "segments").rewards([0])
     assert "rewards" in refused.value.part
 
 
-def test_discrete_actions_are_stored_as_an_index_and_come_back_one_hot(tmp_path):
+def test_discrete_actions_are_stored_as_indices(tmp_path):
     layout = SegmentLayout(n_steps=5, n_agents=2, observation_dim=3, action_dim=4, discrete=True)
     arrays = segments((5, 3), discrete=True)
     with SegmentWriter.create(tmp_path / "segments", layout) as writer:
@@ -121,7 +121,7 @@ def test_discrete_actions_are_stored_as_an_index_and_come_back_one_hot(tmp_path)
     assert_equal(SegmentFolder.open(tmp_path / "segments").take([0, 1]), arrays)
 
 
-def test_actions_that_are_not_one_hot_are_refused_where_they_are_discrete(tmp_path):
+def test_discrete_actions_must_be_one_hot(tmp_path):
     layout = SegmentLayout(n_steps=5, n_agents=2, observation_dim=3, action_dim=4, discrete=True)
     arrays = segments((5, 3), discrete=True)
     arrays.actions[1, 2, 0] = 0.25
@@ -130,7 +130,7 @@ def test_actions_that_are_not_one_hot_are_refused_where_they_are_discrete(tmp_pa
     assert refused.value.segment == 1
 
 
-def test_an_array_of_another_shape_is_named_and_nothing_is_added(tmp_path):
+def test_array_with_the_wrong_shape_is_refused_and_nothing_is_appended(tmp_path):
     with SegmentWriter.create(tmp_path / "segments", FULL) as writer:
         good = {"rewards": np.zeros((1, 5)), "qpos": np.zeros((1, 5, 3)), "qvel": np.zeros((1, 5, 2))}
         with pytest.raises(ShapeError) as refused:
@@ -149,13 +149,13 @@ def test_an_array_of_another_shape_is_named_and_nothing_is_added(tmp_path):
     assert len(SegmentFolder.open(tmp_path / "segments")) == 1
 
 
-def test_no_segments_is_a_folder_of_none(tmp_path):
+def test_folder_may_be_empty(tmp_path):
     with SegmentWriter.create(tmp_path / "segments", LAYOUT) as writer:
         writer.append(segments((5,)).take(np.array([], dtype=np.int64)))
     assert len(SegmentFolder.open(tmp_path / "segments").take([])) == 0
 
 
-def test_a_folder_can_be_taken_up_again(tmp_path):
+def test_writer_resumes_a_folder(tmp_path):
     first, second = written(tmp_path / "segments"), segments((2, 5), seed=9)
     with SegmentWriter.resume(tmp_path / "segments") as writer:
         assert writer.append(second).tolist() == [4, 5]
@@ -164,13 +164,13 @@ def test_a_folder_can_be_taken_up_again(tmp_path):
     np.testing.assert_array_equal(folder.take([5]).observations, second.observations[1:])
 
 
-def test_what_the_segments_are_is_kept_with_them(tmp_path):
+def test_metadata_is_stored(tmp_path):
     with SegmentWriter.create(tmp_path / "segments", LAYOUT, about={"task": "half-cheetah-6x1", "seed": 3}):
         pass
     assert SegmentFolder.open(tmp_path / "segments").about == {"task": "half-cheetah-6x1", "seed": 3}
 
 
-def test_a_folder_with_something_in_it_is_not_written_over(tmp_path):
+def test_folder_with_other_files_is_not_overwritten(tmp_path):
     written(tmp_path / "segments")
     with pytest.raises(AlreadyExists):
         SegmentWriter.create(tmp_path / "segments", LAYOUT)
@@ -186,13 +186,13 @@ def append_and_fail(opened):
         raise ZeroDivisionError
 
 
-def test_a_block_that_raises_leaves_no_folder(tmp_path):
+def test_exception_before_a_commit_removes_the_folder(tmp_path):
     with pytest.raises(ZeroDivisionError):
         append_and_fail(SegmentWriter.create(tmp_path / "segments", LAYOUT))
     assert not (tmp_path / "segments").exists()
 
 
-def test_a_block_that_raises_leaves_what_was_committed(tmp_path):
+def test_exception_keeps_committed_segments(tmp_path):
     first = written(tmp_path / "segments")
     before = {file.name: file.read_bytes() for file in (tmp_path / "segments").iterdir()}
     with pytest.raises(ZeroDivisionError):
@@ -214,7 +214,7 @@ while True:
 """
 
 
-def test_a_killed_writer_leaves_what_it_committed_and_can_be_taken_up(tmp_path):
+def test_killed_writer_keeps_committed_segments_and_resumes(tmp_path):
     path = tmp_path / "segments"
     script = KILLED.format(here=os.path.dirname(__file__), path=str(path))
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as process:
@@ -234,7 +234,7 @@ def test_a_killed_writer_leaves_what_it_committed_and_can_be_taken_up(tmp_path):
     )
 
 
-def test_a_reader_sees_what_was_committed_when_it_opened(tmp_path):
+def test_open_folder_does_not_see_later_commits(tmp_path):
     with SegmentWriter.create(tmp_path / "segments", LAYOUT) as writer:
         writer.append(segments((5, 4)))
         writer.commit()
@@ -244,13 +244,13 @@ def test_a_reader_sees_what_was_committed_when_it_opened(tmp_path):
         folder.take([0, 1])
 
 
-def test_a_folder_without_a_manifest_is_refused(tmp_path):
+def test_folder_without_a_manifest_is_refused(tmp_path):
     with pytest.raises(MissingPart) as refused:
         SegmentFolder.open(tmp_path)
     assert "manifest.json" in refused.value.part
 
 
-def test_a_file_that_was_cut_is_refused(tmp_path):
+def test_truncated_file_is_refused(tmp_path):
     written(tmp_path / "segments")
     os.truncate(tmp_path / "segments" / "actions.bin", 100)
     for opened in (SegmentFolder.open, SegmentWriter.resume):
@@ -259,7 +259,7 @@ def test_a_file_that_was_cut_is_refused(tmp_path):
         assert "actions.bin" in str(refused.value.path)
 
 
-def test_a_file_cut_behind_its_readers_back_is_noticed(tmp_path):
+def test_file_truncated_after_opening_is_refused(tmp_path):
     written(tmp_path / "segments")
     folder = SegmentFolder.open(tmp_path / "segments")
     os.truncate(tmp_path / "segments" / "observations.bin", 100)
@@ -268,7 +268,7 @@ def test_a_file_cut_behind_its_readers_back_is_noticed(tmp_path):
     assert "observations.bin" in str(refused.value.path)
 
 
-def test_a_file_that_is_gone_is_named(tmp_path):
+def test_missing_array_file_is_named(tmp_path):
     written(tmp_path / "segments")
     (tmp_path / "segments" / "actions.bin").unlink()
     with pytest.raises(MissingPart) as refused:
@@ -281,7 +281,7 @@ def change_manifest(folder, **changes):
     path.write_text(json.dumps(json.loads(path.read_text()) | changes))
 
 
-def test_a_newer_schema_is_refused_by_its_number(tmp_path):
+def test_newer_schema_version_is_refused(tmp_path):
     written(tmp_path / "segments")
     change_manifest(tmp_path / "segments", schema_version=2)
     with pytest.raises(NewerFile) as refused:
@@ -303,7 +303,7 @@ def test_a_newer_schema_is_refused_by_its_number(tmp_path):
         {"about": 7},
     ],
 )
-def test_a_manifest_that_makes_no_sense_is_refused(tmp_path, changes):
+def test_invalid_manifest_is_refused(tmp_path, changes):
     written(tmp_path / "segments")
     change_manifest(tmp_path / "segments", **changes)
     with pytest.raises(InvalidFile) as refused:
@@ -311,7 +311,7 @@ def test_a_manifest_that_makes_no_sense_is_refused(tmp_path, changes):
     assert "manifest.json" in str(refused.value.path)
 
 
-def test_a_manifest_that_is_no_json_is_refused(tmp_path):
+def test_manifest_that_is_not_json_is_refused(tmp_path):
     written(tmp_path / "segments")
     (tmp_path / "segments" / "manifest.json").write_bytes(b"\xff{")
     with pytest.raises(InvalidFile) as refused:
@@ -319,7 +319,7 @@ def test_a_manifest_that_is_no_json_is_refused(tmp_path):
     assert "manifest.json" in str(refused.value.path)
 
 
-def test_lengths_beyond_the_layout_are_refused(tmp_path):
+def test_lengths_above_the_layout_are_refused(tmp_path):
     written(tmp_path / "segments")
     (tmp_path / "segments" / "lengths.bin").write_bytes(np.array([5, 3, 9, 5], dtype="<i4").tobytes())
     with pytest.raises(InvalidFile) as refused:
@@ -327,13 +327,13 @@ def test_lengths_beyond_the_layout_are_refused(tmp_path):
     assert "length" in refused.value.problem
 
 
-def test_a_folder_survives_pickling(tmp_path):
+def test_folder_can_be_pickled(tmp_path):
     arrays = written(tmp_path / "segments")
     copied = pickle.loads(pickle.dumps(SegmentFolder.open(tmp_path / "segments")))  # noqa: S301 (our own)
     assert_equal(copied.take([2, 0]), arrays.take([2, 0]))
 
 
-def test_a_dataset_on_disk_takes_and_splits_like_one_in_memory(tmp_path):
+def test_dataset_on_disk_equals_dataset_in_memory(tmp_path):
     arrays = written(tmp_path / "segments")
     pairs = np.array([[0, 1], [1, 2], [2, 3], [3, 0], [0, 2], [1, 3]])
     labels = np.array([1, 0, 0.5, 1, 1, 0])
@@ -345,7 +345,7 @@ def test_a_dataset_on_disk_takes_and_splits_like_one_in_memory(tmp_path):
 
 
 @pytest.mark.parametrize("size", [1, 3, 4, 7])
-def test_batches_are_one_pass_over_all_segments(tmp_path, size):
+def test_in_batches_yields_every_segment_once(tmp_path, size):
     arrays = written(tmp_path / "segments")
     parts = list(in_batches(SegmentFolder.open(tmp_path / "segments"), size))
     assert all(len(part) <= size for part in parts)

@@ -40,7 +40,7 @@ def write(folder, **changes):
     return path
 
 
-def test_a_file_of_d4rl_gives_its_episodes(tmp_path):
+def test_d4rl_file_is_read_as_episodes(tmp_path):
     episodes, whole = list(read_d4rl(write(tmp_path))), arrays()
     assert [len(episode) for episode in episodes] == [4, 3, 2]
     second = episodes[1]
@@ -51,12 +51,12 @@ def test_a_file_of_d4rl_gives_its_episodes(tmp_path):
     np.testing.assert_array_equal(second.qvel, whole["infos/qvel"][4:7])
 
 
-def test_what_the_simulator_did_not_say_is_not_known(tmp_path):
+def test_missing_rewards_and_states_are_none(tmp_path):
     path = write(tmp_path, **{"infos/qpos": None, "infos/qvel": None})
     assert set(next(read_d4rl(path)).extras()) == {"rewards"}
 
 
-def test_numbers_fall_to_the_agents_that_indices_name(tmp_path):
+def test_agent_indices_split_observations_and_actions(tmp_path):
     agents = AgentIndices(observations=[[0, 5], [1, 5]], actions=[[1], [0]])
     episode, whole = next(read_d4rl(write(tmp_path), agents=agents)), arrays()
     assert episode.observations.shape == (4, 2, 2)
@@ -64,13 +64,13 @@ def test_numbers_fall_to_the_agents_that_indices_name(tmp_path):
     np.testing.assert_array_equal(episode.actions[:, 0, 0], whole["actions"][:4, 1])
 
 
-def test_indices_beyond_the_numbers_are_refused(tmp_path):
+def test_agent_indices_out_of_range_are_refused(tmp_path):
     with pytest.raises(InvalidFile) as refused:
         list(read_d4rl(write(tmp_path), agents=AgentIndices([[6]], [[0]])))
     assert "indices" in refused.value.problem
 
 
-def test_an_old_file_without_timeouts_needs_the_horizon(tmp_path):
+def test_file_without_timeouts_needs_the_horizon(tmp_path):
     path = write(tmp_path, timeouts=None)
     with pytest.raises(MissingPart) as refused:
         list(read_d4rl(path))
@@ -84,14 +84,14 @@ def test_an_old_file_without_timeouts_needs_the_horizon(tmp_path):
     st.integers(1, 3),
     st.sets(st.sampled_from(["rewards", "qpos", "qvel"])),
 )
-def test_what_is_written_is_read_back(tmp_path_factory, lengths, n_agents, known):
+def test_written_data_is_read_back_equal(tmp_path_factory, lengths, n_agents, known):
     path = tmp_path_factory.mktemp("d4rl") / "d4rl.hdf5"
     episodes = made_episodes(lengths, n_agents=n_agents, known=tuple(known))
     write_d4rl(path, episodes)
     assert_same_episodes(list(read_d4rl(path)), episodes)
 
 
-def test_what_is_written_has_the_names_and_shapes_of_d4rl(tmp_path):
+def test_written_file_has_the_arrays_of_d4rl(tmp_path):
     write_d4rl(tmp_path / "d4rl.hdf5", made_episodes([3, 2], n_agents=2))
     with h5py.File(tmp_path / "d4rl.hdf5") as file:
         shapes = {name: file[name].shape for name in arrays() if name in file}
@@ -108,7 +108,7 @@ def test_what_is_written_has_the_names_and_shapes_of_d4rl(tmp_path):
     }
 
 
-def test_episodes_that_differ_leave_no_file(tmp_path):
+def test_episodes_of_different_dimensions_leave_no_file(tmp_path):
     for other in (made_episodes([2], n_agents=2), made_episodes([2], known=())):
         for episodes in ([*made_episodes([2]), *other], [*other, *made_episodes([2])], []):
             with pytest.raises(ShapeError):
@@ -116,7 +116,7 @@ def test_episodes_that_differ_leave_no_file(tmp_path):
     assert everything_in(tmp_path) == {}
 
 
-def test_a_file_that_is_there_is_not_written_over(tmp_path):
+def test_existing_file_is_not_overwritten(tmp_path):
     path = write(tmp_path)
     before = everything_in(tmp_path)
     with pytest.raises(AlreadyExists):
@@ -125,7 +125,7 @@ def test_a_file_that_is_there_is_not_written_over(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["observations", "actions", "terminals"])
-def test_a_missing_array_is_named(tmp_path, name):
+def test_missing_array_is_named(tmp_path, name):
     with pytest.raises(MissingPart) as refused:
         list(read_d4rl(write(tmp_path, **{name: None})))
     assert name in refused.value.part
@@ -146,7 +146,7 @@ def test_a_missing_array_is_named(tmp_path, name):
         ("infos/qvel", np.full((9, 4), np.nan)),
     ],
 )
-def test_an_array_of_another_shape_is_refused_and_nothing_changes(tmp_path, name, values):
+def test_array_with_the_wrong_shape_is_refused_and_nothing_changes(tmp_path, name, values):
     path = write(tmp_path, **{name: values})
     before = everything_in(tmp_path)
     with pytest.raises(InvalidFile) as refused:
@@ -156,20 +156,20 @@ def test_an_array_of_another_shape_is_refused_and_nothing_changes(tmp_path, name
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.95])
-def test_a_file_that_was_cut_is_refused(tmp_path, share):
+def test_truncated_file_is_refused(tmp_path, share):
     path = write(tmp_path)
     os.truncate(path, int(path.stat().st_size * share))
     with pytest.raises(InvalidFile):
         list(read_d4rl(path))
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path):
+def test_missing_file_is_named(tmp_path):
     with pytest.raises(InvalidFile) as refused:
         list(read_d4rl(tmp_path / "nowhere.hdf5"))
     assert "nowhere" in str(refused.value.path)
 
 
-def test_an_array_of_nothing_that_declares_a_terabyte_is_not_read(tmp_path):
+def test_array_that_declares_a_terabyte_is_not_read(tmp_path):
     path = write(tmp_path, observations=None)
     with h5py.File(path, "a") as file:
         file.create_dataset("observations", shape=(1 << 34, 8), dtype="f8", chunks=(1 << 10, 8))
@@ -179,7 +179,7 @@ def test_an_array_of_nothing_that_declares_a_terabyte_is_not_read(tmp_path):
     assert "observations" in refused.value.what
 
 
-def test_an_array_that_lies_in_another_file_is_not_read(tmp_path):
+def test_links_and_arrays_in_other_files_are_not_read(tmp_path):
     secret = tmp_path / "secret"
     secret.write_bytes(bytes(9 * 6 * 8))
     with h5py.File(tmp_path / "other.hdf5", "w") as file:
@@ -203,7 +203,7 @@ def test_an_array_that_lies_in_another_file_is_not_read(tmp_path):
 
 
 @pytest.mark.parametrize("n_agents", [0, -1, 4, "two", 2.5])
-def test_a_number_of_agents_that_makes_no_sense_is_refused(tmp_path, n_agents):
+def test_invalid_number_of_agents_is_refused(tmp_path, n_agents):
     path = write(tmp_path)
     with h5py.File(path, "a") as file:
         file.attrs["mapt_n_agents"] = n_agents

@@ -48,7 +48,7 @@ DATASET = "imitation.algorithms.preference_comparisons.PreferenceDataset"
 FRAGMENT = "imitation.data.types.TrajectoryWithRew"
 
 
-def test_a_file_of_imitations_own_gives_its_fragments_and_polarity():
+def test_file_written_by_imitation_is_read():
     found = read_imitation(FIXTURES / "imitation_preferences.pkl")
     assert found.labels.tolist() == [1.0, 0.0, 0.5]
     for pair, sides in enumerate(found.pairs):
@@ -59,7 +59,7 @@ def test_a_file_of_imitations_own_gives_its_fragments_and_polarity():
             assert found.records.rewards[segment].tolist() == [10 * pair + step for step in range(4)]
 
 
-def test_a_file_of_one_agent_with_numbered_actions_is_read():
+def test_file_of_one_agent_with_discrete_actions_is_read():
     found = read_imitation(FIXTURES / "imitation_numbered.pkl", n_actions=3)
     assert found.labels.tolist() == [0.25, 1.0]
     assert found.records.segments.observations.shape == (4, 4, 1, 3)
@@ -90,7 +90,7 @@ def test_written_preferences_are_read_back_equal(tmp_path_factory, labels, n_age
     )
 
 
-def test_what_is_written_means_the_same_to_imitation(tmp_path, monkeypatch):
+def test_imitation_loads_written_preferences(tmp_path, monkeypatch):
     """Classes with the same names and fields as theirs, where their own cannot be installed."""
 
     @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def write(folder, first=None, labels=(1.0,), **changes):
 
 
 @pytest.mark.parametrize("label", [-1.0, 1.5, float("nan")])
-def test_a_label_of_another_polarity_is_refused(tmp_path, label):
+def test_unknown_label_is_refused(tmp_path, label):
     with pytest.raises(UnknownLabel) as refused:
         read_imitation(write(tmp_path, labels=[label]))
     assert refused.value.index == 0
@@ -165,7 +165,7 @@ def test_a_label_of_another_polarity_is_refused(tmp_path, label):
         ("fragment", InvalidFile),
     ],
 )
-def test_a_file_of_another_shape_is_refused_and_nothing_changes(tmp_path, first, problem):
+def test_malformed_file_is_refused_and_nothing_changes(tmp_path, first, problem):
     path = write(tmp_path, first)
     before = everything_in(tmp_path)
     with pytest.raises(problem):
@@ -173,7 +173,7 @@ def test_a_file_of_another_shape_is_refused_and_nothing_changes(tmp_path, first,
     assert everything_in(tmp_path) == before
 
 
-def test_datasets_that_are_none_are_refused(tmp_path):
+def test_other_pickles_are_refused(tmp_path):
     for changes in ({"fragments2": []}, {"fragments1": None}, {"preferences": np.zeros((1, 2))}, {"labels": []}):
         with pytest.raises(FileError):
             read_imitation(write(tmp_path, **changes))
@@ -183,14 +183,14 @@ def test_datasets_that_are_none_are_refused(tmp_path):
     assert "PreferenceDataset" in refused.value.problem
 
 
-def test_a_file_that_was_cut_is_refused(tmp_path):
+def test_truncated_file_is_refused(tmp_path):
     path = tmp_path / "preferences.pkl"
     path.write_bytes((FIXTURES / "imitation_preferences.pkl").read_bytes()[:2000])
     with pytest.raises(TruncatedFile):
         read_imitation(path)
 
 
-def test_a_file_that_runs_a_program_is_refused_and_runs_nothing(tmp_path):
+def test_pickle_that_runs_code_is_refused_and_runs_nothing(tmp_path):
     class Runs:
         def __reduce__(self):
             return os.system, (f"touch {tmp_path / 'ran'}",)
@@ -202,14 +202,14 @@ def test_a_file_that_runs_a_program_is_refused_and_runs_nothing(tmp_path):
     assert not (tmp_path / "ran").exists()
 
 
-def test_another_class_of_imitations_is_refused(tmp_path):
+def test_other_classes_of_imitation_are_refused(tmp_path):
     write_pickle(tmp_path / "preferences.pkl", Record("imitation.data.types.DictObs", {"_d": {}}))
     with pytest.raises(UnsafePickle) as refused:
         read_imitation(tmp_path / "preferences.pkl")
     assert "DictObs" in refused.value.name
 
 
-def test_a_file_that_is_there_is_not_written_over(tmp_path):
+def test_existing_file_is_not_overwritten(tmp_path):
     (tmp_path / "preferences.pkl").write_bytes(b"mine")
     with pytest.raises(AlreadyExists):
         write_imitation(tmp_path / "preferences.pkl", made_comparisons([1.0]))
@@ -219,7 +219,7 @@ def test_a_file_that_is_there_is_not_written_over(tmp_path):
 FIXTURE = Path(__file__).parent / "fixtures" / "imitation_trajectories"
 
 
-def test_a_folder_of_imitations_own_gives_its_trajectories():
+def test_folder_written_by_imitation_is_read():
     episodes = list(read_imitation_trajectories(FIXTURE))
     assert [len(episode) for episode in episodes] == [4, 4]
     for number, episode in enumerate(episodes):
@@ -237,7 +237,7 @@ def test_written_trajectories_are_read_back_equal(tmp_path_factory, lengths, n_a
     assert_same_episodes(list(read_imitation_trajectories(path)), episodes)
 
 
-def test_what_is_written_is_laid_out_as_imitations_own(tmp_path):
+def test_written_folder_has_the_layout_of_imitation(tmp_path):
     write_imitation_trajectories(tmp_path / "out", made_episodes([3], n_agents=2, known=("rewards",)))
     assert {file.name for file in (tmp_path / "out").iterdir()} == {file.name for file in FIXTURE.iterdir()}
     mine, theirs = (
@@ -248,7 +248,7 @@ def test_what_is_written_is_laid_out_as_imitations_own(tmp_path):
     assert mine["dataset_info.json"]["features"].keys() == theirs["dataset_info.json"]["features"].keys()
 
 
-def test_numbered_actions_become_one_hot(tmp_path):
+def test_discrete_actions_become_one_hot(tmp_path):
     copy(tmp_path, {"obs": [[[0.0], [1.0], [2.0]]], "acts": [[2, 0]]})
     (episode,) = read_imitation_trajectories(tmp_path / "copy", n_actions=3)
     assert episode.actions[:, 0].tolist() == [[0, 0, 1], [1, 0, 0]]
@@ -287,7 +287,7 @@ GOOD = {"obs": [[[0.0], [1.0], [2.0]]], "acts": [[[0.0], [0.0]]], "rews": [[1.0,
         ({"acts": [[[[0.0]], [[0.0]]]], "obs": [[[[0.0], [1.0]]] * 3]}, InvalidFile),
     ],
 )
-def test_a_folder_of_another_shape_is_refused_and_nothing_changes(tmp_path, changes, problem):
+def test_malformed_folder_is_refused_and_nothing_changes(tmp_path, changes, problem):
     copy(tmp_path, {name: values for name, values in {**GOOD, **changes}.items() if values is not None})
     before = everything_in(tmp_path)
     with pytest.raises(problem):
@@ -297,7 +297,7 @@ def test_a_folder_of_another_shape_is_refused_and_nothing_changes(tmp_path, chan
 
 @settings(max_examples=60)
 @given(st.data())
-def test_a_file_that_was_cut_anywhere_is_refused(tmp_path_factory, data):
+def test_file_truncated_anywhere_is_refused(tmp_path_factory, data):
     folder = tmp_path_factory.mktemp("cut") / "copy"
     shutil.copytree(FIXTURE, folder)
     path = folder / "data-00000-of-00001.arrow"
@@ -311,7 +311,7 @@ def test_a_file_that_was_cut_anywhere_is_refused(tmp_path_factory, data):
 @pytest.mark.parametrize(
     "state", [{}, [], {"_data_files": []}, {"_data_files": [{"filename": "../../secret"}]}, {"_data_files": [{}]}]
 )
-def test_a_state_that_makes_no_sense_or_leads_elsewhere_is_refused(tmp_path, state):
+def test_invalid_state_file_is_refused(tmp_path, state):
     shutil.copytree(FIXTURE, tmp_path / "copy")
     (tmp_path / "copy" / "state.json").write_text(json.dumps(state))
     with pytest.raises(InvalidFile) as refused:
@@ -319,7 +319,7 @@ def test_a_state_that_makes_no_sense_or_leads_elsewhere_is_refused(tmp_path, sta
     assert "state.json" in str(refused.value.path)
 
 
-def test_files_that_are_missing_are_named(tmp_path):
+def test_missing_files_are_named(tmp_path):
     with pytest.raises(MissingPart) as refused:
         list(read_imitation_trajectories(tmp_path))
     assert "state.json" in refused.value.part
@@ -330,19 +330,19 @@ def test_files_that_are_missing_are_named(tmp_path):
     assert "data-00000" in refused.value.part
 
 
-def test_more_than_is_wanted_is_not_read():
+def test_file_above_the_size_limit_is_not_read():
     with pytest.raises(FileTooLarge):
         list(read_imitation_trajectories(FIXTURE, max_bytes=100))
 
 
-def test_episodes_that_differ_leave_nothing(tmp_path):
+def test_episodes_of_different_dimensions_leave_nothing(tmp_path):
     for episodes in ([], [*made_episodes([2]), *made_episodes([2], known=())]):
         with pytest.raises(ShapeError):
             write_imitation_trajectories(tmp_path / "out", episodes)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_is_there_is_not_written_over(tmp_path):
+def test_existing_folder_is_not_overwritten(tmp_path):
     (tmp_path / "mine").touch()
     with pytest.raises(AlreadyExists):
         write_imitation_trajectories(tmp_path, made_episodes([2]))

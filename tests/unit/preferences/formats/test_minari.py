@@ -64,7 +64,7 @@ def write_by_minari(folder, monkeypatch, names=("agent_2", "agent_10"), lengths=
     return folder / "minari" / "test" / "agents-v0", buffers
 
 
-def test_a_dataset_of_minaris_own_gives_its_episodes(tmp_path, monkeypatch):
+def test_dataset_written_by_minari_is_read(tmp_path, monkeypatch):
     path, buffers = write_by_minari(tmp_path, monkeypatch)
     episodes = list(read_minari(path))
     assert [len(episode) for episode in episodes] == [4, 2]
@@ -78,7 +78,7 @@ def test_a_dataset_of_minaris_own_gives_its_episodes(tmp_path, monkeypatch):
         np.testing.assert_array_equal(episode.qvel, buffer.infos["qvel"][:-1])
 
 
-def test_a_dataset_of_one_agent_is_one_agent(tmp_path, monkeypatch):
+def test_single_agent_dataset_has_one_agent(tmp_path, monkeypatch):
     path, buffers = write_by_minari(tmp_path, monkeypatch, names=(), infos=False)
     first = next(read_minari(path))
     assert first.observations.shape == (4, 1, 3)
@@ -86,7 +86,7 @@ def test_a_dataset_of_one_agent_is_one_agent(tmp_path, monkeypatch):
     assert set(first.extras()) == {"rewards"}
 
 
-def test_numbered_actions_become_one_hot(tmp_path, monkeypatch):
+def test_discrete_actions_become_one_hot(tmp_path, monkeypatch):
     path, buffers = write_by_minari(tmp_path, monkeypatch, action_space=gymnasium.spaces.Discrete(4))
     first = next(read_minari(path, n_actions=4))
     assert first.actions.shape == (4, 2, 4)
@@ -105,7 +105,7 @@ def test_episodes_are_cut_into_segments(tmp_path, monkeypatch):
 
 @settings(max_examples=15)
 @given(st.lists(st.integers(1, 6), min_size=1, max_size=3), st.sampled_from([1, 2, 11]))
-def test_what_is_written_is_read_back(tmp_path_factory, lengths, n_agents):
+def test_written_data_is_read_back_equal(tmp_path_factory, lengths, n_agents):
     path = tmp_path_factory.mktemp("minari") / "replay-v0"
     episodes = made_episodes(lengths, n_agents=n_agents)
     write_minari(path, episodes, dataset_id="test/replay-v0")
@@ -128,14 +128,14 @@ def test_minari_loads_what_is_written(tmp_path, monkeypatch):
         assert found.truncations.tolist() == [False] * (len(episode) - 1) + [True]
 
 
-def test_episodes_that_differ_leave_nothing(tmp_path):
+def test_episodes_of_different_dimensions_leave_nothing(tmp_path):
     for episodes in ([], [*made_episodes([2]), *made_episodes([2], n_agents=2)]):
         with pytest.raises(ShapeError):
             write_minari(tmp_path / "replay-v0", episodes, dataset_id="replay-v0")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_is_there_is_not_written_over(tmp_path):
+def test_existing_folder_is_not_overwritten(tmp_path):
     (tmp_path / "mine").touch()
     with pytest.raises(AlreadyExists):
         write_minari(tmp_path, made_episodes([2]), dataset_id="replay-v0")
@@ -175,7 +175,7 @@ def change(dataset, name, values):
         ("episode_1/infos/qpos", np.zeros((1, 5)), InvalidFile),
     ],
 )
-def test_a_dataset_of_another_shape_is_refused_and_nothing_changes(dataset, name, values, problem):
+def test_malformed_dataset_is_refused_and_nothing_changes(dataset, name, values, problem):
     change(dataset, name, values)
     before = everything_in(dataset)
     with pytest.raises(problem) as refused:
@@ -185,7 +185,7 @@ def test_a_dataset_of_another_shape_is_refused_and_nothing_changes(dataset, name
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.9])
-def test_a_file_that_was_cut_is_refused(dataset, share):
+def test_truncated_file_is_refused(dataset, share):
     path = dataset / "data" / "main_data.hdf5"
     os.truncate(path, int(path.stat().st_size * share))
     with pytest.raises(InvalidFile):
@@ -196,7 +196,7 @@ def test_a_file_that_was_cut_is_refused(dataset, share):
     "changes",
     [{"data_format": "arrow"}, {"total_episodes": 0}, {"total_episodes": "two"}, {"total_episodes": None}],
 )
-def test_metadata_that_makes_no_sense_is_refused(dataset, changes):
+def test_invalid_metadata_is_refused(dataset, changes):
     path = dataset / "data" / "metadata.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | changes))
     with pytest.raises(InvalidFile) as refused:
@@ -204,7 +204,7 @@ def test_metadata_that_makes_no_sense_is_refused(dataset, changes):
     assert "metadata.json" in str(refused.value.path)
 
 
-def test_metadata_that_is_none_is_refused(dataset):
+def test_missing_metadata_is_refused(dataset):
     path = dataset / "data" / "metadata.json"
     for content in (b"{", b"\xff", b"[]", b"{}"):
         path.write_bytes(content)
@@ -216,7 +216,7 @@ def test_metadata_that_is_none_is_refused(dataset):
     assert "metadata" in refused.value.part
 
 
-def test_more_than_is_wanted_is_not_read(dataset):
+def test_file_above_the_size_limit_is_not_read(dataset):
     with pytest.raises(FileTooLarge) as refused:
         list(read_minari(dataset, max_bytes=100))
     assert refused.value.limit == 100

@@ -70,7 +70,7 @@ def read(folder, labels, first, second, n_steps=3, **options):
 @pytest.mark.parametrize(
     ("theirs", "ours"), [(0, 1.0), (1, 0.0), (-1, 0.5), ((1, 0), 1.0), ((0.0, 1.0), 0.0), ((0.5, 0.5), 0.5)]
 )
-def test_each_label_keeps_its_meaning(tmp_path, theirs, ours):
+def test_labels_are_converted(tmp_path, theirs, ours):
     found = read(tmp_path, np.array([theirs]), [0], [6])
     assert found.labels.tolist() == [ours]
     # What their loaders make of it: the target of a cross-entropy over (first, second).
@@ -81,20 +81,20 @@ def test_each_label_keeps_its_meaning(tmp_path, theirs, ours):
 @pytest.mark.parametrize(
     "labels", [[0, 2], [0.5, 0], [[1, 1], [0, 1]], [[0.7, 0.3], [1, 0]], ["first", "second"], [None, 0]]
 )
-def test_a_label_of_another_polarity_is_refused(tmp_path, labels):
+def test_unknown_label_is_refused(tmp_path, labels):
     with pytest.raises(InvalidFile) as refused:
         read(tmp_path, np.array(labels), [0, 0], [6, 6])
     assert "label" in refused.value.problem
 
 
-def test_a_label_of_another_polarity_is_named(tmp_path):
+def test_index_of_an_unknown_label_is_reported(tmp_path):
     with pytest.raises(UnknownLabel) as refused:
         read(tmp_path, [0, 2], [0, 0], [6, 6])
     assert refused.value.index == 1
 
 
 @pytest.mark.parametrize("horizon", [None, 5])
-def test_places_count_the_transitions_of_qlearning_dataset(tmp_path, horizon):
+def test_indices_count_the_transitions_of_qlearning_dataset(tmp_path, horizon):
     kept = rows_by_d4rls_own_rule(write_trajectories(tmp_path, timeouts=horizon is None), horizon)
     episode = np.repeat(np.arange(4), [length for length, _ in LENGTHS]) if horizon is None else None
     for place in range(len(kept) - 2):
@@ -122,21 +122,21 @@ def test_first_and_second_are_segments_0_and_1(tmp_path):
 @pytest.mark.parametrize(
     ("first", "problem"), [(4, "end of an episode"), (9, "end of an episode"), (100, "of only 17"), (16, "of only 17")]
 )
-def test_a_segment_outside_of_its_episode_is_refused(tmp_path, first, problem):
+def test_segment_outside_of_an_episode_is_refused(tmp_path, first, problem):
     with pytest.raises(InvalidFile) as refused:
         read(tmp_path, [0], [first], [0])
     assert problem in refused.value.problem
 
 
 @pytest.mark.parametrize("first", [[0], [0, 0, 0], [-1, 0], [0.5, 0], [[0], [0]], "ab", {"a": 1}])
-def test_places_that_are_none_are_refused(tmp_path, first):
+def test_invalid_indices_are_refused(tmp_path, first):
     with pytest.raises(InvalidFile) as refused:
         read(tmp_path, [0, 1], first, [0, 0])
     assert "indices_num2" in str(refused.value.path)
 
 
 @pytest.mark.parametrize("name", ["label_human", "indices_num2_q3", "indices_2_num2_q3"])
-def test_files_that_are_cut_or_run_a_program_are_refused(tmp_path, name):
+def test_truncated_and_unsafe_pickles_are_refused(tmp_path, name):
     class Runs:
         def __reduce__(self):
             return os.system, (f"touch {tmp_path / 'ran'}",)
@@ -150,7 +150,7 @@ def test_files_that_are_cut_or_run_a_program_are_refused(tmp_path, name):
         assert everything_in(tmp_path) == before
 
 
-def test_the_files_are_found_by_either_projects_names(tmp_path):
+def test_files_of_both_projects_are_found(tmp_path):
     for names in (
         ("label_human", "indices_num500_q100", "indices_2_num500_q100"),
         ("x_num_2000_len_200_human_labels.pkl", "x_num_2000_len_200_indices.pkl", "x_num_2000_len_200_indices_2.pkl"),
@@ -163,7 +163,7 @@ def test_the_files_are_found_by_either_projects_names(tmp_path):
         assert (files.labels.name, files.first.name, files.second.name) == names
 
 
-def test_files_that_are_missing_or_many_are_named(tmp_path):
+def test_missing_or_ambiguous_files_are_named(tmp_path):
     with pytest.raises(MissingPart) as refused:
         LabelFiles.find(tmp_path / "nowhere")
     assert "labels" in refused.value.part
@@ -183,7 +183,7 @@ def test_files_that_are_missing_or_many_are_named(tmp_path):
 
 @settings(max_examples=20)
 @given(st.lists(st.sampled_from([0.0, 0.5, 1.0]), min_size=1, max_size=4), st.integers(1, 3))
-def test_what_is_written_is_read_back(tmp_path_factory, labels, n_agents):
+def test_written_data_is_read_back_equal(tmp_path_factory, labels, n_agents):
     folder = tmp_path_factory.mktemp("labels") / "out"
     made = made_comparisons(labels, n_agents=n_agents)
     files = write_offline_labels(folder, made)
@@ -195,7 +195,7 @@ def test_what_is_written_is_read_back(tmp_path_factory, labels, n_agents):
 
 
 @pytest.mark.parametrize("ours", [1.0, 0.0, 0.5])
-def test_what_is_written_means_the_same_to_them(tmp_path, ours):
+def test_written_files_have_the_same_meaning_for_both_projects(tmp_path, ours):
     files = write_offline_labels(tmp_path / "out", made_comparisons([ours]))
     (label,) = pickle.loads(files.labels.read_bytes())  # noqa: S301 (our own)
     assert {0: 1.0, 1: 0.0, -1: 0.5}[int(label)] == ours
@@ -206,7 +206,7 @@ def test_what_is_written_means_the_same_to_them(tmp_path, ours):
     np.testing.assert_array_equal(rows.reshape(4, 2, 3), made_comparisons([ours]).records.segments.observations[1])
 
 
-def test_what_the_format_cannot_say_is_not_written(tmp_path):
+def test_data_that_the_format_cannot_represent_is_refused(tmp_path):
     for made in (made_comparisons([0.7]), made_comparisons([1.0], lengths=[2, 4])):
         with pytest.raises(NotRepresentable):
             write_offline_labels(tmp_path / "out", made)

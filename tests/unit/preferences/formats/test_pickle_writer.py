@@ -23,7 +23,7 @@ DTYPES = st.sampled_from(["<f4", ">f8", "<i8", "<i4", "|u1", "|b1", "<f2"])
 
 
 @given(PLAIN)
-def test_pythons_own_pickle_reads_what_is_written(tmp_path_factory, value):
+def test_pickle_loads_written_data(tmp_path_factory, value):
     path = tmp_path_factory.mktemp("plain") / "file.pkl"
     write_pickle(path, value)
     assert pickle.loads(path.read_bytes()) == value  # noqa: S301 (our own)
@@ -31,7 +31,7 @@ def test_pythons_own_pickle_reads_what_is_written(tmp_path_factory, value):
 
 
 @given(arrays.arrays(DTYPES, arrays.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4)))
-def test_numpy_reads_the_arrays_that_are_written(tmp_path_factory, array):
+def test_numpy_loads_written_arrays(tmp_path_factory, array):
     path = tmp_path_factory.mktemp("array") / "file.pkl"
     write_pickle(path, [array.T])
     for found in (pickle.loads(path.read_bytes()), load_pickle(path)):  # noqa: S301 (our own)
@@ -39,7 +39,7 @@ def test_numpy_reads_the_arrays_that_are_written(tmp_path_factory, array):
         np.testing.assert_array_equal(found[0], array.T)
 
 
-def test_only_names_that_old_numpy_has_are_asked_for(tmp_path):
+def test_written_pickle_refers_only_to_names_that_old_numpy_has(tmp_path):
     write_pickle(tmp_path / "file.pkl", {"a": np.arange(3)})
     names = {
         argument
@@ -49,12 +49,12 @@ def test_only_names_that_old_numpy_has_are_asked_for(tmp_path):
     assert names == {"numpy.core.multiarray _reconstruct", "numpy ndarray", "numpy dtype"}
 
 
-def test_an_iterator_becomes_a_list(tmp_path):
+def test_iterator_is_written_as_a_list(tmp_path):
     write_pickle(tmp_path / "file.pkl", ({"n": n} for n in range(3)))
     assert load_pickle(tmp_path / "file.pkl") == [{"n": 0}, {"n": 1}, {"n": 2}]
 
 
-def test_a_record_becomes_an_instance_of_its_class(tmp_path, monkeypatch):
+def test_record_is_written_as_an_instance_of_its_class(tmp_path, monkeypatch):
     class Thing:
         pass
 
@@ -68,13 +68,13 @@ def test_a_record_becomes_an_instance_of_its_class(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("value", [object(), {1: {2}}, np.array(["a"]), np.array([None]), [1j]])
-def test_what_has_no_place_leaves_no_file(tmp_path, value):
+def test_unsupported_value_leaves_no_file(tmp_path, value):
     with pytest.raises(TypeError):
         write_pickle(tmp_path / "file.pkl", value)
     assert everything_in(tmp_path) == {}
 
 
-def test_a_file_that_is_there_is_not_written_over(tmp_path):
+def test_existing_file_is_not_overwritten(tmp_path):
     (tmp_path / "file.pkl").write_bytes(b"mine")
     with pytest.raises(AlreadyExists):
         write_pickle(tmp_path / "file.pkl", 1)

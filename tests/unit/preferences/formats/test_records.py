@@ -28,7 +28,7 @@ def places(batches):
 
 
 @given(st.lists(st.integers(1, 12), min_size=1, max_size=5), st.integers(1, 5), st.booleans())
-def test_segments_are_the_episodes_steps_in_order_and_never_cross_an_end(lengths, n_steps, keep_short):
+def test_segments_follow_the_steps_and_never_cross_episodes(lengths, n_steps, keep_short):
     found = places(cut_segments(numbered(lengths), n_steps, keep_short=keep_short))
     kept = [
         (episode, step)
@@ -40,7 +40,7 @@ def test_segments_are_the_episodes_steps_in_order_and_never_cross_an_end(lengths
     assert all(len(segment) <= n_steps for segment in found)
 
 
-def test_a_stride_makes_segments_overlap():
+def test_stride_makes_segments_overlap():
     found = places(cut_segments(numbered([5]), 3, stride=1))
     assert [[step for _, step in segment] for segment in found] == [[0, 1, 2], [1, 2, 3], [2, 3, 4]]
 
@@ -52,25 +52,25 @@ def test_rewards_and_states_are_cut_with_their_steps():
         np.testing.assert_array_equal(records.extras()[name].reshape(values.shape), values)
 
 
-def test_many_segments_come_in_batches():
+def test_segments_are_yielded_in_batches():
     batches = list(cut_segments(numbered([700]), 1))
     assert [len(batch) for batch in batches] == [256, 256, 188]
 
 
-def test_segments_become_episodes_and_back():
+def test_segments_survive_the_conversion_to_episodes():
     records = made_records(3, lengths=[4, 2, 1])
     (again,) = cut_segments(episodes_of(records), 4, keep_short=True)
     assert_same_segments(again.segments, records.segments)
     assert_same_episodes(list(episodes_of(again)), list(episodes_of(records)))
 
 
-def test_episodes_that_differ_are_refused():
+def test_episodes_of_different_dimensions_are_refused():
     for others in (made_episodes([4], n_agents=2), made_episodes([4], known=("rewards",))):
         with pytest.raises(ShapeError):
             list(cut_segments([*made_episodes([4]), *others], 2))
 
 
-def test_an_episode_whose_arrays_disagree_is_refused():
+def test_episode_with_arrays_of_different_lengths_is_refused():
     (good,) = made_episodes([4])
     for wrong in ({"rewards": np.zeros(3)}, {"qpos": np.zeros(4)}, {"actions": np.zeros((4, 2, 2), dtype=np.float32)}):
         arrays = {"observations": good.observations, "actions": good.actions, **wrong}
@@ -87,14 +87,14 @@ def test_segments_are_saved_as_they_are_cut(tmp_path):
     assert folder.about == {"source": "test"}
 
 
-def test_saving_what_does_not_fit_together_leaves_nothing(tmp_path):
+def test_saving_different_layouts_leaves_nothing(tmp_path):
     for batches in ([], [made_records(2), made_records(2, n_agents=3)], [made_records(2), made_records(2, known=())]):
         with pytest.raises(ShapeError):
             save_records(tmp_path / "segments", iter(batches))
     assert everything_in(tmp_path) == {}
 
 
-def test_records_of_unequal_length_are_padded_together():
+def test_records_of_different_lengths_are_padded():
     first, second = made_records(2, n_steps=3), made_records(1, n_steps=5, seed=1)
     joined = concatenate([first, second])
     assert joined.lengths.tolist() == [3, 3, 5]

@@ -41,7 +41,7 @@ def references_own_target(label):
 
 
 @pytest.mark.parametrize(("theirs", "ours"), [(1, 1.0), (-1, 0.0), (0, 0.5), (np.int64(-1), 0.0), (np.array([1]), 1.0)])
-def test_each_label_keeps_its_meaning(tmp_path, theirs, ours):
+def test_labels_are_converted(tmp_path, theirs, ours):
     found = read_reference(write(tmp_path, [pair(theirs)]))
     assert found.labels.tolist() == [ours]
     assert [ours, 1 - ours] == references_own_target(int(np.asarray(theirs).reshape(())))
@@ -56,23 +56,23 @@ def test_trajectory_0_is_segment_0(tmp_path):
 
 
 @pytest.mark.parametrize("label", [2, 0.5, -0.7, float("nan"), "first", None, np.array([1, 0])])
-def test_a_label_of_another_polarity_is_refused(tmp_path, label):
+def test_unknown_label_is_refused(tmp_path, label):
     with pytest.raises(UnknownLabel) as refused:
         read_reference(write(tmp_path, [pair(1), pair(label)]))
     assert refused.value.index == 1
 
 
-def test_other_labels_are_equal_where_that_is_asked_for(tmp_path):
+def test_other_labels_are_equal_on_request(tmp_path):
     found = read_reference(write(tmp_path, [pair(2), pair(0.5), pair(-1)]), other_labels_are_equal=True)
     assert found.labels.tolist() == [0.5, 0.5, 0.0]
 
 
-def test_trajectories_of_unequal_length_are_padded(tmp_path):
+def test_trajectories_of_different_lengths_are_padded(tmp_path):
     found = read_reference(write(tmp_path, [pair(1, n_steps=3), pair(-1, n_steps=5)]))
     assert found.records.lengths[found.pairs].tolist() == [[3, 3], [5, 5]]
 
 
-def test_numbered_actions_become_one_hot(tmp_path):
+def test_discrete_actions_become_one_hot(tmp_path):
     item = pair(1)
     for name in ("traj0", "traj1"):
         item[name]["actions"] = np.array([[[2], [0]]] * 3)
@@ -84,7 +84,7 @@ def test_numbered_actions_become_one_hot(tmp_path):
 
 
 @given(st.lists(st.sampled_from([0.0, 0.5, 1.0]), min_size=1, max_size=5), st.booleans())
-def test_what_is_written_is_read_back(tmp_path_factory, labels, discrete):
+def test_written_data_is_read_back_equal(tmp_path_factory, labels, discrete):
     path = tmp_path_factory.mktemp("reference") / "reference.pkl"
     made = made_comparisons(labels, discrete=discrete, known=())
     write_reference(path, made.dataset(), discrete=discrete)
@@ -96,7 +96,7 @@ def test_what_is_written_is_read_back(tmp_path_factory, labels, discrete):
 
 
 @pytest.mark.parametrize("ours", [1.0, 0.0, 0.5])
-def test_what_is_written_means_the_same_to_the_reference(tmp_path, ours):
+def test_reference_loads_written_preferences(tmp_path, ours):
     write_reference(tmp_path / "reference.pkl", made_comparisons([ours]).dataset())
     (item,) = pickle.loads((tmp_path / "reference.pkl").read_bytes())  # noqa: S301 (our own)
     assert references_own_target(item["label"]) == [ours, 1 - ours]
@@ -108,14 +108,14 @@ def test_skipped_pairs_are_not_written(tmp_path):
     assert len(read_reference(tmp_path / "reference.pkl")) == 1
 
 
-def test_what_the_format_cannot_say_is_not_written(tmp_path):
+def test_data_that_the_format_cannot_represent_is_refused(tmp_path):
     for made in (made_comparisons([0.7]), made_comparisons([1.0], lengths=[2, 4])):
         with pytest.raises(NotRepresentable):
             write_reference(tmp_path / "reference.pkl", made.dataset())
     assert everything_in(tmp_path) == {}
 
 
-def test_a_file_that_is_there_is_not_written_over(tmp_path):
+def test_existing_file_is_not_overwritten(tmp_path):
     (tmp_path / "reference.pkl").write_bytes(b"mine")
     with pytest.raises(AlreadyExists):
         write_reference(tmp_path / "reference.pkl", made_comparisons([1.0]).dataset())
@@ -153,7 +153,7 @@ def changed(trajectory, **arrays):
         ([pair(1), changed("traj1", obs=np.zeros((3, 2, 6)))], PreferenceError),
     ],
 )
-def test_a_file_of_another_shape_is_refused_and_nothing_changes(tmp_path, items, problem):
+def test_malformed_file_is_refused_and_nothing_changes(tmp_path, items, problem):
     path = write(tmp_path, items)
     before = everything_in(tmp_path)
     with pytest.raises(problem):
@@ -161,14 +161,14 @@ def test_a_file_of_another_shape_is_refused_and_nothing_changes(tmp_path, items,
     assert everything_in(tmp_path) == before
 
 
-def test_a_file_that_was_cut_is_refused(tmp_path):
+def test_truncated_file_is_refused(tmp_path):
     path = write(tmp_path, [pair(1)])
     os.truncate(path, path.stat().st_size - 100)
     with pytest.raises(TruncatedFile):
         read_reference(path)
 
 
-def test_a_file_that_runs_a_program_is_refused_and_runs_nothing(tmp_path):
+def test_pickle_that_runs_code_is_refused_and_runs_nothing(tmp_path):
     class Runs:
         def __reduce__(self):
             return os.system, (f"touch {tmp_path / 'ran'}",)
@@ -179,7 +179,7 @@ def test_a_file_that_runs_a_program_is_refused_and_runs_nothing(tmp_path):
     assert not (tmp_path / "ran").exists()
 
 
-def test_every_error_of_a_file_names_the_file(tmp_path):
+def test_errors_carry_the_path(tmp_path):
     with pytest.raises(FileError) as refused:
         read_reference(write(tmp_path, [pair(7)]))
     assert "reference.pkl" in str(refused.value.path)

@@ -35,9 +35,9 @@ from support.comparisons import assert_same_segments, everything_in, made_compar
 
 ROWS = [SegmentRow(f"seg_{index}", index, 1000 * index, "4.0.0") for index in range(4)]
 QUERIES = [QueryRow("qry_0", "seg_0", "seg_1", "uniform", "rwv_1"), QueryRow("qry_1", "seg_3", "seg_2")]
-SAID_AT = datetime(2026, 11, 21, 8, 30, 15, 250, tzinfo=UTC)
+LABELLED_AT = datetime(2026, 11, 21, 8, 30, 15, 250, tzinfo=UTC)
 LABELS = [
-    LabelRow("qry_0", "usr_a", "label", 1.0, 1, 2.5, {}, 7, SAID_AT),
+    LabelRow("qry_0", "usr_a", "label", 1.0, 1, 2.5, {}, 7, LABELLED_AT),
     LabelRow("qry_0", "usr_b", "label", 0.5, None, None, {"name": "oracle", "beta": 1.0}),
     LabelRow("qry_1", "usr_a", "label", 0.0),
     LabelRow("qry_1", "usr_b", "skip", None, 0, 9.0),
@@ -63,7 +63,7 @@ def assert_same_records(found, expected):
 
 
 @pytest.mark.parametrize("discrete", [False, True])
-def test_every_row_and_every_array_comes_back(tmp_path, discrete):
+def test_rows_and_arrays_are_read_back_equal(tmp_path, discrete):
     records = write(tmp_path / "export", discrete=discrete)
     tables = PreferenceTables.open(tmp_path / "export")
     ((rows, found),) = tables.segments()
@@ -82,7 +82,7 @@ def test_every_row_and_every_array_comes_back(tmp_path, discrete):
     st.sets(st.sampled_from(["rewards", "qpos", "qvel"])),
     st.integers(0, 3),
 )
-def test_comparisons_of_any_kind_come_back(tmp_path_factory, labels, n_agents, known, seed):
+def test_comparisons_are_read_back_equal(tmp_path_factory, labels, n_agents, known, seed):
     path = tmp_path_factory.mktemp("any")
     lengths = np.random.default_rng(seed).integers(1, 5, size=2 * len(labels)).tolist()
     made = made_comparisons(labels, n_agents=n_agents, lengths=lengths, known=tuple(known), seed=seed)
@@ -103,7 +103,7 @@ def test_comparisons_of_any_kind_come_back(tmp_path_factory, labels, n_agents, k
     assert_same_segments(dataset.segments, expected.segments)
 
 
-def test_labels_are_loaded_with_their_segments_and_skips_are_not(tmp_path):
+def test_loaded_dataset_has_all_labels_but_skips(tmp_path):
     records = write(tmp_path / "export")
     dataset = PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
     assert dataset.pairs.tolist() == [[0, 1], [0, 1], [3, 2]]
@@ -112,7 +112,7 @@ def test_labels_are_loaded_with_their_segments_and_skips_are_not(tmp_path):
 
 
 @pytest.mark.parametrize("discrete", [False, True])
-def test_a_dataset_on_disk_goes_to_tables_and_back_with_all_it_keeps(tmp_path, discrete):
+def test_dataset_on_disk_is_exported_and_loaded_equal(tmp_path, discrete):
     records = made_records(300, discrete=discrete)
     folder = save_records(tmp_path / "segments", [records], discrete=discrete)
     dataset = PreferenceDataset(folder, np.array([[0, 299], [5, 4]]), np.array([1.0, 0.5]))
@@ -126,7 +126,7 @@ def test_a_dataset_on_disk_goes_to_tables_and_back_with_all_it_keeps(tmp_path, d
         np.testing.assert_array_equal(getattr(again.segments, name)(everything), values)
 
 
-def test_a_dataset_in_memory_goes_to_tables_and_back(tmp_path):
+def test_dataset_in_memory_is_exported_and_loaded_equal(tmp_path):
     dataset = made_comparisons([1.0, 0.0], known=()).dataset()
     write_dataset(tmp_path / "export", dataset)
     again = PreferenceTables.open(tmp_path / "export").load(tmp_path / "again")
@@ -134,15 +134,15 @@ def test_a_dataset_in_memory_goes_to_tables_and_back(tmp_path):
     assert_same_segments(again.segments, dataset.segments)
 
 
-def test_the_export_says_its_polarity_schema_and_source(tmp_path):
+def test_metadata_describes_labels_schema_and_source(tmp_path):
     write(tmp_path / "export")
     for table in ("segments", "queries", "labels"):
-        said = json.loads(pq.read_schema(tmp_path / "export" / f"{table}.parquet").metadata[b"accord"])
-        assert said["polarity"] == "1: segment 0 is better; 0: segment 1 is better; 0.5: equal"
-        assert (said["schema_version"], said["table"], said["about"]) == (1, table, ABOUT)
+        metadata = json.loads(pq.read_schema(tmp_path / "export" / f"{table}.parquet").metadata[b"accord"])
+        assert metadata["polarity"] == "1: segment 0 is better; 0: segment 1 is better; 0.5: equal"
+        assert (metadata["schema_version"], metadata["table"], metadata["about"]) == (1, table, ABOUT)
 
 
-def test_another_program_can_read_it(tmp_path):
+def test_plain_pyarrow_reads_the_tables(tmp_path):
     records = write(tmp_path / "export")
     frame = pq.read_table(tmp_path / "export" / "segments.parquet").to_pydict()
     assert frame["length_steps"] == [4, 2, 1, 3]
@@ -159,13 +159,13 @@ def test_many_segments_become_several_row_groups(tmp_path, monkeypatch):
     assert dataset.pairs.tolist() == [[0, 1], [0, 1], [3, 2]]
 
 
-def test_an_export_is_there_whole_or_not_at_all(tmp_path):
+def test_failed_export_leaves_nothing(tmp_path):
     with pytest.raises(ShapeError):
         write(tmp_path / "export", rows=ROWS[:2])
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_export_that_is_there_is_not_written_over(tmp_path):
+def test_existing_export_is_not_overwritten(tmp_path):
     (tmp_path / "export").mkdir()
     (tmp_path / "export" / "mine").write_bytes(b"")
     with pytest.raises(AlreadyExists):
@@ -173,7 +173,7 @@ def test_an_export_that_is_there_is_not_written_over(tmp_path):
     assert everything_in(tmp_path) == {"export/mine": b""}
 
 
-def test_segments_of_another_layout_are_not_written(tmp_path):
+def test_segments_with_another_layout_are_refused(tmp_path):
     layout = made_records(4).layout()
     for other in (replace(layout, n_agents=3), replace(layout, rewards=False), replace(layout, n_steps=2)):
         with pytest.raises(ShapeError), TableWriter(tmp_path / "export", other) as tables:
@@ -189,14 +189,14 @@ def change_table(path, change):
 
 def change_metadata(path, **changes):
     def changed(table):
-        said = json.loads(table.schema.metadata[b"accord"]) | changes
-        return table.replace_schema_metadata({b"accord": json.dumps(said)})
+        metadata = json.loads(table.schema.metadata[b"accord"]) | changes
+        return table.replace_schema_metadata({b"accord": json.dumps(metadata)})
 
     change_table(path, changed)
 
 
 @pytest.mark.parametrize("table", ["segments", "queries", "labels"])
-def test_a_newer_schema_is_refused_by_its_number(tmp_path, table):
+def test_newer_schema_version_is_refused(tmp_path, table):
     write(tmp_path / "export")
     change_metadata(tmp_path / "export" / f"{table}.parquet", schema_version=2)
     with pytest.raises(NewerFile) as refused:
@@ -215,7 +215,7 @@ def test_a_newer_schema_is_refused_by_its_number(tmp_path, table):
         {"about": 3},
     ],
 )
-def test_metadata_of_another_meaning_is_refused(tmp_path, changes):
+def test_unexpected_metadata_is_refused(tmp_path, changes):
     write(tmp_path / "export")
     change_metadata(tmp_path / "export" / "segments.parquet", **changes)
     with pytest.raises(InvalidFile) as refused:
@@ -223,7 +223,7 @@ def test_metadata_of_another_meaning_is_refused(tmp_path, changes):
     assert "segments.parquet" in str(refused.value.path)
 
 
-def test_a_table_of_another_program_is_refused(tmp_path):
+def test_table_without_metadata_is_refused(tmp_path):
     write(tmp_path / "export")
     pq.write_table(pa.table({"query_id": ["a"]}), tmp_path / "export" / "labels.parquet")
     with pytest.raises(MissingPart) as refused:
@@ -235,7 +235,7 @@ def test_a_table_of_another_program_is_refused(tmp_path):
     ("table", "column"),
     [("segments", "observations"), ("segments", "qpos"), ("queries", "segment_1_id"), ("labels", "label")],
 )
-def test_a_missing_column_is_named(tmp_path, table, column):
+def test_missing_column_is_named(tmp_path, table, column):
     write(tmp_path / "export")
     change_table(tmp_path / "export" / f"{table}.parquet", lambda whole: whole.drop_columns([column]))
     with pytest.raises(MissingPart) as refused:
@@ -243,7 +243,7 @@ def test_a_missing_column_is_named(tmp_path, table, column):
     assert column in refused.value.part
 
 
-def test_a_missing_table_is_named(tmp_path):
+def test_missing_table_is_named(tmp_path):
     write(tmp_path / "export")
     (tmp_path / "export" / "queries.parquet").unlink()
     with pytest.raises(MissingPart) as refused:
@@ -253,7 +253,7 @@ def test_a_missing_table_is_named(tmp_path):
 
 @pytest.mark.parametrize("table", ["segments", "queries", "labels"])
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
-def test_a_file_that_was_cut_is_refused_and_loads_nothing(tmp_path, table, share):
+def test_truncated_file_is_refused_and_leaves_nothing(tmp_path, table, share):
     write(tmp_path / "export")
     path = tmp_path / "export" / f"{table}.parquet"
     os.truncate(path, int(path.stat().st_size * share))
@@ -266,7 +266,7 @@ def test_a_file_that_was_cut_is_refused_and_loads_nothing(tmp_path, table, share
 
 @settings(max_examples=40)
 @given(st.data())
-def test_a_damaged_file_ends_in_an_error_or_in_data_and_leaves_no_half(tmp_path_factory, data):
+def test_damaged_file_raises_an_error_or_loads_as_data(tmp_path_factory, data):
     folder = tmp_path_factory.mktemp("damaged")
     write(folder / "export")
     path = folder / "export" / "segments.parquet"
@@ -290,7 +290,7 @@ def replaced(table, column, values):
     ("label", "state"),
     [(-1.0, "label"), (2.0, "label"), (0.25, "label"), (None, "label"), (1.0, "skip"), (1.0, "undone")],
 )
-def test_a_label_of_another_polarity_is_refused(tmp_path, label, state):
+def test_unknown_label_is_refused(tmp_path, label, state):
     write(tmp_path / "export")
     path = tmp_path / "export" / "labels.parquet"
     change_table(path, lambda whole: replaced(whole, "label", [1.0, label, 0.0, None]))
@@ -321,7 +321,7 @@ def test_a_label_of_another_polarity_is_refused(tmp_path, label, state):
         ("labels", "teacher", ["{}", "[]", "{}", "{}"]),
     ],
 )
-def test_rows_that_contradict_each_other_are_refused_and_load_nothing(tmp_path, table, column, values):
+def test_inconsistent_rows_are_refused_and_leave_nothing(tmp_path, table, column, values):
     write(tmp_path / "export")
     change_table(tmp_path / "export" / f"{table}.parquet", lambda whole: replaced(whole, column, values))
     before = everything_in(tmp_path)
@@ -331,7 +331,7 @@ def test_rows_that_contradict_each_other_are_refused_and_load_nothing(tmp_path, 
     assert everything_in(tmp_path) == before
 
 
-def test_an_action_beyond_the_tasks_is_refused(tmp_path):
+def test_action_out_of_range_is_refused(tmp_path):
     write(tmp_path / "export", discrete=True)
     sizes = [8, 4, 2, 6]
     change_table(
@@ -343,7 +343,7 @@ def test_an_action_beyond_the_tasks_is_refused(tmp_path):
     assert "action" in refused.value.problem
 
 
-def test_a_column_of_another_type_is_refused(tmp_path):
+def test_column_of_another_type_is_refused(tmp_path):
     write(tmp_path / "export")
     path = tmp_path / "export" / "labels.parquet"
     change_table(path, lambda whole: whole.set_column(3, "label", pa.array(["1", "0.5", "0", None])))
@@ -352,7 +352,7 @@ def test_a_column_of_another_type_is_refused(tmp_path):
     assert "label" in refused.value.problem
 
 
-def test_a_few_bytes_that_stand_for_billions_of_numbers_are_not_decoded(tmp_path):
+def test_row_group_above_the_size_limit_is_not_decoded(tmp_path):
     write(tmp_path / "export")
     path = tmp_path / "export" / "segments.parquet"
     change_table(path, lambda whole: replaced(whole, "rewards", [[0.0] * 2_000_000, *([[0.0]] * 3)]))
@@ -362,7 +362,7 @@ def test_a_few_bytes_that_stand_for_billions_of_numbers_are_not_decoded(tmp_path
         list(tables.segments())
 
 
-def test_padding_that_would_fill_the_memory_is_refused(tmp_path):
+def test_padding_above_the_size_limit_is_refused(tmp_path):
     write(tmp_path / "export")
     layout = {"n_steps": 1 << 40, "n_agents": 2, "observation_dim": 3, "action_dim": 2}
     change_metadata(tmp_path / "export" / "segments.parquet", layout=layout)
@@ -370,7 +370,7 @@ def test_padding_that_would_fill_the_memory_is_refused(tmp_path):
         PreferenceTables.open(tmp_path / "export")
 
 
-def test_a_folder_that_is_there_is_not_loaded_over(tmp_path):
+def test_existing_folder_is_not_overwritten_by_load(tmp_path):
     write(tmp_path / "export")
     (tmp_path / "segments").mkdir()
     with pytest.raises(AlreadyExists):
