@@ -12,22 +12,22 @@ def resolve_device(name: str) -> torch.device:
     """The device called `name`; "auto" is CUDA where there is one, else the CPU.
 
     Raises:
-        InvalidConfig: if there is no such device here.
+        InvalidConfig: if the device does not exist or is not available.
     """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
         device = torch.device(name)
     except RuntimeError as error:
-        raise InvalidConfig(f"device is {name!r}; use auto, cpu or cuda") from error
+        raise InvalidConfig(f"device is {name!r}; it must be auto, cpu or cuda.", "device") from error
     if device.type == "cuda" and not torch.cuda.is_available():
-        raise InvalidConfig(f"device is {name!r}, but this machine has no CUDA device; use auto or cpu")
+        raise InvalidConfig(f"device is {name!r}, but no CUDA device is available; use auto or cpu.", "device")
     return device
 
 
 @contextmanager
 def seeded(seed: int, device: torch.device) -> Iterator[None]:
-    """Seed torch's global generators, of which initial weights and dropout draw, and give them back as they were."""
+    """Seed torch's global generators within the context, for initial weights and dropout, and restore them after it."""
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         torch.manual_seed(seed)
         yield

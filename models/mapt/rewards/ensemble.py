@@ -36,7 +36,7 @@ from mapt.rewards.checkpoints import (
     read_stored,
     save_reward_model,
 )
-from mapt.rewards.config import RewardConfig, TrainConfig, check_positive_int
+from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.data import (
     EVALUATION_SEGMENTS,
     PairTensors,
@@ -71,7 +71,7 @@ class RewardEnsemble:
 
     def __init__(self, members: Sequence[RewardModel], metrics: Mapping[str, float] | None = None) -> None:
         if not members:
-            raise InvalidConfig("an ensemble needs at least one member")
+            raise InvalidConfig("An ensemble needs at least one member.", "members")
         for model in members:
             if model.config != members[0].config:
                 raise ModelMismatch("settings of an ensemble's member", members[0].config, model.config)
@@ -144,13 +144,14 @@ def train_reward_ensemble(
         `members`, `labels`, `holdout_labels`, `holdout_reliable`, `stopped`, `seconds`. Undefined ones are left out.
 
     Raises:
-        InvalidConfig: if `members` or `workers` is not a positive integer.
+        InvalidConfig: if `members` or `workers` is less than 1.
         NotEnoughPairs: with fewer than two pairs.
         ModelMismatch: if the dimensions of dataset, config and `initial` differ.
         MemberTrainingFailed: if a worker process ends without a model.
     """
-    check_positive_int("members", members)
-    check_positive_int("workers", workers)
+    for name, count in (("members", members), ("workers", workers)):
+        if count < 1:
+            raise InvalidConfig(f"{name} is {count}; it must be 1 or more.", name)
     check_fit(config, dataset.segments)
     if initial is not None and (initial.config, len(initial)) != (config, members):
         raise ModelMismatch(

@@ -27,7 +27,7 @@ def variant(request) -> dict[str, object]:
 
 @pytest.fixture
 def build() -> Callable[..., MAPT]:
-    """Builds a small network in evaluation mode whose every parameter was drawn, so that no branch is silent."""
+    """Builds a small network in evaluation mode without zero-initialised layers."""
 
     def build(seed: int = 0, **settings: object) -> MAPT:
         config = RewardConfig.from_dict(

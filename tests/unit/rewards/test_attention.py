@@ -21,31 +21,31 @@ def draw(*shape, seed=0):
 def slow_attention(query, key, value, band):
     """Step by step, group by group, over the steps that the band names."""
     result = torch.zeros_like(query)
-    n_segments, n_asking, n_groups, dim = query.shape
+    n_segments, n_queries, n_groups, dim = query.shape
     for s in range(n_segments):
-        for asking in range(n_asking):
-            t = asking + band.context_steps
+        for query_step in range(n_queries):
+            t = query_step + band.context_steps
             seen = [k for k in range(max(0, t - band.window + 1), t + 1) if band.episode[s, k] == band.episode[s, t]]
             for g in range(n_groups):
-                logits = key[s, seen, g] @ query[s, asking, g] / dim**0.5
-                result[s, asking, g] = logits.softmax(0) @ value[s, seen, g]
+                logits = key[s, seen, g] @ query[s, query_step, g] / dim**0.5
+                result[s, query_step, g] = logits.softmax(0) @ value[s, seen, g]
     return result
 
 
 @settings(max_examples=25)
 @given(st.integers(1, 45), st.integers(0, 30), st.integers(1, 20), st.floats(0, 0.4), st.integers(0, 99))
-def test_banded_attention_equals_the_slow_loop(n_asking, context, window, restarts, seed):
-    generator, n_steps = torch.Generator().manual_seed(seed), context + n_asking
+def test_banded_attention_equals_the_slow_loop(n_queries, context, window, restarts, seed):
+    generator, n_steps = torch.Generator().manual_seed(seed), context + n_queries
     starts = torch.rand(2, n_steps, generator=generator) < restarts
     band = BandedAttention(window, starts.cumsum(dim=1), context)
-    query = draw(2, n_asking, 2, 4, seed=seed)
+    query = draw(2, n_queries, 2, 4, seed=seed)
     key, value = (draw(2, n_steps, 2, 4, seed=seed + i) for i in (1, 2))
     fast = band.attend(query, key, value)
     assert_close(fast, slow_attention(query, key, value, band))
 
 
 @given(st.integers(0, 2000), st.integers(0, 60), st.integers(0, 99))
-def test_rotary_products_depend_on_the_distance_alone(position, distance, seed):
+def test_rotary_products_depend_on_the_distance_only(position, distance, seed):
     angles = rotary_embedding(torch.arange(2100, dtype=torch.float64), 8, torch.device("cpu"))
     query, key = draw(8, seed=seed), draw(8, seed=seed + 1)
 
@@ -60,7 +60,7 @@ def test_rotary_products_depend_on_the_distance_alone(position, distance, seed):
     torch.testing.assert_close(product(position), product(0), rtol=0, atol=1e-4 * scale)
 
 
-def test_attention_moved_in_time_gives_the_same_numbers():
+def test_attention_is_invariant_to_a_shift_in_time():
     attention = CausalAttention(8, 8, heads=2)
     torch.nn.init.normal_(attention.out.weight, generator=torch.Generator().manual_seed(0))
     x = draw(1, 40, 3, 8)
@@ -70,7 +70,7 @@ def test_attention_moved_in_time_gives_the_same_numbers():
         assert_close(whole[:, last], window[:, -1])
 
 
-def test_context_is_looked_at_and_left_out():
+def test_context_serves_as_keys_only():
     attention = CausalAttention(8, 8, heads=2)
     torch.nn.init.normal_(attention.out.weight, generator=torch.Generator().manual_seed(0))
     x, episode = draw(2, 30, 3, 8), torch.zeros(2, 30, dtype=torch.int64)

@@ -15,32 +15,32 @@ from mapt.rewards.metrics import (
 )
 
 
-def test_accuracy_leaves_ties_out():
+def test_accuracy_ignores_ties():
     assert accuracy([0.9, 0.2, 0.7, 0.9], [1.0, 1.0, 0.5, 1.0]) == pytest.approx(2 / 3)
     assert math.isnan(accuracy([0.9], [0.5]))
     assert math.isnan(accuracy([], []))
 
 
-def test_probabilities_that_come_true_are_calibrated():
+def test_true_probabilities_are_calibrated():
     # Of four pairs at 0.75, three came out that way.
     assert calibration_error([0.75] * 4, [1, 1, 1, 0]) == pytest.approx(0)
     assert calibration_error([1.0, 0.0], [1, 0]) == pytest.approx(0)
 
 
-def test_a_pair_counts_in_both_orders_and_bins_without_any_are_left_out():
+def test_pairs_count_in_both_orders_and_empty_bins_are_left_out():
     bins = calibration_bins([0.75] * 4, [1, 1, 0.5, 0])
     assert bins == (CalibrationBin(0.25, 0.375, 4), CalibrationBin(0.75, 0.625, 4))
     assert calibration_bins([1.0], [1]) == (CalibrationBin(0.0, 0.0, 1), CalibrationBin(1.0, 1.0, 1))
     assert calibration_bins([], []) == ()
 
 
-def test_overconfidence_is_the_distance_to_what_came_true():
+def test_calibration_error_is_the_distance_to_the_observed_frequency():
     assert calibration_error([0.95] * 4, [1, 1, 0, 0]) == pytest.approx(0.45)
     assert math.isnan(calibration_error([], []))
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.sampled_from([0.0, 0.5, 1.0])), min_size=1, max_size=30))
-def test_calibration_does_not_depend_on_which_segment_comes_first(pairs):
+def test_calibration_does_not_depend_on_the_order_of_a_pair(pairs):
     predicted, labels = np.array(pairs).T
     swapped = calibration_error(1 - predicted, 1 - labels)
     # A probability that is an edge of a bin may fall to either side of it when swapped.
@@ -50,16 +50,16 @@ def test_calibration_does_not_depend_on_which_segment_comes_first(pairs):
     )
 
 
-def test_ranks_follow_any_increasing_function():
+def test_rank_correlation_is_invariant_to_increasing_functions():
     values = np.array([0.1, 3.0, -2.0, 5.0])
     assert rank_correlation(values, np.exp(values)) == pytest.approx(1)
     assert rank_correlation(values, -(values**3)) == pytest.approx(-1)
 
 
-def test_equal_values_share_their_rank():
+def test_ties_share_their_mean_rank():
     # Ranks 1.5, 1.5, 3 against 1, 2, 3.
     assert rank_correlation([0, 0, 1], [1, 2, 3]) == pytest.approx(correlation([1.5, 1.5, 3], [1, 2, 3]))
 
 
-def test_a_constant_correlates_with_nothing():
+def test_correlation_with_a_constant_is_nan():
     assert math.isnan(correlation([1, 1, 1], [1, 2, 3]))

@@ -25,7 +25,7 @@ def draw(n_segments, n_steps, seed=0):
     )
 
 
-def test_outputs_have_the_shapes_the_method_names(build, variant):
+def test_outputs_have_the_documented_shapes(build, variant):
     output = build(**variant)(*draw(5, 7))
     assert output.agent_rewards.shape == (5, 7, N_AGENTS)
     assert output.rewards.shape == output.weights.shape == (5, 7)
@@ -34,7 +34,7 @@ def test_outputs_have_the_shapes_the_method_names(build, variant):
 
 @each_example
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=4), st.integers(0, 99))
-def test_weights_are_a_share_of_the_real_steps(build, variant, lengths, seed):
+def test_weights_of_real_steps_sum_to_one(build, variant, lengths, seed):
     observations, actions, _ = draw(len(lengths), 9, seed)
     mask = torch.arange(9) < torch.tensor(lengths)[:, None]
     weights = build(**variant)(observations, actions, mask).weights
@@ -45,7 +45,7 @@ def test_weights_are_a_share_of_the_real_steps(build, variant, lengths, seed):
 
 @each_example
 @given(st.integers(1, 8), st.integers(1, 5), st.integers(0, 99))
-def test_padding_changes_nothing(build, variant, n_steps, n_padding, seed):
+def test_padding_does_not_change_outputs(build, variant, n_steps, n_padding, seed):
     model = build(**variant)
     observations, actions, mask = draw(2, n_steps + n_padding, seed)
     mask[:, n_steps:] = False
@@ -67,7 +67,7 @@ def test_permuting_agents_permutes_their_rewards(build, variant, order, n_steps,
 
 @each_example
 @given(st.integers(2, 9), st.integers(1, 8), st.integers(0, 99))
-def test_a_reward_does_not_depend_on_the_future(build, variant, n_steps, at, seed):
+def test_reward_does_not_depend_on_the_future(build, variant, n_steps, at, seed):
     at = min(at, n_steps - 1)
     model = build(**variant)
     observations, actions, mask = draw(2, n_steps, seed)
@@ -80,7 +80,7 @@ def test_a_reward_does_not_depend_on_the_future(build, variant, n_steps, at, see
 
 
 @pytest.mark.parametrize("temporal", ["attention", "lstm"])
-def test_a_reward_depends_on_the_past(build, temporal):
+def test_reward_depends_on_the_past(build, temporal):
     model = build(temporal=temporal)
     observations, actions, mask = draw(2, 6)
     before = model(observations, actions, mask).agent_rewards[:, -1]
@@ -88,7 +88,7 @@ def test_a_reward_depends_on_the_past(build, temporal):
     assert not torch.allclose(model(observations, actions, mask).agent_rewards[:, -1], before)
 
 
-def test_without_a_temporal_encoder_a_reward_is_markov(build):
+def test_reward_without_a_temporal_encoder_is_markov(build):
     model = build(temporal="none")
     observations, actions, mask = draw(2, 6)
     before = model(observations, actions, mask).agent_rewards[:, -1]
@@ -96,7 +96,7 @@ def test_without_a_temporal_encoder_a_reward_is_markov(build):
     torch.testing.assert_close(model(observations, actions, mask).agent_rewards[:, -1], before, **CLOSE)
 
 
-def test_a_reward_depends_on_the_other_agents(build):
+def test_reward_depends_on_the_other_agents(build):
     model = build()
     observations, actions, mask = draw(2, 6)
     before = model(observations, actions, mask).agent_rewards[:, :, 0]
@@ -114,7 +114,7 @@ def test_swapping_segments_complements_the_probability(build, variant, n_steps, 
     torch.testing.assert_close((swapped_0 - swapped_1).sigmoid(), preferred_0, **CLOSE)
 
 
-def test_an_untrained_network_is_its_markov_path_with_equal_weights():
+def test_untrained_network_equals_its_markov_path_with_equal_weights():
     torch.manual_seed(0)
     model = MAPT(RewardConfig(OBSERVATION_DIM, ACTION_DIM, N_AGENTS, hidden_dim=16))
     observations, actions, mask = draw(3, 5)
@@ -123,7 +123,7 @@ def test_an_untrained_network_is_its_markov_path_with_equal_weights():
     torch.testing.assert_close(output.weights, torch.full((3, 5), 0.2))
 
 
-def test_taking_new_input_statistics_keeps_the_function(build, variant):
+def test_refitting_normalisers_keeps_outputs(build, variant):
     model = build(**variant)
     observations, actions, mask = draw(4, 6)
     before = model(observations, actions, mask).agent_rewards
@@ -133,7 +133,7 @@ def test_taking_new_input_statistics_keeps_the_function(build, variant):
     torch.testing.assert_close(after, before, rtol=1e-3, atol=1e-3)
 
 
-def test_measured_inputs_are_normalised_over_real_steps_alone(build):
+def test_inputs_are_normalised_over_real_steps(build):
     model = build()
     observations, actions, mask = draw(4, 6)
     observations = 5 * observations + 3
@@ -145,7 +145,7 @@ def test_measured_inputs_are_normalised_over_real_steps_alone(build):
     torch.testing.assert_close(normalised.std(dim=0, correction=0), torch.ones(OBSERVATION_DIM), **CLOSE)
 
 
-def test_an_input_that_never_varied_is_not_blown_up(build):
+def test_constant_input_is_not_scaled(build):
     model = build()
     observations, actions, mask = draw(4, 6)
     observations[..., 0] = 7.0
@@ -155,7 +155,7 @@ def test_an_input_that_never_varied_is_not_blown_up(build):
     assert model.observation_normaliser(observations)[..., 0].abs().max() == 0.5
 
 
-def test_a_wild_state_cannot_buy_an_unbounded_reward(build):
+def test_outlier_inputs_give_a_bounded_reward(build):
     model = build()
     observations, actions, mask = draw(1, 3)
     model.fit_normalisers(observations, actions, mask, keep_function=False)
@@ -163,7 +163,7 @@ def test_a_wild_state_cannot_buy_an_unbounded_reward(build):
     torch.testing.assert_close(far, farther)
 
 
-def test_inputs_of_other_dimensions_are_refused(build):
+def test_inputs_with_other_dimensions_are_refused(build):
     model = build()
     observations, actions, mask = draw(2, 5)
     with pytest.raises(ShapeError):

@@ -49,13 +49,13 @@ def test_float32_changes_nothing(build):
     torch.testing.assert_close(same, model(*segments).score, rtol=0, atol=0)
 
 
-def test_auto_takes_bfloat16_for_wide_networks_where_the_machine_has_it():
+def test_auto_is_bfloat16_for_wide_networks_if_supported():
     wide = torch.bfloat16 if supports_bfloat16(CPU) else torch.float32
     assert resolve_precision("auto", 256, CPU) == wide
     assert resolve_precision("auto", 64, CPU) == torch.float32
 
 
-def test_a_named_precision_is_taken_and_an_unknown_one_refused():
+def test_named_precision_is_used_and_an_unknown_one_refused():
     assert resolve_precision("bfloat16", 64, CPU) == torch.bfloat16
     assert resolve_precision("float32", 256, CPU) == torch.float32
     with pytest.raises(InvalidConfig) as error:

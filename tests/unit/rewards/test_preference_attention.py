@@ -18,7 +18,7 @@ def _same_draws():
     torch.manual_seed(0)
 
 
-def drawn(layer: nn.Module, seed: int = 0) -> nn.Module:
+def randomise(layer: nn.Module, seed: int = 0) -> nn.Module:
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         for parameter in layer.parameters():
@@ -43,8 +43,8 @@ def assert_gradients_close(found: dict[str, torch.Tensor], expected: dict[str, t
         torch.testing.assert_close(gradient, expected[name], rtol=0, atol=1e-4 * scale, msg=name)
 
 
-def test_rewards_of_agents_are_those_of_the_equation_written_out():
-    layer, h = drawn(CooperationAwareAttention(2 * D, D)), torch.randn(S, T, N, 2 * D, requires_grad=True)
+def test_agent_rewards_follow_their_equation():
+    layer, h = randomise(CooperationAwareAttention(2 * D, D)), torch.randn(S, T, N, 2 * D, requires_grad=True)
     weights = (layer.query(h) @ layer.key(h).transpose(2, 3) / math.sqrt(D)).softmax(dim=-1)
     plain = layer.reward(weights @ layer.value(h)).squeeze(-1)
     assert_float32_close(layer(h).detach(), plain.detach())
@@ -53,8 +53,8 @@ def test_rewards_of_agents_are_those_of_the_equation_written_out():
 
 
 @pytest.mark.parametrize("key_dim", [N, 2 * D], ids=["keys-of-rewards", "keys-of-features"])
-def test_weights_of_steps_are_those_of_the_equation_written_out(key_dim):
-    layer = drawn(TemporalAwareAttention(2 * D, D, key_dim))
+def test_step_attention_follows_its_equation(key_dim):
+    layer = randomise(TemporalAwareAttention(2 * D, D, key_dim))
     queries, keys = torch.randn(S, T, 2 * D, requires_grad=True), torch.randn(S, T, key_dim)
     mask = torch.arange(T) < torch.tensor([7, 1, 4, 6])[:, None]
     logits = layer.query(queries) @ layer.key(keys).transpose(1, 2) / math.sqrt(D)
@@ -65,14 +65,14 @@ def test_weights_of_steps_are_those_of_the_equation_written_out(key_dim):
     assert_gradients_close(gradients(layer, weights, queries), expected)
 
 
-def test_padded_steps_neither_vote_nor_are_voted_for():
+def test_padded_steps_have_no_weight():
     mask = torch.tensor([[True, True, False]])
     weights = torch.tensor([[[0.75, 0.25, 0.0], [0.25, 0.75, 0.0], [1.0, 0.0, 0.0]]])
     torch.testing.assert_close(mean_attention(weights, mask), torch.tensor([[0.5, 0.5, 0.0]]))
     torch.testing.assert_close(equal_weights(mask), torch.tensor([[0.5, 0.5, 0.0]]))
 
 
-def test_an_untrained_attention_over_steps_favours_none():
+def test_untrained_step_attention_gives_equal_weights():
     layer = TemporalAwareAttention(2 * D, D, N)
     mask = torch.arange(T) < torch.tensor([7, 3])[:, None]
     weights = layer(torch.randn(2, T, 2 * D), torch.randn(2, T, N), mask)

@@ -50,7 +50,7 @@ def in_pieces(relabeller, lengths, observations, actions, start):
 
 @each_example
 @given(st.lists(st.integers(1, 23), min_size=1, max_size=4), st.integers(1, 9), st.floats(0, 0.3), st.integers(0, 99))
-def test_rewards_of_rollouts_equal_each_step_in_its_own_window(build, variant, lengths, window, restarts, seed):
+def test_relabelled_rewards_equal_those_of_each_window(build, variant, lengths, window, restarts, seed):
     model = build(**variant)
     model.set_reward_scale(0.3, 1.7)
     rollouts = draw(sum(lengths), restarts, seed)
@@ -59,14 +59,14 @@ def test_rewards_of_rollouts_equal_each_step_in_its_own_window(build, variant, l
 
 
 @pytest.mark.parametrize("length", [16, 32])
-def test_a_rollout_of_whole_blocks_is_relabelled_too(build, length):
+def test_rollout_of_whole_blocks_is_relabelled(build, length):
     model, rollout = build(), draw(length)
     relabelled = RolloutRelabeller(model, 6, N_ENVS, "individual").relabel(*rollout)
     assert_float32_close(relabelled, window_by_window(model, 6, *rollout))
 
 
 @pytest.mark.parametrize("window", [1, 6])
-def test_rewards_of_bfloat16_products_are_near_the_exact_ones(build, window):
+def test_bfloat16_rewards_are_close_to_float32_rewards(build, window):
     model, rollout = build(), draw(30)
     exact, rough = (
         RolloutRelabeller(model, window, N_ENVS, "individual", precision=precision).relabel(*rollout)
@@ -77,7 +77,7 @@ def test_rewards_of_bfloat16_products_are_near_the_exact_ones(build, window):
 
 
 @pytest.mark.parametrize("kind", ["value", "attended", "weighted"])
-def test_each_kind_of_reward_is_the_model_s_own_on_each_window(build, kind):
+def test_each_kind_of_reward_equals_the_model_on_each_window(build, kind):
     model = build()
     observations, actions, start = draw(9, restarts=0.2)
     relabelled = RolloutRelabeller(model, 4, N_ENVS, "individual", kind=kind).relabel(observations, actions, start)
@@ -93,7 +93,7 @@ def test_each_kind_of_reward_is_the_model_s_own_on_each_window(build, kind):
             assert_float32_close(relabelled[t, e], own)
 
 
-def test_shared_credit_is_the_mean_of_the_individual(build):
+def test_shared_credit_is_the_mean_of_individual_credit(build):
     model, rollout = build(), draw(20)
     shared = RolloutRelabeller(model, 6, N_ENVS, "shared").relabel(*rollout)
     individual = RolloutRelabeller(model, 6, N_ENVS, "individual").relabel(*rollout)
@@ -102,7 +102,7 @@ def test_shared_credit_is_the_mean_of_the_individual(build):
     assert_float32_close(shared, individual.mean(axis=2))
 
 
-def test_an_episode_never_sees_the_one_before(build):
+def test_episode_does_not_depend_on_the_previous_one(build):
     model = build()
     observations, actions, start = draw(12, restarts=0)
     start[7] = True
@@ -115,7 +115,7 @@ def test_an_episode_never_sees_the_one_before(build):
     assert not np.allclose(first[:7], second[:7])
 
 
-def test_a_long_rollout_needs_no_more_than_its_window(build):
+def test_rewards_depend_on_the_window_alone(build):
     model = build()
     observations, actions, start = draw(300, restarts=0)
     relabelled = RolloutRelabeller(model, 7, N_ENVS).relabel(observations, actions, start)
@@ -125,14 +125,14 @@ def test_a_long_rollout_needs_no_more_than_its_window(build):
     assert_float32_close(relabelled[286:], cut[6:])
 
 
-def test_a_rollout_may_begin_in_the_middle_of_an_episode(build):
+def test_rollout_may_start_within_an_episode(build):
     model = build()
     observations, actions, start = draw(5, restarts=0)
     begun = RolloutRelabeller(model, 6, N_ENVS).relabel(observations, actions, np.zeros_like(start))
     assert_float32_close(begun, RolloutRelabeller(model, 6, N_ENVS).relabel(observations, actions, start))
 
 
-def test_a_restored_relabeller_goes_on_bit_by_bit(build):
+def test_restored_relabeller_continues_bit_by_bit(build):
     model = build()
     observations, actions, start = draw(30, restarts=0.05)
     original = RolloutRelabeller(model, 9, N_ENVS)
@@ -145,7 +145,7 @@ def test_a_restored_relabeller_goes_on_bit_by_bit(build):
     )
 
 
-def test_a_kept_state_does_not_change_as_the_relabeller_goes_on(build):
+def test_state_dict_is_a_copy(build):
     observations, actions, start = draw(30)
     relabeller = RolloutRelabeller(build(), 9, N_ENVS)
     relabeller.relabel(observations[:15], actions[:15], start[:15])
@@ -156,7 +156,7 @@ def test_a_kept_state_does_not_change_as_the_relabeller_goes_on(build):
         np.testing.assert_array_equal(state[name], array)
 
 
-def test_a_newer_model_sees_the_steps_remembered(build):
+def test_replaced_model_uses_the_context(build):
     old, new = build(seed=0), build(seed=1)
     observations, actions, start = draw(20, restarts=0)
     replaced = RolloutRelabeller(old, 9, N_ENVS)
@@ -169,7 +169,7 @@ def test_a_newer_model_sees_the_steps_remembered(build):
     )
 
 
-def test_the_relabeller_keeps_a_model_of_its_own(build):
+def test_relabeller_copies_the_model(build):
     model, rollout = build(), draw(10)
     before = RolloutRelabeller(model, 4, N_ENVS).relabel(*rollout)
     relabeller = RolloutRelabeller(model, 4, N_ENVS)
@@ -178,7 +178,7 @@ def test_the_relabeller_keeps_a_model_of_its_own(build):
     np.testing.assert_array_equal(relabeller.relabel(*rollout), before)
 
 
-def test_a_model_for_another_task_is_refused(build):
+def test_model_with_other_dimensions_is_refused(build):
     relabeller = RolloutRelabeller(build(), 4, N_ENVS)
     with pytest.raises(ModelMismatch):
         relabeller.replace_model(build(n_agents=5))
@@ -187,12 +187,12 @@ def test_a_model_for_another_task_is_refused(build):
 @pytest.mark.parametrize(
     "arguments", [{"window": 0}, {"n_envs": 0}, {"credit": "greedy"}, {"kind": "guessed"}, {"device": "abacus"}]
 )
-def test_an_argument_out_of_its_range_is_refused(build, arguments):
+def test_invalid_argument_is_refused(build, arguments):
     with pytest.raises(InvalidConfig):
         RolloutRelabeller(build(), **{"window": 4, "n_envs": N_ENVS, **arguments})
 
 
-def spoil_nothing_but(name, value):
+def with_invalid(name, value):
     rollout = dict(zip(("observations", "actions", "episode_start"), draw(6), strict=True))
     return {**rollout, name: value(rollout[name])}
 
@@ -210,17 +210,17 @@ def spoil_nothing_but(name, value):
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*encountered in divide")
-def test_a_malformed_rollout_is_refused_and_leaves_the_memory(build, name, value):
+def test_malformed_rollout_is_refused_and_keeps_the_context(build, name, value):
     relabeller = RolloutRelabeller(build(), 4, N_ENVS)
     relabeller.relabel(*draw(6))
     before = relabeller.state_dict()
     with pytest.raises(InvalidRollout):
-        relabeller.relabel(**spoil_nothing_but(name, value))
+        relabeller.relabel(**with_invalid(name, value))
     for key, array in relabeller.state_dict().items():
         np.testing.assert_array_equal(array, before[key])
 
 
-def test_a_state_of_another_window_is_refused(build):
+def test_state_of_another_window_is_refused(build):
     state = RolloutRelabeller(build(), 5, N_ENVS).state_dict()
     relabeller = RolloutRelabeller(build(), 4, N_ENVS)
     with pytest.raises(InvalidRollout):

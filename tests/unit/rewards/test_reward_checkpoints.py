@@ -9,7 +9,7 @@ from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model,
 METRICS = {"holdout_loss": 0.25, "labels": 20.0}
 
 
-def test_a_model_survives_storage_bit_by_bit(build, variant):
+def test_round_trip_gives_the_same_bits(build, variant):
     model = build(**variant)
     model.set_reward_scale(0.7, 2.5)
     saved = save_reward_model(model, METRICS)
@@ -23,7 +23,7 @@ def test_a_model_survives_storage_bit_by_bit(build, variant):
     assert save_reward_model(loaded.model, METRICS) == saved
 
 
-def test_a_model_is_read_from_its_files(build, tmp_path):
+def test_model_loads_from_files(build, tmp_path):
     model = build()
     save_reward_model(model, METRICS).write(tmp_path / "version-3")
     folder = tmp_path / "version-3"
@@ -31,7 +31,7 @@ def test_a_model_is_read_from_its_files(build, tmp_path):
     assert torch.equal(loaded.embedding.observation.weight, model.embedding.observation.weight)
 
 
-def test_the_card_tells_a_reader_what_the_numbers_mean(build):
+def test_card_documents_the_model(build):
     model = build()
     model.set_reward_scale(0.5, 2.0)
     card = json.loads(save_reward_model(model, METRICS).card)
@@ -45,13 +45,13 @@ def edited(card: bytes, **changes: object) -> bytes:
     return json.dumps({**json.loads(card), **changes}).encode()
 
 
-def test_a_newer_format_asks_for_an_update(build):
+def test_newer_format_is_refused(build):
     saved = save_reward_model(build(), METRICS)
     with pytest.raises(NewerCheckpoint):
         load_reward_model(saved.weights, edited(saved.card, format_version=3))
 
 
-def test_a_model_of_the_first_format_is_still_read(build):
+def test_model_of_format_1_loads(build):
     model = build()
     saved = save_reward_model(model, METRICS)
     config = json.loads(saved.card)["config"]
@@ -74,19 +74,19 @@ def test_a_model_of_the_first_format_is_still_read(build):
         {"metrics": {"loss": "low"}},
     ],
 )
-def test_an_altered_card_is_refused(build, changes):
+def test_altered_card_is_refused(build, changes):
     saved = save_reward_model(build(), METRICS)
     with pytest.raises(DamagedCheckpoint):
         load_reward_model(saved.weights, edited(saved.card, **changes))
 
 
 @pytest.mark.parametrize("card", [b"", b"\xff\xfe", b"[]", b"{"])
-def test_what_is_no_card_is_refused(build, card):
+def test_invalid_card_is_refused(build, card):
     with pytest.raises(DamagedCheckpoint):
         load_reward_model(save_reward_model(build(), METRICS).weights, card)
 
 
-def test_weights_cut_short_are_refused(build):
+def test_truncated_weights_are_refused(build):
     saved = save_reward_model(build(), METRICS)
     with pytest.raises(DamagedCheckpoint):
         load_reward_model(saved.weights[:-1], saved.card)
@@ -99,17 +99,17 @@ def test_weights_of_another_network_are_refused(build):
         load_reward_model(other.weights, card)
 
 
-def test_a_missing_file_is_named(tmp_path):
+def test_missing_file_is_refused(tmp_path):
     with pytest.raises(DamagedCheckpoint):
         load_reward_model(tmp_path / WEIGHTS_FILE, tmp_path / CARD_FILE)
 
 
-def test_a_number_that_is_none_cannot_be_stored_as_a_metric(build):
+def test_nan_metric_is_refused(build):
     with pytest.raises(ValueError, match="not JSON compliant"):
         save_reward_model(build(), {"loss": float("nan")})
 
 
-def test_a_card_keeps_the_steps_of_a_segment_where_they_are_told(build):
+def test_card_keeps_segment_steps(build):
     saved, silent = save_reward_model(build(), {}, segment_steps=50), save_reward_model(build(), {})
     assert load_reward_model(saved.weights, saved.card).segment_steps == 50
     assert load_reward_model(silent.weights, silent.card).segment_steps is None
@@ -117,7 +117,7 @@ def test_a_card_keeps_the_steps_of_a_segment_where_they_are_told(build):
         load_reward_model(saved.weights, edited(saved.card, segment_steps="fifty"))
 
 
-def test_a_version_is_known_by_its_weights(build):
+def test_sha256_identifies_the_weights(build):
     model = build()
     first = save_reward_model(model, METRICS)
     model.set_reward_scale(0.7, 2.5)

@@ -6,7 +6,7 @@ from mapt.rewards.config import RewardConfig, TrainConfig
 DIMENSIONS = {"observation_dim": 9, "action_dim": 1, "n_agents": 6}
 
 
-def test_presets_carry_the_sizes_they_are_named_for():
+def test_presets_have_their_sizes():
     paper = RewardConfig.preset("paper", **DIMENSIONS)
     assert (paper.hidden_dim, paper.layers, paper.heads, paper.dropout) == (256, 1, 4, 0.1)
     assert (TrainConfig.preset("paper").lr, TrainConfig.preset("paper").batch_pairs) == (1e-4, 256)
@@ -16,25 +16,27 @@ def test_presets_carry_the_sizes_they_are_named_for():
 
 
 @pytest.mark.parametrize("config", [RewardConfig.preset("paper", **DIMENSIONS), TrainConfig(seed=4, device="cpu")])
-def test_settings_survive_a_round_trip_through_plain_values(config):
+def test_settings_round_trip_through_plain_values(config):
     assert type(config).from_dict(config.to_dict()) == config
 
 
-@pytest.mark.parametrize(("cls", "known"), [(RewardConfig, "hidden_dim"), (TrainConfig, "seed")])
-def test_an_unknown_setting_is_named_with_those_known(cls, known):
-    with pytest.raises(InvalidConfig, match=rf"'depth'; known: .*{known}"):
+@pytest.mark.parametrize("cls", [RewardConfig, TrainConfig])
+def test_unknown_setting_is_named(cls):
+    with pytest.raises(InvalidConfig) as error:
         cls.from_dict({**(DIMENSIONS if cls is RewardConfig else {}), "depth": 3})
+    assert error.value.field == "depth"
 
 
-def test_a_missing_dimension_is_named():
-    with pytest.raises(InvalidConfig, match="n_agents"):
+def test_missing_dimension_is_named():
+    with pytest.raises(InvalidConfig) as error:
         RewardConfig.from_dict({"observation_dim": 9, "action_dim": 1})
+    assert error.value.field == "n_agents"
 
 
 @pytest.mark.parametrize("cls", [RewardConfig, TrainConfig])
-def test_an_unknown_preset_is_refused(cls):
+def test_unknown_preset_is_refused(cls):
     dimensions = DIMENSIONS if cls is RewardConfig else {}
-    with pytest.raises(InvalidConfig, match="huge"):
+    with pytest.raises(InvalidConfig):
         cls.preset("huge", **dimensions)
 
 
@@ -52,9 +54,10 @@ def test_an_unknown_preset_is_refused(cls):
         ("cpa", 1),
     ],
 )
-def test_a_network_setting_out_of_its_range_is_refused(name, value):
-    with pytest.raises(InvalidConfig, match=name):
+def test_invalid_network_setting_is_refused(name, value):
+    with pytest.raises(InvalidConfig) as error:
         RewardConfig.from_dict({**DIMENSIONS, "heads": 2, name: value})
+    assert error.value.field == name
 
 
 @pytest.mark.parametrize(
@@ -73,6 +76,7 @@ def test_a_network_setting_out_of_its_range_is_refused(name, value):
         ("seed", -1),
     ],
 )
-def test_a_training_setting_out_of_its_range_is_refused(name, value):
-    with pytest.raises(InvalidConfig, match=name):
+def test_invalid_training_setting_is_refused(name, value):
+    with pytest.raises(InvalidConfig) as error:
         TrainConfig.from_dict({name: value})
+    assert error.value.field == name

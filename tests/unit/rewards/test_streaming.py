@@ -34,7 +34,7 @@ def streamed(stream, observations, actions, start):
 
 @each_example
 @given(st.integers(1, 40), st.integers(1, 9), st.floats(0, 0.3), st.integers(0, 99))
-def test_steps_one_by_one_get_the_rewards_of_the_whole_rollout(build, variant, n_steps, window, restarts, seed):
+def test_streamed_rewards_equal_relabelled_rewards(build, variant, n_steps, window, restarts, seed):
     model = build(**variant)
     model.set_reward_scale(0.3, 1.7)
     rollout = draw(n_steps, restarts, seed)
@@ -44,14 +44,14 @@ def test_steps_one_by_one_get_the_rewards_of_the_whole_rollout(build, variant, n
 
 @pytest.mark.parametrize("kind", ["attended", "weighted"])
 @pytest.mark.parametrize("credit", ["shared", "individual"])
-def test_every_kind_of_reward_streams_as_it_is_relabelled(build, kind, credit):
+def test_each_kind_of_reward_streams_as_relabelled(build, kind, credit):
     model, rollout = build(), draw(12)
     relabelled = RolloutRelabeller(model, 5, N_ENVS, credit, kind=kind).relabel(*rollout)
     assert_float32_close(streamed(RewardStream(model, 5, N_ENVS, credit, kind=kind), *rollout), relabelled)
 
 
 @pytest.mark.parametrize("name", ["MA-MLP", "MA-LSTM", "MA-Transformer"])
-def test_every_baseline_streams_as_it_is_relabelled(name):
+def test_each_baseline_streams_as_relabelled(name):
     config = RewardConfig.named(
         name, preset="small", observation_dim=OBSERVATION_DIM, action_dim=ACTION_DIM, n_agents=N_AGENTS
     )
@@ -63,7 +63,7 @@ def test_every_baseline_streams_as_it_is_relabelled(name):
     assert_float32_close(streamed(RewardStream(model, 5, N_ENVS), *rollout), relabelled)
 
 
-def test_thousands_of_steps_do_not_blur_the_positions(build):
+def test_positions_stay_exact_after_thousands_of_steps(build):
     model = build()
     observations, actions, start = draw(3_000, restarts=0)
     stream = RewardStream(model, 4, N_ENVS)
@@ -73,7 +73,7 @@ def test_thousands_of_steps_do_not_blur_the_positions(build):
 
 
 @pytest.mark.parametrize("settings", [{}, {"temporal": "lstm"}])
-def test_a_malformed_step_is_refused_and_not_remembered(build, settings):
+def test_malformed_step_is_refused_and_ignored(build, settings):
     model = build(**settings)
     observations, actions, start = draw(6)
     stream, untroubled = (RewardStream(model, 4, N_ENVS) for _ in range(2))
@@ -92,6 +92,6 @@ def test_a_malformed_step_is_refused_and_not_remembered(build, settings):
     )
 
 
-def test_a_kind_that_does_not_exist_is_refused(build):
+def test_unknown_kind_is_refused(build):
     with pytest.raises(InvalidConfig, match="attended"):
         RewardStream(build(), 4, N_ENVS, kind="guessed")

@@ -44,7 +44,7 @@ def same_weights(first: MAPT, second: MAPT) -> bool:
     return all(torch.equal(tensor, states[1][name]) for name, tensor in states[0].items())
 
 
-def test_labels_are_learned_well_above_chance():
+def test_test_accuracy_is_well_above_chance():
     trained = train_reward_model(preferences(200), CONFIG, TrainConfig(max_epochs=3, device="cpu"))
     fresh = preferences(200, seed=1)
     with torch.inference_mode():
@@ -65,7 +65,7 @@ def test_the_same_seed_gives_the_same_model():
     assert not same_weights(first.model, other.model)
 
 
-def test_training_leaves_the_global_generator_as_it_was():
+def test_training_keeps_the_global_random_state():
     torch.manual_seed(5)
     expected = torch.rand(3)
     torch.manual_seed(5)
@@ -73,7 +73,7 @@ def test_training_leaves_the_global_generator_as_it_was():
     assert torch.equal(torch.rand(3), expected)
 
 
-def test_metrics_name_what_was_measured():
+def test_metrics_have_the_documented_names():
     metrics = train_reward_model(preferences(60), CONFIG, QUICK).metrics
     assert set(metrics) == {
         *("loss", "accuracy", "holdout_loss", "holdout_accuracy", "ece", "epochs", "seconds"),
@@ -83,7 +83,7 @@ def test_metrics_name_what_was_measured():
     assert (metrics["stopped"], metrics["epochs"] >= 8) == (0, True)
 
 
-def test_twenty_labels_are_enough_to_train_and_too_few_to_judge_by():
+def test_twenty_labels_train_with_an_unreliable_hold_out():
     metrics = train_reward_model(preferences(20), CONFIG, QUICK).metrics
     assert (metrics["holdout_labels"], metrics["holdout_reliable"]) == (4, 0)
     assert metrics["accuracy"] > 0.6
@@ -117,7 +117,7 @@ def test_rewards_are_normalised_over_the_training_segments():
     assert normalised.std().item() == pytest.approx(1, abs=1e-2)
 
 
-def test_rewards_are_normalised_over_a_reference_when_one_is_given():
+def test_rewards_are_normalised_over_the_reference():
     dataset, reference = preferences(40), preferences(10, seed=3).segments
     shifted = SegmentArrays(reference.observations + 1, reference.actions, reference.mask)
     model = train_reward_model(dataset, CONFIG, QUICK, reference=shifted).model
@@ -126,7 +126,7 @@ def test_rewards_are_normalised_over_a_reference_when_one_is_given():
     assert model.normalised(rewards.mean(dim=2)).mean().item() == pytest.approx(0, abs=1e-3)
 
 
-def test_padding_does_not_enter_the_training():
+def test_padding_does_not_affect_training():
     dataset = preferences(30)
     segments = dataset.segments
 
@@ -145,7 +145,7 @@ def test_padding_does_not_enter_the_training():
     assert zeros["loss"] == pytest.approx(thousands["loss"], rel=1e-3)
 
 
-def test_a_warm_start_goes_on_from_the_model_and_leaves_it_alone():
+def test_warm_start_continues_from_the_model_without_changing_it():
     first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2)).model
     before = {name: tensor.clone() for name, tensor in first.state_dict().items()}
     barely = TrainConfig(markov_epochs=1, max_epochs=1, lr=1e-8, markov_lr=1e-8, warm_share=1.0)
@@ -155,7 +155,7 @@ def test_a_warm_start_goes_on_from_the_model_and_leaves_it_alone():
     assert all(torch.equal(tensor, before[name]) for name, tensor in first.state_dict().items())
 
 
-def test_a_warm_start_lets_go_of_a_share_of_the_markov_path():
+def test_warm_start_keeps_warm_share_of_the_markov_path():
     first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2)).model
     barely = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1e-8, warm_share=0.25)
     warm = train_reward_model(preferences(80), CONFIG, barely, initial=first).model
@@ -165,21 +165,21 @@ def test_a_warm_start_lets_go_of_a_share_of_the_markov_path():
     assert 0.15 < share < 0.35
 
 
-def test_what_is_worse_than_a_coin_does_not_replace_an_earlier_version():
+def test_result_below_chance_does_not_replace_the_initial_model():
     first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2))
     wild = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1.0, warm_share=0.0)
     second = train_reward_model(preferences(80), CONFIG, wild, initial=first.model)
     assert second.metrics["holdout_loss"] == pytest.approx(first.metrics["holdout_loss"], rel=1e-3)
 
 
-def test_a_warm_start_takes_fewer_epochs():
+def test_warm_start_takes_fewer_epochs():
     settings = TrainConfig(markov_epochs=6, max_epochs=4, warm_markov_epochs=2, warm_epochs=1, device="cpu")
     first = train_reward_model(preferences(60), CONFIG, settings)
     warm = train_reward_model(preferences(80), CONFIG, settings, initial=first.model)
     assert warm.metrics["epochs"] <= 3 < first.metrics["epochs"]
 
 
-def test_segments_left_on_disk_train_the_same_model(tmp_path, monkeypatch):
+def test_streamed_segments_train_the_same_model(tmp_path, monkeypatch):
     dataset = preferences(60)
     layout = SegmentLayout(n_steps=8, n_agents=N_AGENTS, observation_dim=OBSERVATION_DIM, action_dim=ACTION_DIM)
     with SegmentWriter.create(tmp_path / "segments", layout) as writer:
@@ -191,7 +191,7 @@ def test_segments_left_on_disk_train_the_same_model(tmp_path, monkeypatch):
     assert same_weights(kept.model, streamed.model)
 
 
-def test_a_loss_that_expects_mistakes_learns_more_from_them():
+def test_label_noise_lowers_the_test_loss_on_wrong_labels():
     clean, fresh = preferences(600), preferences(300, seed=1)
     wrong = np.random.default_rng(2).random(600) < 0.3
     labels = np.where(wrong, 1 - clean.labels, clean.labels)
@@ -209,7 +209,7 @@ def test_a_loss_that_expects_mistakes_learns_more_from_them():
     assert loss_on_fresh_pairs(0.3) < 0.8 * loss_on_fresh_pairs(0.0)
 
 
-def test_many_labels_get_fewer_passes():
+def test_visits_limit_the_epochs():
     settings = TrainConfig(markov_epochs=20, max_epochs=10, markov_visits=96, visits=48, device="cpu")
     assert train_reward_model(preferences(60), CONFIG, settings).metrics["epochs"] == 3
 
@@ -234,7 +234,7 @@ def test_progress_is_reported_after_every_epoch():
     assert [at.seconds for at in seen] == sorted(at.seconds for at in seen)
 
 
-def test_a_stopped_training_ends_at_once_with_what_it_has():
+def test_stop_ends_training_with_the_best_weights():
     asked = threading.Event()
 
     def after_the_third_epoch(at):
@@ -246,7 +246,7 @@ def test_a_stopped_training_ends_at_once_with_what_it_has():
     assert not trained.model.training
 
 
-def test_a_model_stopped_before_its_first_step_is_whole():
+def test_stop_before_the_first_step_gives_a_model():
     trained = train_reward_model(preferences(60), CONFIG, QUICK, stop=lambda: True)
     assert (trained.metrics["epochs"], trained.metrics["stopped"]) == (0, 1)
 
@@ -266,7 +266,7 @@ def test_every_variant_trains(settings):
     assert trained.metrics["loss"] < 0.65
 
 
-def test_the_attention_path_is_kept_only_where_the_hold_out_gains():
+def test_attention_path_is_accepted_only_with_a_lower_hold_out_loss():
     metrics = [
         train_reward_model(preferences(60), CONFIG, TrainConfig(markov_epochs=20, max_epochs=epochs)).metrics
         for epochs in (1, 12)
@@ -274,7 +274,7 @@ def test_the_attention_path_is_kept_only_where_the_hold_out_gains():
     assert metrics[1]["holdout_loss"] <= metrics[0]["holdout_loss"]
 
 
-def test_before_the_markov_path_moves_its_scores_are_the_whole_network_s():
+def test_untrained_markov_scorer_equals_the_network_scorer():
     data = preferences(30)
     model = build_reward_model(CONFIG).eval()
     segments = segment_reader(data.segments, torch.device("cpu"))
@@ -286,7 +286,7 @@ def test_before_the_markov_path_moves_its_scores_are_the_whole_network_s():
         )
 
 
-def test_what_a_stage_learned_by_heart_early_is_not_handed_on():
+def test_early_weights_do_not_overfit():
     coin_flips = np.random.default_rng(5).integers(0, 2, 400)
     data, cpu = preferences(400, labels=coin_flips), torch.device("cpu")
     train, hold_out = (PairTensors.of(part, cpu) for part in data.split(0.2, 0))
@@ -305,18 +305,18 @@ def test_what_a_stage_learned_by_heart_early_is_not_handed_on():
     assert hold_out_loss() <= untrained
 
 
-def test_a_dataset_of_other_dimensions_is_refused():
+def test_dataset_with_other_dimensions_is_refused():
     with pytest.raises(ModelMismatch):
         train_reward_model(preferences(20), RewardConfig(OBSERVATION_DIM, ACTION_DIM, 5, hidden_dim=16), QUICK)
 
 
-def test_a_warm_start_from_another_network_is_refused():
+def test_warm_start_from_another_config_is_refused():
     other = MAPT(RewardConfig(OBSERVATION_DIM, ACTION_DIM, N_AGENTS, hidden_dim=32))
     with pytest.raises(ModelMismatch):
         train_reward_model(preferences(20), CONFIG, QUICK, initial=other)
 
 
-def test_a_device_that_is_not_here_is_named():
+def test_unknown_device_is_refused():
     with pytest.raises(InvalidConfig):
         train_reward_model(preferences(20), CONFIG, TrainConfig(device="abacus"))
 

@@ -57,7 +57,7 @@ def relabelled(model, observations, actions, start, credit="shared"):
 
 
 @pytest.mark.parametrize("form", ["array", "tuple", "dict"])
-def test_an_environment_gives_the_learned_reward_and_keeps_the_true_one(build, form):
+def test_environment_gives_the_learned_reward_and_the_true_one_in_info(build, form):
     model, env = build(), LearnedReward(Team(form=form), build(), WINDOW)
     env.action_space.seed(0)
     observations, actions, start, rewards = [], [], [], []
@@ -75,19 +75,19 @@ def test_an_environment_gives_the_learned_reward_and_keeps_the_true_one(build, f
     np.testing.assert_allclose(rewards, relabelled(model, observations, actions, start)[:, 0], **TOLERANCE)
 
 
-def test_numbers_of_discrete_actions_become_one_hot(build):
+def test_discrete_actions_become_one_hot(build):
     model = build(discrete_actions=True)
     env = LearnedReward(Team(discrete=True), model, WINDOW)
     observation, _ = env.reset(seed=0)
     _, reward, *_ = env.step(np.array([1, 0, 1]))
     one_hot = [[[0, 1], [1, 0], [0, 1]]]
     np.testing.assert_allclose(reward, relabelled(model, [observation[None]], [one_hot], [[True]])[0, 0], **TOLERANCE)
-    with pytest.raises(InvalidRollout, match="whole number"):
+    with pytest.raises(InvalidRollout):
         env.step(np.array([1, 0, 2]))
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_environments_in_step_begin_anew_each_at_its_own_end(build, mode):
+def test_vector_environments_start_episodes_independently(build, mode):
     model = build()
     teams = SyncVectorEnv([lambda n=n: Team(n) for n in (3, 5)], autoreset_mode=mode)
     env = LearnedVectorReward(teams, model, WINDOW)
@@ -113,7 +113,7 @@ def test_environments_in_step_begin_anew_each_at_its_own_end(build, mode):
 
 
 @pytest.mark.parametrize("credit", ["shared", "individual"])
-def test_a_parallel_environment_gives_each_agent_the_learned_reward(build, credit):
+def test_parallel_environment_gives_each_agent_the_learned_reward(build, credit):
     model = build(**CHEETAH)
     cheetah = mamujoco_v1.parallel_env("HalfCheetah", "6x1", agent_obsk=0)
     env = LearnedParallelReward(cheetah, model, WINDOW, credit=credit, agent_index=True)
@@ -136,7 +136,7 @@ def test_a_parallel_environment_gives_each_agent_the_learned_reward(build, credi
     np.testing.assert_allclose(rewards, expected, **TOLERANCE)
 
 
-def test_agents_that_see_other_than_the_model_are_refused(build):
+def test_agents_with_other_dimensions_are_refused(build):
     cheetah = mamujoco_v1.parallel_env("HalfCheetah", "6x1", agent_obsk=0)
     env = LearnedParallelReward(cheetah, build(**CHEETAH), WINDOW)
     env.reset(seed=0)

@@ -1,4 +1,1 @@
-"""Environments whose reward is swapped for a learned one.
-
-`gymnasium` needs nothing more; `pettingzoo` is a module of its own, since that library is not required.
-"""
+"""Environments whose reward is a learned one: `gymnasium`, and `pettingzoo`, which needs that optional library."""

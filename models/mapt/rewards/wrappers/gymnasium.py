@@ -1,7 +1,7 @@
-"""Gymnasium environments, one or many in step, that give a learned reward.
+"""Gymnasium environments, single or vectorised, with a learned reward.
 
-Gymnasium knows no agents, so what they see and do may be one array with an axis for them, a tuple, or a dictionary.
-Its reward is one number, the team's: the mean over agents. The environment's own is in `info["true_reward"]`.
+Gymnasium has no notion of agents: observations and actions may be one array with an axis for agents, a tuple, or a
+dictionary. The reward is the team's, the mean over agents; the environment's own is in `info["true_reward"]`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,10 +24,10 @@ class LearnedReward(gymnasium.Wrapper[Any, Any, Any, Any]):
     """One environment; see `RewardStream` for `model`, `window`, `device` and `kind`.
 
     Args:
-        agent_index: append a one-hot of the agent to what the model sees (not to what the policy is given).
+        agent_index: append a one-hot agent index to the model's observations (not to the policy's).
 
     Raises:
-        InvalidRollout: from `step`, if what the agents see and do does not fit the model.
+        InvalidRollout: from `step`, if observations or actions do not fit the model.
     """
 
     def __init__(
@@ -48,13 +48,13 @@ class LearnedReward(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._start = np.ones(1, dtype=np.bool_)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """As the environment's; the reward forgets the episode before."""
+        """Reset the environment and start an episode of the reward model."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._observation, self._start = observation, np.ones(1, dtype=np.bool_)
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """As the environment's, but for the reward."""
+        """Step the environment; the reward is the learned one."""
         seen = observation_rows(self._observation, self._names, self._config, indexed=self._indexed)
         reward = self._stream.step(seen[None], action_rows(action, self._names, self._config)[None], self._start)[0]
         observation, true_reward, terminated, truncated, info = self.env.step(action)
@@ -63,10 +63,9 @@ class LearnedReward(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 class LearnedVectorReward(VectorWrapper):
-    """E environments in step; arguments and errors as of `LearnedReward`.
+    """A vector of E environments; arguments and errors as of `LearnedReward`.
 
-    Where the environments begin a new episode by themselves in the step after the last one's end, that step
-    takes no action, and its reward is 0.
+    With autoreset mode NEXT_STEP, the step after an episode's end ignores the action, and its reward is 0.
     """
 
     def __init__(
@@ -89,8 +88,8 @@ class LearnedVectorReward(VectorWrapper):
         self._idle = np.zeros(env.num_envs, dtype=np.bool_)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """As the environments'; the reward forgets the episodes before, of those that `options["reset_mask"]` names."""
-        # Read and copied before the environments take it out of the options.
+        """Reset the environments, or those that `options["reset_mask"]` selects."""
+        # Copied first: the environments remove it from the options.
         begun = np.array((options or {}).get("reset_mask", np.ones(self.num_envs)), dtype=np.bool_)
         observations, infos = self.env.reset(seed=seed, options=options)
         self._observations = observations
@@ -100,13 +99,13 @@ class LearnedVectorReward(VectorWrapper):
     def step(
         self, actions: Any
     ) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """As the environments', but for the rewards."""
+        """Step the environments; the rewards are the learned ones."""
         seen = observation_rows(self._observations, self._names, self._config, indexed=self._indexed)
         rewards = self._stream.step(seen, action_rows(actions, self._names, self._config), self._start)
         rewards[self._idle] = 0.0
         observations, true_rewards, terminated, truncated, infos = self.env.step(actions)
         ended = np.logical_or(terminated, truncated)
-        # Resetting late, the next step is still to come; its entry is forgotten with the one after it.
+        # With NEXT_STEP, the coming step is the ignored one, and the episode starts with the step after it.
         self._start = self._idle.copy() if self._resets_late else ended
         self._idle = ended if self._resets_late else np.zeros_like(ended)
         self._observations = observations
@@ -115,7 +114,7 @@ class LearnedVectorReward(VectorWrapper):
 
 
 def _names(space: gymnasium.Space[Any]) -> Sequence[str]:
-    """The agents, where an observation names them, in the space's order: the alphabet's, if it was not told another."""
+    """Names of the agents in the order of the space, if observations are dictionaries."""
     return tuple(space.spaces) if isinstance(space, gymnasium.spaces.Dict) else ()
 
 
@@ -125,9 +124,8 @@ def observation_rows(
     """Observations of all agents, float32 (..., N, C).
 
     Args:
-        values: as an environment gives them: one array (..., N, C), or one (..., C) for each agent, in a tuple in
-            their order or by their `names`.
-        indexed: append a one-hot of which agent it is, for a model that was trained on such observations.
+        values: one array (..., N, C), or one (..., C) per agent, in a tuple or in a dictionary by `names`.
+        indexed: append a one-hot agent index, for a model that was trained on such observations.
 
     Raises:
         InvalidRollout: if an agent is missing, or the shapes differ between agents or do not fit the model.
@@ -140,7 +138,7 @@ def observation_rows(
 
 
 def action_rows(values: object, names: Sequence[str], config: RewardConfig) -> NDArray[np.float32]:
-    """Actions of all agents, float32 (..., N, A); `values` as observations, or (..., N) numbers of discrete actions.
+    """Actions of all agents, float32 (..., N, A); `values` as above, or (..., N) numbers of discrete actions.
 
     Raises:
         InvalidRollout: if an agent is missing, or the shapes differ between agents or do not fit the model.
@@ -150,7 +148,7 @@ def action_rows(values: object, names: Sequence[str], config: RewardConfig) -> N
     numbers = _stacked("actions", values, names, axis=-1)
     known = np.arange(config.action_dim)
     if not np.isin(numbers, known).all():
-        raise InvalidRollout(f"an action is not a whole number from 0 to {config.action_dim - 1}")
+        raise InvalidRollout(f"an action is not an integer from 0 to {config.action_dim - 1}")
     one_hot = (numbers[..., None] == known).astype(np.float32)
     return _fitting("actions", one_hot, config.n_agents, config.action_dim)
 
@@ -158,7 +156,7 @@ def action_rows(values: object, names: Sequence[str], config: RewardConfig) -> N
 def _stacked(what: str, values: object, names: Sequence[str], axis: int) -> NDArray[np.float32]:
     if isinstance(values, Mapping):
         if missing := [name for name in names if name not in values]:
-            raise InvalidRollout(f"{what} of {missing[0]} are missing: every agent must act in every step")
+            raise InvalidRollout(f"{what} of {missing[0]} are missing: every agent must be present in every step")
         values = tuple(values[name] for name in names)
     if not isinstance(values, tuple):
         return _array(what, values)
@@ -173,7 +171,7 @@ def _array(what: str, values: object) -> NDArray[np.float32]:
     try:
         return np.asarray(taken, dtype=np.float32)
     except (TypeError, ValueError) as error:
-        raise InvalidRollout(f"{what} are no numbers: {type(values).__name__}") from error
+        raise InvalidRollout(f"{what} are not numeric: {type(values).__name__}") from error
 
 
 def _fitting(what: str, rows: NDArray[np.float32], n_agents: int, width: int) -> NDArray[np.float32]:

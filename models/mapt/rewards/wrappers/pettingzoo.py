@@ -1,4 +1,4 @@
-"""PettingZoo environments whose agents act at once, that give a learned reward. Needs `pettingzoo`."""
+"""PettingZoo parallel environments with a learned reward. Needs `pettingzoo`."""
 
 from typing import Any
 
@@ -12,16 +12,16 @@ from mapt.rewards.wrappers.gymnasium import TRUE_REWARD, action_rows, observatio
 
 
 class LearnedParallelReward(BaseParallelWrapper[str, Any, Any]):
-    """An environment of agents that all act in every step, to the episode's end.
+    """An environment whose agents all act in every step of an episode.
 
-    Each agent is given the learned reward; the environment's own is in `infos[agent]["true_reward"]`.
+    Each agent receives the learned reward; the environment's own is in `infos[agent]["true_reward"]`.
 
     Args:
         model, window, credit, device, kind: as in `RewardStream`.
-        agent_index: append a one-hot of the agent to what the model sees (not to what the policy is given).
+        agent_index: append a one-hot agent index to the model's observations (not to the policy's).
 
     Raises:
-        InvalidRollout: from `step`, if an agent is missing or what they see and do does not fit the model.
+        InvalidRollout: from `step`, if an agent is missing, or observations or actions do not fit the model.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class LearnedParallelReward(BaseParallelWrapper[str, Any, Any]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """As the environment's; the reward forgets the episode before."""
+        """Reset the environment and start an episode of the reward model."""
         observations, infos = self.env.reset(seed=seed, options=options)
         self._observations, self._start = observations, np.ones(1, dtype=np.bool_)
         return observations, infos
@@ -59,6 +59,6 @@ class LearnedParallelReward(BaseParallelWrapper[str, Any, Any]):
         observations, true_rewards, terminated, truncated, infos = self.env.step(actions)
         self._observations, self._start = observations, np.zeros(1, dtype=np.bool_)
         rewards = dict(zip(names, np.broadcast_to(learned, len(names)).tolist(), strict=True))
-        # Kept by each agent alone: environments give all agents one dictionary.
+        # A new dictionary per agent: environments may share one between agents.
         own = {name: {**infos.get(name, {}), TRUE_REWARD: float(true_rewards[name])} for name in names}
         return observations, rewards, terminated, truncated, own
