@@ -1,4 +1,4 @@
-"""Tests of whether two models differ: over seeds, and over the pairs that both were tested on."""
+"""Significance tests of the difference between two models, over seeds and over test pairs."""
 
 import math
 from collections.abc import Sequence
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-#: of a 95% interval
+#: Normal quantile of a 95% interval.
 _NORMAL_QUANTILE = 1.959964
 
 
 @dataclass(frozen=True, slots=True)
 class PairedTest:
-    """Student's test of paired differences."""
+    """Student's paired t-test."""
 
-    #: differences
+    #: number of differences
     n: int
     mean: float
     #: sample standard deviation; NaN with fewer than two
@@ -25,7 +25,7 @@ class PairedTest:
 
 
 def paired_test(differences: ArrayLike) -> PairedTest:
-    """Whether the mean of `differences` (n,) could be 0 by chance."""
+    """Test whether the mean of `differences` (n,) is 0."""
     values = np.asarray(differences, dtype=np.float64)
     n, mean = len(values), float(values.mean()) if len(values) else math.nan
     if n < 2:
@@ -39,7 +39,7 @@ def paired_test(differences: ArrayLike) -> PairedTest:
 def student_p(t: float, degrees: int) -> float:
     """Two-sided p of Student's t with a whole number of degrees of freedom.
 
-    By the finite series for whole degrees (Abramowitz and Stegun, 26.7.3 and 26.7.4).
+    Uses the finite series for whole degrees (Abramowitz and Stegun, 26.7.3 and 26.7.4).
     """
     angle = math.atan2(abs(t), math.sqrt(degrees))
     cosine_squared = math.cos(angle) ** 2
@@ -55,9 +55,9 @@ def student_p(t: float, degrees: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class McNemar:
-    """Pairs on which one model is right and the other wrong."""
+    """McNemar's test: counts of pairs that only one of two models predicts correctly."""
 
-    #: only the model is right; only the baseline
+    #: correct only by the model; correct only by the baseline
     gained: int
     lost: int
     #: two-sided, exact
@@ -65,14 +65,14 @@ class McNemar:
 
 
 def mcnemar(right: ArrayLike, baseline_right: ArrayLike) -> McNemar:
-    """McNemar's exact test on pairs (P,) told rightly or wrongly by a model and by a baseline."""
+    """McNemar's exact test on pairs (P,) that a model and a baseline predict correctly or not."""
     own, other = np.asarray(right, dtype=np.bool_), np.asarray(baseline_right, dtype=np.bool_)
     gained, lost = int((own & ~other).sum()), int((other & ~own).sum())
     return McNemar(gained, lost, binomial_p(min(gained, lost), gained + lost))
 
 
 def binomial_p(k: int, n: int) -> float:
-    """Two-sided p of at most k heads, k <= n / 2, in n throws of a fair coin."""
+    """Two-sided p of the binomial test with probability 1/2: at most k of n, k <= n / 2."""
     if n == 0:
         return 1.0
     # In logarithms: n may be thousands.
@@ -82,19 +82,19 @@ def binomial_p(k: int, n: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class PairDifferences:
-    """How a model did against a baseline on one seed's fresh pairs."""
+    """Differences between a model and a baseline on the test pairs of one seed."""
 
-    #: (P,): 1 where only the model is right, -1 where only the baseline, else 0
+    #: (P,): 1 where only the model is correct, -1 where only the baseline is, else 0
     difference: NDArray[np.float64]
-    #: int64 (P, 2): the segments
+    #: segments, int64 (P, 2)
     pairs: NDArray[np.int64]
 
 
 def difference_interval(tested: Sequence[PairDifferences]) -> tuple[float, float]:
-    """95% interval of the mean difference, averaged over seeds, if other segments had been drawn for testing.
+    """95% confidence interval of the mean difference, averaged over seeds, over the draw of test segments.
 
-    Pairs that share a segment go together, and say less than as many pairs of their own: the standard error counts
-    the covariance of all pairs with a segment in common (dyadic clusters; Aronow, Samii and Assenova, 2015).
+    Pairs that share a segment are correlated: the standard error includes the covariance of all pairs with a common
+    segment (dyadic clusters; Aronow, Samii and Assenova, 2015).
     """
     mean = float(np.mean([one.difference.mean() for one in tested]))
     error = math.sqrt(sum(_variance_of_mean(one) for one in tested)) / len(tested)
@@ -102,10 +102,10 @@ def difference_interval(tested: Sequence[PairDifferences]) -> tuple[float, float
 
 
 def _variance_of_mean(tested: PairDifferences) -> float:
-    """Of the mean difference: the sum of residual products over pairs that share a segment, each with itself once."""
+    """Variance of the mean difference: residual products summed over pairs that share a segment."""
     residual = tested.difference - tested.difference.mean()
     _, place = np.unique(tested.pairs, return_inverse=True)
     by_segment = np.bincount(place.ravel(), residual.repeat(2))
     independent = float((residual**2).sum())
-    # Every pair meets itself at both of its segments. By chance of few pairs the estimate may come out too small.
+    # Each pair is counted with itself at both of its segments. With few pairs the estimate can be too small.
     return max(float((by_segment**2).sum()) - independent, independent) / len(residual) ** 2

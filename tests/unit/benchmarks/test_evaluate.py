@@ -1,4 +1,4 @@
-"""A model that knows the true reward passes; its opposite fails; calibration tells how sure they may be."""
+"""Hold-out split, scripted labels, and metrics of models whose quality is known."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from mapt.errors import InvalidConfig, InvalidTeacher, TooFewLabels, UnknownTeac
 from unit.benchmarks.tiny_replay import KnowingModel, write_replay
 
 
-def test_a_model_that_knows_the_reward_is_right(replay):
+def test_a_model_of_the_true_reward_is_accurate(replay):
     examined = evaluate_model(KnowingModel(), replay, "oracle", 500, seed=0)
     metrics = examined.metrics
     for name in ("accuracy", "label_accuracy", "rank_correlation", "rank_correlation_teacher", "step_correlation"):
@@ -28,20 +28,20 @@ def test_a_model_that_knows_the_reward_is_right(replay):
     assert set(examined.pairs.ravel()) <= set(split_dataset(len(replay), 0).test)
 
 
-def test_its_opposite_is_wrong(replay):
+def test_a_model_of_the_negated_reward_has_no_accuracy(replay):
     metrics = evaluate_model(KnowingModel(-1.0), replay, "oracle", 500, seed=0).metrics
     assert metrics["accuracy"] == metrics["label_accuracy"] == 0
     assert metrics["rank_correlation"] == pytest.approx(-1.0)
     assert metrics["loss"] > np.log(2)
 
 
-def test_mistakes_count_against_labels_and_not_against_judgement(replay):
+def test_mistakes_lower_label_accuracy_but_not_accuracy(replay):
     metrics = evaluate_model(KnowingModel(), replay, "mistake:mistake=0.2", 2000, seed=0).metrics
     assert metrics["accuracy"] == 1.0
     assert 0.77 < metrics["label_accuracy"] < 0.83
 
 
-def test_another_seed_examines_on_other_segments(replay):
+def test_seeds_test_on_different_segments(replay):
     first, second = (evaluate_model(KnowingModel(), replay, "oracle", 50, seed) for seed in (0, 1))
     assert not np.array_equal(first.pairs, second.pairs)
 
@@ -53,7 +53,7 @@ def test_skipped_pairs_are_left_out():
     assert quality["loss"] == pytest.approx(np.log1p(np.exp(-2.0)))
 
 
-def test_padding_does_not_change_the_quality_of_rewards():
+def test_padding_does_not_change_reward_metrics():
     rng = np.random.default_rng(0)
     true, learned = rng.normal(size=(2, 20, 5))
     scores = rng.normal(size=20).astype(np.float32)
@@ -66,7 +66,7 @@ def test_padding_does_not_change_the_quality_of_rewards():
     assert quality(0.0) == pytest.approx(quality(1e3))
 
 
-def test_within_segments_only_the_course_counts():
+def test_correlation_within_segments_ignores_their_means():
     rng = np.random.default_rng(1)
     course, level = rng.normal(size=(30, 8)), 100 * rng.normal(size=(30, 1))
     true, learned = course + level, course - level
@@ -76,7 +76,7 @@ def test_within_segments_only_the_course_counts():
     assert quality["step_correlation_within"] == pytest.approx(1.0, abs=1e-4)
 
 
-def test_predictions_do_not_depend_on_how_many_segments_go_at_once(replay):
+def test_predictions_do_not_depend_on_the_batch_size(replay):
     whole, single = predict(KnowingModel(), replay.segments(range(80))), predict(KnowingModel(), replay.segments([79]))
     np.testing.assert_array_equal(whole.scores[79:], single.scores)
     assert whole.agent_rewards.shape == (80, 6, 2)
@@ -96,7 +96,7 @@ def test_a_myopic_teacher_scores_late_steps_higher(replay):
     np.testing.assert_allclose(scores, (replay.rewards[:5] * fading).sum(axis=1))
 
 
-def test_labels_without_chance_follow_the_scores(replay):
+def test_deterministic_labels_follow_the_scores(replay):
     pairs = training_pairs(len(replay), 200, seed=0)
     for name in ("oracle", "myopic", "smoothness"):
         judge = DatasetTeacher(name, replay, seed=0)
@@ -104,14 +104,14 @@ def test_labels_without_chance_follow_the_scores(replay):
         np.testing.assert_array_equal(judge.labels(pairs), 0.5 + 0.5 * np.sign(np.subtract(*scores[pairs].T)))
 
 
-def test_parameters_in_the_name_change_the_teacher(replay):
+def test_parameters_in_the_name_configure_the_teacher(replay):
     pairs = training_pairs(len(replay), 400, seed=0)
     usual, careless = (DatasetTeacher(name, replay, seed=0) for name in ("oracle", "mistake:mistake=0.4"))
     assert careless.parameters()["mistake"] == 0.4
     assert 0.3 < (usual.labels(pairs) != careless.labels(pairs)).mean() < 0.5
 
 
-def test_a_teacher_says_the_same_of_many_pairs_at_once_as_of_few(replay):
+def test_labels_do_not_depend_on_the_batch_size(replay):
     pairs = training_pairs(len(replay), 1600, seed=0)
     at_once = DatasetTeacher("stochastic", replay, seed=3).labels(pairs)
     one_by_one = DatasetTeacher("stochastic", replay, seed=3)
@@ -129,13 +129,13 @@ def test_skipped_pairs_are_replaced(replay):
     assert np.isnan(asked).any()
 
 
-def test_labels_belong_to_the_segments_they_were_given_for(replay):
+def test_labels_stay_with_their_segments(replay):
     dataset = labelled_dataset(DatasetTeacher("oracle", replay, seed=0), replay, 100, seed=0)
     returns = dataset.segments.take(np.arange(len(dataset.segments))).observations[..., 0].mean(axis=2).sum(axis=1)
     np.testing.assert_array_equal(dataset.labels == 1, np.subtract(*returns[dataset.pairs].T) > 0)
 
 
-def test_a_teacher_that_skips_everything_is_given_up(tmp_path):
+def test_a_teacher_that_skips_every_pair_is_refused(tmp_path):
     replay = write_replay(tmp_path / "small")
     with pytest.raises(TooFewLabels, match="skip:skip=1000"):
         labelled_dataset(DatasetTeacher("skip:skip=1000", replay, seed=0), replay, 10, seed=0)
@@ -147,7 +147,7 @@ def test_an_unknown_teacher_or_parameter_is_refused(replay, name, error):
         DatasetTeacher(name, replay, seed=0)
 
 
-def test_no_test_segment_is_learned_from():
+def test_training_and_test_segments_are_disjoint():
     split = split_dataset(300, seed=4)
     assert len(split.test) == 60
     assert sorted([*split.train, *split.test]) == list(range(300))
@@ -155,14 +155,14 @@ def test_no_test_segment_is_learned_from():
     assert set(held_out_pairs(300, 2000, seed=4).ravel()) <= set(split.test)
 
 
-def test_pairs_are_of_two_segments_and_every_segment_is_drawn():
+def test_pairs_have_two_different_segments_and_cover_all():
     pairs = training_pairs(50, 3000, seed=0)
     assert (pairs[:, 0] != pairs[:, 1]).all()
     for side in pairs.T:
         assert set(side) == set(split_dataset(50, seed=0).train)
 
 
-def test_more_pairs_begin_with_the_fewer():
+def test_a_longer_draw_starts_with_the_shorter_one():
     np.testing.assert_array_equal(training_pairs(100, 40, seed=1), training_pairs(100, 400, seed=1)[:40])
 
 
@@ -171,6 +171,6 @@ def test_seeds_split_and_draw_differently():
     assert not np.array_equal(training_pairs(100, 40, 0), training_pairs(100, 40, 1))
 
 
-def test_a_handful_of_segments_cannot_be_split():
+def test_fewer_than_ten_segments_cannot_be_split():
     with pytest.raises(InvalidConfig):
         split_dataset(9, seed=0)

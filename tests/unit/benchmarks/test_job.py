@@ -1,4 +1,4 @@
-"""A cell is found again by exactly its settings, and by no others."""
+"""Cells are stored under exactly their settings, and computed equally in this process and in workers."""
 
 import json
 import os
@@ -60,11 +60,11 @@ def test_the_same_settings_give_the_same_cell(replay, settings):
     np.testing.assert_array_equal(first.logits, second.logits)
 
 
-def test_a_cell_is_tested_on_segments_it_has_not_learned_from(replay, settings):
+def test_a_cell_is_tested_on_held_out_segments(replay, settings):
     assert set(run_cell(settings, replay).pairs.ravel()) <= set(split_dataset(len(replay), settings.seed).test)
 
 
-def test_a_stopped_cell_is_none(replay, settings):
+def test_a_stopped_cell_has_no_result(replay, settings):
     assert run_cell(settings, replay, stop=lambda: True) is None
 
 
@@ -95,13 +95,13 @@ def test_a_cell_reads_back_as_it_was_written(tmp_path, replay, settings):
     ],
     ids=lambda changes: next(iter(changes)),
 )
-def test_a_cell_of_other_settings_is_another(tmp_path, replay, settings, changes):
+def test_other_settings_find_no_cell(tmp_path, replay, settings, changes):
     folder = CellFolder(tmp_path / "cells")
     folder.write(settings, run_cell(settings, replay), "abc")
     assert folder.read(replace(settings, **changes)) is None
 
 
-def test_a_file_whose_settings_are_not_those_of_its_name_is_refused(tmp_path, replay, settings):
+def test_a_file_with_other_settings_than_its_name_is_refused(tmp_path, replay, settings):
     folder = CellFolder(tmp_path / "cells")
     folder.write(settings, run_cell(settings, replay), "abc")
     path = folder.path / f"{settings.key}.json"
@@ -113,7 +113,7 @@ def test_a_file_whose_settings_are_not_those_of_its_name_is_refused(tmp_path, re
 
 
 @pytest.mark.parametrize("suffix", ["json", "safetensors"])
-def test_a_file_cut_short_is_refused(tmp_path, replay, settings, suffix):
+def test_a_truncated_file_is_refused(tmp_path, replay, settings, suffix):
     folder = CellFolder(tmp_path / "cells")
     folder.write(settings, run_cell(settings, replay), "abc")
     path = folder.path / f"{settings.key}.{suffix}"
@@ -122,7 +122,7 @@ def test_a_file_cut_short_is_refused(tmp_path, replay, settings, suffix):
         folder.read(settings)
 
 
-def test_arrays_without_a_card_are_no_cell(tmp_path, replay, settings):
+def test_arrays_without_a_json_file_are_no_cell(tmp_path, replay, settings):
     folder = CellFolder(tmp_path / "cells")
     folder.write(settings, run_cell(settings, replay), "abc")
     (folder.path / f"{settings.key}.json").unlink()
@@ -137,7 +137,7 @@ def jobs_of(replay, *models: str) -> list[CellJob]:
     return table_jobs(plan, {0: replay})
 
 
-def test_a_cell_of_a_worker_is_the_one_made_here(tmp_path, replay):
+def test_a_worker_computes_the_same_cell(tmp_path, replay):
     (job,) = jobs_of(replay, QUICK)
     started: list[CellJob] = []
     (done,) = run_jobs(partial(make_cell, tmp_path / "cells"), [job], 1, on_start=started.append)
@@ -147,7 +147,7 @@ def test_a_cell_of_a_worker_is_the_one_made_here(tmp_path, replay):
     )
 
 
-def test_a_failure_is_told_and_the_other_cells_are_made(tmp_path, replay):
+def test_a_failed_cell_does_not_affect_the_others(tmp_path, replay):
     good, other = jobs_of(replay, QUICK, QUICK + ":train.seed=0")
     bad = CellJob(replace(good.settings, teacher="nobody"), good.dataset)
     done = {
@@ -159,7 +159,7 @@ def test_a_failure_is_told_and_the_other_cells_are_made(tmp_path, replay):
     assert done[other.settings.key] is None
 
 
-def test_a_killed_worker_fails_its_own_cell_alone(tmp_path, replay):
+def test_a_killed_worker_fails_only_its_own_cell(tmp_path, replay):
     slow, quick = jobs_of(replay, SLOW + ":train.markov_patience=100000", QUICK)
 
     def kill_the_slow(job: CellJob) -> None:
@@ -187,7 +187,7 @@ def test_leaving_early_ends_the_workers(tmp_path, replay):
 LAYOUT = SegmentLayout(n_steps=6, n_agents=2, observation_dim=3, action_dim=1)
 
 
-def test_a_text_is_a_name_and_settings():
+def test_a_name_and_its_settings_are_parsed():
     written = NamedSettings.parse(" MAPT:tpa=false:hidden_dim=128:train.lr=1e-3:device=cpu ")
     assert written.name == "MAPT"
     assert written.settings == {"tpa": False, "hidden_dim": 128, "train.lr": 1e-3, "device": "cpu"}
@@ -200,12 +200,12 @@ def test_a_part_that_is_not_key_value_is_refused(text):
 
 
 @pytest.mark.parametrize("name", MODEL_NAMES)
-def test_every_model_of_the_tables_has_the_dimensions_of_the_segments(name):
+def test_every_model_gets_the_dimensions_of_the_segments(name):
     config = network_of(name, "small", LAYOUT)
     assert (config.n_agents, config.observation_dim, config.action_dim) == (2, 3, 1)
 
 
-def test_settings_go_to_the_network_or_to_its_training():
+def test_settings_apply_to_the_network_or_its_training():
     text = "MAPT:hidden_dim=32:train.max_epochs=3"
     assert network_of(text, "small", LAYOUT).hidden_dim == 32
     training = training_of(text, "small", seed=5, device="cpu")
@@ -219,6 +219,6 @@ def test_an_unknown_model_or_setting_is_refused(text):
         network_of(text, "small", LAYOUT)
 
 
-def test_an_unknown_setting_of_the_training_is_refused():
+def test_an_unknown_training_setting_is_refused():
     with pytest.raises(InvalidConfig):
         training_of("MAPT:train.colour=1", "small", 0, "cpu")

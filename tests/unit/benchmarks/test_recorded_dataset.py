@@ -1,4 +1,4 @@
-"""Replays are cut from a training as it goes, and no segment crosses into another episode."""
+"""Recording, opening and fingerprinting datasets."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def rollout_with_starts(*starts: tuple[int, int]) -> Rollout:
     return Rollout(**{**fields, "episode_start": episode_start})
 
 
-def test_as_many_places_are_drawn_as_are_wanted_in_the_order_they_were_made():
+def test_segments_are_drawn_in_chronological_order():
     rollout = rollout_with_starts((3, 0), (10, 1), (0, 1))
     drawn = draw_places(rollout, 5, 3, np.random.default_rng(0))
     assert len(drawn) == 3
@@ -44,7 +44,7 @@ def test_as_many_places_are_drawn_as_are_wanted_in_the_order_they_were_made():
         assert draw_places(rollout, n_steps, count, np.random.default_rng(0)) == []
 
 
-def test_falls_are_kept_as_shorter_segments(tmp_path):
+def test_episodes_that_end_early_give_shorter_segments(tmp_path):
     recording = Recording("Hopper-3x1", policy_steps=4096, segment_steps=20, segments=100, seed=0)
     replay = record_dataset(recording, tmp_path)
     n_steps = replay.mask.sum(axis=1)
@@ -62,7 +62,7 @@ def test_falls_are_kept_as_shorter_segments(tmp_path):
     assert leaning[np.arange(len(short)), n_steps[short] - 1].min() > 0.15
 
 
-def test_a_replay_is_spread_over_the_training_and_its_states_are_the_simulators(tmp_path):
+def test_segments_are_spread_over_the_training_and_have_simulator_states(tmp_path):
     seen: list[int] = []
     replay = record_dataset(SHORT, tmp_path / "replay", lambda steps, _reward: seen.append(steps))
     assert seen == [4096, 8192]
@@ -83,13 +83,13 @@ def test_a_replay_is_spread_over_the_training_and_its_states_are_the_simulators(
     assert episodes.mask.all()
 
 
-def test_the_same_recording_gives_the_same_replay(tmp_path):
+def test_equal_recordings_have_equal_fingerprints(tmp_path):
     short = Recording("HalfCheetah-2x3", policy_steps=4096, segment_steps=30, segments=12, seed=0)
     first, second = (record_dataset(short, tmp_path / name) for name in "ab")
     assert first.fingerprint() == second.fingerprint()
 
 
-def test_a_replay_is_never_written_over(tmp_path, replay):
+def test_an_existing_dataset_is_never_overwritten(tmp_path, replay):
     with pytest.raises(AlreadyExists):
         record_dataset(SHORT, replay.path)
 
@@ -100,13 +100,13 @@ def test_a_recording_out_of_range_is_refused(tmp_path, changes):
         record_dataset(Recording(**{**{f: getattr(SHORT, f) for f in SHORT.__dataclass_fields__}, **changes}), tmp_path)
 
 
-def test_an_unknown_task_is_refused_and_leaves_nothing(tmp_path):
+def test_an_unknown_task_is_refused_without_creating_a_folder(tmp_path):
     with pytest.raises(UnknownTask):
         record_dataset(Recording("Nothing", 4096, 40, 30, 0), tmp_path / "replay")
     assert not (tmp_path / "replay").exists()
 
 
-def test_a_replay_gives_what_was_written(replay):
+def test_a_dataset_reads_back_as_it_was_written(replay):
     assert len(replay) == N_SEGMENTS
     assert replay.rewards.shape == replay.mask.shape == (N_SEGMENTS, N_STEPS)
     np.testing.assert_allclose(
@@ -115,7 +115,7 @@ def test_a_replay_gives_what_was_written(replay):
     np.testing.assert_allclose(replay.returns, replay.rewards.sum(axis=1))
 
 
-def test_a_view_is_the_chosen_segments_in_their_order(replay):
+def test_a_view_has_the_chosen_segments_in_their_order(replay):
     view = replay.view([7, 3, 11])
     assert len(view) == 3
     dimensions = (view.n_steps, view.n_agents, view.observation_dim, view.action_dim)
@@ -123,12 +123,12 @@ def test_a_view_is_the_chosen_segments_in_their_order(replay):
     np.testing.assert_array_equal(view.take([2, 0]).observations, replay.segments([11, 7]).observations)
 
 
-def test_the_fingerprint_is_that_of_the_numbers_wherever_they_lie(tmp_path):
+def test_the_fingerprint_depends_only_on_the_arrays(tmp_path):
     first, copy = write_replay(tmp_path / "a"), write_replay(tmp_path / "b")
     assert first.fingerprint() == copy.fingerprint() != write_replay(tmp_path / "c", seed=1).fingerprint()
 
 
-def test_one_number_makes_another_fingerprint(replay):
+def test_one_changed_number_changes_the_fingerprint(replay):
     before = replay.fingerprint()
     with (replay.path / "actions.bin").open("r+b") as file:
         file.seek(-4, 2)
@@ -136,19 +136,19 @@ def test_one_number_makes_another_fingerprint(replay):
     assert replay.fingerprint() != before
 
 
-def test_an_empty_folder_is_no_replay(tmp_path):
-    with pytest.raises(ReplayNotFound, match="mapt dataset"):
+def test_an_empty_folder_is_refused(tmp_path):
+    with pytest.raises(ReplayNotFound):
         RecordedDataset.open(tmp_path)
 
 
-def test_a_replay_cut_short_is_refused(replay):
+def test_a_truncated_dataset_is_refused(replay):
     with (replay.path / "rewards.bin").open("r+b") as file:
         file.truncate(100)
     with pytest.raises(FileError):
         RecordedDataset.open(replay.path)
 
 
-def test_segments_without_true_rewards_are_no_replay(tmp_path, replay):
+def test_segments_without_true_rewards_are_refused(tmp_path, replay):
     with SegmentWriter.create(tmp_path / "bare", SegmentLayout(N_STEPS, 2, 3, 1)) as writer:
         writer.append(replay.segments(range(4)))
     with pytest.raises(NoTrueRewards):
@@ -158,7 +158,7 @@ def test_segments_without_true_rewards_are_no_replay(tmp_path, replay):
 IN_WORKER = Recording("HalfCheetah-2x3", policy_steps=8192, segment_steps=30, segments=12, seed=1)
 
 
-def test_a_worker_records_what_is_recorded_here_and_tells_how_far_it_is(tmp_path):
+def test_a_worker_records_the_same_dataset_and_reports_progress(tmp_path):
     told: list[RecordingProgress] = []
     (done,) = run_jobs(
         run_recording, [RecordingJob(IN_WORKER, tmp_path / "there")], 1, on_message=lambda job, news: told.append(news)
@@ -169,7 +169,7 @@ def test_a_worker_records_what_is_recorded_here_and_tells_how_far_it_is(tmp_path
     assert RecordedDataset.open(tmp_path / "there").fingerprint() == here.fingerprint()
 
 
-def test_of_a_recording_that_is_stopped_nothing_is_kept(tmp_path):
+def test_a_stopped_recording_leaves_nothing(tmp_path):
     told: list[RecordingProgress] = []
     (done,) = run_jobs(
         run_recording,

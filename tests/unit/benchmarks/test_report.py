@@ -1,4 +1,4 @@
-"""A report is written whole, of models that fit the replay, whatever attentions they have."""
+"""Reports of models with and without attention, and their metrics where the right value is known."""
 
 import json
 import sys
@@ -46,7 +46,7 @@ def model_of(name, replay):
     return build_reward_model(network_of(f"{name}:hidden_dim=8", "small", replay.source.layout)).eval()
 
 
-def test_a_report_of_several_models_has_every_picture(tmp_path, replay):
+def test_a_report_of_several_models_has_every_figure(tmp_path, replay):
     models = {name: model_of(name, replay) for name in ("MAPT", "MA-MLP", "MA-Transformer")}
     paths = make_report(models, replay, PLAN, tmp_path / "report")
     assert {path.name for path in paths} == ALWAYS | {"step-attention.png", "agent-attention.png"}
@@ -58,13 +58,13 @@ def test_a_report_of_several_models_has_every_picture(tmp_path, replay):
     assert all(np.isfinite(value) for model in numbers["models"] for value in model["metrics"].values())
 
 
-def test_a_report_of_a_model_without_attention_leaves_its_pictures_out(tmp_path, replay):
+def test_a_report_without_attention_omits_its_figures(tmp_path, replay):
     paths = make_report({"<MLP> & co": model_of("MA-MLP", replay)}, replay, PLAN, tmp_path)
     assert {path.name for path in paths} == ALWAYS
     assert "&lt;MLP&gt; &amp; co" in (tmp_path / "report.html").read_text()
 
 
-def test_a_model_of_other_dimensions_is_refused_and_nothing_written(tmp_path, replay):
+def test_a_model_of_other_dimensions_is_refused_before_writing(tmp_path, replay):
     layout = replay.source.layout
     other = build_reward_model(network_of("MA-MLP", "small", type(layout)(6, 2, 5, 1)))
     with pytest.raises(ModelMismatch):
@@ -72,14 +72,14 @@ def test_a_model_of_other_dimensions_is_refused_and_nothing_written(tmp_path, re
     assert not (tmp_path / "report").exists()
 
 
-def test_rewards_go_along_segments_where_no_episode_was_recorded(replay):
+def test_series_use_segments_if_no_episode_was_recorded(replay):
     model = model_of("MAPT", replay)
     series = rollout_series(replay, {"MAPT": model})
     assert series.breaks == (6, 12, 18, 24)
     assert series.true.shape == series.learned["MAPT"].shape == (30,)
 
 
-def test_rewards_go_along_an_episode_as_the_policy_is_given_them(replay):
+def test_series_along_an_episode_are_the_policys_rewards(replay):
     rng = np.random.default_rng(0)
     observations, actions = rng.normal(size=(1, 20, 2, 3)), rng.normal(size=(1, 20, 2, 1))
     played = SegmentArrays(observations.astype(np.float32), actions.astype(np.float32), np.arange(20)[None] < 15)
@@ -93,13 +93,13 @@ def test_rewards_go_along_an_episode_as_the_policy_is_given_them(replay):
     assert_float32_close(series.learned["MLP"], expected)
 
 
-def test_agents_of_our_tasks_have_names(replay):
+def test_agents_of_known_tasks_have_names(replay):
     assert agent_names(replay) == ["agent 0", "agent 1"]
     replay.origin["task"] = "HalfCheetah-2x3"
     assert agent_names(replay) == ["back leg", "front leg"]
 
 
-def test_the_command_reads_checkpoints_and_names_them(tmp_path, replay, monkeypatch):
+def test_the_command_reads_and_names_checkpoints(tmp_path, replay, monkeypatch):
     save_reward_model(model_of("MAPT-TPA", replay), {}).write(tmp_path / "a=b")
     assert list(load_models([str(tmp_path / "a=b")])) == ["a=b"]
     with pytest.raises(InvalidConfig, match="NAME=FOLDER"):
@@ -112,7 +112,7 @@ def test_the_command_reads_checkpoints_and_names_them(tmp_path, replay, monkeypa
     assert "MAPT-TPA" in (tmp_path / "report" / "report.html").read_text()
 
 
-def test_a_checkpoint_that_is_not_there_is_told_in_one_sentence(tmp_path, replay, monkeypatch, capsys):
+def test_a_missing_checkpoint_is_reported_in_one_line(tmp_path, replay, monkeypatch, capsys):
     arguments = [tmp_path / "nothing", "--dataset", replay.path, "--output", tmp_path / "report"]
     monkeypatch.setattr(sys, "argv", ["mapt", "report", *map(str, arguments)])
     with pytest.raises(SystemExit) as ended:
@@ -135,7 +135,7 @@ def drawn_model(name: str, replay: RecordedDataset) -> RewardModel:
 
 
 @pytest.mark.parametrize("name", ["MAPT", "MAPT-TPA", "MAPT-CPA", "MAPT*", "MA-MLP", "MA-LSTM", "MA-Transformer"])
-def test_attention_is_seen_where_a_model_has_it(replay, name):
+def test_attention_is_recorded_where_a_model_has_it(replay, name):
     model, segments = drawn_model(name, replay), replay.segments(range(5))
     maps = attention_maps(model, segments)
     assert (maps.agents is not None) == (name in WITH_AGENTS)
@@ -148,13 +148,13 @@ def test_attention_is_seen_where_a_model_has_it(replay, name):
         assert_float32_close(maps.steps.mean(axis=1), predict(model, segments).weights)
 
 
-def test_looking_at_attention_leaves_no_hook(replay):
+def test_recording_attention_leaves_no_hooks(replay):
     model = drawn_model("MAPT", replay)
     attention_maps(model, replay.segments(range(2)))
     assert all(not module._forward_hooks for module in model.modules())
 
 
-def test_padding_is_never_attended_to(replay):
+def test_padding_has_no_attention(replay):
     whole = replay.segments(range(4))
     mask = np.arange(6) < np.array([6, 3, 2, 5])[:, None]
     maps = attention_maps(drawn_model("MAPT", replay), SegmentArrays(whole.observations, whole.actions, mask))
@@ -162,21 +162,21 @@ def test_padding_is_never_attended_to(replay):
     assert (maps.steps.transpose(0, 2, 1)[~mask] == 0).all()
 
 
-def test_concentration_is_0_for_equal_weights_and_1_for_a_single_step():
+def test_concentration_is_0_for_uniform_weights_and_1_for_a_single_step():
     mask = np.array([[True] * 4, [True, True, True, False]])
     equal, single = mask / mask.sum(axis=1, keepdims=True), np.eye(4)[[2, 0]]
     assert weight_concentration(equal, mask) == pytest.approx(0.0)
     assert weight_concentration(single, mask) == pytest.approx(1.0)
 
 
-def test_breadth_is_half_for_rewards_spread_evenly_and_less_for_heaped_ones():
+def test_breadth_is_half_for_uniform_rewards_and_less_for_peaked_ones():
     even = np.linspace(0, 1, 10_001)
     assert breadth(even) == pytest.approx(0.5, abs=0.01)
     assert breadth(np.tan((even - 0.5) * 3)) < 0.2
     assert np.isnan(breadth(np.ones(10)))
 
 
-def test_a_sample_has_the_papers_number_of_state_actions_at_most(replay):
+def test_a_sample_has_at_most_the_papers_number_of_state_actions(replay):
     sample = draw_sample(replay, "oracle", 50, None)
     assert len(sample.indices) == len(replay)
     assert sample.mask.sum() <= STATE_ACTIONS
@@ -185,12 +185,12 @@ def test_a_sample_has_the_papers_number_of_state_actions_at_most(replay):
     assert shown[0] < shown[1] < shown[2]
 
 
-def test_a_sample_may_be_of_fresh_segments_alone(replay):
+def test_a_sample_can_be_restricted_to_held_out_segments(replay):
     sample = draw_sample(replay, "oracle", 50, held_out_seed=3)
     np.testing.assert_array_equal(sample.indices, split_dataset(len(replay), 3).test)
 
 
-def test_the_past_has_no_share_in_a_markov_model_and_all_of_it_without_a_markov_path(replay):
+def test_past_share_is_0_for_a_markov_model_and_1_without_a_markov_path(replay):
     sample = draw_sample(replay, "oracle", 50, None)
     share = {
         name: analyse(name, drawn_model(name, replay), sample).metrics["past_share"]
@@ -201,7 +201,7 @@ def test_the_past_has_no_share_in_a_markov_model_and_all_of_it_without_a_markov_
     assert share["MAPT:markov_path=false"] == 1.0
 
 
-def test_agents_of_a_joint_reward_do_not_differ(replay):
+def test_a_joint_reward_has_no_spread_across_agents(replay):
     sample = draw_sample(replay, "oracle", 50, None)
     joint = analyse("joint", drawn_model("MA-Transformer:markov_path=false", replay), sample)
     own = analyse("own", drawn_model("MA-MLP", replay), sample)

@@ -1,4 +1,4 @@
-"""A table from cells made by hand."""
+"""Tables of hand-made results."""
 
 import csv
 import math
@@ -31,7 +31,7 @@ THREE_SEEDS = [
 ]
 
 
-def test_means_and_spreads_are_over_seeds():
+def test_mean_and_deviation_are_over_seeds():
     accuracy = summarise(PLAN, THREE_SEEDS).line("oracle", 100, "MA-MLP").metrics["accuracy"]
     assert (accuracy.mean, accuracy.std, accuracy.n) == pytest.approx((0.6, 0.1, 3))
 
@@ -46,13 +46,13 @@ def test_the_comparison_is_paired_by_seed_and_by_pair():
     assert comparison.interval[0] < 0.2 < comparison.interval[1]
 
 
-def test_only_seeds_that_both_have_are_compared():
+def test_only_common_seeds_are_compared():
     cells = [cell("MA-MLP", 0, 5), cell("MAPT", 0, 7), cell("MAPT", 1, 10)]
     comparison = summarise(PLAN, cells).line("oracle", 100, "MAPT").comparison
     assert (comparison.over_seeds.n, comparison.over_seeds.mean) == (1, pytest.approx(0.2))
 
 
-def test_ties_decide_nothing():
+def test_ties_are_not_compared():
     tied = np.where(np.arange(10) < 5, 0.5, 1.0)
     cells = [
         replace(one, result=replace(one.result, clean_labels=tied))
@@ -62,7 +62,7 @@ def test_ties_decide_nothing():
     assert comparison.over_seeds.mean == 1.0
 
 
-def test_a_cell_that_is_not_finished_stays_empty():
+def test_missing_results_are_empty():
     summary = summarise(PLAN, THREE_SEEDS)
     assert summary.missing == 2 * 2 * 2 * 3 - 6
     text = markdown(summary)
@@ -72,7 +72,7 @@ def test_a_cell_that_is_not_finished_stays_empty():
     assert set(row.removeprefix("| MAPT")) <= {"|", " "}
 
 
-def test_the_markdown_shows_the_gain_and_its_tests():
+def test_the_markdown_shows_the_difference_and_its_tests():
     text = markdown(summarise(PLAN, THREE_SEEDS)).partition("### oracle, 100 labels")[2]
     (row,) = [line for line in text.splitlines() if line.startswith("| MAPT") and "+20.00" in line]
     assert "0.074" in row
