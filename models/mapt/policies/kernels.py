@@ -15,8 +15,8 @@ BETAS = 0.9, 0.999
 def clip_grad_norm_(parameters: Sequence[Tensor], max_norm: float) -> Tensor:
     """`torch.nn.utils.clip_grad_norm_`, for parameters of one device that all have a gradient.
 
-    torch's function groups the gradients by device and type first. With it, a whole HAPPO run takes 6% longer; with it
-    and `torch.optim.Adam`, 17%. Benchmark: tests/benchmarks/bench_kernels.py.
+    torch's function groups the gradients by device and type first. With it, a whole HAPPO run takes 3% longer; with it
+    and `torch.optim.Adam`, 20%. Benchmark: tests/benchmarks/bench_kernels.py.
 
     Returns:
         The norm () of the gradients before.
@@ -59,9 +59,10 @@ class Adam:
     def step(self) -> None:
         """Update the parameters by their gradients."""
         self._n_steps += 1
-        gradients = [parameter.grad for parameter in self.parameters]
+        parameters: list[Tensor] = [*self.parameters]
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
         torch._fused_adam_(  # pyright: ignore[reportPrivateImportUsage]
-            self.parameters,
+            parameters,
             gradients,
             self._exp_avg,
             self._exp_avg_sq,

@@ -42,18 +42,18 @@ def test_batched_layers_equal_a_loop_over_agents() -> None:
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_actions_depend_on_the_agents_own_observation_only(shared: bool) -> None:
-    net, seen = policy(shared), observations()
-    before = net.act(seen)
-    seen[:, 1] += 1.0
-    after = net.act(seen)
+    net, inputs = policy(shared), observations()
+    before = net.act(inputs)
+    inputs[:, 1] += 1.0
+    after = net.act(inputs)
     np.testing.assert_array_equal(before[:, 0], after[:, 0])
     assert not np.array_equal(before[:, 1], after[:, 1])
 
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_agents_with_equal_observations_act_alike_only_if_they_share_weights(shared: bool) -> None:
-    seen = np.repeat(observations()[:, :1], SPEC.n_agents, axis=1)
-    actions = policy(shared).act(seen)
+    inputs = np.repeat(observations()[:, :1], SPEC.n_agents, axis=1)
+    actions = policy(shared).act(inputs)
     assert np.allclose(actions[:, 0], actions[:, 1]) == shared
 
 
