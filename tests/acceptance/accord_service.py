@@ -1,4 +1,4 @@
-"""`accord up` as the acceptance tests use it: started, spoken to over REST, hurt on purpose."""
+"""Runs `accord up` for the acceptance tests, which call its REST API and kill its processes."""
 
 import os
 import signal
@@ -16,12 +16,12 @@ import psutil
 from support import short_tasks
 from support.waiting import PATIENCE_SECONDS, until
 
-#: quick to collect, quick to train on; the machine that runs the tests may be busy
+#: short episodes, frequent polling and short leases
 ENVIRONMENT = short_tasks.ENVIRONMENT | {
     "OMP_NUM_THREADS": "1",
     "ACCORD_TORCH_THREADS": "1",
     "ACCORD_POLL_SECONDS": "0.05",
-    # a killed worker's work is taken over after this
+    # after this, other workers take over a killed worker's work
     "ACCORD_WORKER_LEASE_SECONDS": "3",
 }
 TINY_POLICY = {"n_envs": 4, "rollout_steps": 50, "epochs": 2, "minibatches": 2}
@@ -38,7 +38,7 @@ TINY: dict[str, Any] = {
 
 
 class Accord:
-    """One home; its service may be started, ended and killed again and again."""
+    """A service over one home folder. It can be started, stopped and killed repeatedly."""
 
     def __init__(self, home: Path) -> None:
         self.home = home
@@ -47,14 +47,14 @@ class Accord:
         self._seen: dict[int, psutil.Process] = {}
 
     def start(self, environment: Mapping[str, str] | None = None) -> None:
-        """Start it and wait until the API answers."""
+        """Start the service and wait until the API responds."""
         (self.home / "url").unlink(missing_ok=True)
         command = [sys.executable, "-m", "accord.cli", "up", "--home", str(self.home), "--port", "0", "--no-example"]
         with self.log.open("ab") as log:
             self._supervisor = psutil.Popen(
                 command, env=os.environ | ENVIRONMENT | dict(environment or {}), stdout=log, stderr=log
             )
-        until(self._answers, "the API answers")
+        until(self._answers, "the API responds")
 
     def _answers(self) -> bool:
         assert self.supervisor.is_running(), self.log.read_text()
@@ -73,7 +73,7 @@ class Accord:
         return (self.home / "url").read_text().strip()
 
     def processes(self) -> dict[str, psutil.Process]:
-        """Its processes by role: api, policy, reward, render, and child: what the render worker draws in."""
+        """The service's processes by role: api, policy, reward, render, and child, the render process."""
         found: dict[str, psutil.Process] = {}
         with suppress(psutil.NoSuchProcess):
             for process in self.supervisor.children(recursive=True):
@@ -90,7 +90,7 @@ class Accord:
         return found if found.keys() >= set(_ROLES.values()) else None
 
     def all_listening(self) -> dict[str, psutil.Process] | None:
-        """All processes, once every worker is past its imports and takes signals."""
+        """All processes, once every worker has finished its imports and handles signals; else None."""
         found = self.all_up()
         states = [state for (state,) in self.rows("SELECT state FROM workers")] if found else []
         return found if len(states) == 3 and "starting" not in states else None
@@ -99,7 +99,7 @@ class Accord:
         self.supervisor.send_signal(number)
 
     def kill_everything(self) -> None:
-        """SIGKILL to all that runs, each by its own id."""
+        """Send SIGKILL to each running process."""
         if self._supervisor is None:
             return
         self.processes()
@@ -110,7 +110,7 @@ class Accord:
             self._supervisor.wait(PATIENCE_SECONDS)
 
     def run(self, *arguments: str) -> subprocess.CompletedProcess[str]:
-        """Another command on the same home."""
+        """Run another command with the same home folder."""
         command = [sys.executable, "-m", "accord.cli", *arguments, "--home", str(self.home)]
         environment = os.environ | ENVIRONMENT
         return subprocess.run(
@@ -123,7 +123,7 @@ class Accord:
         return dict(line.split() for line in done.stdout.splitlines())["token"]
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
-        """What the database holds, read past the API."""
+        """Rows of the database, read directly."""
         with closing(sqlite3.connect(self.home / "accord.db", timeout=20)) as connection:
             return connection.execute(statement, values).fetchall()
 

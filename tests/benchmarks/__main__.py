@@ -81,10 +81,10 @@ def main() -> int:
         print(f"\n=== {name} ===", flush=True)
         status, output = run(file)
         figures |= figures_of(name, output)
+        if options.json:
+            options.json.write_text(json.dumps(figures, indent=1))
         if status:
             failed.append(file.name)
-    if options.json:
-        options.json.write_text(json.dumps(figures, indent=1))
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)
     return len(failed)

@@ -1,8 +1,8 @@
-"""Clips a second through a render process, beside two ceilings measured in the same run.
+"""Clips per second of a render process, with two upper bounds measured in the same run.
 
-`same picture` calls the renderer and the encoder in one process, without the render process around them. `bare loop` is
-the least that can turn states into an mp4 with MuJoCo and PyAV: the stock model and camera, cheapest scene flags, no
-shadows, marks or smoothed camera. All make the same clips in turn, so that a busy machine slows them alike.
+`same picture` calls the renderer and the encoder directly, without a render process. `bare loop` is a minimal loop from
+states to an mp4 with MuJoCo and PyAV: the original model and camera, cheapest scene flags, no shadows, overlays or
+smoothed camera. All alternate clip by clip, so that other load slows them equally.
 
     python tests/benchmarks/bench_clips.py [clips]
 """
@@ -35,7 +35,7 @@ AIM = 0.9
 
 
 def states() -> np.ndarray:
-    """(2,T,9): qpos and qvel of a cheetah whose joints are driven by sines, from its 20th step on."""
+    """(2,T,9): qpos and qvel of a cheetah with sinusoidal controls, from step 20."""
     model = load_model(TASK)
     data = mujoco.MjData(model)
     rows = []
@@ -47,7 +47,7 @@ def states() -> np.ndarray:
 
 
 def bare_loop(folder: Path) -> Callable[[], None]:
-    """The ceiling that knows nothing of Accord."""
+    """A minimal loop without Accord's code."""
     qpos, qvel = np.load(folder / "states.npy")
     model = load_model(TASK)
     quality = model.vis.quality
@@ -74,28 +74,28 @@ def bare_loop(folder: Path) -> Callable[[], None]:
 
 
 def same_picture(folder: Path) -> Callable[[], None]:
-    """What the render process does, without the process."""
+    """The renderer and encoder of the render process, called directly."""
     qpos, qvel = np.load(folder / "states.npy")
     renderer = ClipRenderer(load_model(TASK), agent_geoms(TASK), SETTINGS)
     return lambda: write_clip(renderer.frames(qpos, qvel), folder / "same.mp4", SETTINGS) and None
 
 
-CEILINGS = {"bare loop": bare_loop, "same picture": same_picture}
+UPPER_BOUNDS = {"bare loop": bare_loop, "same picture": same_picture}
 
 
-def serve_ceiling(name: str, folder: Path) -> None:
-    """In a child: make one clip for every line of input."""
-    make = CEILINGS[name](folder)
+def serve_upper_bound(name: str, folder: Path) -> None:
+    """In a child process: make one clip per line of input."""
+    make = UPPER_BOUNDS[name](folder)
     for _ in sys.stdin:
         make()
         print("made", flush=True)
 
 
 @contextmanager
-def ceiling(name: str, folder: Path, backend: Backend) -> Iterator[Callable[[], None]]:
-    """A ceiling in a process of its own, with OpenGL and without the parent's memory."""
+def upper_bound(name: str, folder: Path, backend: Backend) -> Iterator[Callable[[], None]]:
+    """Run an upper bound in a child process with OpenGL."""
     child = subprocess.Popen(
-        [sys.executable, __file__, "--ceiling", name, str(folder)],
+        [sys.executable, __file__, "--upper-bound", name, str(folder)],
         env=render_environment(backend),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -113,8 +113,8 @@ def ceiling(name: str, folder: Path, backend: Backend) -> Iterator[Callable[[], 
         yield make
 
 
-def in_turns(makers: dict[str, Callable[[], None]], clips: int) -> dict[str, float]:
-    """Clips a second of each, one clip of each at a time, after one that is not counted."""
+def alternating(makers: dict[str, Callable[[], None]], clips: int) -> dict[str, float]:
+    """Clips per second of each, alternating clip by clip, after a warm-up clip."""
     seconds = dict.fromkeys(makers, 0.0)
     for turn in range(clips + 1):
         for name, make in makers.items():
@@ -125,8 +125,8 @@ def in_turns(makers: dict[str, Callable[[], None]], clips: int) -> dict[str, flo
     return {name: clips / spent for name, spent in seconds.items()}
 
 
-def together(processes: list[RenderProcess], job: Callable[[int], ClipJob], clips: int) -> float:
-    """Clips a second of all processes at once."""
+def in_parallel(processes: list[RenderProcess], job: Callable[[int], ClipJob], clips: int) -> float:
+    """Clips per second of all processes in parallel."""
 
     def work(number: int) -> None:
         for _ in range(clips):
@@ -149,22 +149,22 @@ def main(clips: int) -> None:
             return ClipJob(TASK, qpos, qvel, SETTINGS, folder / f"{number}.mp4")
 
         first, second = (stack.enter_context(RenderProcess(backend)) for _ in range(2))
-        makers = {name: stack.enter_context(ceiling(name, folder, backend)) for name in CEILINGS}
-        rates = in_turns({**makers, "render process": lambda: first.render(job(0)) and None}, clips)
+        makers = {name: stack.enter_context(upper_bound(name, folder, backend)) for name in UPPER_BOUNDS}
+        rates = alternating({**makers, "render process": lambda: first.render(job(0)) and None}, clips)
         second.render(job(1))
-        two = together([first, second], job, clips)
+        two = in_parallel([first, second], job, clips)
         kilobytes = (folder / "0.mp4").stat().st_size / 1024
     size = f"{SETTINGS.width}x{SETTINGS.height}"
     print(f"{clips} clips each of {STEPS} frames, {size}, {SETTINGS.quality}, {backend}; {kilobytes:.0f} KB a clip")
     for name, rate in rates.items():
         print(f"{name:>20}: {rate:6.2f} clips/s")
     print(f"{'two processes':>20}: {two:6.2f} clips/s, {two / rates['render process']:.2f} times one")
-    for name in CEILINGS:
+    for name in UPPER_BOUNDS:
         print(f"render process / {name}: {rates['render process'] / rates[name]:.0%} (aim {AIM:.0%})")
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--ceiling"]:
-        serve_ceiling(sys.argv[2], Path(sys.argv[3]))
+    if sys.argv[1:2] == ["--upper-bound"]:
+        serve_upper_bound(sys.argv[2], Path(sys.argv[3]))
     else:
         main(int(sys.argv[1]) if len(sys.argv) > 1 else 40)

@@ -1,11 +1,11 @@
-"""Environment steps a second: a task beside the same physics alone and beside gymnasium-robotics.
+"""Environment steps per second of a task, compared with its physics alone and with gymnasium-robotics.
 
-`bare physics` is mujoco.batch with the same model and threads. It repeats a round that was recorded of the task: the
-same starts, controls and resets, so that bodies fall and collide in both alike; the states it ends in are checked to
-be the task's, bit for bit. `MaMuJoCo` is one environment of gymnasium-robotics with the same partition and the controls
-of the first environment; it knows one thread. All take turns in short rounds, so that a busy machine slows them alike;
-rates and shares are medians over rounds. `share` is of the bare physics' rate by the clock, `CPU` by seconds of all
-threads, which another program's load disturbs less; `times` is the rate over MaMuJoCo's.
+`bare physics` is mujoco.batch with the same model and threads. It replays a recorded round of the task with equal
+initial states, controls and resets, and its final states must equal the task's bit for bit. `MaMuJoCo` is one
+environment of gymnasium-robotics with the same partition and the first environments' actions, on one thread. All
+alternate in short rounds, so that other load slows them equally. Rates and shares are medians over rounds. `share` is
+the task's rate over that of the bare physics by wall time, `CPU` the same by CPU time, which other load disturbs less,
+and `times` is the task's rate over MaMuJoCo's.
 
     python tests/benchmarks/bench_tasks.py [rounds] [task ...]
 """
@@ -32,7 +32,7 @@ from mapt.tasks.registry import find_definition
 TASKS = ("HalfCheetah-6x1", "Ant-4x2", "Humanoid-9|8")
 N_ENVS = (16, 64)
 AGENT_OBSK = 1
-#: Environment steps of one figure in one round: 50 to 400 ms.
+#: Environment steps per round, which take 50 to 400 ms.
 STEPS_PER_ROUND = 3_200
 MAMUJOCO_STEPS_PER_ROUND = 200
 AIM_OF_PHYSICS, AIM_OVER_MAMUJOCO = 0.8, 4.0
@@ -40,7 +40,7 @@ AIM_OF_PHYSICS, AIM_OVER_MAMUJOCO = 0.8, 4.0
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Episodes that begin: in which environments, and the states they begin in."""
+    """Episodes that start at one step: environments and initial states."""
 
     envs: np.ndarray
     qpos: np.ndarray
@@ -49,19 +49,19 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """L steps of E environments of a task, as they were played."""
+    """A recording of L steps of E environments of a task."""
 
-    #: (L, E, N, A) actions, and the (L, E, nu) controls they come to.
+    #: actions (L, E, N, A) and the controls (L, E, nu) that follow from them.
     actions: np.ndarray
     controls: np.ndarray
-    #: The episodes that begin before each step, and after the last.
+    #: The episodes that start before each step, and after the last.
     starts: tuple[Start | None, ...]
-    #: (E, nq): where it ended.
+    #: (E, nq): the final positions.
     qpos: np.ndarray
 
 
 def record(name: str, n_envs: int) -> Round:
-    """A round of uniform actions from the task's own starts."""
+    """Record a round with uniformly random actions."""
     task, definition = make_task(name, n_envs, agent_obsk=AGENT_OBSK), find_definition(name)
     assert isinstance(definition, MujocoDefinition)
     actuators = AgentIndices.of(definition.robot, definition.mdp, AGENT_OBSK).actuators
@@ -84,10 +84,10 @@ def record(name: str, n_envs: int) -> Round:
 
 
 def bare_physics(name: str, played: Round, n_threads: int) -> Callable[[], int]:
-    """The round again, with nothing but its controls, physics and starts.
+    """Replay the round with its controls, physics and initial states only.
 
     Raises:
-        AssertionError: if the states it comes to are not the task's.
+        AssertionError: if the final states differ from the task's.
     """
     definition = find_definition(name)
     assert isinstance(definition, MujocoDefinition)
@@ -114,7 +114,7 @@ def bare_physics(name: str, played: Round, n_threads: int) -> Callable[[], int]:
 
 
 def whole_task(name: str, played: Round, n_threads: int) -> Callable[[], int]:
-    """The round with observations, rewards, ends and draws of starts."""
+    """Play the round with the complete task."""
     task = make_task(name, played.actions.shape[1], n_threads=n_threads, agent_obsk=AGENT_OBSK)
 
     def play() -> int:
@@ -129,7 +129,7 @@ def whole_task(name: str, played: Round, n_threads: int) -> Callable[[], int]:
 
 
 def mamujoco(name: str, played: Round) -> Callable[[], int]:
-    """Steps of one environment of gymnasium-robotics, with its resets."""
+    """Step one environment of gymnasium-robotics, including resets."""
     env = mamujoco_v1.parallel_env(*name.split("-"), agent_obsk=AGENT_OBSK)
     env.reset(seed=0)
     dims = {agent: env.action_space(agent).shape[0] for agent in env.possible_agents}
@@ -150,16 +150,16 @@ def mamujoco(name: str, played: Round) -> Callable[[], int]:
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """Of one contestant, an item a round: steps a second by the clock, and by seconds of all its threads."""
+    """Steps per second by wall time and by CPU time, one item per round."""
 
     clock: list[float]
     cpu: list[float]
 
 
-def race(rounds: int, *contestants: Callable[[], int]) -> list[Rates]:
-    seen = [Rates([], []) for _ in contestants]
+def measure_alternating(rounds: int, *candidates: Callable[[], int]) -> list[Rates]:
+    seen = [Rates([], []) for _ in candidates]
     for _ in range(rounds):
-        for play, rates in zip(contestants, seen, strict=True):
+        for play, rates in zip(candidates, seen, strict=True):
             start, cpu_start = time.perf_counter(), time.process_time()
             n_steps = play()
             rates.clock.append(n_steps / (time.perf_counter() - start))
@@ -172,7 +172,7 @@ def share(ours: list[float], theirs: list[float]) -> float:
 
 
 def compare(names: tuple[str, ...], rounds: int, n_threads: int) -> bool:
-    """Print the table of tasks; true if every one reaches the aims."""
+    """Print the table of tasks. Return whether all reach the targets."""
     print(
         f"\n{n_threads} thread{'s' * (n_threads > 1)}\n"
         f"{'task':<18}{'E':>5}{'bare physics':>15}{'MaMuJoCo':>10}{'task':>10}{'share':>8}{'CPU':>6}{'times':>8}"
@@ -181,12 +181,12 @@ def compare(names: tuple[str, ...], rounds: int, n_threads: int) -> bool:
     for name in names:
         for n_envs in N_ENVS:
             played = record(name, n_envs)
-            contestants = (
+            candidates = (
                 bare_physics(name, played, n_threads),
                 mamujoco(name, played),
                 whole_task(name, played, n_threads),
             )
-            bare, theirs, task = race(rounds, *contestants)
+            bare, theirs, task = measure_alternating(rounds, *candidates)
             of_physics, over_mamujoco = share(task.clock, bare.clock), share(task.clock, theirs.clock)
             reached &= of_physics >= AIM_OF_PHYSICS and over_mamujoco >= AIM_OVER_MAMUJOCO
             medians = (statistics.median(rates.clock) for rates in (bare, theirs, task))
