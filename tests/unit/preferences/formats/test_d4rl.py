@@ -11,12 +11,12 @@ from mapt.preferences.formats.d4rl import read_d4rl, write_d4rl
 from mapt.preferences.formats.records import AgentIndices
 from support.comparisons import assert_same_episodes, everything_in, made_episodes
 
-# Two episodes: one that ends after 4 steps, one that times out after 3, and the beginning of a third.
+# An episode of 4 steps that terminates, one of 3 that times out, and the beginning of a third.
 TERMINALS, TIMEOUTS = [0, 0, 0, 1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0, 1, 0, 0]
 
 
 def arrays():
-    """As D4RL's own files are laid out."""
+    """Write a file in the layout of D4RL."""
     rng = np.random.default_rng(0)
     return {
         "observations": rng.normal(size=(9, 6)).astype(np.float32),

@@ -1,4 +1,4 @@
-"""Against files that imitation's own code wrote (fixtures/make_imitation.py says how and what is in them)."""
+"""Tests against files written by imitation itself (see fixtures/make_imitation.py)."""
 
 import json
 import os
@@ -91,7 +91,7 @@ def test_written_preferences_are_read_back_equal(tmp_path_factory, labels, n_age
 
 
 def test_imitation_loads_written_preferences(tmp_path, monkeypatch):
-    """Classes with the same names and fields as theirs, where their own cannot be installed."""
+    """Stand-ins with the names and fields of imitation's classes, which cannot be installed here."""
 
     @dataclass(frozen=True)
     class TrajectoryWithRew:
@@ -113,7 +113,7 @@ def test_imitation_loads_written_preferences(tmp_path, monkeypatch):
     write_imitation(tmp_path / "preferences.pkl", made)
     found = pickle.loads((tmp_path / "preferences.pkl").read_bytes())  # noqa: S301 (our own)
     assert found.preferences.dtype == np.float32
-    # P(fragment 1 is preferred), fragment 1 being our segment 0; the skip is left out.
+    # P(fragment 1 preferred), where fragment 1 is segment 0; the skip is left out.
     assert found.preferences.tolist() == [1.0, 0.0]
     assert [len(fragment.acts) for fragment in found.fragments1] == [4, 2]
     first = found.fragments1[0]
@@ -256,7 +256,7 @@ def test_discrete_actions_become_one_hot(tmp_path):
 
 
 def copy(folder, columns):
-    """Imitation's folder with other columns."""
+    """A copy of the folder written by imitation, with other columns."""
     shutil.copytree(FIXTURE, folder / "copy")
     table = pa.table(columns)
     path = folder / "copy" / "data-00000-of-00001.arrow"
@@ -302,7 +302,7 @@ def test_file_truncated_anywhere_is_refused(tmp_path_factory, data):
     shutil.copytree(FIXTURE, folder)
     path = folder / "data-00000-of-00001.arrow"
     size = path.stat().st_size
-    # Two places where one message ends and the next begins, or any other.
+    # At a message boundary, or anywhere else.
     os.truncate(path, data.draw(st.sampled_from([1232, size - 8]) | st.integers(0, size - 1)))
     with pytest.raises(InvalidFile):
         list(read_imitation_trajectories(folder))

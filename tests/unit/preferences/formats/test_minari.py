@@ -26,7 +26,7 @@ def of_agents(space, names):
 
 
 def write_by_minari(folder, monkeypatch, names=("agent_2", "agent_10"), lengths=(4, 2), action_space=None, infos=True):
-    """A dataset of several agents, or of one where there are no names, made by Minari itself."""
+    """A dataset made by Minari, with one agent if there are no names."""
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(folder / "minari"))
     rng, buffers = np.random.default_rng(0), []
     action_space = action_space or box(2)
@@ -53,7 +53,7 @@ def write_by_minari(folder, monkeypatch, names=("agent_2", "agent_10"), lengths=
             )
         )
     with warnings.catch_warnings():
-        # It advises on descriptions, authors and environments.
+        # Minari warns about missing descriptions, authors and environments.
         warnings.simplefilter("ignore", UserWarning)
         minari.create_dataset_from_buffers(
             "test/agents-v0",
@@ -69,7 +69,7 @@ def test_dataset_written_by_minari_is_read(tmp_path, monkeypatch):
     episodes = list(read_minari(path))
     assert [len(episode) for episode in episodes] == [4, 2]
     for episode, buffer in zip(episodes, buffers, strict=True):
-        # Agent 2 comes before agent 10, and the last observation is left out.
+        # Agent 2 comes before agent 10; the last observation is dropped.
         for agent, name in enumerate(("agent_2", "agent_10")):
             np.testing.assert_array_equal(episode.observations[:, agent], buffer.observations[name][:-1])
             np.testing.assert_array_equal(episode.actions[:, agent], buffer.actions[name])

@@ -23,7 +23,7 @@ LENGTHS = [(6, "terminal"), (5, "timeout"), (5, "timeout"), (4, "nothing")]
 
 
 def write_trajectories(folder, timeouts=True):
-    """Observations are (row, row), so that every step tells where it lies."""
+    """Observations are (row, row), which identifies every step."""
     path, n_rows = folder / "d4rl.hdf5", sum(length for length, _ in LENGTHS)
     ends = np.cumsum([length for length, _ in LENGTHS]) - 1
     flags = {
@@ -41,7 +41,7 @@ def write_trajectories(folder, timeouts=True):
 
 
 def rows_by_d4rls_own_rule(path, horizon=None):
-    """The rows that d4rl.qlearning_dataset keeps, found step by step as its loop does."""
+    """The rows that d4rl.qlearning_dataset keeps, by the same loop."""
     with h5py.File(path) as file:
         terminals, n_rows = file["terminals"][()], len(file["rewards"])
         timeouts = file["timeouts"][()] if "timeouts" in file else None
@@ -73,7 +73,7 @@ def read(folder, labels, first, second, n_steps=3, **options):
 def test_labels_are_converted(tmp_path, theirs, ours):
     found = read(tmp_path, np.array([theirs]), [0], [6])
     assert found.labels.tolist() == [ours]
-    # What their loaders make of it: the target of a cross-entropy over (first, second).
+    # Their loaders use it as the target of a cross-entropy over (first, second).
     target = {0: [1, 0], 1: [0, 1], -1: [0.5, 0.5]}.get(theirs, theirs)
     assert list(target) == [ours, 1 - ours]
 
@@ -105,7 +105,7 @@ def test_indices_count_the_transitions_of_qlearning_dataset(tmp_path, horizon):
         segment = found.records.segments.take(found.pairs[:, 0])
         assert segment.observations[0, :, 0, 0].tolist() == rows
     if horizon is not None:
-        # Its first five steps are an episode that timed out: the fifth is left out, the sixth is the next one's.
+        # The first five steps are an episode that timed out: its last step is dropped.
         assert kept[:6] == [0, 1, 2, 3, 5, 6]
         found = read(tmp_path, [0], [1], [5], horizon=horizon)
         rows = found.records.segments.observations[:, :, 0, 0].tolist()

@@ -143,7 +143,7 @@ def test_persistent_ids_are_refused(tmp_path):
 
 
 def array_pickle(shape, dtype=("f8", False, True), content=b"", state_dtype=None):
-    """A pickle of an array that says what it is told to, whatever lies in it."""
+    """A pickle of an array whose declared state need not match its content."""
 
     class Dtype:
         def __reduce__(self):

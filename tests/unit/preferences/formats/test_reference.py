@@ -36,7 +36,7 @@ def write(folder, items):
 
 
 def references_own_target(label):
-    """What the reference's loader makes of a label: the target of a cross-entropy over (traj0, traj1)."""
+    """The target of the cross-entropy over (traj0, traj1) that the reference computes from a label."""
     return {1: [1.0, 0.0], -1: [0.0, 1.0]}.get(label, [0.5, 0.5])
 
 
