@@ -98,7 +98,7 @@ def test_a_database_of_a_newer_version_is_refused(tmp_path: Path) -> None:
     database.close()
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE alembic_version SET version_num = 'from_the_future'")
-    assert_refused(up(tmp_path, "--port", "0"), "from_the_future", "Start that version")
+    assert_refused(up(tmp_path, "--port", "0"), "from_the_future", "Use that version")
 
 
 def test_a_setting_that_makes_no_sense_is_named(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Puts the application together."""
+"""Creates the FastAPI application."""
 
 from typing import Any
 
@@ -15,13 +15,14 @@ from accord.store.blobs import BlobStore
 from accord.store.database import Database
 
 PREFIX = "/api/v1"
-_DESCRIPTION = """Teach teams of agents by comparing short clips.
+_DESCRIPTION = """Preference-based reward learning for cooperative multi-agent reinforcement learning.
 
-Sign in with `Authorization: Bearer <token>`. Every failure has the same body: a stable `code` and a sentence."""
+Sign in with `Authorization: Bearer <token>`. Every error has the same body: a stable `code`, a `message`, and
+`details` that name an invalid `field`."""
 
 
 def create_app(settings: Settings, database: Database, blobs: BlobStore) -> FastAPI:
-    """The application over a migrated database; opening and closing both stores is the caller's."""
+    """The application over a migrated database. The caller opens and closes both stores."""
     app = FastAPI(
         title="Accord",
         version="1",
@@ -34,7 +35,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         responses=errors.RESPONSES,
     )
     app.state.accord = AppState(settings, database, blobs)
-    # in the order in which they are tried: those that are asked most come first
+    # Routes are matched in this order, so the busiest come first.
     for module in (labelling, clips, segments, experiments, events, accounts, health):
         app.include_router(module.router, prefix=PREFIX)
     app.include_router(accounts.pages)
@@ -46,12 +47,12 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
 
 
 def _operation_id(route: APIRoute) -> str:
-    """The function's name: the generated client's methods keep theirs when an address changes."""
+    """The function's name, so that the generated client does not change with a path."""
     return route.name
 
 
 def _describe_sign_in(app: FastAPI) -> None:
-    """Adds the two ways to sign in to the OpenAPI document."""
+    """Adds both authentication methods to the OpenAPI document."""
     document = app.openapi()
     components: dict[str, Any] = document.setdefault("components", {})
     components["securitySchemes"] = {

@@ -1,4 +1,4 @@
-"""Refuses large bodies before they are in memory, whether or not their length is announced."""
+"""Rejects large request bodies before they are in memory, with or without a Content-Length."""
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -7,7 +7,7 @@ from accord.domain.errors import BodyTooLarge
 
 
 class BodyLimit:
-    """Plain ASGI middleware: answers 413 to a body longer than the limit and reads no more of it."""
+    """ASGI middleware: responds 413 to a body above the limit, and reads no more of it."""
 
     def __init__(self, app: ASGIApp, limit_bytes: int) -> None:
         self.app = app
@@ -17,7 +17,7 @@ class BodyLimit:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        if _announced_bytes(scope) > self._limit_bytes:
+        if _content_length(scope) > self._limit_bytes:
             await self._refuse(scope, receive, send)
             return
         received = 0
@@ -34,7 +34,7 @@ class BodyLimit:
 
         async def watched_send(message: Message) -> None:
             nonlocal started
-            # The framework turns what `counting_receive` raised into an answer of its own; ours replaces it.
+            # Drops the response that the framework makes of the exception raised by `counting_receive`.
             if too_large and not started:
                 return
             started = True
@@ -50,12 +50,12 @@ class BodyLimit:
 
     async def _refuse(self, scope: Scope, receive: Receive, send: Send) -> None:
         response = accord_error_response(BodyTooLarge(self._limit_bytes))
-        # the rest of the body is still on its way
+        # the client is still sending the rest of the body
         response.headers["Connection"] = "close"
         await response(scope, receive, send)
 
 
-def _announced_bytes(scope: Scope) -> int:
+def _content_length(scope: Scope) -> int:
     for name, value in scope["headers"]:
         if name == b"content-length":
             return int(value) if value.isdigit() else 0

@@ -1,4 +1,4 @@
-"""Errors to responses: class to status, and one shape of body for every failure there is."""
+"""Maps exceptions to responses: one status per class, and the same body for every error."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ from mapt.errors import TaskError
 
 log = logging.getLogger(__name__)
 
-#: the first class that fits decides
+#: the first matching class decides
 STATUS: tuple[tuple[type[AccordError], int], ...] = (
     (Unauthenticated, 401),
     (Forbidden, 403),
@@ -45,12 +45,12 @@ STATUS: tuple[tuple[type[AccordError], int], ...] = (
     (Unavailable, 503),
 )
 _HTTP_MESSAGES = {
-    404: ("not_found", "There is nothing at this address. The API is described at /api/docs."),
-    405: ("method_not_allowed", "This address does not take this method. The API is described at /api/docs."),
+    404: ("not_found", "There is nothing at this path. The API is described at /api/docs."),
+    405: ("method_not_allowed", "This path does not support this method. The API is described at /api/docs."),
 }
-#: what every route of the API may answer, for OpenAPI
+#: the error response of every route, for OpenAPI
 RESPONSES: dict[int | str, dict[str, Any]] = {
-    "default": {"model": ErrorResponse, "description": "A stable code, and a sentence that helps."}
+    "default": {"model": ErrorResponse, "description": "A stable code, a message, and the invalid field."}
 }
 
 
@@ -83,7 +83,7 @@ def accord_error_response(error: AccordError) -> JSONResponse:
 
 
 def install(app: FastAPI) -> None:
-    """Makes every failure of the application speak the same way."""
+    """Registers the exception handlers."""
 
     async def on_accord_error(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, AccordError)
@@ -101,8 +101,8 @@ def install(app: FastAPI) -> None:
     async def on_invalid_request(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, RequestValidationError)
         details = [_problem(each) for each in error.errors()]
-        sentence = "; ".join(f"{each['where']}: {each['problem']}" for each in details[:5])
-        return error_response(422, "invalid_request", f"The request is malformed. {sentence}.", details)
+        problems = "; ".join(f"{each['where']}: {each['problem']}" for each in details[:5])
+        return error_response(422, "invalid_request", f"The request is not valid. {problems}.", details)
 
     async def on_http_exception(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, HTTPException)
@@ -116,7 +116,7 @@ def install(app: FastAPI) -> None:
         id = new_id("err")
         log.error("%s %s failed as %s", request.method, request.url.path, id, exc_info=error)
         return error_response(
-            500, "internal", f"Something went wrong that should not. The server's log has it under {id}.", [{"id": id}]
+            500, "internal", f"The server failed unexpectedly. Its log describes the error under {id}.", [{"id": id}]
         )
 
     app.add_exception_handler(AccordError, on_accord_error)

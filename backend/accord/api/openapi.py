@@ -11,7 +11,7 @@ from accord.store.database import Database
 
 
 def document() -> str:
-    """The OpenAPI document, always the same text for the same routes."""
+    """The OpenAPI document as JSON, deterministic for the same routes."""
     app = create_app(Settings(), Database.open("sqlite://"), open_blobs("memory://openapi"))
     return json.dumps(app.openapi(), indent=2) + "\n"
 

@@ -1,4 +1,4 @@
-"""Serves the built page: its files as they are, and index.html for every address that the page itself routes."""
+"""Serves the built page: its files, and index.html for every other path, which the page routes itself."""
 
 from pathlib import Path
 
@@ -8,16 +8,15 @@ from starlette.types import Receive, Scope, Send
 
 FOLDER = Path(__file__).parent.parent / "static"
 _NOT_BUILT = (
-    "The page was not built into this installation. Build it with `python frontend/build_page.py`, or reinstall from a "
-    "wheel. "
-    "The API works without it and is described at /api/docs."
+    "This installation does not contain the page. Build it with `python frontend/build_page.py`, or reinstall from a "
+    "wheel. The API works without it and is described at /api/docs."
 )
-#: the build puts a hash of the content into the names of these
+#: folder of the files whose names contain a hash of their content
 _HASHED = "assets"
 
 
 class Page:
-    """ASGI application for every address that no route takes."""
+    """ASGI application for every path without a route."""
 
     def __init__(self, folder: Path = FOLDER) -> None:
         self._folder = folder.resolve()
@@ -38,9 +37,9 @@ class Page:
             return PlainTextResponse(_NOT_BUILT, 503)
         file = (self._folder / path).resolve() if "\0" not in path else index
         if path and file.is_relative_to(self._folder) and file.is_file():
-            lasting = path.startswith(f"{_HASHED}/")
+            immutable_file = path.startswith(f"{_HASHED}/")
             return FileResponse(
-                file, headers={"Cache-Control": "public, max-age=31536000, immutable" if lasting else "no-cache"}
+                file, headers={"Cache-Control": "public, max-age=31536000, immutable" if immutable_file else "no-cache"}
             )
         if path.startswith(f"{_HASHED}/"):
             raise HTTPException(404)

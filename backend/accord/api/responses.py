@@ -1,4 +1,4 @@
-"""Rows to what goes over the wire, by role."""
+"""Converts rows to response schemas, without what the caller's role may not see."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -41,7 +41,7 @@ def task_responses() -> list[schemas.TaskSchema]:
 
 
 def experiment_responses(session: Session, rows: Sequence[ExperimentRow], role: Role) -> list[schemas.Experiment]:
-    """Any number of experiments, with three statements."""
+    """Response schemas of any number of experiments, with three SQL statements."""
     counts = experiments.label_counts_of(session, rows)
     numbers = experiments.reward_numbers(session, rows)
     return [
@@ -53,7 +53,7 @@ def experiment_responses(session: Session, rows: Sequence[ExperimentRow], role: 
             config=row.config,
             status=ExperimentStatus(row.status),
             phase=Phase(row.phase),
-            # free text of the policy worker, which knows true returns
+            # text of the policy worker, which may contain true returns
             phase_detail=row.phase_detail if may_see_returns(role) else "",
             steps=row.steps,
             labels=schemas.LabelCounts.model_validate(counts[row.id]),
@@ -98,7 +98,7 @@ def worker_response(row: WorkerRow, role: Role) -> schemas.Worker:
         id=row.id,
         role=row.role,
         state=row.state,
-        # free text again
+        # as phase_detail
         detail=row.detail if may_see_returns(role) else "",
         restarts=row.restarts,
         heartbeat_age_seconds=max(0.0, (utc_now() - row.heartbeat_at).total_seconds()),
@@ -106,7 +106,7 @@ def worker_response(row: WorkerRow, role: Role) -> schemas.Worker:
 
 
 def query_response(item: LeasedQuery, task: str, lease_seconds: float, blobs: BlobStore | None = None) -> schemas.Query:
-    """A query as its user sees it; with `blobs`, true returns and rewards too."""
+    """A query with the sides its user sees; with `blobs`, also true returns and rewards."""
     left, right = (
         _segment_response(index, item.segments[index], task, blobs)
         for index in (item.left_segment, 1 - item.left_segment)

@@ -1,4 +1,4 @@
-"""What goes over the wire. The page's TypeScript client is generated from these."""
+"""Request and response bodies. The page's TypeScript client is generated from them."""
 
 from datetime import datetime
 from typing import Any, Literal
@@ -21,45 +21,45 @@ class Me(Schema):
     """The signed-in user."""
 
     id: str = Field(description="usr_...")
-    name: str = Field(description="Shown to others.")
+    name: str = Field(description="Unique name.")
     role: Role = Field(description="What the user may do.")
 
 
 class NewUser(Schema):
-    """A user to add."""
+    """A user to create."""
 
-    name: str = Field(min_length=1, max_length=100, description="One line; no two users have the same.")
+    name: str = Field(min_length=1, max_length=100, description="Must be unique, and one line.")
     role: Role = Field(
         description="labeller: a person who labels. teacher: a program that labels and may read true returns. "
-        "researcher: runs experiments. admin: adds users too."
+        "researcher: also starts experiments. admin: also adds users."
     )
 
 
 class CreatedUser(Schema):
-    """A new user, with the only copy of their token."""
+    """A new user and their token."""
 
     id: str = Field(description="usr_...")
-    name: str = Field(description="As given, without spaces around it.")
-    role: Role = Field(description="As given.")
-    token: str = Field(description="Bearer token. Shown once: only its hash is kept.")
-    sign_in_url: str = Field(description="Opens the page signed in as this user. Works once.")
+    name: str = Field(description="The name, without surrounding spaces.")
+    role: Role = Field(description="The role.")
+    token: str = Field(description="Bearer token. Only its hash is stored, so it cannot be shown again.")
+    sign_in_url: str = Field(description="Signs a browser in as this user. Works once.")
 
 
 # Experiments
 
 
 class TaskSchema(Schema):
-    """A task that a team of agents can be taught."""
+    """A cooperative multi-agent task."""
 
     name: str = Field(description="For example HalfCheetah-6x1.")
     n_agents: int = Field(description="Agents in the team, N.")
-    agent_names: list[str] = Field(description="What the agents are called, in agent order.")
+    agent_names: list[str] = Field(description="Names of the agents, in agent order.")
     agent_colours: list[str] = Field(description="CSS colours of the agents in the clips, in agent order.")
-    observation_dim: int = Field(description="Numbers in one agent's observation, C.")
-    action_dim: int = Field(description="Numbers in one agent's action, A.")
-    horizon_steps: int = Field(description="Steps after which an episode is cut.")
-    step_seconds: float = Field(description="Simulated time of one step.")
-    instructions: str = Field(description="What the team should achieve, in plain words.")
+    observation_dim: int = Field(description="Size of one agent's observation, C.")
+    action_dim: int = Field(description="Size of one agent's action, A.")
+    horizon_steps: int = Field(description="Longest episode, in steps.")
+    step_seconds: float = Field(description="Simulated seconds per step.")
+    instructions: str = Field(description="What the team should achieve.")
 
 
 def _add_settings(schema: dict[str, Any]) -> None:
@@ -88,29 +88,29 @@ class NewExperiment(Schema):
 
 
 class LabelCounts(Schema):
-    """How far the labelling of an experiment is."""
+    """Progress of an experiment's labelling."""
 
-    budget: int = Field(description="Labels asked for in all.")
-    labels: int = Field(description="Labels that count: 1, 0 or 0.5.")
-    skips: int = Field(description="Times that somebody could not tell.")
-    due: int = Field(description="Labels the schedule asks for by now.")
-    open_queries: int = Field(description="Queries ready to be labelled.")
-    rendering_queries: int = Field(description="Queries that wait for their clips.")
+    budget: int = Field(description="Labels to collect in total.")
+    labels: int = Field(description="Labels 1, 0 or 0.5; no skips.")
+    skips: int = Field(description="Skipped queries.")
+    due: int = Field(description="Labels due at the policy's current step.")
+    open_queries: int = Field(description="Queries ready to label.")
+    rendering_queries: int = Field(description="Queries whose clips are not rendered yet.")
 
 
 class Experiment(Schema):
-    """An experiment as it is now."""
+    """An experiment with its current state."""
 
     id: str = Field(description="exp_...")
-    name: str = Field(description="As it was given.")
-    task: TaskSchema = Field(description="What is taught.")
-    instructions: str = Field(description="What labellers are told.")
-    config: dict[str, Any] = Field(description="Every setting, as when the experiment was started.")
-    status: ExperimentStatus = Field(description="What its owner wants of it, and how it ended.")
-    phase: Phase = Field(description="What its policy worker is doing.")
-    phase_detail: str = Field(description="A sentence beside the phase, or why it failed; empty for labellers.")
+    name: str = Field(description="Unique name.")
+    task: TaskSchema = Field(description="The task.")
+    instructions: str = Field(description="Shown to labellers.")
+    config: dict[str, Any] = Field(description="Every setting; they never change.")
+    status: ExperimentStatus = Field(description="Whether it runs, and how it ended.")
+    phase: Phase = Field(description="What the policy worker is doing.")
+    phase_detail: str = Field(description="One sentence about the phase, or why it failed; empty for labellers.")
     steps: int = Field(description="Environment steps the policy has taken.")
-    labels: LabelCounts = Field(description="How far the labelling is.")
+    labels: LabelCounts = Field(description="Progress of the labelling.")
     reward_version: int | None = Field(description="Number of the newest reward version.")
     created_at: datetime = Field(description="When it was started.")
     ended_at: datetime | None = Field(description="When it finished, failed or was cancelled.")
@@ -120,38 +120,40 @@ class ExperimentPage(Schema):
     """Some experiments, newest first."""
 
     items: list[Experiment] = Field(description="At most `limit`.")
-    next_cursor: str | None = Field(default=None, description="Give it as `cursor` for the next page; null at the end.")
+    next_cursor: str | None = Field(
+        default=None, description="Pass it as `cursor` to get the next page; null at the end."
+    )
 
 
 class MetricPoint(Schema):
     """One point of a curve."""
 
     step: int = Field(description="Environment steps of the policy.")
-    value: float = Field(description="Always finite.")
-    reward_version_id: str | None = Field(default=None, description="The reward version in force; null before any.")
+    value: float = Field(description="A finite number.")
+    reward_version_id: str | None = Field(default=None, description="The reward version in use; null before the first.")
 
 
 class MetricSeries(Schema):
     """One curve."""
 
     name: str = Field(description="For example learned_return.")
-    points: list[MetricPoint] = Field(description="By step.")
+    points: list[MetricPoint] = Field(description="Sorted by step.")
 
 
 class Metrics(Schema):
-    """Curves of an experiment by name. Series of true rewards are left out for labellers."""
+    """Curves of an experiment. Labellers get none that reveals true rewards."""
 
-    series: list[MetricSeries] = Field(description="By name.")
+    series: list[MetricSeries] = Field(description="Sorted by name.")
 
 
 class RewardVersion(Schema):
-    """A trained reward model. It never changes: the next one is another version."""
+    """A version of the reward model. It never changes."""
 
     id: str = Field(description="rwv_...")
     number: int = Field(description="1, 2, 3, ... within the experiment.")
-    parent_id: str | None = Field(description="The version it was trained on from.")
-    label_watermark: int = Field(description="It knows every label with a revision up to this one.")
-    label_count: int = Field(description="Labels it was trained on.")
+    parent_id: str | None = Field(description="The version before it.")
+    label_watermark: int = Field(description="It was trained on the labels up to this revision.")
+    label_count: int = Field(description="Number of labels it was trained on.")
     policy_steps: int = Field(description="Environment steps of the policy when it was published.")
     metrics: dict[str, Any] = Field(description="Loss, accuracy and so on, on training and held-out labels.")
     created_at: datetime = Field(description="When it was published.")
@@ -169,15 +171,15 @@ class Worker(Schema):
     id: str = Field(description="Role and slot, for example policy-0.")
     role: str = Field(description="render, reward or policy.")
     state: str = Field(description="starting, idle, working, backing_off or stopped.")
-    detail: str = Field(description="What it does, or what went wrong; empty for labellers.")
-    restarts: int = Field(description="How often it was started again.")
-    heartbeat_age_seconds: float = Field(description="Since its last sign of life.")
+    detail: str = Field(description="What it is doing, or its last error; empty for labellers.")
+    restarts: int = Field(description="Number of restarts.")
+    heartbeat_age_seconds: float = Field(description="Seconds since its last heartbeat.")
 
 
 class Health(Schema):
-    """The service can do its work."""
+    """The service is healthy."""
 
-    status: Literal["ok"] = Field(description="Anything else is an error with a sentence.")
+    status: Literal["ok"] = Field(description="Always ok; a service that is not healthy returns an error.")
 
 
 # Labelling
@@ -188,46 +190,48 @@ class SegmentView(Schema):
 
     index: Literal[0, 1] = Field(description="The segment's number within the query: label 1 prefers 0.")
     segment_id: str = Field(description="seg_...")
-    clip_url: str | None = Field(description="Path of the mp4; None when the experiment makes no clips.")
-    seconds: float = Field(description="How long the clip lasts.")
+    clip_url: str | None = Field(description="Path of the MP4 file; null if the experiment renders no clips.")
+    seconds: float = Field(description="Duration of the clip.")
     frames: int = Field(description="Frames of the clip, one per step.")
-    true_return: float | None = Field(default=None, description="For teachers and researchers that ask; else absent.")
-    true_rewards: list[float] | None = Field(default=None, description="Per step; as true_return.")
+    true_return: float | None = Field(
+        default=None, description="With `returns=true`, for teachers and researchers; else null."
+    )
+    true_rewards: list[float] | None = Field(default=None, description="Per step; as `true_return`.")
 
 
 class Query(Schema):
-    """Two segments to compare, on the sides that were drawn for this user."""
+    """Two segments to compare, on the sides chosen for this user."""
 
     id: str = Field(description="qry_...")
     experiment_id: str = Field(description="exp_...")
     number: int = Field(description="1, 2, 3, ... within the experiment.")
     left: SegmentView = Field(description="What to show on the left.")
     right: SegmentView = Field(description="What to show on the right.")
-    lease_seconds: float = Field(description="Send a heartbeat, or the label, before this is over.")
+    lease_seconds: float = Field(description="The lease ends after so long without a heartbeat or a label.")
 
 
 class Queries(Schema):
     """Queries leased to the caller."""
 
-    items: list[Query] = Field(description="By number; those the caller held before come first.")
+    items: list[Query] = Field(description="Sorted by number.")
     reason: Literal["", "rendering", "policy_training", "all_labelled", "experiment_over", "paused"] = Field(
-        default="", description="Why there are fewer than asked for."
+        default="", description="Why there are fewer than requested."
     )
 
 
 class NewLabel(Schema):
-    """The answer to a query. Posting the same again changes nothing."""
+    """A label for a query. Sending the same again changes nothing."""
 
     label: float | None = Field(
-        strict=True, description="1, 0 or 0.5 (see `order`); null skips: it is stored, and never trained on."
+        strict=True, description="1, 0 or 0.5 (see `order`); null skips the query. Skips are stored but not trained on."
     )
     order: Literal["segments", "shown"] = Field(
         default="segments",
-        description="`segments`: 1 means that segment 0 is better. `shown`: 1 means that the left clip is better, "
-        "and the server undoes the side that was drawn.",
+        description="segments: 1 means that segment 0 is better. shown: 1 means that the left clip is better; the "
+        "server converts it to segment order.",
     )
     response_seconds: float | None = Field(
-        default=None, ge=0, le=86_400, description="From both clips playing to the answer."
+        default=None, ge=0, le=86_400, description="From both clips playing to the label."
     )
     teacher: dict[str, Any] = Field(
         default_factory=dict[str, Any], description="A scripted teacher's name and parameters."
@@ -235,59 +239,63 @@ class NewLabel(Schema):
 
 
 class Label(Schema):
-    """The caller's label on a query, as it is stored."""
+    """The caller's label on a query, as stored."""
 
     query_id: str = Field(description="qry_...")
     label: float | None = Field(description="In segment order: 1 means that segment 0 is better; null is a skip.")
-    state: Literal["label", "skip", "undone"] = Field(description="A skip is stored, and never trained on.")
+    state: Literal["label", "skip", "undone"] = Field(description="Skips are stored but not trained on.")
     left_segment: int | None = Field(description="The segment shown on the left; null for a program.")
-    revision: int = Field(description="Goes up by one with every change of a label of the experiment.")
-    created: bool = Field(description="False when the same label was there already.")
+    revision: int = Field(
+        description="Label revision of the experiment: one more with every label written, changed or undone."
+    )
+    created: bool = Field(description="False if the same label was stored already.")
 
 
 class BatchLabel(NewLabel):
-    """One label of many."""
+    """One label of a batch."""
 
     query_id: str = Field(description="qry_...")
 
 
 class LabelBatch(Schema):
-    """Labels of a program, written in one transaction."""
+    """Labels to write in one transaction."""
 
-    labels: list[BatchLabel] = Field(min_length=1, max_length=1000, description="Each is judged by itself.")
+    labels: list[BatchLabel] = Field(
+        min_length=1, max_length=1000, description="Each is accepted or refused by itself."
+    )
 
 
 class BatchOutcome(Schema):
-    """What became of one label."""
+    """Result for one label of a batch."""
 
-    query_id: str = Field(description="As it was sent.")
+    query_id: str = Field(description="The query of the label.")
     ok: bool = Field(description="Whether the label is stored.")
-    label: Label | None = Field(default=None, description="The stored label, when ok.")
-    code: str | None = Field(default=None, description="Stable error code when not ok.")
-    message: str | None = Field(default=None, description="What was wrong and what to do, when not ok.")
+    label: Label | None = Field(default=None, description="The stored label, if ok.")
+    code: str | None = Field(default=None, description="Stable error code, if not ok.")
+    message: str | None = Field(default=None, description="What is wrong and what to do, if not ok.")
 
 
 class LabelBatchResult(Schema):
-    """What became of every label, in the order they were sent."""
+    """Results of a batch, in the order of the labels."""
 
-    items: list[BatchOutcome] = Field(description="One for each label.")
+    items: list[BatchOutcome] = Field(description="One per label.")
 
 
 class Lease(Schema):
-    """A query kept."""
+    """A renewed lease."""
 
     query_id: str = Field(description="qry_...")
-    lease_seconds: float = Field(description="Send the next heartbeat before this is over.")
+    lease_seconds: float = Field(description="The lease ends after so long without another heartbeat.")
 
 
 # Errors
 
 
 class ErrorBody(Schema):
-    """What went wrong."""
+    """Description of an error."""
 
     code: str = Field(description="Stable; programs may rely on it.")
-    message: str = Field(description="What was wrong and what to do.")
+    message: str = Field(description="What is wrong and what to do.")
     details: list[dict[str, Any]] = Field(
         default_factory=list[dict[str, Any]],
         description="For an invalid value: `field`, for example policy.n_envs, and `problem`.",
@@ -295,6 +303,6 @@ class ErrorBody(Schema):
 
 
 class ErrorResponse(Schema):
-    """The body of every failure."""
+    """The body of every error response."""
 
-    error: ErrorBody = Field(description="What went wrong.")
+    error: ErrorBody = Field(description="Description of the error.")

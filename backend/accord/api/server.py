@@ -17,17 +17,17 @@ from accord.store.database import Database
 
 log = logging.getLogger(__name__)
 
-#: open requests are given this long when the server is asked to end; live events end at once
+#: time for open requests to finish at shutdown; live events end at once
 GRACE_SECONDS = 5
 _BACKLOG = 2048
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A listening socket; with port 0 the system chooses one, which `getsockname` tells.
+    """A listening socket; with port 0 the system chooses a port, which `getsockname` returns.
 
     Raises:
         PortInUse: if another program listens there.
-        Unavailable: if the address is none of this machine's, or the port needs more rights.
+        Unavailable: if this machine does not have the address, or the user may not use the port.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
@@ -40,14 +40,14 @@ def listen(host: str, port: int) -> socket.socket:
         if error.errno == errno.EADDRINUSE:
             raise PortInUse(host, port) from error
         raise Unavailable(
-            f"Cannot listen on {host}:{port} ({error.strerror}): it is no address of this machine, or not for this "
-            "user. Choose another with --host and --port."
+            f"Cannot listen on {host}:{port} ({error.strerror}): this machine does not have the address, or this user "
+            "may not use the port. Choose another with --host and --port."
         ) from error
     return listener
 
 
 def address_of(listener: socket.socket) -> str:
-    """The URL at which a listening socket is reached."""
+    """The URL of a listening socket."""
     host, port = listener.getsockname()[:2]
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
@@ -56,17 +56,17 @@ def serve(settings: Settings) -> None:
     """Serves until SIGINT or SIGTERM.
 
     Raises:
-        PortInUse, DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable: each says how to mend it.
+        PortInUse, DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable: the message says what to do.
     """
     with listen(settings.host, settings.port) as listener:
         serve_on(listener, settings)
 
 
 def serve_on(listener: socket.socket, settings: Settings) -> None:
-    """Serves on a socket that listens already. Checks first that the database and the blobs can be used.
+    """Serves on a listening socket. First checks that the database and the blob store can be used.
 
     Raises:
-        DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable: each says how to mend it.
+        DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable: the message says what to do.
     """
     database = Database.open(settings.resolved_database_url)
     try:
@@ -87,12 +87,12 @@ def serve_on(listener: socket.socket, settings: Settings) -> None:
 
 
 def end_by_exception(_signal: int, _frame: FrameType | None) -> None:
-    """Ends the process by way of every `finally`: uvicorn, when done, raises the signal that stopped it once more."""
+    """Signal handler: exits through every `finally`. uvicorn raises the signal again when it has shut down."""
     raise SystemExit(0)
 
 
 def main() -> int:
-    """Returns the process's exit status."""
+    """Runs the server; returns the exit status of the process."""
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, end_by_exception)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")

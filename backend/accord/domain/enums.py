@@ -1,20 +1,20 @@
-"""The words of DESIGN as types: the same in code, API, page and docs."""
+"""Enumerations shared by the database, the API and the page."""
 
 from enum import StrEnum
 
 
 class Role(StrEnum):
-    """What a user may do; see `accord.domain.permissions`."""
+    """A user's role; `accord.domain.permissions` says what each may do."""
 
     LABELLER = "labeller"
     RESEARCHER = "researcher"
     ADMIN = "admin"
-    #: a program that labels: it alone, with researchers, may read true returns
+    #: a program that labels; unlike a labeller, it may read true returns
     TEACHER = "teacher"
 
 
 class ExperimentStatus(StrEnum):
-    """What its owner wants of an experiment, and how it ended."""
+    """Whether an experiment runs, and how it ended."""
 
     RUNNING = "running"
     PAUSED = "paused"
@@ -24,7 +24,7 @@ class ExperimentStatus(StrEnum):
 
 
 class Phase(StrEnum):
-    """What the policy worker is doing with a running experiment right now."""
+    """What the policy worker is doing with a running experiment."""
 
     QUEUED = "queued"
     COLLECTING = "collecting"
@@ -35,26 +35,30 @@ class Phase(StrEnum):
 
 
 class QueryStatus(StrEnum):
-    """A query waits for its clips, is open to label, and is closed when it has its labels."""
+    """State of a query: waiting for its clips, open to label, labelled, or without clips."""
 
     RENDERING = "rendering"
     OPEN = "open"
     CLOSED = "closed"
-    #: a clip of it could not be made; it is never offered
+    #: one of its clips could not be rendered; it is never shown
     FAILED = "failed"
 
 
 class ClipStatus(StrEnum):
+    """State of a clip."""
+
     PENDING = "pending"
     READY = "ready"
     FAILED = "failed"
 
 
 class WorkerRole(StrEnum):
+    """What a worker process does."""
+
     RENDER = "render"
     REWARD = "reward"
     POLICY = "policy"
 
 
-#: P(segment 0 is preferred): the only values a label may have
+#: values of a label, P(segment 0 is preferred)
 LABEL_VALUES: tuple[float, ...] = (0.0, 0.5, 1.0)

@@ -1,31 +1,31 @@
-"""Everything that can go wrong and has a name.
+"""Every exception that the service raises on purpose.
 
     AccordError
-    ├── Unauthenticated               who are you?
-    ├── Forbidden                     you may not
+    ├── Unauthenticated               the caller is not signed in
+    ├── Forbidden                     the caller's role does not allow it
     │   └── ReturnsHidden
-    ├── NotFound                      there is no such thing
+    ├── NotFound                      the object does not exist
     │   ├── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound,
     │   └── UserNotFound
-    ├── WrongState                    it is there, but not in the state this needs
+    ├── WrongState                    the object is in a state that does not allow it
     │   ├── ExperimentNotActive, QueryClosed, LabelConflict, NameTaken
-    ├── LeaseLost                     you held it once, or never
-    ├── Invalid                       what was sent cannot mean anything
+    ├── LeaseLost                     the caller holds no lease on the query
+    ├── Invalid                       a value is not valid
     │   ├── InvalidLabel, InvalidId, InvalidExperiment, UnknownTask, BodyTooLarge
     ├── TooManyRequests
-    └── Unavailable                   this machine cannot do it now; says how to mend it
+    └── Unavailable                   this machine cannot do it now; the message says what to do
         ├── DatabaseTooNew, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, BlobMissing,
             PortInUse, TaskUnavailable
 
-Nothing here knows of HTTP: `accord.api.errors` maps a class to a status. `code` is stable and part of the
-public API; the message is a sentence that says what was wrong and what to do.
+`accord.api.errors` maps each class to an HTTP status. `code` is stable and part of the public API; the message says
+what is wrong and what to do.
 """
 
 from typing import ClassVar
 
 
 class AccordError(Exception):
-    """The root. Every subclass names its `code`."""
+    """Base class. `code` is stable and part of the public API."""
 
     code: ClassVar[str] = "error"
 
@@ -55,13 +55,13 @@ class ReturnsHidden(Forbidden):
 
 
 class NotFound(AccordError):
-    """There is no such thing, or it is of another experiment."""
+    """The object does not exist, or belongs to another experiment."""
 
     code = "not_found"
     thing: ClassVar[str] = "object"
 
     def __init__(self, id: str) -> None:
-        super().__init__(f"There is no {self.thing} {id!r}. Check the id, and that it is of this experiment.")
+        super().__init__(f"There is no {self.thing} {id!r}. Check the id, and that it belongs to this experiment.")
         self.id = id
 
 
@@ -99,7 +99,7 @@ class UserNotFound(NotFound):
 
 
 class WrongState(AccordError):
-    """It exists, but is not in the state that this needs."""
+    """The object is in a state that does not allow the operation."""
 
     code = "wrong_state"
 
@@ -108,14 +108,14 @@ class ExperimentNotActive(WrongState):
     code = "experiment_not_active"
 
     def __init__(self, id: str, status: str, wanted: str) -> None:
-        super().__init__(f"Experiment {id!r} is {status}; this needs one that is {wanted}.")
+        super().__init__(f"Experiment {id!r} is {status}; it must be {wanted}.")
 
 
 class QueryClosed(WrongState):
     code = "query_closed"
 
     def __init__(self, id: str) -> None:
-        super().__init__(f"Query {id!r} has all its labels already. Ask for the next query.")
+        super().__init__(f"Query {id!r} is labelled already. Ask for the next query.")
 
 
 class LabelConflict(WrongState):
@@ -130,12 +130,14 @@ class NameTaken(WrongState):
 
 
 class LeaseLost(AccordError):
-    """The lease on a query is gone: expired, or held by another."""
+    """The caller holds no lease on a query: it expired, or another user holds it."""
 
     code = "lease_lost"
 
     def __init__(self, id: str) -> None:
-        super().__init__(f"You hold no lease on query {id!r}: it expired or is another's. Ask for the next query.")
+        super().__init__(
+            f"You hold no lease on query {id!r}: it expired, or another user holds it. Ask for the next query."
+        )
 
 
 class Invalid(AccordError):
@@ -155,7 +157,7 @@ class InvalidLabel(Invalid):
     def __init__(self, value: object) -> None:
         super().__init__(
             f"A label is 1 (segment 0 is better), 0 (segment 1 is better) or 0.5 (equal), not {value!r}. "
-            "To pass over a query, skip it.",
+            "To skip the query, send null.",
             "label",
         )
 
@@ -164,7 +166,7 @@ class InvalidId(Invalid):
     code = "invalid_id"
 
     def __init__(self, id: str, prefix: str) -> None:
-        super().__init__(f"{id!r} is no id: one looks like {prefix}_019a3c5e7d1f0a1b2c3d4e5f.")
+        super().__init__(f"{id!r} is not a valid id. Ids look like {prefix}_019a3c5e7d1f0a1b2c3d4e5f.")
 
 
 class InvalidExperiment(Invalid):
@@ -194,7 +196,7 @@ class TooManyRequests(AccordError):
 
 
 class Unavailable(AccordError):
-    """This machine cannot do it now. The message says how to mend it."""
+    """This machine cannot do it now. The message says what to do."""
 
     code = "unavailable"
 
@@ -221,16 +223,17 @@ class BlobMissing(Unavailable):
     code = "blob_missing"
 
     def __init__(self, key: str) -> None:
-        super().__init__(f"The blob {key!r} is not in the store. Was its folder moved or emptied?")
+        super().__init__(f"The blob {key!r} is missing from the store. Check whether its folder was moved or emptied.")
+        self.key = key
 
 
 class TaskUnavailable(Unavailable):
-    """A task cannot be had here: a file that should bring it fails, or is not named to this server."""
+    """A task cannot be loaded: its file fails, or MAPT_TASKS of this server does not name it."""
 
     code = "task_unavailable"
 
     def __init__(self, reason: str) -> None:
-        super().__init__(f"{reason} Mend what MAPT_TASKS names, and start Accord again.")
+        super().__init__(f"{reason} Fix the files that MAPT_TASKS names, and restart Accord.")
 
 
 class PortInUse(Unavailable):
@@ -238,5 +241,6 @@ class PortInUse(Unavailable):
 
     def __init__(self, host: str, port: int) -> None:
         super().__init__(
-            f"{host}:{port} is in use. Stop the program that holds it, or choose another: accord up --port {port + 1}."
+            f"{host}:{port} is in use. Stop the program that uses it, or choose another port, for example "
+            f"accord up --port {port + 1}."
         )

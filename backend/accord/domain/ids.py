@@ -1,4 +1,4 @@
-"""Identifiers: a prefix that says of what, then 24 hexadecimal digits that sort by time of making."""
+"""Identifiers: a prefix for the kind of object and 24 hexadecimal digits, which sort by time of creation."""
 
 import re
 import secrets
@@ -11,17 +11,17 @@ _PATTERN = re.compile(r"[0-9a-f]{24}")
 
 
 class _Clock:
-    """Numbers that grow with every call: milliseconds since 1970, then 52 random bits."""
+    """Increasing numbers: milliseconds since 1970, then 52 random bits."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._last = 0
 
     def tick(self) -> int:
-        drawn = (time.time_ns() // 1_000_000) << 52 | secrets.randbits(52)
+        new = (time.time_ns() // 1_000_000) << 52 | secrets.randbits(52)
         with self._lock:
-            # Rows made within one millisecond keep the order they were made in, on which choices by a seed depend.
-            self._last = max(drawn, self._last + 1)
+            # Rows created within one millisecond keep their order, on which seeded choices depend.
+            self._last = max(new, self._last + 1)
             return self._last
 
 
@@ -29,7 +29,7 @@ _clock = _Clock()
 
 
 def new_id(prefix: str) -> str:
-    """A new identifier, later than all that this process made before."""
+    """A new identifier; it sorts after all that this process created before."""
     return f"{prefix}_{_clock.tick():024x}"
 
 

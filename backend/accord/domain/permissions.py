@@ -1,4 +1,4 @@
-"""Who may do what: pure predicates over roles."""
+"""What each role may do."""
 
 from accord.domain.enums import Role
 from accord.domain.errors import Forbidden, ReturnsHidden
@@ -9,28 +9,32 @@ _LABELS_IN_BATCHES = frozenset({Role.TEACHER, Role.RESEARCHER, Role.ADMIN})
 
 
 def may_see_returns(role: Role) -> bool:
+    """Whether a role may read true rewards and returns."""
     return role in _SEES_RETURNS
 
 
 def may_run_experiments(role: Role) -> bool:
+    """Whether a role may start, pause, resume and cancel experiments."""
     return role in _RUNS_EXPERIMENTS
 
 
 def may_label_in_batches(role: Role) -> bool:
+    """Whether a role may send many labels at once, and label queries it holds no lease on."""
     return role in _LABELS_IN_BATCHES
 
 
 def may_manage_users(role: Role) -> bool:
+    """Whether a role may add users."""
     return role is Role.ADMIN
 
 
 def require_returns(role: Role) -> None:
-    """Raises ReturnsHidden unless `role` may see true returns."""
+    """Raises ReturnsHidden unless `role` may read true returns."""
     if not may_see_returns(role):
         raise ReturnsHidden
 
 
 def require(allowed: bool, role: Role, doing: str) -> None:
-    """Raises Forbidden, in words a person understands, unless `allowed`."""
+    """Raises Forbidden unless `allowed`; `doing` completes the sentence "A labeller may not ..."."""
     if not allowed:
         raise Forbidden(f"A {role} may not {doing}. Ask an admin for a token with another role.")

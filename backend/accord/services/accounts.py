@@ -1,7 +1,7 @@
-"""Users, and the three kinds of token that tell who is asking. Only a token's SHA-256 is ever stored.
+"""Users and their tokens.
 
 A `bearer` token is for programs, a `session` token is the browser's cookie, a `link` token signs a browser in once.
-Tokens are 256 random bits, so that a plain hash is enough: there is nothing to guess.
+Only the SHA-256 of a token is stored; a plain hash is enough for 256 random bits.
 """
 
 import hashlib
@@ -24,7 +24,7 @@ _ADMIN_NAME = "admin"
 
 
 class Caller(Protocol):
-    """Somebody on whose behalf a service works: a user's row, or what `authenticate` returns."""
+    """The user on whose behalf a service works: a `UserRow`, or what `authenticate` returns."""
 
     @property
     def id(self) -> str: ...
@@ -34,11 +34,11 @@ class Caller(Protocol):
 
 
 def create_user(session: Session, name: str, role: Role) -> tuple[UserRow, str]:
-    """A new user and their bearer token, which nobody can read again.
+    """Creates a user; returns it with its bearer token, which cannot be read again.
 
     Raises:
         Invalid: if the name is empty or holds characters that cannot be shown.
-        NameTaken: if another user has it.
+        NameTaken: if another user has this name.
     """
     line = check_line(name, "name", 100)
     if accounts.user_by_name(session, line) is not None:
@@ -53,7 +53,7 @@ def create_user(session: Session, name: str, role: Role) -> tuple[UserRow, str]:
 
 
 def ensure_admin(session: Session) -> UserRow:
-    """The first admin, made when there is none."""
+    """The first admin, created if there is none."""
     found = accounts.first_with_role(session, Role.ADMIN.value)
     if found is not None:
         return found
@@ -107,10 +107,10 @@ def new_bearer(session: Session, user_id: str) -> str:
 
 
 def authenticate(session: Session, token: str) -> User:
-    """Whose bearer or session token this is.
+    """The user with this bearer or session token.
 
     Raises:
-        Unauthenticated: if it is nobody's, or has expired.
+        Unauthenticated: if the token is unknown or has expired.
     """
     user = accounts.user_of_token(session, hash_of(token), utc_now())
     if user is None:
@@ -119,7 +119,7 @@ def authenticate(session: Session, token: str) -> User:
 
 
 def make_link(session: Session, user_id: str, minutes: float) -> str:
-    """A token that signs one browser in, once, for so many minutes from now.
+    """A token that signs one browser in, once, and expires after `minutes`.
 
     Raises:
         UserNotFound: if there is no such user.
@@ -129,10 +129,10 @@ def make_link(session: Session, user_id: str, minutes: float) -> str:
 
 
 def redeem_link(session: Session, token: str, session_days: float) -> tuple[UserRow, str]:
-    """Uses up a sign-in link; returns the user and the token of their new browser session.
+    """Redeems a sign-in link; returns the user and the token of a new browser session.
 
     Raises:
-        Unauthenticated: if the link was used, has expired, or never was one.
+        Unauthenticated: if the link is unknown, was used, or has expired.
     """
     now = utc_now()
     accounts.delete_expired(session, now - timedelta(days=1))
@@ -147,7 +147,7 @@ def redeem_link(session: Session, token: str, session_days: float) -> tuple[User
 
 
 def sign_out(session: Session, token: str) -> None:
-    """Makes a token worthless."""
+    """Deletes a token, so that it is no longer valid."""
     accounts.delete_token(session, hash_of(token))
 
 

@@ -1,4 +1,4 @@
-"""Policy checkpoints: where training goes on after a crash."""
+"""Policy checkpoints, from which training resumes after a crash."""
 
 from sqlalchemy.orm import Session
 
@@ -12,7 +12,7 @@ KEPT = 3
 def save(  # noqa: PLR0917 (a row's fields in their order)
     session: Session, experiment_id: str, steps: int, iteration: int, blob_key: str, reward_version_id: str | None
 ) -> PolicyCheckpointRow:
-    """Names a checkpoint whose blob is stored. Give each blob a key of its own: a stored key keeps its first bytes."""
+    """Records a checkpoint whose blob is stored. Use a new key for each blob: a key keeps the first bytes stored."""
     row = PolicyCheckpointRow(
         id=new_id("chk"),
         experiment_id=experiment_id,
@@ -32,9 +32,10 @@ def newest(session: Session, experiment_id: str) -> PolicyCheckpointRow | None:
 
 
 def prune(session: Session, experiment_id: str, keep: int = KEPT) -> list[str]:
-    """Forgets all but the newest checkpoints; returns the keys of their blobs.
+    """Deletes the rows of all but the newest checkpoints; returns the keys of their blobs.
 
-    Delete those blobs after the transaction is committed: a crash then leaves an orphan blob, never a row without one.
+    Delete the blobs after the transaction is committed: a crash may then leave an orphan blob, but no row without its
+    blob.
     """
     kept = [row.id for row in rewards.checkpoints(session, experiment_id, keep)]
     return rewards.delete_checkpoints_but(session, experiment_id, kept)

@@ -1,4 +1,4 @@
-"""The clips that queries wait for: handed to render workers one at a time, under a lease."""
+"""Clips to render: render workers claim them one at a time, under a lease."""
 
 from dataclasses import dataclass
 
@@ -15,22 +15,22 @@ MAX_ATTEMPTS = 3
 
 @dataclass(frozen=True, slots=True)
 class ClipJob:
-    """A clip to make."""
+    """A clip to render."""
 
     clip_id: str
     experiment_id: str
     segment_id: str
-    #: task name, by which the model to draw is found
+    #: name of the task, which determines the model to draw
     task: str
     #: blob of the segment's arrays
     segment_blob_key: str
-    #: 1 for the first try
+    #: 1 at the first attempt
     attempts: int
 
 
 @dataclass(frozen=True, slots=True)
 class MadeClip:
-    """A clip whose video is in the blobs."""
+    """A clip whose video is stored."""
 
     #: hash of states, model, camera and render settings
     cache_key: str
@@ -43,9 +43,9 @@ class MadeClip:
 
 
 def claim_pending(session: Session, holder: str, lease_seconds: float) -> ClipJob | None:
-    """The clip whose query is offered soonest, and that nobody is making; None when there is none.
+    """Claims the pending clip whose query comes first; None if there is none.
 
-    A clip whose makers died with it so often that there is no attempt left is given up, and the next one returned.
+    A clip whose workers ended unexpectedly MAX_ATTEMPTS times is marked as failed, and the next one is tried.
     """
     now, until = now_and_end(lease_seconds)
     while (found := clips.lock_pending(session, now)) is not None:
@@ -56,15 +56,15 @@ def claim_pending(session: Session, holder: str, lease_seconds: float) -> ClipJo
             row.claimed_until = until
             session.flush()
             return ClipJob(row.id, row.experiment_id, row.segment_id, found.task, found.segment_blob_key, row.attempts)
-        _give_up(session, row, row.detail or f"{MAX_ATTEMPTS} workers ended while making it.")
+        _give_up(session, row, row.detail or f"{MAX_ATTEMPTS} workers ended while rendering it.")
         session.flush()
     return None
 
 
 def finish(session: Session, clip_id: str, made: MadeClip) -> None:
-    """The clip is there: queries that have both clips now are open.
+    """Marks a clip as ready and opens the queries that now have both clips.
 
-    Accepted from a worker whose lease was over, too: a clip is a clip, and the same from every worker.
+    Also accepted from a worker whose lease has expired: every worker renders the same clip.
 
     Raises:
         ClipNotFound: if there is no such clip.
@@ -88,7 +88,7 @@ def finish(session: Session, clip_id: str, made: MadeClip) -> None:
 
 
 def fail(session: Session, clip_id: str, detail: str, retry: bool) -> None:
-    """The clip could not be made. It is tried again if `retry` and an attempt is left; else its queries fail.
+    """Records a failure. The clip is tried again if `retry` and an attempt is left; else its queries fail too.
 
     Raises:
         ClipNotFound: if there is no such clip.
@@ -104,7 +104,7 @@ def fail(session: Session, clip_id: str, detail: str, retry: bool) -> None:
 
 
 def heartbeat(session: Session, clip_id: str, holder: str, lease_seconds: float) -> bool:
-    """Keeps a claim. Returns False if it is another's by now."""
+    """Renews a claim. Returns False if another worker holds it."""
     row = _locked(session, clip_id)
     if row.status != ClipStatus.PENDING or row.claimed_by != holder:
         return False
@@ -113,7 +113,7 @@ def heartbeat(session: Session, clip_id: str, holder: str, lease_seconds: float)
 
 
 def release(session: Session, clip_id: str, holder: str) -> None:
-    """Gives a claim back unused, at a worker's end: the attempt does not count."""
+    """Releases a claim when the worker ends; the attempt does not count."""
     row = _locked(session, clip_id)
     if row.status == ClipStatus.PENDING and row.claimed_by == holder:
         row.claimed_by = row.claimed_until = None
@@ -121,10 +121,10 @@ def release(session: Session, clip_id: str, holder: str) -> None:
 
 
 def get(session: Session, clip_id: str) -> ClipRow:
-    """A clip that can be played.
+    """A clip that is ready to play.
 
     Raises:
-        ClipNotFound: if there is no such clip, or it is not made yet.
+        ClipNotFound: if there is no such clip, or it is not rendered yet.
     """
     row = clips.get(session, clip_id)
     if row is None or row.status != ClipStatus.READY:

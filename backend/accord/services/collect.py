@@ -1,4 +1,4 @@
-"""Takes in what the policy did: arrays to a blob first, then a row that names it."""
+"""Segments of the policy's rollouts: their arrays are stored as a blob first, then a row refers to it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,13 +32,13 @@ class NewSegment:
     qpos: NDArray[np.floating]
     qvel: NDArray[np.floating]
     policy_iteration: int
-    #: environment steps of the policy that made it
+    #: environment steps of the policy that produced it
     policy_steps: int
 
 
 @dataclass(frozen=True, slots=True)
 class StoredSegment:
-    """A segment whose arrays are in the blobs, and which has no row yet."""
+    """A segment whose arrays are stored, but which has no row yet."""
 
     id: str
     blob_key: str
@@ -53,7 +53,7 @@ def store_arrays(blobs: BlobStore, experiment_id: str, segment: NewSegment) -> S
     """Writes the arrays. Call it before the transaction that calls `collect`.
 
     Raises:
-        Invalid: if the arrays disagree in T or hold a number that is not finite.
+        Invalid: if the arrays disagree in T or contain a value that is not finite.
         BlobsNotWritable: if the blobs are read-only or full.
     """
     arrays = {
@@ -66,9 +66,9 @@ def store_arrays(blobs: BlobStore, experiment_id: str, segment: NewSegment) -> S
     length = len(arrays["rewards"])
     for name, array in arrays.items():
         if len(array) != length:
-            raise Invalid(f"{name} has {len(array)} steps and rewards {length}; a segment's arrays have the same.")
+            raise Invalid(f"{name} has {len(array)} steps and rewards {length}; they must be equal.", name)
         if not np.isfinite(array).all():
-            raise Invalid(f"{name} holds a number that is not finite; such a segment cannot be shown or learned from.")
+            raise Invalid(f"{name} contains a value that is not finite.", name)
     segment_id = new_id("seg")
     key = f"segments/{experiment_id}/{segment_id}.safetensors"
     blobs.put(key, save(arrays))
@@ -102,7 +102,7 @@ def collect(session: Session, experiment_id: str, stored: Sequence[StoredSegment
 
 
 def blob_key(session: Session, segment_id: str) -> str:
-    """Where a segment's arrays are.
+    """Key of the blob with a segment's arrays.
 
     Raises:
         SegmentNotFound: if there is no such segment.
@@ -114,7 +114,7 @@ def blob_key(session: Session, segment_id: str) -> str:
 
 
 def drawn_blob_key(segment_blob_key: str) -> str:
-    """Where the clip is that a task drew of itself while the segment was played."""
+    """Key of the clip that a task rendered itself while the segment was collected."""
     return segment_blob_key.removesuffix(".safetensors") + ".mp4"
 
 
@@ -122,6 +122,6 @@ def load_arrays(blobs: BlobStore, blob_key: str) -> dict[str, NDArray[np.floatin
     """A segment's arrays by name: observations, actions, rewards, qpos, qvel (see SegmentRow).
 
     Raises:
-        BlobMissing: if the blob is gone.
+        BlobMissing: if the blob does not exist.
     """
     return load(blobs.read(blob_key))

@@ -1,4 +1,4 @@
-"""Experiments: made, looked at, paused, resumed, cancelled; and what the policy worker says of them."""
+"""The life of an experiment: create, read, pause, resume and cancel it; progress that the policy worker reports."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,17 +21,17 @@ _COUNTED = (QueryStatus.OPEN.value, QueryStatus.RENDERING.value)
 
 @dataclass(frozen=True, slots=True)
 class LabelCounts:
-    """How far the labelling of an experiment is."""
+    """Progress of an experiment's labelling."""
 
     budget: int
-    #: labels that count: 1, 0 or 0.5
+    #: labels 1, 0 or 0.5; no skips
     labels: int
     skips: int
-    #: labels the schedule asks for by now
+    #: labels the schedule asks for at the policy's current step
     due: int
-    #: queries ready to be labelled
+    #: queries ready to label
     open_queries: int
-    #: queries that wait for their clips
+    #: queries whose clips are not rendered yet
     rendering_queries: int
 
 
@@ -40,17 +40,17 @@ class ExperimentPage:
     """Some experiments, newest first."""
 
     rows: list[ExperimentRow]
-    #: give it back to get the next ones; None at the end
+    #: pass it to get the next page; None at the end
     next_cursor: str | None
 
 
 def create(
     session: Session, owner_id: str, name: str, config: ExperimentConfig, instructions: str | None
 ) -> ExperimentRow:
-    """Starts an experiment: a policy worker takes it up.
+    """Creates an experiment, which a policy worker then claims.
 
     Args:
-        instructions: what labellers are told; the task's own when None or empty.
+        instructions: shown to labellers; the task's own if None or empty.
 
     Raises:
         UnknownTask: if no task has this name.
@@ -69,10 +69,10 @@ def create(
             f"episode of {config.task}.",
             "segment_steps",
         )
-    told = check_lines(instructions or "", "instructions", 4000) or spec.instructions
+    shown = check_lines(instructions or "", "instructions", 4000) or spec.instructions
     if experiments.by_name(session, line) is not None:
         raise NameTaken(f"An experiment named {line!r} exists already. Choose another name.")
-    row = ExperimentRow(id=new_id("exp"), name=line, config=config.to_dict(), instructions=told, owner_id=owner_id)
+    row = ExperimentRow(id=new_id("exp"), name=line, config=config.to_dict(), instructions=shown, owner_id=owner_id)
     session.add(row)
     session.flush()
     return row
@@ -92,14 +92,14 @@ def config_of(row: ExperimentRow) -> ExperimentConfig:
 
 
 def list_page(session: Session, limit: int, cursor: str | None) -> ExperimentPage:
-    """At most `limit` experiments, newest first, after those that the cursor stands for."""
+    """At most `limit` experiments, newest first, from `cursor` on."""
     rows = experiments.newest(session, limit + 1, cursor)
     more = len(rows) > limit
     return ExperimentPage(rows[:limit], rows[limit - 1].id if more else None)
 
 
 def running(session: Session) -> list[ExperimentRow]:
-    """Experiments that workers should work on, oldest first."""
+    """Running experiments, oldest first."""
     return experiments.with_status(session, ExperimentStatus.RUNNING.value)
 
 
@@ -131,25 +131,25 @@ def reward_numbers(session: Session, rows: Sequence[ExperimentRow]) -> dict[str,
 
 
 def labels_due(row: ExperimentRow) -> int:
-    """Labels the schedule asks for at the policy's present step; none where the true reward teaches it."""
+    """Labels due at the policy's current step; 0 if the policy learns from the true reward."""
     config = config_of(row)
     return config.schedule.due(row.steps) if config.reward_source == "preferences" else 0
 
 
 def pause(session: Session, experiment_id: str) -> ExperimentRow:
-    """Workers stop after the step they are in. Raises ExperimentNotFound, ExperimentNotActive."""
+    """Pauses it; workers stop after their current step. Raises ExperimentNotFound, ExperimentNotActive."""
     return _change(session, experiment_id, ExperimentStatus.PAUSED, (ExperimentStatus.RUNNING,))
 
 
 def resume(session: Session, experiment_id: str) -> ExperimentRow:
-    """Goes on from the newest checkpoint, also after a failure. Raises ExperimentNotFound, ExperimentNotActive."""
+    """Resumes it from the newest checkpoint, also after a failure. Raises ExperimentNotFound, ExperimentNotActive."""
     row = _change(session, experiment_id, ExperimentStatus.RUNNING, (ExperimentStatus.PAUSED, ExperimentStatus.FAILED))
     row.ended_at = None
     return row
 
 
 def cancel(session: Session, experiment_id: str) -> ExperimentRow:
-    """Ends it for good; its labels stay. Raises ExperimentNotFound, ExperimentNotActive."""
+    """Ends it for good and keeps its labels. Raises ExperimentNotFound, ExperimentNotActive."""
     row = _change(
         session, experiment_id, ExperimentStatus.CANCELLED, (ExperimentStatus.RUNNING, ExperimentStatus.PAUSED)
     )
@@ -158,7 +158,7 @@ def cancel(session: Session, experiment_id: str) -> ExperimentRow:
 
 
 def report(session: Session, experiment_id: str, *, phase: Phase, detail: str = "", steps: int | None = None) -> bool:
-    """What the policy worker is doing. Returns False, and changes nothing, unless the experiment is running."""
+    """Stores the policy worker's progress. Returns False, and changes nothing, unless the experiment is running."""
     row = _locked(session, experiment_id)
     if row.status != ExperimentStatus.RUNNING:
         return False
@@ -170,17 +170,17 @@ def report(session: Session, experiment_id: str, *, phase: Phase, detail: str = 
 
 
 def finish(session: Session, experiment_id: str) -> bool:
-    """The policy has had all its steps. Returns False, and changes nothing, unless the experiment is running."""
+    """Marks it as finished. Returns False, and changes nothing, unless the experiment is running."""
     return _end(session, experiment_id, ExperimentStatus.FINISHED, "")
 
 
 def fail(session: Session, experiment_id: str, reason: str) -> bool:
-    """It cannot go on. Returns False, and changes nothing, unless the experiment is running."""
+    """Marks it as failed. Returns False, and changes nothing, unless the experiment is running."""
     return _end(session, experiment_id, ExperimentStatus.FAILED, reason)
 
 
 def require_not_over(experiment_id: str, status: str) -> None:
-    """Raises ExperimentNotActive for an experiment that ended: its labels are settled."""
+    """Raises ExperimentNotActive if the experiment has ended, after which its labels are final."""
     if status in _OVER:
         raise ExperimentNotActive(experiment_id, status, "running or paused")
 

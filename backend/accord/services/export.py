@@ -1,7 +1,7 @@
-"""An experiment as Parquet tables that others can read: segments with their arrays, queries, labels.
+"""Export of an experiment as Parquet tables: segments with their arrays, queries and labels.
 
-The rows are read in one short transaction that only reads; the arrays after it, from blobs that never change. A
-service that runs meanwhile waits for nothing, and the export is of one moment.
+One read-only transaction reads the rows; the arrays are read after it, from blobs that never change. The export is
+consistent, and does not block a running service.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -28,18 +28,18 @@ from mapt.preferences.formats.tables import LabelRow, QueryRow, SegmentRow, Tabl
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """The rows of an experiment, as of one moment."""
+    """The rows of an experiment at one point in time."""
 
-    #: what the tables say of their source
+    #: metadata of the tables
     about: dict[str, Any]
     segments: list[ExportedSegment]
     queries: list[ExportedQuery]
-    #: the newest word of each teacher on each query, skips included
+    #: the newest label or skip of each teacher on each query
     labels: list[ExportedLabel]
 
 
 def contents(session: Session, experiment_id: str) -> Contents:
-    """Everything an export says, without the arrays. A session that only reads is enough.
+    """Everything an export contains but the arrays. A read-only session is enough.
 
     Raises:
         ExperimentNotFound: if there is no such experiment.
@@ -54,31 +54,33 @@ def contents(session: Session, experiment_id: str) -> Contents:
         exports.labels(session, experiment_id),
     )
     if not found.segments:
-        raise Invalid(f"Experiment {experiment_id!r} has no segments yet. Export it when its policy has taken steps.")
+        raise Invalid(
+            f"Experiment {experiment_id!r} has no segments yet. Export it after its policy has collected some."
+        )
     return found
 
 
 def write(
     blobs: BlobStore, found: Contents, folder: Path, on_segments: Callable[[int], None] = lambda _count: None
 ) -> None:
-    """Write the tables into a new folder, in the memory of one row group and of the rows.
+    """Writes the tables into a new folder; holds the rows and one row group of arrays in memory.
 
     Args:
         on_segments: called with the number of segments written so far.
 
     Raises:
-        Invalid: if there is something at `folder`, or the segments are not alike. Nothing is left then.
-        BlobMissing: if a segment's arrays are gone. Nothing is left then.
+        Invalid: if `folder` exists, or the segments differ in their dimensions. Nothing is left behind.
+        BlobMissing: if a segment's arrays are missing. Nothing is left behind.
         Unavailable: if the folder cannot be written, or is full.
     """
     try:
         _write(blobs, found, folder, on_segments)
     except AlreadyExists as error:
-        raise Invalid(f"{folder} is there already. Choose another folder with --output.") from error
+        raise Invalid(f"{folder} exists already. Choose another folder with --output.") from error
     except PreferenceError as error:
-        raise Invalid(f"The segments of the experiment do not fit together: {error}.") from error
+        raise Invalid(f"The segments of the experiment differ in their dimensions: {error}.") from error
     except OSError as error:
-        raise Unavailable(f"Nothing can be written to {folder}: {error.strerror}. Choose another folder.") from error
+        raise Unavailable(f"{folder} cannot be written: {error.strerror}. Choose another folder.") from error
 
 
 def _write(blobs: BlobStore, found: Contents, folder: Path, on_segments: Callable[[int], None]) -> None:

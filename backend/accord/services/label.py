@@ -1,7 +1,8 @@
-"""Labels: written once, changed by their author alone, undone, and never forgotten.
+"""Writing, changing and undoing labels.
 
-Every change is one more revision of the experiment. The revision, the label, its history and the experiment's count of
-labels change in one transaction, so that the reward worker's watermark misses none.
+Only its author may change a label, and its history is kept. Each change takes the experiment's next label revision. The
+revision, the label, its history and the experiment's number of labels change in one transaction, so that the reward
+worker, which reads up to a revision, misses no label.
 """
 
 from dataclasses import dataclass, replace
@@ -34,10 +35,10 @@ _GIVEN = frozenset({"label", "skip"})
 
 @dataclass(frozen=True, slots=True)
 class LabelOutcome:
-    """What became of a label that was sent."""
+    """Result of `put_label`."""
 
     row: StoredLabel
-    #: False when the very same label was there already
+    #: False if the same label was stored already
     created: bool
 
 
@@ -52,21 +53,23 @@ def put_label(
     teacher: dict[str, Any] | None = None,
     experiment_id: str | None = None,
 ) -> LabelOutcome:
-    """Writes a user's label on a query, or changes it; the same label again changes nothing.
+    """Writes or changes a user's label on a query; sending the same label again changes nothing.
 
-    A label closes the query. A skip leaves it open for others, and the user is not asked again.
+    A label closes the query. A skip leaves it open for other users; this user does not get it again.
 
     Args:
         value: 1, 0 or 0.5; None skips.
-        order: `segments`: 1 prefers segment 0. `shown`: 1 prefers the left clip; the side that was drawn is undone.
+        order: `segments`: 1 prefers segment 0. `shown`: 1 prefers the left clip, and is converted to segment order.
         experiment_id: when given, the query must be of this experiment.
 
     Raises:
-        InvalidLabel: for any other value. Invalid: if `teacher` is long or no JSON.
+        InvalidLabel: for any other value.
+        Invalid: if `teacher` is too long or not JSON.
         QueryNotFound: if there is no such query (in this experiment).
         ExperimentNotActive: if the experiment is over.
-        QueryClosed: if another has labelled it. LabelConflict: if it cannot be labelled yet, or never will.
-        LeaseLost: if another holds it, or a labeller never did, or `shown` was never shown.
+        QueryClosed: if another user has labelled it.
+        LabelConflict: if its clips are not ready, or could not be rendered.
+        LeaseLost: if another user holds it; if a labeller never held it; or if `shown` is sent for a query never shown.
     """
     if value is not None and value not in LABEL_VALUES:
         raise InvalidLabel(value)
@@ -92,13 +95,13 @@ def put_label(
 
 
 def undo(session: Session, user: Caller, query_id: str, lease_seconds: float = 60.0) -> StoredLabel:
-    """Takes a user's label or skip back: the query is open again, and leased to the user.
+    """Undoes a user's label or skip; the query is open again, and leased to the user.
 
     Raises:
         QueryNotFound: if there is no such query.
         LabelNotFound: if the user has no label on it.
         ExperimentNotActive: if the experiment is over.
-        QueryClosed, LeaseLost: if, after a skip, another has labelled it or holds it.
+        QueryClosed, LeaseLost: if, after a skip, another user has labelled it or holds it.
     """
     found = _locked(session, user, query_id, None)
     if found.response is None or found.response.state not in _GIVEN:
@@ -118,19 +121,17 @@ def _locked(session: Session, user: Caller, query_id: str, experiment_id: str | 
 
 
 def _require_labellable(user: Caller, found: LockedQuery) -> None:
-    """Raises unless this user may say something new about this query now."""
+    """Raises unless this user may label this query now."""
     require_not_over(found.experiment_id, found.experiment_status)
     previous_state = None if found.response is None else found.response.state
     if previous_state == "label":
-        return  # the query is closed by this very label; its author may think again
+        return  # this label closed the query; its author may change it
     if found.status == QueryStatus.CLOSED:
         raise QueryClosed(found.query_id)
     if found.status != QueryStatus.OPEN:
-        raise LabelConflict(
-            f"Query {found.query_id!r} has no clips to look at ({found.status}). Ask for the next query."
-        )
+        raise LabelConflict(f"Query {found.query_id!r} has no clips ({found.status}). Ask for the next query.")
     if found.leased_by == user.id:
-        # Also when the lease is over: nobody has taken it since, so nobody is asked twice.
+        # An expired lease that no other user has taken is still valid.
         return
     now, _ = now_and_end(0.0)
     if found.leased_until is not None and found.leased_until > now:
@@ -140,7 +141,7 @@ def _require_labellable(user: Caller, found: LockedQuery) -> None:
 
 
 def _write(session: Session, user: Caller, found: LockedQuery, response: Response) -> StoredLabel:
-    """The label, its history and the counters, all at once."""
+    """Writes the label, its history and the counters."""
     before = found.response is not None and found.response.state == "label"
     revision = labels.advance_revision(session, found.experiment_id, (response.state == "label") - before)
     label = _stored(found, user, found.label_id or new_id("lbl"), revision, response)

@@ -37,19 +37,19 @@ class LeasedQuery:
 
 @dataclass(frozen=True, slots=True)
 class Leased:
-    """What a user gets to label."""
+    """Queries leased to a user by one request."""
 
     #: name of the experiment's task
     task: str
     items: list[LeasedQuery]
-    #: why there are fewer than asked for; empty when there are not
+    #: why there are fewer than requested; empty if there are not
     reason: Reason
 
 
 def next_queries(session: Session, user: Caller, experiment_id: str, count: int, lease_seconds: float) -> Leased:
-    """Up to `count` queries for a user, leased from now on: first those the user holds, then free ones, by number.
+    """Leases up to `count` queries to a user: first those the user holds already, then free ones, by number.
 
-    A query comes back with the sides it was first shown with, so that a reload of the page changes nothing.
+    A query keeps the sides it was first shown with, so that reloading the page changes nothing.
 
     Raises:
         ExperimentNotFound: if there is no such experiment.
@@ -73,17 +73,17 @@ def next_queries(session: Session, user: Caller, experiment_id: str, count: int,
 
 
 def leased_query(session: Session, user: Caller, query_id: str) -> LeasedQuery:
-    """One query as its user sees it."""
+    """A leased query with the sides its user sees."""
     return _with_sides(session, user.id, [query_id])[0]
 
 
 def heartbeat(session: Session, user: Caller, query_id: str, lease_seconds: float) -> None:
-    """Keeps a lease for as long again.
+    """Renews a lease.
 
     Raises:
         QueryNotFound: if there is no such query.
-        QueryClosed: if it has its labels.
-        LeaseLost: if it is another's by now, or was never this user's.
+        QueryClosed: if it is labelled already.
+        LeaseLost: if another user holds it, or this user never did.
     """
     _, until = now_and_end(lease_seconds)
     found = queries.lock(session, query_id, user.id)
@@ -91,14 +91,14 @@ def heartbeat(session: Session, user: Caller, query_id: str, lease_seconds: floa
         raise QueryNotFound(query_id)
     if found.status == QueryStatus.CLOSED:
         raise QueryClosed(query_id)
-    # An expired lease that nobody has taken since is still good: a laptop that slept must not lose its pair.
+    # An expired lease that no other user has taken is still valid: a laptop that slept must not lose its pair.
     if found.leased_by != user.id:
         raise LeaseLost(query_id)
     queries.set_lease(session, query_id, found.status, user.id, until)
 
 
 def release(session: Session, user: Caller, query_id: str) -> None:
-    """Gives a lease back; nothing happens where the user holds none.
+    """Ends a lease; does nothing if the user holds none.
 
     Raises:
         QueryNotFound: if there is no such query.
@@ -112,7 +112,7 @@ def release(session: Session, user: Caller, query_id: str) -> None:
 
 def _with_sides(session: Session, user_id: str, ids: Sequence[str]) -> list[LeasedQuery]:
     rows = queries.with_sides(session, ids, user_id)
-    # System randomness, not a seeded stream: nobody, the labeller included, can foretell a side.
+    # From the system, not from a seed: nobody can predict a side.
     drawn = {row.query_id: secrets.randbelow(2) for row in rows if row.left_segment is None}
     if drawn:
         now, _ = now_and_end(0.0)
@@ -145,6 +145,6 @@ def _waiting_reason(session: Session, experiment_id: str) -> Reason:
 
 
 def now_and_end(lease_seconds: float) -> tuple[datetime, datetime]:
-    """This moment, and the moment at which a lease taken now is over."""
+    """The current time, and the time at which a lease that begins now expires."""
     now = utc_now()
     return now, now + timedelta(seconds=lease_seconds)

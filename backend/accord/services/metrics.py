@@ -1,4 +1,4 @@
-"""Curves of an experiment."""
+"""Metrics of an experiment over the policy's steps."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,12 +12,12 @@ from accord.services.experiments import config_of
 from accord.store import experiments, metrics
 from accord.store.tables import ExperimentRow, MetricRow
 
-#: what labellers never get; neither do they get anything that begins with `true_`
+#: hidden from labellers, as is every name that begins with `true_`
 TRUE_SERIES = frozenset({"true_return"})
 _TRUE_PREFIX = "true_"
-#: what these would tell of the true reward where it is the policy's reward
+#: hidden from labellers where the policy learns from the true reward, which these would reveal
 _TRUE_WHEN_TAUGHT_BY_IT = frozenset({"learned_return", "value_loss"})
-#: what a labeller may know of a reward version; rank correlation, for one, is computed from true returns
+#: metrics of a reward version that labellers may see; rank correlation, for example, reveals true returns
 _OPEN_VERSION_METRICS = frozenset({"loss", "accuracy", "holdout_loss", "holdout_accuracy", "ece", "seconds", "epochs"})
 
 
@@ -36,17 +36,17 @@ def record(
     values: Mapping[str, float],
     reward_version_id: str | None = None,
 ) -> None:
-    """Writes one point on each named curve, in place of one at the same step; leaves out what is not finite."""
+    """Writes one point of each curve, replacing one at the same step; skips values that are not finite."""
     finite = {name: float(value) for name, value in values.items() if math.isfinite(value)}
     if not finite:
         return
-    # In Postgres, ids of two writers could be committed out of order, and a live page would miss the lower one.
+    # Without the lock, Postgres could commit the ids of two writers out of order, and live events would miss one.
     experiments.lock(session, experiment_id)
     metrics.replace(session, experiment_id, step, finite, reward_version_id)
 
 
 def series(session: Session, experiment_id: str, names: Sequence[str] | None = None, after_id: int = 0) -> list[Series]:
-    """Curves by name, each by step; with `after_id`, only points written after the one with this id."""
+    """Curves sorted by name and step; only points written after the one with id `after_id`."""
     curves: dict[str, list[MetricRow]] = {}
     for point in metrics.points(session, experiment_id, names, after_id):
         curves.setdefault(point.name, []).append(point)
@@ -54,7 +54,7 @@ def series(session: Session, experiment_id: str, names: Sequence[str] | None = N
 
 
 def visible(found: Sequence[Series], experiment: ExperimentRow, role: Role) -> list[Series]:
-    """Those curves that a role may see."""
+    """The curves that a role may see."""
     if may_see_returns(role):
         return list(found)
     taught_by_truth = config_of(experiment).reward_source == "true"
@@ -68,7 +68,7 @@ def visible(found: Sequence[Series], experiment: ExperimentRow, role: Role) -> l
 
 
 def visible_version_metrics(found: Mapping[str, object], role: Role) -> dict[str, object]:
-    """Those metrics of a reward version that a role may see."""
+    """The metrics of a reward version that a role may see."""
     if may_see_returns(role):
         return dict(found)
     return {name: value for name, value in found.items() if name in _OPEN_VERSION_METRICS}

@@ -1,4 +1,4 @@
-"""Reward versions: what they are trained on, and their publication. A version never changes; the next is a new row."""
+"""Versions of the reward model: the labels they are trained on, and their publication. A version never changes."""
 
 import math
 from collections.abc import Mapping
@@ -27,26 +27,26 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class TrainingLabels:
-    """Every label that counts, as of a revision."""
+    """Every label (no skips) up to a revision."""
 
     items: list[TrainingLabel]
-    #: the experiment's label revision: every change up to this one is in `items`, none after it
+    #: the experiment's label revision; `items` has every change up to it and none after it
     watermark: int
 
 
 def new_labels(session: Session, experiment_id: str, after_revision: int) -> int:
-    """Labels that count and were written or changed after a revision; 0 for `after_revision` gives all of them."""
+    """Number of labels (no skips) written or changed after a revision; 0 counts all of them."""
     return labels.count_after(session, experiment_id, after_revision)
 
 
 def version_labels(session: Session, version: RewardVersionRow) -> list[TrainingLabel]:
-    """What a version was trained on, without the labels that were changed or undone since."""
+    """The labels a version was trained on, without those changed or undone since."""
     return labels.up_to(session, version.experiment_id, version.label_watermark)
 
 
 def training_labels(session: Session, experiment_id: str) -> TrainingLabels:
-    """Raises ExperimentNotFound."""
-    # The watermark first: a label that comes in between is above it, and belongs to the next version.
+    """All labels for the next version. Raises ExperimentNotFound."""
+    # Read the watermark first: a label written in between is above it, and belongs to the next version.
     watermark = experiment_service.get(session, experiment_id).label_revision
     return TrainingLabels(labels.up_to(session, experiment_id, watermark), watermark)
 
@@ -61,12 +61,12 @@ def publish(
     policy_steps: int,
     metrics: Mapping[str, float | None],
 ) -> RewardVersionRow:
-    """The next version of an experiment's reward model, child of the newest one. Its blob is stored before.
+    """Publishes the next version of an experiment's reward model, as child of the newest; its blob is stored already.
 
     Args:
-        label_watermark, label_count: what it was trained on, from `training_labels`.
-        policy_steps: environment steps of the policy now.
-        metrics: loss, accuracy and so on; a number that is not finite is kept as None, for which JSON has a word.
+        label_watermark, label_count: the labels it was trained on, from `training_labels`.
+        policy_steps: current environment steps of the policy.
+        metrics: loss, accuracy and so on; a number that is not finite is stored as None, since JSON has no NaN.
 
     Raises:
         ExperimentNotFound: if there is no such experiment.

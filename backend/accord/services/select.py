@@ -1,4 +1,4 @@
-"""Which pairs are asked about: how many are wanted, from what, and their rows."""
+"""Adding queries: how many are needed, which segments they may compare, and their rows."""
 
 from collections.abc import Sequence
 from math import comb
@@ -14,9 +14,9 @@ from accord.store.tables import ClipRow, ExperimentRow, QueryRow
 
 
 def queries_to_add(session: Session, row: ExperimentRow) -> int:
-    """Queries to add now, so that those due by the schedule and a few ahead of them are there.
+    """Number of queries to add now, so that those due by the schedule and `lookahead_queries` more exist.
 
-    A query that failed, or that was skipped and has no label, is replaced by another.
+    A query that failed, or was skipped and has no label, is replaced.
     """
     config = config_of(row)
     if row.status != ExperimentStatus.RUNNING or config.reward_source == "true":
@@ -25,7 +25,7 @@ def queries_to_add(session: Session, row: ExperimentRow) -> int:
 
 
 def queries_within_budget(session: Session, row: ExperimentRow) -> int:
-    """Queries that the budget still allows, now or later; as for `queries_to_add`, a lost one is replaced."""
+    """Number of queries that the label budget still allows; failed and skipped ones are replaced, as above."""
     config = config_of(row)
     if config.reward_source == "true":
         return 0
@@ -33,7 +33,7 @@ def queries_within_budget(session: Session, row: ExperimentRow) -> int:
 
 
 def exhausted(session: Session, row: ExperimentRow) -> bool:
-    """Whether no label can come before there are more segments: every pair was asked about, and answered."""
+    """Whether every pair of segments has a query and every query is answered: labels need new segments first."""
     if queries.count_unanswered(session, row.id):
         return False
     ids = set(selectable_segments(session, row.id))
@@ -47,17 +47,17 @@ def candidates(session: Session, experiment_id: str, limit: int = 2000) -> list[
 
 
 def selectable_segments(session: Session, experiment_id: str, limit: int = 2000) -> list[str]:
-    """Ids of the newest segments that a query may be about, newest first: all whose clip can be made."""
+    """Ids of the newest segments that a query may compare, newest first: all but those whose clip failed."""
     return segments.newest_with_clips(session, experiment_id, limit)
 
 
 def existing_pairs(session: Session, experiment_id: str) -> set[frozenset[str]]:
-    """Pairs of segment ids that have a query already, whichever way round."""
+    """Pairs of segment ids that have a query, in either order."""
     return queries.pairs(session, experiment_id)
 
 
 def segment_blobs(session: Session, segment_ids: Sequence[str]) -> dict[str, str]:
-    """Segment id -> blob key, for a selector that looks into the segments."""
+    """Segment id -> key of the blob with its arrays."""
     return segments.blob_keys(session, segment_ids)
 
 
@@ -71,16 +71,16 @@ def add_queries(
     """Adds a query for each pair of segment ids; returns the new queries' ids.
 
     Args:
-        selector: by what the pairs were chosen.
+        selector: name of the selector that chose the pairs.
         reward_version_id: the version whose ensemble scored them; None for pairs chosen without one.
 
-    Passed over: a pair that is there already, either way round; a segment with itself; a segment whose clip failed.
-    Where clips are made, a query waits for them; else it is open at once.
+    Skips a pair that exists already in either order, a segment paired with itself, and a segment whose clip failed. If
+    the experiment renders clips, a query waits for them; else it is open at once.
 
     Raises:
-        SegmentNotFound: if a segment is not of this experiment.
+        SegmentNotFound: if a segment does not belong to this experiment.
     """
-    # one adder at a time, so that two of them never take the same number
+    # One transaction at a time adds queries, so that no two take the same number.
     experiments.lock(session, row.id)
     wanted = sorted({segment_id for pair in pairs for segment_id in pair})
     absent = set(wanted) - segments.of_experiment(session, row.id, wanted)
@@ -118,7 +118,7 @@ def add_queries(
 def _with_clips(
     session: Session, experiment_id: str, pair: tuple[str, str], clip_of: dict[str, ClipRow]
 ) -> QueryStatus:
-    """Sees to it that both segments have a clip row; returns the state of a query that needs both."""
+    """Creates missing clip rows of both segments; returns the status of a query that needs both clips."""
     for segment_id in pair:
         if segment_id not in clip_of:
             clip_of[segment_id] = ClipRow(id=new_id("clp"), experiment_id=experiment_id, segment_id=segment_id)

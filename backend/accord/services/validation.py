@@ -1,4 +1,4 @@
-"""What a text from outside must be before it is stored."""
+"""Checks of texts that clients send."""
 
 import json
 from typing import Any
@@ -9,10 +9,11 @@ _MAX_TEACHER_CHARACTERS = 4000
 
 
 def check_line(text: str, field: str, longest: int) -> str:
-    """Returns one line of text without the spaces around it.
+    """Strips and checks one line of text.
 
     Raises:
-        Invalid: if it is empty, too long, or holds characters that cannot be shown (Postgres refuses some of them).
+        Invalid: if it is empty, too long, or contains characters that are not printable (Postgres cannot
+            store all of them).
     """
     line = text.strip()
     if not line or len(line) > longest or not line.isprintable():
@@ -21,7 +22,7 @@ def check_line(text: str, field: str, longest: int) -> str:
 
 
 def check_lines(text: str, field: str, longest: int) -> str:
-    """Returns several lines of text without the space around them.
+    """Strips and checks several lines of text, which may be empty.
 
     Raises:
         Invalid: as `check_line`, for every line.
@@ -33,10 +34,10 @@ def check_lines(text: str, field: str, longest: int) -> str:
 
 
 def check_teacher(teacher: dict[str, Any]) -> dict[str, Any]:
-    """Returns a scripted teacher's description.
+    """Checks a scripted teacher's description.
 
     Raises:
-        Invalid: if it is long, or holds a number that JSON has no word for.
+        Invalid: if it is too long, or contains NaN or infinity.
     """
     try:
         length = len(json.dumps(teacher, allow_nan=False))

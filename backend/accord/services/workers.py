@@ -16,7 +16,7 @@ def report(  # noqa: PLR0917 (a row's fields in their order)
     detail: str = "",
     restarts: int | None = None,
 ) -> None:
-    """A sign of life. Another pid than before means that the process was started anew.
+    """Records a worker's state and the time. A new pid means that the process was restarted.
 
     Args:
         worker_id: role and slot, for example policy-0.
@@ -41,17 +41,17 @@ def all(session: Session) -> list[WorkerRow]:
 
 
 def claim(session: Session, subject: str, holder: str, lease_seconds: float) -> bool:
-    """Takes a subject, for example policy:exp_..., that nobody holds, or whose holder was silent for too long."""
+    """Claims a job, for example policy:exp_...; returns False while another worker holds an unexpired claim."""
     now, until = now_and_end(lease_seconds)
     return workers.take_claim(session, subject, holder, until, now)
 
 
 def heartbeat(session: Session, subject: str, holder: str, lease_seconds: float) -> bool:
-    """Holds on to a subject. Returns False if another has it by now: stop working on it."""
+    """Renews a claim. Returns False if another worker holds it: stop working on the job."""
     _, until = now_and_end(lease_seconds)
     return workers.renew_claim(session, subject, holder, until)
 
 
 def release(session: Session, subject: str, holder: str) -> None:
-    """Gives a subject back; nothing happens where another holds it."""
+    """Releases a claim; does nothing if another worker holds it."""
     workers.drop_claim(session, subject, holder)

@@ -1,4 +1,4 @@
-"""Bytes by key: arrays, clips, checkpoints. Written once, whole or not at all, never changed."""
+"""Blob store: arrays, clips and checkpoints by key. A blob is written once, atomically, and never changes."""
 
 import errno
 import re
@@ -18,12 +18,12 @@ _PROBE = "probe"
 class BlobStore(Protocol):
     """Keys are relative paths such as segments/exp_.../seg_....safetensors.
 
-    `size`, `read` and `read_range` raise BlobMissing where there is no such blob; every method raises ValueError for
-    a key that is no plain relative path.
+    `size`, `read` and `read_range` raise BlobMissing if there is no such blob; every method raises ValueError for a key
+    that is not a plain relative path.
     """
 
     def put(self, key: str, content: bytes) -> None:
-        """Stores a blob; after it returns, the blob survives a crash. A key that is there already keeps its blob.
+        """Stores a blob durably. An existing key keeps its blob.
 
         Raises:
             BlobsNotWritable: if the store is read-only or full.
@@ -33,7 +33,7 @@ class BlobStore(Protocol):
     def read(self, key: str) -> bytes: ...
 
     def read_range(self, key: str, start: int, stop: int) -> bytes:
-        """Bytes from `start` up to, not with, `stop`; fewer where the blob ends before."""
+        """Bytes from `start` up to but not including `stop`; fewer if the blob ends before."""
         ...
 
     def size(self, key: str) -> int:
@@ -43,11 +43,11 @@ class BlobStore(Protocol):
     def exists(self, key: str) -> bool: ...
 
     def delete(self, key: str) -> None:
-        """Removes a blob that no row names any more; nothing happens where there is none."""
+        """Deletes a blob that no row refers to; does nothing if there is none."""
         ...
 
     def check_writable(self) -> None:
-        """Stores and removes a small blob.
+        """Stores and deletes a small blob.
 
         Raises:
             BlobsNotWritable: with what is wrong and what to do about it.
@@ -64,7 +64,7 @@ def open_blobs(url: str) -> BlobStore:
     try:
         filesystem, root = cast("tuple[Any, str]", url_to_fs(url))
     except (ImportError, ValueError) as error:
-        raise BlobsNotWritable(f"Blobs cannot be kept at {url!r}: {error}. Set ACCORD_BLOB_URL.") from error
+        raise BlobsNotWritable(f"Blobs cannot be stored at {url!r}: {error}. Set ACCORD_BLOB_URL.") from error
     if "file" in filesystem.protocol:
         return FolderBlobs(Path(root))
     return RemoteBlobs(filesystem, root)
@@ -185,7 +185,7 @@ class RemoteBlobs:
 
 def _checked(key: str) -> str:
     if not _KEY.fullmatch(key):
-        raise ValueError(f"{key!r} is no blob key")
+        raise ValueError(f"{key!r} is not a blob key")
     return key
 
 
@@ -196,4 +196,4 @@ def _not_writable(place: str, error: OSError) -> BlobsNotWritable:
         return BlobsNotWritable(
             f"{place} is read-only for this user. Give it write permission, or choose another folder with ACCORD_HOME."
         )
-    return BlobsNotWritable(f"Nothing can be written to {place}: {error}. Choose another folder with ACCORD_HOME.")
+    return BlobsNotWritable(f"{place} cannot be written: {error}. Choose another folder with ACCORD_HOME.")

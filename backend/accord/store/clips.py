@@ -12,7 +12,7 @@ from accord.store.tables import ClipRow, ExperimentRow, QueryRow, SegmentRow
 
 @dataclass(frozen=True, slots=True)
 class PendingClip:
-    """A clip that a query waits for."""
+    """A clip to render, for which a query waits."""
 
     row: ClipRow
     task: str
@@ -28,13 +28,13 @@ def lock(session: Session, clip_id: str) -> ClipRow | None:
 
 
 def of_segments(session: Session, segment_ids: Sequence[str]) -> dict[str, ClipRow]:
-    """Segment id -> its clip, where it has one."""
+    """Segment id -> its clip, if it has one."""
     rows = session.scalars(select(ClipRow).where(ClipRow.segment_id.in_(segment_ids)))
     return {row.segment_id: row for row in rows}
 
 
 def lock_pending(session: Session, now: datetime) -> PendingClip | None:
-    """The clip whose query is offered soonest, free to be made; others that ask meanwhile get another one."""
+    """Locks the unclaimed clip whose query has the lowest number; concurrent callers get different clips."""
     waiting = union_all(
         select(QueryRow.segment_0_id.label("segment_id"), QueryRow.number, QueryRow.experiment_id).where(
             QueryRow.status == "rendering"

@@ -1,4 +1,4 @@
-"""One database: how it is opened, how a transaction begins and ends, how its tables are brought up to date."""
+"""The database: connections, transactions and migrations."""
 
 import sqlite3
 from collections.abc import Generator
@@ -18,13 +18,13 @@ from sqlalchemy.orm import Session
 from accord.domain.errors import DatabaseFull, DatabaseTooNew, DatabaseUnreachable
 from accord.store.group_commit import CommitFailed, GroupCommit
 
-#: a writer of another process may hold SQLite's one write lock this long before we give up
+#: longest wait for SQLite's write lock, which another process may hold
 BUSY_TIMEOUT_SECONDS = 20.0
 _MEMORY = ("", ":memory:")
 
 
 class Database:
-    """A pool of connections and the two kinds of transaction. Threads may share it; processes open their own."""
+    """A pool of connections, with transactions that read or write. Threads may share it; processes must not."""
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
@@ -34,13 +34,13 @@ class Database:
 
     @classmethod
     def open(cls, url: str) -> "Database":
-        """Prepares a database; the first transaction connects.
+        """Creates the connection pool; the first transaction connects.
 
         Args:
-            url: SQLAlchemy's, for example sqlite:////home/ada/.accord/accord.db or postgresql://ada@host/accord.
+            url: a SQLAlchemy URL, for example sqlite:////home/ada/.accord/accord.db or postgresql://ada@host/accord.
 
         Raises:
-            DatabaseUnreachable: if the URL makes no sense, its driver is not installed, or its folder cannot be made.
+            DatabaseUnreachable: if the URL is not valid, its driver is not installed, or its folder cannot be created.
         """
         try:
             parsed = make_url(url)
@@ -49,7 +49,7 @@ class Database:
             return cls(create_engine(parsed, pool_size=20, max_overflow=40, pool_pre_ping=True))
         except (ArgumentError, NoSuchModuleError) as error:
             raise DatabaseUnreachable(
-                f"{url!r} is no database URL. Use sqlite:///path or postgresql://host/name."
+                f"{url!r} is not a database URL. Use sqlite:///path or postgresql://host/name."
             ) from error
         except ModuleNotFoundError as error:
             raise DatabaseUnreachable(
@@ -57,7 +57,7 @@ class Database:
             ) from error
         except OSError as error:
             raise DatabaseUnreachable(
-                f"The folder of {url!r} cannot be made: {error.strerror}. Choose another with ACCORD_HOME."
+                f"The folder of {url!r} cannot be created: {error.strerror}. Choose another with ACCORD_HOME."
             ) from error
 
     @property
@@ -87,13 +87,13 @@ class Database:
             try:
                 session.commit()
             except BaseException:
-                # Nobody knows what state the connection is in: the pool must not hand it out again.
+                # The state of the connection is unknown, so it must not go back to the pool.
                 session.invalidate()
                 raise
 
     @contextmanager
     def reading(self) -> Generator[Session]:
-        """A transaction that only reads: it never waits for a writer, nor makes one wait.
+        """A read-only transaction; it does not wait for writers, nor block them.
 
         Raises:
             DatabaseUnreachable: if the database cannot be reached.
@@ -102,10 +102,10 @@ class Database:
             yield session
 
     def migrate(self) -> None:
-        """Brings the tables to this version's state; does nothing when they are.
+        """Migrates the tables to this version; does nothing if they are up to date.
 
         Raises:
-            DatabaseTooNew: if a newer Accord has migrated it.
+            DatabaseTooNew: if a newer version of Accord has migrated it.
             DatabaseUnreachable: if it cannot be reached or written.
         """
         with self._errors_named(), self._writer.begin() as connection:
@@ -155,8 +155,8 @@ def _sqlite(url: URL) -> Engine:
 
 
 def _configure(connection: Any, _record: object) -> None:
-    # The driver's own transactions begin late and deferred, which ends in `database is locked` for a transaction that
-    # reads before it writes; with None, SQLAlchemy's begin event says how one begins.
+    # The driver's own transactions are deferred: one that reads before it writes may fail with `database is locked`.
+    # With None, `_begin` decides how a transaction begins.
     connection.isolation_level = None
     cursor = connection.cursor()
     for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
@@ -169,7 +169,7 @@ def _begin(connection: Connection) -> None:
 
 
 _SCRIPTS = Path(__file__).parent / "migrations"
-#: any number, the same in every version: it keeps two starting processes from migrating at once
+#: an arbitrary number, the same in every version; the lock keeps two processes from migrating at once
 _POSTGRES_LOCK = 7_264_001
 
 
@@ -183,7 +183,7 @@ def alembic_config(connection: Connection) -> Config:
 
 
 def upgrade(connection: Connection) -> None:
-    """Runs the migrations that are missing, within the connection's transaction.
+    """Runs the missing migrations within the connection's transaction.
 
     Raises:
         DatabaseTooNew: if the database holds a revision that this version does not know.
@@ -196,8 +196,8 @@ def upgrade(connection: Connection) -> None:
     known = {script.revision for script in scripts.walk_revisions()}
     if current is not None and current not in known:
         raise DatabaseTooNew(
-            f"The database is at revision {current!r}, which this version of Accord does not know: a newer one has "
-            "migrated it. Start that version, or choose another database with ACCORD_HOME or ACCORD_DATABASE_URL."
+            f"The database is at revision {current!r}, which this version of Accord does not know: a newer version has "
+            "migrated it. Use that version, or choose another database with ACCORD_HOME or ACCORD_DATABASE_URL."
         )
     if current != scripts.get_current_head():
         command.upgrade(settings, "head")

@@ -12,14 +12,14 @@ from accord.store.tables import ExperimentRow, LabelRow, QueryRow, RewardVersion
 
 @dataclass(frozen=True, slots=True)
 class LabellingState:
-    """What decides whether an experiment offers queries."""
+    """What decides whether an experiment has queries to label."""
 
     status: str
     label_count: int
     config: dict[str, Any]
 
 
-#: built once, bound when run: every request for the next query asks it
+#: built once, because every request for the next query runs it
 _LABELLING_STATE = select(ExperimentRow.status, ExperimentRow.label_count, ExperimentRow.config).where(
     ExperimentRow.id == bindparam("experiment")
 )
@@ -35,7 +35,7 @@ def get(session: Session, experiment_id: str) -> ExperimentRow | None:
 
 
 def lock(session: Session, experiment_id: str) -> ExperimentRow | None:
-    """The row, newly read; nobody else changes it before this transaction ends."""
+    """Reads the row again and locks it until the transaction ends."""
     return session.get(ExperimentRow, experiment_id, with_for_update=True, populate_existing=True)
 
 
@@ -44,7 +44,7 @@ def by_name(session: Session, name: str) -> ExperimentRow | None:
 
 
 def newest(session: Session, limit: int, before_id: str | None) -> list[ExperimentRow]:
-    """Newest first; identifiers sort by time of making."""
+    """Newest first; identifiers sort by time of creation."""
     statement = select(ExperimentRow).order_by(ExperimentRow.id.desc()).limit(limit)
     if before_id is not None:
         statement = statement.where(ExperimentRow.id < before_id)
@@ -58,7 +58,7 @@ def with_status(session: Session, status: str) -> list[ExperimentRow]:
 def query_counts(
     session: Session, experiment_ids: Sequence[str], statuses: Sequence[str]
 ) -> dict[tuple[str, str], int]:
-    """(experiment id, query status) -> queries."""
+    """(experiment id, query status) -> number of queries."""
     rows = session.execute(
         select(QueryRow.experiment_id, QueryRow.status, func.count())
         .where(QueryRow.experiment_id.in_(experiment_ids), QueryRow.status.in_(statuses))
@@ -68,7 +68,7 @@ def query_counts(
 
 
 def skip_counts(session: Session, experiment_ids: Sequence[str]) -> dict[str, int]:
-    """Experiment id -> labels that are skips."""
+    """Experiment id -> number of skips."""
     rows = session.execute(
         select(LabelRow.experiment_id, func.count())
         .where(LabelRow.experiment_id.in_(experiment_ids), LabelRow.state == "skip")

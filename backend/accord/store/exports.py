@@ -1,4 +1,4 @@
-"""What an export takes from an experiment's rows. Plain tuples: a large experiment has hundreds of thousands."""
+"""Rows of an export. They hold plain values, since a large experiment has hundreds of thousands of rows."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -31,7 +31,7 @@ class ExportedQuery:
 
 @dataclass(frozen=True, slots=True)
 class ExportedLabel:
-    """The newest word of one teacher on one query."""
+    """The current label or skip of one teacher on one query."""
 
     query_id: str
     user_id: str
@@ -64,7 +64,7 @@ def segments(session: Session, experiment_id: str) -> list[ExportedSegment]:
 
 
 def queries(session: Session, experiment_id: str) -> list[ExportedQuery]:
-    """In the order in which they are offered."""
+    """By number."""
     rows = session.execute(
         select(QueryRow.id, QueryRow.segment_0_id, QueryRow.segment_1_id, QueryRow.selector, QueryRow.reward_version_id)
         .where(QueryRow.experiment_id == experiment_id)
@@ -74,7 +74,7 @@ def queries(session: Session, experiment_id: str) -> list[ExportedQuery]:
 
 
 def labels(session: Session, experiment_id: str) -> list[ExportedLabel]:
-    """Labels and skips, in the order in which they were first given; what was undone is no word any more."""
+    """Labels and skips in the order in which they were first given, without those undone."""
     rows = session.execute(
         select(
             LabelRow.query_id,

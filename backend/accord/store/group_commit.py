@@ -1,10 +1,9 @@
-"""SQLite transactions that are committed together.
+"""Group commit for SQLite: concurrent transactions of one process share one commit.
 
-A commit waits for the disk, a millisecond on a good day and ten on a bad one, and SQLite has one writer at a time: one
-commit for each of 16 labellers' requests would make all of them wait for 16 turns of the disk. Here the threads of a
-process that want to write at the same moment go one after the other through one open transaction, each within a
-savepoint of its own, and the last of them commits for all. Each still waits for that commit before it goes on: what a
-block has written is on disk when the block has ended, or the block raises.
+A commit waits 1 to 10 ms for the disk, and SQLite has one writer at a time: with one commit per request, 16 labellers
+would wait for 16 commits in turn. Instead, threads that want to write at the same time take turns within one open
+transaction, each in its own savepoint, and the last one commits for all. Every thread waits for that commit: when a
+block ends, what it wrote is on disk, or the block raises.
 """
 
 import sqlite3
@@ -17,16 +16,16 @@ from sqlalchemy import Connection, Engine
 from sqlalchemy.exc import DatabaseError
 from sqlalchemy.orm import Session
 
-#: after so many the transaction is committed even if more are waiting: other processes want to write as well
+#: a group is committed at this size even if more threads wait, since other processes want to write as well
 LARGEST_GROUP = 64
 
 
 class CommitFailed(Exception):
-    """The transaction that several blocks shared failed; none of them has written anything. `__cause__` says why."""
+    """The shared transaction failed, and nothing of any of its members was written. `__cause__` says why."""
 
 
 class _Group:
-    """One open transaction and the blocks that ran in it."""
+    """One open transaction and the number of blocks that ran in it."""
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
@@ -67,7 +66,7 @@ class _Group:
         return driver.in_transaction
 
     def end(self) -> None:
-        """Commits for all members, unless the group has failed."""
+        """Commits for all members, or closes the connection if the group has failed."""
         try:
             if self.error is None:
                 self.connection.commit()
@@ -110,14 +109,14 @@ class GroupCommit:
 
     @contextmanager
     def session(self) -> Generator[Session]:
-        """A session whose writes are committed when the block has ended, or undone if it raises.
+        """A session whose writes are committed when the block ends, or rolled back if it raises.
 
         Raises:
             CommitFailed: if they could not be committed.
-            RuntimeError: if this thread is in such a block already: it would wait for itself.
+            RuntimeError: if this thread is in such a block already, which would be a deadlock.
         """
         if self._owner == threading.get_ident():
-            raise RuntimeError("this thread has a transaction open already")
+            raise RuntimeError("this thread already has an open transaction")
         group: _Group | None = None
         self._queue_up()
         try:
@@ -132,7 +131,7 @@ class GroupCommit:
                 self._owner = None
                 self._turn.release()
         finally:
-            # Also when the block raised: what made it raise may have been written by a member before it.
+            # Also if the block raised: what made it raise may have been written by an earlier member.
             if group is not None:
                 group.wait()
 

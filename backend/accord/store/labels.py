@@ -1,4 +1,4 @@
-"""Rows of labels and of their history. Who may write one is the business of `accord.services.label`."""
+"""Rows of labels and of their history. `accord.services.label` decides who may write one."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session, aliased
 from accord.store.queries import Response
 from accord.store.tables import ExperimentRow, LabelRevisionRow, LabelRow, QueryRow, SegmentRow
 
-#: as in `queries`: built once, bound when run
+#: built once, as in `queries`
 _ADVANCE = (
     update(ExperimentRow)
     .where(ExperimentRow.id == bindparam("experiment"))
@@ -26,7 +26,7 @@ _INSERT_REVISION = insert(LabelRevisionRow)
 
 @dataclass(frozen=True, slots=True)
 class StoredLabel:
-    """A teacher's newest word on a query, as it is in the database."""
+    """A teacher's current label, skip or undo on a query."""
 
     id: str
     experiment_id: str
@@ -52,10 +52,10 @@ class LabelledPair:
 
 
 def advance_revision(session: Session, experiment_id: str, label_delta: int) -> int:
-    """Takes the next label revision and moves the count of labels with it, in one statement.
+    """Increments the label revision and adds to the number of labels, in one statement.
 
-    The row stays locked until the transaction ends, so revisions are committed in their own order: a reader that has
-    seen revision n has seen every one before it.
+    The row stays locked until the transaction ends, so that revisions are committed in order: a reader that sees
+    revision n sees all before it.
     """
     return session.connection().execute(_ADVANCE, {"experiment": experiment_id, "delta": label_delta}).scalar_one()
 
@@ -82,7 +82,7 @@ def write(session: Session, label: StoredLabel, response: Response, now: datetim
 
 
 def count_after(session: Session, experiment_id: str, revision: int) -> int:
-    """Labels that count and were written or changed after a revision."""
+    """Number of labels (no skips) written or changed after a revision."""
     statement = select(func.count()).where(
         LabelRow.experiment_id == experiment_id, LabelRow.revision > revision, LabelRow.state == "label"
     )
@@ -90,7 +90,7 @@ def count_after(session: Session, experiment_id: str, revision: int) -> int:
 
 
 def up_to(session: Session, experiment_id: str, revision: int) -> list[LabelledPair]:
-    """Labels that count, with a revision up to this one, in the order in which they were first given."""
+    """Labels (no skips) up to a revision, in the order in which they were first given."""
     segment_0, segment_1 = aliased(SegmentRow), aliased(SegmentRow)
     rows = session.execute(
         select(
@@ -106,7 +106,7 @@ def up_to(session: Session, experiment_id: str, revision: int) -> list[LabelledP
         .join(segment_0, segment_0.id == QueryRow.segment_0_id)
         .join(segment_1, segment_1.id == QueryRow.segment_1_id)
         .where(LabelRow.experiment_id == experiment_id, LabelRow.revision <= revision, LabelRow.state == "label")
-        # by when each was first given: a label that comes late moves no other across the hold-out split
+        # by the time each was first given, so that a late label does not move others across the hold-out split
         .order_by(LabelRow.created_at, LabelRow.id)
     )
     return [LabelledPair(*row) for row in rows]

@@ -11,7 +11,7 @@ from accord.store.tables import MetricRow, utc_now
 def replace(
     session: Session, experiment_id: str, step: int, values: dict[str, float], reward_version_id: str | None
 ) -> None:
-    """Writes the points of one step. A point that was there is removed, so that its successor's id is a newer one."""
+    """Writes the points of one step. Existing points are deleted first, so that the new ones have higher ids."""
     session.execute(
         delete(MetricRow).where(
             MetricRow.experiment_id == experiment_id, MetricRow.step == step, MetricRow.name.in_(values)

@@ -1,7 +1,7 @@
-"""Rows of queries, and how they were shown.
+"""Rows of queries, their leases, and the sides on which they were shown.
 
-The statements that every label passes through are built once, at import, and bound to values when run: building one
-costs ten times what running it does.
+The statements used for every label are built once at import and bound to values when run, because building a statement
+takes ten times as long as running it.
 """
 
 from collections.abc import Iterable, Sequence
@@ -20,13 +20,13 @@ _CLIP_0, _CLIP_1 = aliased(ClipRow), aliased(ClipRow)
 
 @dataclass(frozen=True, slots=True)
 class QuerySegment:
-    """One segment of a query with what its clip tells."""
+    """One segment of a query with the properties of its clip."""
 
     segment_id: str
     blob_key: str
     length_steps: int
     true_return: float
-    #: None where the experiment makes no clips
+    #: None if the experiment renders no clips
     clip_id: str | None
     clip_seconds: float | None
     clip_frames: int | None
@@ -34,25 +34,25 @@ class QuerySegment:
 
 @dataclass(frozen=True, slots=True)
 class ShownQuery:
-    """A query with its two segments, and the side drawn for one user."""
+    """A query with its two segments and the sides chosen for one user."""
 
     query_id: str
     experiment_id: str
     number: int
-    #: None before it was ever shown to this user
+    #: None until it is first shown to this user
     left_segment: int | None
     segments: tuple[QuerySegment, QuerySegment]
 
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """What a teacher said of a query."""
+    """A teacher's label, skip or undo on a query."""
 
     #: P(segment 0 is preferred); None when skipped or undone
     value: float | None
     #: label | skip | undone
     state: str
-    #: the segment that was shown on the left; None for a program
+    #: the segment shown on the left; None for a program
     left_segment: int | None
     response_seconds: float | None
     teacher: dict[str, Any]
@@ -60,7 +60,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class LockedQuery:
-    """Everything that decides what a label on a query does."""
+    """A locked query with everything that decides whether a user may label it."""
 
     query_id: str
     experiment_id: str
@@ -68,9 +68,9 @@ class LockedQuery:
     status: str
     leased_by: str | None
     leased_until: datetime | None
-    #: the segment shown to the user on the left; None where it never was
+    #: the segment shown to the user on the left; None if the query was never shown to the user
     left_segment: int | None
-    #: the user's own label, and what it says; None where there is none
+    #: the user's own label and its content; None if there is none
     label_id: str | None
     label_revision: int
     response: Response | None
@@ -106,13 +106,13 @@ _LEASED = (
     .where(
         QueryRow.leased_by == bindparam("user"),
         QueryRow.experiment_id == bindparam("experiment"),
-        # Nothing is said of the status: only open queries are leased, and saying it would make SQLite walk through all
-        # open queries instead of this user's.
+        # No condition on the status: only open queries are leased, and with one SQLite would scan all open queries
+        # instead of this user's.
         QueryRow.leased_until > bindparam("now"),
     )
     .order_by(QueryRow.number)
     .limit(bindparam("limit"))
-    # an expiring lease is either still the user's when locked, or not in the list
+    # so that a lease cannot pass to another user between this statement and the update
     .with_for_update()
 )
 _FREE = (
@@ -160,7 +160,7 @@ _SHOWN = (
 
 
 def lock(session: Session, query_id: str, user_id: str) -> LockedQuery | None:
-    """A query with one user's label and side; nobody else changes it before this transaction ends."""
+    """Locks a query until the end of the transaction; returns it with one user's label and side."""
     found: Any = session.connection().execute(_LOCK, {"query": query_id, "user": user_id}).first()
     if found is None:
         return None
@@ -179,13 +179,13 @@ def lock(session: Session, query_id: str, user_id: str) -> LockedQuery | None:
 
 
 def leased_ids(session: Session, user_id: str, experiment_id: str, now: datetime, limit: int) -> list[str]:
-    """Queries that a user holds an unexpired lease on, in the order of their numbers."""
+    """Queries on which a user holds an unexpired lease, by number."""
     values = {"user": user_id, "experiment": experiment_id, "now": now, "limit": limit}
     return list(session.connection().scalars(_LEASED, values))
 
 
 def lock_free_ids(session: Session, user_id: str, experiment_id: str, now: datetime, limit: int) -> list[str]:
-    """Open queries that nobody holds and the user has not skipped, lowest number first."""
+    """Open queries without a lease that the user has not skipped, by number."""
     values = {"user": user_id, "experiment": experiment_id, "now": now, "limit": limit}
     return list(session.connection().scalars(_FREE, values))
 
@@ -198,14 +198,14 @@ def lease(session: Session, query_ids: Sequence[str], user_id: str, until: datet
 
 
 def set_lease(session: Session, query_id: str, status: str, leased_by: str | None, until: datetime | None) -> None:
-    """Sets a locked query's status and lease."""
+    """Sets the status and the lease of a locked query."""
     session.connection().execute(
         _SET, {"query": query_id, "status": status, "leased_by": leased_by, "leased_until": until}
     )
 
 
 def with_sides(session: Session, query_ids: Sequence[str], user_id: str) -> list[ShownQuery]:
-    """The queries as one user sees them, in the order of their numbers."""
+    """The queries with their segments and the sides that one user sees, by number."""
     rows: Iterable[Any] = session.connection().execute(_SHOWN, {"queries": query_ids, "user": user_id})
     return [
         ShownQuery(row[0], row[1], row[2], row[3], (QuerySegment(*row[4:11]), QuerySegment(*row[11:18])))
@@ -225,7 +225,7 @@ def add_presentations(session: Session, user_id: str, left_segments: dict[str, i
 
 
 def pairs(session: Session, experiment_id: str) -> set[frozenset[str]]:
-    """Every pair of segments that has a query, whichever way round."""
+    """Every pair of segments that has a query, in either order."""
     rows = session.execute(
         select(QueryRow.segment_0_id, QueryRow.segment_1_id).where(QueryRow.experiment_id == experiment_id)
     )
@@ -233,16 +233,17 @@ def pairs(session: Session, experiment_id: str) -> set[frozenset[str]]:
 
 
 def last_number(session: Session, experiment_id: str) -> int:
+    """The highest number of an experiment's queries; 0 if there is none."""
     return session.scalar(select(func.max(QueryRow.number)).where(QueryRow.experiment_id == experiment_id)) or 0
 
 
 def count_labellable(session: Session, experiment_id: str) -> int:
-    """Queries that have a label or may still get one: neither failed nor skipped by everybody that saw them."""
+    """Queries that are labelled or may still be: neither failed nor skipped."""
     return _count_not_skipped(session, experiment_id, ("rendering", "open", "closed"))
 
 
 def count_unanswered(session: Session, experiment_id: str) -> int:
-    """Queries that may still get their first label, skipped ones not counted."""
+    """Queries that may still get a label: not failed, labelled or skipped."""
     return _count_not_skipped(session, experiment_id, ("rendering", "open"))
 
 
@@ -260,7 +261,7 @@ def count_rendering(session: Session, experiment_id: str) -> int:
 
 
 def lock_rendering_with(session: Session, segment_id: str) -> list[QueryRow]:
-    """Queries that wait for the clip of a segment."""
+    """Locks and returns the queries that wait for the clip of a segment."""
     return list(
         session.scalars(
             select(QueryRow)

@@ -9,7 +9,7 @@ from accord.store.tables import ClipRow, SegmentRow
 
 
 def newest(session: Session, experiment_id: str, limit: int) -> list[tuple[str, int]]:
-    """(segment id, policy steps), the newest policy's first."""
+    """(segment id, policy steps), newest first."""
     rows = session.execute(
         select(SegmentRow.id, SegmentRow.policy_steps)
         .where(SegmentRow.experiment_id == experiment_id)
@@ -20,7 +20,7 @@ def newest(session: Session, experiment_id: str, limit: int) -> list[tuple[str, 
 
 
 def newest_with_clips(session: Session, experiment_id: str, limit: int) -> list[str]:
-    """Ids of segments whose clip did not fail, the newest policy's first."""
+    """Ids of segments whose clip did not fail, newest first."""
     failed = exists().where(ClipRow.segment_id == SegmentRow.id, ClipRow.status == "failed")
     return list(
         session.scalars(
@@ -33,7 +33,7 @@ def newest_with_clips(session: Session, experiment_id: str, limit: int) -> list[
 
 
 def of_experiment(session: Session, experiment_id: str, segment_ids: Sequence[str]) -> set[str]:
-    """Those of the ids that are segments of the experiment."""
+    """The subset of the ids that are segments of the experiment."""
     return set(
         session.scalars(
             select(SegmentRow.id).where(SegmentRow.experiment_id == experiment_id, SegmentRow.id.in_(segment_ids))

@@ -1,7 +1,7 @@
-"""The tables. One row is one fact; every arrow of the data's way can be followed backwards.
+"""The tables. Their columns record the whole lineage: segment, policy, reward version, labels, teachers.
 
-Identifiers are strings made by `accord.domain.ids`. Times are UTC-aware. A row that names a blob is written
-after the blob, so that a crash leaves an orphan blob and never a row without its data.
+Identifiers come from `accord.domain.ids`. Times are UTC-aware. A row that refers to a blob is written after the blob:
+a crash may leave an orphan blob, but no row without its data.
 """
 
 from datetime import UTC, datetime
@@ -14,7 +14,7 @@ from sqlalchemy.types import TypeDecorator
 
 
 class UtcDateTime(TypeDecorator[datetime]):
-    """Aware in, aware out: SQLite alone would give back a naive time."""
+    """A timezone-aware time in UTC; SQLite alone would return a naive one."""
 
     impl = DateTime(timezone=True)
     cache_ok = True
@@ -40,10 +40,10 @@ class Base(MappedAsDataclass, DeclarativeBase, kw_only=True):
     type_annotation_map = {  # noqa: RUF012 (SQLAlchemy's own name)
         datetime: UtcDateTime,
         dict[str, Any]: JSON,
-        # steps outgrow 32 bits; SQLite's INTEGER has 64, and it alone makes row ids there
+        # Step counts exceed 32 bits. SQLite's INTEGER has 64, and only INTEGER columns generate row ids there.
         int: BigInteger().with_variant(Integer, "sqlite"),
     }
-    #: constraints with names, so that a later migration can alter them in every database
+    #: named constraints, so that later migrations can alter them in every database
     metadata = MetaData(
         naming_convention={
             "ix": "ix_%(column_0_label)s",
@@ -63,7 +63,7 @@ class UserRow(Base):
 
 
 class TokenRow(Base):
-    """A bearer token, a browser session or a one-time sign-in link; only the SHA-256 of it is kept."""
+    """A bearer token, browser session or one-time sign-in link; only its SHA-256 is stored."""
 
     __tablename__ = "tokens"
     hash: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -81,18 +81,18 @@ class ExperimentRow(Base):
     name: Mapped[str] = mapped_column(String(200), unique=True)
     #: ExperimentConfig.to_dict()
     config: Mapped[dict[str, Any]]
-    #: what a labeller is told: what the team should achieve
+    #: shown to labellers: what the team should achieve
     instructions: Mapped[str]
     owner_id: Mapped[str] = mapped_column(ForeignKey("users.id"))
     status: Mapped[str] = mapped_column(String(20), default="running", index=True)
     phase: Mapped[str] = mapped_column(String(30), default="queued")
-    #: one sentence beside the phase, or the reason of a failure
+    #: one sentence about the phase, or the reason of a failure
     phase_detail: Mapped[str] = mapped_column(default="")
     #: environment steps the policy has taken
     steps: Mapped[int] = mapped_column(default=0)
-    #: goes up by one with every label written, changed or undone; a label's revision is taken from it
+    #: incremented with every label written, changed or undone
     label_revision: Mapped[int] = mapped_column(default=0)
-    #: labels that count: neither skipped nor undone
+    #: labels, without skips and undone ones
     label_count: Mapped[int] = mapped_column(default=0)
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
     ended_at: Mapped[datetime | None] = mapped_column(default=None)
@@ -105,7 +105,7 @@ class PolicyCheckpointRow(Base):
     steps: Mapped[int]
     iteration: Mapped[int]
     blob_key: Mapped[str]
-    #: the version whose rewards the last update before this checkpoint used
+    #: the reward version used in the last update before this checkpoint
     reward_version_id: Mapped[str | None] = mapped_column(ForeignKey("reward_versions.id"))
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
 
@@ -120,15 +120,15 @@ class SegmentRow(Base):
     __tablename__ = "segments"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"))
-    #: iteration and environment steps of the policy that made it
+    #: iteration and environment steps of the policy that produced it
     policy_iteration: Mapped[int]
     policy_steps: Mapped[int]
     blob_key: Mapped[str]
     #: T
     length_steps: Mapped[int]
-    #: sum of true rewards; read by teachers and researchers alone
+    #: sum of true rewards; visible to teachers, researchers and admins only
     true_return: Mapped[float]
-    #: physics that made the states: they render bit-equal under this version
+    #: physics version that produced the states; they render bit-identically under it
     mujoco_version: Mapped[str] = mapped_column(String(20))
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
     __table_args__ = (Index("ix_segments_newest", "experiment_id", "policy_steps"),)
@@ -153,7 +153,7 @@ class ClipRow(Base):
     seconds: Mapped[float] = mapped_column(default=0.0)
     width: Mapped[int] = mapped_column(default=0)
     height: Mapped[int] = mapped_column(default=0)
-    #: which render worker is making it, and until when that is believed
+    #: the render worker that holds the claim, and when the claim expires
     claimed_by: Mapped[str | None] = mapped_column(String(64), default=None)
     claimed_until: Mapped[datetime | None] = mapped_column(default=None)
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
@@ -161,19 +161,19 @@ class ClipRow(Base):
 
 
 class QueryRow(Base):
-    """Two segments to compare. One label closes it."""
+    """Two segments to compare. A label closes it."""
 
     __tablename__ = "queries"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"))
     segment_0_id: Mapped[str] = mapped_column(ForeignKey("segments.id"))
     segment_1_id: Mapped[str] = mapped_column(ForeignKey("segments.id"))
-    #: 1, 2, 3, ... within the experiment: the order in which queries are offered
+    #: 1, 2, 3, ... within the experiment; the order in which queries are labelled
     number: Mapped[int]
     status: Mapped[str] = mapped_column(String(10))
-    #: name of the selector that chose it
+    #: name of the query selector that chose it
     selector: Mapped[str] = mapped_column(String(40))
-    #: the reward version that scored it; None for one chosen without
+    #: the reward version whose ensemble scored it; None if chosen without one
     reward_version_id: Mapped[str | None] = mapped_column(ForeignKey("reward_versions.id"), default=None)
     leased_by: Mapped[str | None] = mapped_column(ForeignKey("users.id"), default=None)
     leased_until: Mapped[datetime | None] = mapped_column(default=None)
@@ -182,14 +182,14 @@ class QueryRow(Base):
         UniqueConstraint("experiment_id", "number"),
         UniqueConstraint("experiment_id", "segment_0_id", "segment_1_id"),
         Index("ix_queries_offered", "experiment_id", "status", "number"),
-        # one user's leases, read with every request for the next query
+        # a user's leases, read by every request for the next query
         Index("ix_queries_leased", "leased_by", "experiment_id", "number"),
         Index("ix_queries_segment_1", "segment_1_id"),
     )
 
 
 class PresentationRow(Base):
-    """How a query was shown to one user: drawn once, so that a reload shows the same sides."""
+    """The sides on which a query is shown to one user, chosen once, so that a reload shows the same."""
 
     __tablename__ = "presentations"
     query_id: Mapped[str] = mapped_column(ForeignKey("queries.id"), primary_key=True)
@@ -200,7 +200,7 @@ class PresentationRow(Base):
 
 
 class LabelRow(Base):
-    """The newest word of one teacher on one query. Earlier words are in label_revisions."""
+    """The current label, skip or undo of one teacher on one query. label_revisions has the earlier ones."""
 
     __tablename__ = "labels"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -211,11 +211,11 @@ class LabelRow(Base):
     value: Mapped[float | None]
     #: label | skip | undone
     state: Mapped[str] = mapped_column(String(10))
-    #: from experiments.label_revision, in the same transaction
+    #: experiments.label_revision after the transaction that wrote it
     revision: Mapped[int]
-    #: the segment shown on the left; None for a program, to which nothing was shown
+    #: the segment shown on the left; None for a program
     left_segment: Mapped[int | None] = mapped_column(default=None)
-    #: from both clips playing to the key, as the page measured it
+    #: measured by the page, from both clips playing to the answer
     response_seconds: Mapped[float | None] = mapped_column(default=None)
     #: a scripted teacher's name and parameters
     teacher: Mapped[dict[str, Any]] = mapped_column(default_factory=dict[str, Any])
@@ -228,7 +228,7 @@ class LabelRow(Base):
 
 
 class LabelRevisionRow(Base):
-    """Every word ever said, kept; never updated, never deleted."""
+    """The history of labels: rows are never updated or deleted."""
 
     __tablename__ = "label_revisions"
     experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), primary_key=True)
@@ -272,22 +272,22 @@ class MetricRow(Base):
     #: environment steps of the policy
     step: Mapped[int]
     value: Mapped[float]
-    #: the reward version in force; None before the first
+    #: the reward version in use; None before the first
     reward_version_id: Mapped[str | None] = mapped_column(ForeignKey("reward_versions.id"), default=None)
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
     __table_args__ = (
         UniqueConstraint("experiment_id", "name", "step"),
-        # a replaced point gets a new id, greater than every earlier one, by which a live page finds it
+        # a replaced point gets a new, higher id, so that live events find it
         Index("ix_metrics_newer", "experiment_id", "id"),
         {"sqlite_autoincrement": True},
     )
 
 
 class WorkerRow(Base):
-    """A worker process that lives, or did: what the page shows of it."""
+    """The state that a worker process reported last."""
 
     __tablename__ = "workers"
-    #: role and slot, for example policy-0: a restarted process takes its predecessor's row
+    #: role and slot, for example policy-0; a restarted process uses the same row
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
     role: Mapped[str] = mapped_column(String(10))
     pid: Mapped[int]
@@ -300,7 +300,7 @@ class WorkerRow(Base):
 
 
 class ClaimRow(Base):
-    """A lease on a piece of work, for example policy:exp_..., held by one worker process."""
+    """A lease on a job, for example policy:exp_..., held by one worker process."""
 
     __tablename__ = "claims"
     subject: Mapped[str] = mapped_column(String(80), primary_key=True)

@@ -18,7 +18,7 @@ def workers(session: Session) -> list[WorkerRow]:
 
 
 def take_claim(session: Session, subject: str, holder: str, until: datetime, now: datetime) -> bool:
-    """Takes a claim that is free, expired, or the holder's own; one statement, so that of two askers one gets it."""
+    """Takes a claim that is free, expired, or the holder's own; in one statement, so that only one worker gets it."""
     statement = insert(session, ClaimRow).values(subject=subject, holder=holder, expires_at=until)
     taken = session.scalar(
         statement.on_conflict_do_update(
@@ -46,7 +46,7 @@ def drop_claim(session: Session, subject: str, holder: str) -> None:
 
 
 def insert(session: Session, table: type[Base]) -> sqlite.Insert | postgresql.Insert:
-    """An INSERT that knows on_conflict_do_nothing and on_conflict_do_update."""
+    """An INSERT that supports ON CONFLICT, in the dialect of the database."""
     if session.get_bind().dialect.name == "postgresql":
         return postgresql.insert(table)
     return sqlite.insert(table)

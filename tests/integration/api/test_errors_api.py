@@ -190,7 +190,7 @@ def test_a_labeller_that_asks_for_returns(api: Served) -> None:
     refusal(api.labeller.post(path, params={"returns": True}), 403, "returns_hidden", "labellers")
 
 
-def test_what_a_role_may_not(api: Served) -> None:
+def test_what_each_role_may_not_do(api: Served) -> None:
     made = scene(api.stores.database, api.stores.blobs)
     experiment = f"/api/v1/experiments/{made.experiment.id}"
     for client in (api.labeller, api.teacher):
@@ -223,7 +223,7 @@ def test_a_body_that_cannot_be_read(api: Served, content: bytes) -> None:
 
 
 @pytest.mark.parametrize("name", ["nul\u0000", "half \ud800", "two\nlines", " "])
-def test_texts_that_no_database_takes(both_api: Served, name: str) -> None:
+def test_names_that_no_database_can_store(both_api: Served, name: str) -> None:
     content = json.dumps({"name": name, "task": "HalfCheetah-6x1"}).encode()
     response = both_api.researcher.post(
         "/api/v1/experiments", content=content, headers={"Content-Type": "application/json"}

@@ -11,7 +11,7 @@ from support.stores import Stores
 NEW = {"name": "one", "task": "HalfCheetah-6x1"}
 
 
-def test_an_experiment_is_started_looked_at_and_steered(both_api: Served) -> None:
+def test_an_experiment_is_started_read_paused_resumed_and_cancelled(both_api: Served) -> None:
     client = both_api.researcher
     chosen = {"query_selection": "disagreement", "control_share": 0.25, "ensemble_members": 5}
     settings = {
@@ -41,7 +41,7 @@ def test_everybody_signed_in_sees_experiments_and_tasks(api: Served) -> None:
         assert {task["name"] for task in client.get("/api/v1/tasks").json()} >= {"HalfCheetah-6x1", "HalfCheetah-2x3"}
 
 
-def test_a_list_takes_as_many_statements_as_one_experiment(api: Served) -> None:
+def test_listing_takes_as_many_statements_for_many_experiments_as_for_one(api: Served) -> None:
     for number in range(8):
         assert api.researcher.post("/api/v1/experiments", json=NEW | {"name": f"run {number}"}).status_code == 201
     statements: list[str] = []
@@ -55,7 +55,7 @@ def test_a_list_takes_as_many_statements_as_one_experiment(api: Served) -> None:
     assert count(1) == count(8)
 
 
-def test_pages_follow_each_other(api: Served) -> None:
+def test_pages_continue_at_the_cursor(api: Served) -> None:
     made = [api.researcher.post("/api/v1/experiments", json=NEW | {"name": f"run {n}"}).json()["id"] for n in range(5)]
     first = api.labeller.get("/api/v1/experiments", params={"limit": 3}).json()
     second = api.labeller.get("/api/v1/experiments", params={"limit": 3, "cursor": first["next_cursor"]}).json()

@@ -103,7 +103,7 @@ def test_a_port_in_use_is_said_with_what_to_do(tmp_path: Path) -> None:
 def test_an_address_that_is_not_this_machines_is_said(tmp_path: Path) -> None:
     refused = start(tmp_path, ACCORD_HOST="no.such.host.invalid")
     assert refused.returncode == 1
-    assert "no address of this machine" in refused.stderr
+    assert "does not have the address" in refused.stderr
 
 
 def test_a_database_of_a_newer_version_is_said(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from support.scenes import scene
 from support.stores import Stores
 
 
-def test_a_new_user_is_known_by_their_token_alone(both: Stores) -> None:
+def test_a_token_authenticates_its_user(both: Stores) -> None:
     with both.database.transaction() as session:
         ada, token = accounts.create_user(session, " Ada ", Role.RESEARCHER)
     with both.database.reading() as session:
@@ -35,7 +35,7 @@ def test_only_the_hash_of_a_token_is_stored(both: Stores) -> None:
     assert stored == {hashlib.sha256(each.encode()).hexdigest() for each in (token, link)}
 
 
-def test_names_are_unique_and_can_be_shown(both: Stores) -> None:
+def test_names_are_unique_and_printable(both: Stores) -> None:
     with both.database.transaction() as session:
         accounts.create_user(session, "Ada", Role.LABELLER)
         with pytest.raises(NameTaken):
@@ -60,7 +60,7 @@ def test_a_link_signs_in_once(both: Stores) -> None:
             accounts.authenticate(session, link)
 
 
-def test_of_browsers_that_open_a_link_at_once_one_is_signed_in(both: Stores) -> None:
+def test_of_browsers_that_open_a_link_concurrently_one_is_signed_in(both: Stores) -> None:
     with both.database.transaction() as session:
         ada, _ = accounts.create_user(session, "Ada", Role.LABELLER)
         link = accounts.make_link(session, ada.id, 5)
@@ -94,7 +94,7 @@ def test_links_and_sessions_expire(both: Stores) -> None:
             accounts.authenticate(session, token)
 
 
-def test_a_signed_out_token_is_worthless(both: Stores) -> None:
+def test_a_signed_out_token_is_not_valid(both: Stores) -> None:
     with both.database.transaction() as session:
         _, token = accounts.create_user(session, "Ada", Role.LABELLER)
         accounts.sign_out(session, token)
@@ -102,20 +102,20 @@ def test_a_signed_out_token_is_worthless(both: Stores) -> None:
             accounts.authenticate(session, token)
 
 
-def test_there_is_one_first_admin(both: Stores) -> None:
+def test_the_first_admin_is_created_once(both: Stores) -> None:
     with both.database.transaction() as session:
         first = accounts.ensure_admin(session)
         assert accounts.ensure_admin(session).id == first.id
         assert accounts.authenticate(session, accounts.new_bearer(session, first.id)).role == "admin"
 
 
-def test_the_first_admin_is_made_even_where_the_name_is_taken(sqlite: Stores) -> None:
+def test_the_first_admin_is_created_even_if_the_name_is_taken(sqlite: Stores) -> None:
     with sqlite.database.transaction() as session:
         accounts.create_user(session, "admin", Role.LABELLER)
         assert accounts.ensure_admin(session).role == "admin"
 
 
-def test_links_are_for_users_that_exist(both: Stores) -> None:
+def test_a_link_for_an_absent_user_is_refused(both: Stores) -> None:
     absent = new_id("usr")
     with both.database.transaction() as session:
         for make in (lambda: accounts.make_link(session, absent, 5), lambda: accounts.new_bearer(session, absent)):

@@ -30,7 +30,7 @@ def statuses(stores: Stores, query_ids: list[str]) -> list[str]:
         return [session.get(QueryRow, each).status for each in query_ids]  # type: ignore[union-attr]
 
 
-def test_clips_come_in_the_order_in_which_queries_are_offered(both: Stores) -> None:
+def test_clips_are_rendered_in_the_order_of_their_queries(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=4, queries=6, ready=False)
     jobs = [claim(both) for _ in range(4)]
     assert [job.segment_id for job in jobs if job][2:] == made.segment_ids[2:]
@@ -74,7 +74,7 @@ def test_many_workers_never_get_the_same_clip(both: Stores) -> None:
     assert len(everything) == len(set(everything)) == 12
 
 
-def test_a_claim_that_ran_out_is_anothers_to_take(both: Stores) -> None:
+def test_an_expired_claim_can_be_taken(both: Stores) -> None:
     scene(both.database, both.blobs, segments=2, queries=1, ready=False)
     first, second = claim(both, "a", lease_seconds=0.0), claim(both, "b")
     assert first
@@ -100,7 +100,7 @@ def test_a_failing_clip_is_tried_three_times_and_then_fails_its_queries(both: St
         assert (row.status, row.detail) == ("failed", "attempt 3")
 
 
-def test_a_clip_that_cannot_be_made_is_not_tried_again(both: Stores) -> None:
+def test_a_clip_that_cannot_be_rendered_is_not_retried(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=2, queries=1, ready=False)
     job = claim(both)
     assert job
@@ -111,7 +111,7 @@ def test_a_clip_that_cannot_be_made_is_not_tried_again(both: Stores) -> None:
     assert claim(both) is None
 
 
-def test_a_clip_that_kills_its_workers_is_given_up(both: Stores) -> None:
+def test_a_clip_that_kills_its_workers_fails(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=2, queries=1, ready=False)
     deadly = [claim(both, lease_seconds=0.0) for _ in range(3)]
     assert len({job.clip_id for job in deadly if job}) == 1
@@ -119,7 +119,7 @@ def test_a_clip_that_kills_its_workers_is_given_up(both: Stores) -> None:
     assert statuses(both, made.query_ids) == ["failed"]
 
 
-def test_a_claim_given_back_does_not_count_as_an_attempt(both: Stores) -> None:
+def test_a_released_claim_does_not_count_as_an_attempt(both: Stores) -> None:
     scene(both.database, both.blobs, segments=2, queries=1, ready=False)
     job = claim(both, "a")
     assert job
@@ -131,7 +131,7 @@ def test_a_claim_given_back_does_not_count_as_an_attempt(both: Stores) -> None:
     assert (again.clip_id, again.attempts) == (job.clip_id, 1)
 
 
-def test_clips_of_an_experiment_that_is_over_are_not_made(both: Stores) -> None:
+def test_clips_of_an_ended_experiment_are_not_rendered(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=2, queries=1, ready=False)
     with both.database.transaction() as session:
         experiments.cancel(session, made.experiment.id)

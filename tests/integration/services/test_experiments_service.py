@@ -62,14 +62,14 @@ def test_two_experiments_cannot_have_the_same_name(both: Stores) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "   ", "two\nlines", "nul\0", "half \ud800 a character", "x" * 201])
-def test_a_name_that_cannot_be_shown_is_refused(sqlite: Stores, name: str) -> None:
-    with pytest.raises(Invalid, match="one line"):
+def test_a_name_that_is_not_printable_is_refused(sqlite: Stores, name: str) -> None:
+    with pytest.raises(Invalid):
         create(sqlite, name)
 
 
-def test_instructions_may_have_lines_but_nothing_that_cannot_be_shown(sqlite: Stores) -> None:
+def test_instructions_may_have_several_printable_lines(sqlite: Stores) -> None:
     create(sqlite, "good", "Run.\n\nDo not fall.")
-    with pytest.raises(Invalid, match="instructions"):
+    with pytest.raises(Invalid):
         create(sqlite, "bad", "Run.\0")
 
 
@@ -93,14 +93,14 @@ STEERING: list[tuple[str, str, str | None]] = [
 
 
 @pytest.mark.parametrize(("status", "verb", "becomes"), STEERING)
-def test_steering_follows_the_states(sqlite: Stores, status: str, verb: str, becomes: str | None) -> None:
+def test_pause_resume_and_cancel_follow_the_status(sqlite: Stores, status: str, verb: str, becomes: str | None) -> None:
     experiment_id = create(sqlite)
     with sqlite.database.transaction() as session:
         experiments.get(session, experiment_id).status = status
     steer: Callable[[Session, str], ExperimentRow] = getattr(experiments, verb)
     with sqlite.database.transaction() as session:
         if becomes is None:
-            with pytest.raises(ExperimentNotActive, match=status):
+            with pytest.raises(ExperimentNotActive):
                 steer(session, experiment_id)
         else:
             assert steer(session, experiment_id).status == becomes
@@ -111,7 +111,7 @@ def test_steering_follows_the_states(sqlite: Stores, status: str, verb: str, bec
             assert row.ended_at is None
 
 
-def test_a_cancelled_experiment_says_when_and_a_resumed_one_forgets(both: Stores) -> None:
+def test_cancelling_sets_the_end_time_and_resuming_clears_it(both: Stores) -> None:
     cancelled, failed = create(both, "one"), create(both, "two")
     with both.database.transaction() as session:
         first = experiments.cancel(session, cancelled).ended_at
@@ -133,7 +133,7 @@ def test_a_worker_reports_only_on_a_running_experiment(both: Stores) -> None:
         assert (row.phase, row.phase_detail, row.steps) == ("training", "update 3", 400)
 
 
-def test_a_finished_and_a_failed_experiment_say_when_and_why(both: Stores) -> None:
+def test_finished_and_failed_experiments_store_time_and_reason(both: Stores) -> None:
     finished, failed = create(both, "one"), create(both, "two")
     with both.database.transaction() as session:
         assert experiments.finish(session, finished)
@@ -150,11 +150,11 @@ def test_a_finished_and_a_failed_experiment_say_when_and_why(both: Stores) -> No
 def test_an_absent_experiment_is_named(both: Stores) -> None:
     absent = new_id("exp")
     for verb in (experiments.get, experiments.pause, experiments.resume, experiments.cancel, experiments.finish):
-        with pytest.raises(ExperimentNotFound, match=absent), both.database.transaction() as session:
+        with pytest.raises(ExperimentNotFound), both.database.transaction() as session:
             verb(session, absent)
 
 
-def test_pages_go_through_all_experiments_newest_first(both: Stores) -> None:
+def test_pages_list_all_experiments_newest_first(both: Stores) -> None:
     made = [create(both, f"run {number}") for number in range(7)]
     seen: list[str] = []
     cursor: str | None = None
@@ -168,7 +168,7 @@ def test_pages_go_through_all_experiments_newest_first(both: Stores) -> None:
     assert seen == sorted(made, reverse=True)
 
 
-def test_counts_tell_how_far_the_labelling_is(both: Stores) -> None:
+def test_counts_show_the_labelling_progress(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=4)
     waiting = scene(both.database, both.blobs, queries=3, ready=False)
     with both.database.reading() as session:
@@ -179,7 +179,7 @@ def test_counts_tell_how_far_the_labelling_is(both: Stores) -> None:
     assert counts[waiting.experiment.id] == LabelCounts(20, 0, 0, 10, 0, 3)
 
 
-def test_counts_take_the_same_statements_for_one_experiment_and_for_many(sqlite: Stores) -> None:
+def test_counting_takes_as_many_statements_for_many_experiments_as_for_one(sqlite: Stores) -> None:
     statements: list[str] = []
     for number in range(6):
         create(sqlite, f"run {number}")

@@ -54,7 +54,7 @@ def exported(made: Stores, experiment_id: str, folder: Path) -> PreferenceTables
     return PreferenceTables.open(folder)
 
 
-def test_the_newest_word_of_every_teacher_is_exported_with_how_it_was_said(both: Stores, tmp_path: Path) -> None:
+def test_the_current_label_of_every_teacher_is_exported_with_its_details(both: Stores, tmp_path: Path) -> None:
     shown, person, program = labelled(both)
     said = {
         (row.query_id, row.teacher_id): row for row in exported(both, shown.experiment.id, tmp_path / "out").labels()
@@ -79,7 +79,7 @@ def test_the_newest_word_of_every_teacher_is_exported_with_how_it_was_said(both:
     assert len(set(revisions)) == 4
 
 
-def test_arrays_and_simulator_states_are_exported_to_the_bit(both: Stores, tmp_path: Path) -> None:
+def test_arrays_and_simulator_states_are_exported_bit_for_bit(both: Stores, tmp_path: Path) -> None:
     shown = scene(both.database, both.blobs, segments=0, queries=0)
     rng = np.random.default_rng(0)
     lengths, stored = (7, 3), {}
@@ -112,7 +112,7 @@ def test_arrays_and_simulator_states_are_exported_to_the_bit(both: Stores, tmp_p
             np.testing.assert_array_equal(values[index][real], wanted.astype(values.dtype))
 
 
-def test_an_export_loads_as_a_dataset_of_the_labels_that_count(both: Stores, tmp_path: Path) -> None:
+def test_an_export_loads_as_a_dataset_without_skips(both: Stores, tmp_path: Path) -> None:
     shown, _, _ = labelled(both)
     dataset = exported(both, shown.experiment.id, tmp_path / "out").load(tmp_path / "segments")
     with both.database.reading() as session:
@@ -127,7 +127,7 @@ def test_an_export_loads_as_a_dataset_of_the_labels_that_count(both: Stores, tmp
     )
 
 
-def test_the_tables_say_where_they_come_from_and_name_no_person(both: Stores, tmp_path: Path) -> None:
+def test_the_tables_describe_their_source_without_user_names(both: Stores, tmp_path: Path) -> None:
     shown, _, _ = labelled(both)
     tables = exported(both, shown.experiment.id, tmp_path / "out")
     assert tables.about["experiment_id"] == shown.experiment.id
@@ -140,7 +140,7 @@ def test_the_tables_say_where_they_come_from_and_name_no_person(both: Stores, tm
         assert "Lovelace" not in repr(text)
 
 
-def test_what_is_said_after_the_rows_were_read_is_not_in_it(sqlite: Stores, tmp_path: Path) -> None:
+def test_labels_given_after_the_rows_were_read_are_not_exported(sqlite: Stores, tmp_path: Path) -> None:
     shown, person, _ = labelled(sqlite)
     with sqlite.database.reading() as session:
         found = export.contents(session, shown.experiment.id)
@@ -153,20 +153,20 @@ def test_what_is_said_after_the_rows_were_read_is_not_in_it(sqlite: Stores, tmp_
     assert shown.query_ids[3] not in {row.query_id for row in PreferenceTables.open(tmp_path / "out").labels()}
 
 
-def test_what_cannot_be_exported_is_said_and_leaves_nothing(sqlite: Stores, tmp_path: Path) -> None:
+def test_a_failed_export_leaves_nothing(sqlite: Stores, tmp_path: Path) -> None:
     shown, _, _ = labelled(sqlite)
     empty = scene(sqlite.database, sqlite.blobs, segments=0, queries=0)
     with sqlite.database.reading() as session:
         with pytest.raises(ExperimentNotFound):
             export.contents(session, "exp_nowhere")
-        with pytest.raises(Invalid, match="no segments"):
+        with pytest.raises(Invalid):
             export.contents(session, empty.experiment.id)
         found = export.contents(session, shown.experiment.id)
     (tmp_path / "taken").mkdir()
-    with pytest.raises(Invalid, match="there already"):
+    with pytest.raises(Invalid):
         export.write(sqlite.blobs, found, tmp_path / "taken")
     (tmp_path / "file").touch()
-    with pytest.raises(Unavailable, match="file"):
+    with pytest.raises(Unavailable):
         export.write(sqlite.blobs, found, tmp_path / "file" / "out")
     sqlite.blobs.delete(found.segments[-1].blob_key)
     with pytest.raises(BlobMissing):
@@ -194,14 +194,14 @@ def test_the_command_exports_from_a_home(tmp_path: Path) -> None:
     assert "Traceback" not in again.stderr
 
 
-def test_the_command_makes_no_database_where_there_is_none(tmp_path: Path) -> None:
+def test_the_command_creates_no_database(tmp_path: Path) -> None:
     ended = command("--experiment", "exp_x", "--output", tmp_path / "out", "--home", tmp_path / "home")
     assert ended.returncode == 2
     assert "no database" in ended.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_metadata_is_json_that_anyone_can_read(sqlite: Stores, tmp_path: Path) -> None:
+def test_the_metadata_is_json(sqlite: Stores, tmp_path: Path) -> None:
     shown, _, _ = labelled(sqlite)
     exported(sqlite, shown.experiment.id, tmp_path / "out")
     said = json.loads(pq.read_schema(tmp_path / "out" / "labels.parquet").metadata[b"accord"])

@@ -35,7 +35,7 @@ def ids(found: Leased) -> list[str]:
     return [item.id for item in found.items]
 
 
-def test_queries_come_by_their_numbers(both: Stores) -> None:
+def test_queries_are_leased_by_number(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=4)
     found = ask(both, person(both), made, 3)
     assert ids(found) == made.query_ids[:3]
@@ -43,7 +43,7 @@ def test_queries_come_by_their_numbers(both: Stores) -> None:
     assert [item.number for item in found.items] == [1, 2, 3]
 
 
-def test_asking_again_gives_the_same_queries_on_the_same_sides(both: Stores) -> None:
+def test_leasing_again_returns_the_same_queries_on_the_same_sides(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=8, queries=16)
     ada = person(both)
     first = ask(both, ada, made, 16)
@@ -52,21 +52,21 @@ def test_asking_again_gives_the_same_queries_on_the_same_sides(both: Stores) -> 
     assert ask(both, ada, made, 3).items == first.items[:3]
 
 
-def test_both_sides_are_drawn(both: Stores) -> None:
+def test_sides_are_random(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=10, queries=45, label_budget=45, initial_labels=45)
     sides = [item.left_segment for item in ask(both, person(both), made, 45).items]
     # the chance that 45 fair coins show fewer than 6 of one side is below 1e-7
     assert 6 <= sum(sides) <= 39
 
 
-def test_what_one_holds_no_other_gets(both: Stores) -> None:
+def test_a_leased_query_is_not_leased_to_another(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=4)
     ada, bob = person(both, "ada"), person(both, "bob")
     assert ids(ask(both, ada, made, 3)) == made.query_ids[:3]
     assert ids(ask(both, bob, made, 3)) == made.query_ids[3:]
 
 
-def test_a_lease_that_ran_out_is_anothers_to_take_and_lost_to_the_first(both: Stores) -> None:
+def test_an_expired_lease_passes_to_the_next_user(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=1)
     ada, bob = person(both, "ada"), person(both, "bob")
     ask(both, ada, made, lease_seconds=0.0)
@@ -77,7 +77,7 @@ def test_a_lease_that_ran_out_is_anothers_to_take_and_lost_to_the_first(both: St
         label.put_label(session, ada, made.query_ids[0], 1.0)
 
 
-def test_a_lease_that_ran_out_and_nobody_took_is_still_good(both: Stores) -> None:
+def test_an_expired_lease_that_nobody_took_is_still_valid(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=1)
     ada = person(both)
     ask(both, ada, made, lease_seconds=0.0)
@@ -86,7 +86,7 @@ def test_a_lease_that_ran_out_and_nobody_took_is_still_good(both: Stores) -> Non
         assert label.put_label(session, ada, made.query_ids[0], 1.0).created
 
 
-def test_a_heartbeat_keeps_a_query(both: Stores) -> None:
+def test_a_heartbeat_renews_a_lease(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=1)
     ada, bob = person(both, "ada"), person(both, "bob")
     ask(both, ada, made, lease_seconds=0.0)
@@ -95,7 +95,7 @@ def test_a_heartbeat_keeps_a_query(both: Stores) -> None:
     assert ids(ask(both, bob, made)) == []
 
 
-def test_heartbeats_for_what_is_not_held_are_refused(both: Stores) -> None:
+def test_a_heartbeat_without_a_lease_is_refused(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=2)
     ada, absent = person(both, role=Role.TEACHER), new_id("qry")
     with both.database.transaction() as session:
@@ -104,11 +104,11 @@ def test_heartbeats_for_what_is_not_held_are_refused(both: Stores) -> None:
             lease.heartbeat(session, ada, made.query_ids[0], 60.0)
         with pytest.raises(LeaseLost):
             lease.heartbeat(session, ada, made.query_ids[1], 60.0)
-        with pytest.raises(QueryNotFound, match=absent):
+        with pytest.raises(QueryNotFound):
             lease.heartbeat(session, ada, absent, 60.0)
 
 
-def test_a_query_given_back_is_free_at_once(both: Stores) -> None:
+def test_a_released_query_is_free_at_once(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=1)
     ada, bob = person(both, "ada"), person(both, "bob")
     ask(both, ada, made)
@@ -120,7 +120,7 @@ def test_a_query_given_back_is_free_at_once(both: Stores) -> None:
     assert ids(ask(both, bob, made)) == made.query_ids
 
 
-def test_who_skipped_a_query_is_not_asked_again_but_others_are(both: Stores) -> None:
+def test_a_skipped_query_is_leased_to_others_only(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=1)
     ada, bob = person(both, "ada"), person(both, "bob")
     ask(both, ada, made)
@@ -130,7 +130,7 @@ def test_who_skipped_a_query_is_not_asked_again_but_others_are(both: Stores) -> 
     assert ids(ask(both, bob, made)) == made.query_ids
 
 
-def test_an_undone_query_is_the_next_one(both: Stores) -> None:
+def test_an_undone_query_comes_next(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=4)
     ada = person(both)
     before = ask(both, ada, made).items[0]
@@ -142,7 +142,7 @@ def test_an_undone_query_is_the_next_one(both: Stores) -> None:
     assert ask(both, ada, made).items == [before]
 
 
-def test_why_there_are_no_queries_is_said(both: Stores) -> None:
+def test_the_reason_for_no_queries_is_given(both: Stores) -> None:
     rendering = scene(both.database, both.blobs, queries=2, ready=False)
     ada = person(both)
     assert ask(both, ada, rendering) == Leased("HalfCheetah-6x1", [], "rendering")
@@ -156,7 +156,7 @@ def test_why_there_are_no_queries_is_said(both: Stores) -> None:
     assert ask(both, ada, taught).reason == "all_labelled"
 
 
-def test_when_the_budget_is_spent_no_more_are_offered(both: Stores) -> None:
+def test_no_queries_are_leased_once_the_budget_is_spent(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=4, label_budget=2, initial_labels=2)
     teacher = person(both, role=Role.TEACHER)
     with both.database.transaction() as session:
@@ -165,19 +165,19 @@ def test_when_the_budget_is_spent_no_more_are_offered(both: Stores) -> None:
     assert ask(both, teacher, made) == Leased("HalfCheetah-6x1", [], "all_labelled")
 
 
-def test_fewer_than_asked_for_come_with_a_reason(both: Stores) -> None:
+def test_fewer_queries_than_requested_come_with_a_reason(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=2)
     found = ask(both, person(both), made, 5)
     assert (len(found.items), found.reason) == (2, "policy_training")
 
 
-def test_an_absent_experiment_offers_nothing(both: Stores) -> None:
+def test_an_absent_experiment_is_refused(both: Stores) -> None:
     ada = person(both)
     with both.database.transaction() as session, pytest.raises(ExperimentNotFound):
         lease.next_queries(session, ada, new_id("exp"), 1, 60)
 
 
-def test_labellers_that_ask_at_once_never_get_the_same_query(both: Stores) -> None:
+def test_concurrent_labellers_never_get_the_same_query(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=12, queries=60, label_budget=60, initial_labels=60)
     people = [person(both, f"labeller {number}") for number in range(8)]
     ready, held = threading.Barrier(8), [set[str]() for _ in people]
@@ -196,7 +196,7 @@ def test_labellers_that_ask_at_once_never_get_the_same_query(both: Stores) -> No
     assert len(set.union(*held)) == 60
 
 
-def test_processes_that_label_at_once_label_each_query_once(both: Stores) -> None:
+def test_concurrent_processes_label_each_query_once(both: Stores) -> None:
     queries = 60
     made = scene(both.database, both.blobs, segments=12, queries=queries, label_budget=queries, initial_labels=queries)
     with both.database.transaction() as session:

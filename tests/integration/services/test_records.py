@@ -42,7 +42,7 @@ def test_versions_are_numbered_and_know_their_parents(both: Stores) -> None:
         }
 
 
-def test_versions_published_at_once_get_numbers_of_their_own(both: Stores) -> None:
+def test_versions_published_concurrently_get_different_numbers(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=0)
     ready, numbers = threading.Barrier(4), list[int]()
 
@@ -59,7 +59,7 @@ def test_versions_published_at_once_get_numbers_of_their_own(both: Stores) -> No
     assert sorted(numbers) == list(range(1, 21))
 
 
-def test_a_metric_that_is_not_finite_is_kept_as_unknown(both: Stores) -> None:
+def test_a_metric_that_is_not_finite_is_stored_as_null(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=0)
     version(both, made.experiment.id, 1, loss=0.5, ece=math.nan, holdout_loss=None)
     with both.database.reading() as session:
@@ -67,7 +67,7 @@ def test_a_metric_that_is_not_finite_is_kept_as_unknown(both: Stores) -> None:
         assert row.metrics == {"loss": 0.5, "ece": None, "holdout_loss": None}
 
 
-def test_versions_are_of_experiments_that_exist(both: Stores) -> None:
+def test_a_version_of_an_absent_experiment_is_refused(both: Stores) -> None:
     with pytest.raises(ExperimentNotFound):
         version(both, new_id("exp"))
     with both.database.reading() as session:
@@ -76,7 +76,7 @@ def test_versions_are_of_experiments_that_exist(both: Stores) -> None:
             publish.versions(session, new_id("exp"))
 
 
-def test_the_last_checkpoints_are_kept_and_the_others_blobs_named(both: Stores) -> None:
+def test_pruning_keeps_the_newest_checkpoints_and_returns_the_other_blobs(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=0)
     with both.database.transaction() as session:
         assert checkpoints.newest(session, made.experiment.id) is None
@@ -97,7 +97,7 @@ def points(stores: Stores, experiment_id: str, after_id: int = 0) -> dict[str, l
         }
 
 
-def test_a_point_written_again_replaces_the_old_one_and_is_new_again(both: Stores) -> None:
+def test_a_rewritten_point_replaces_the_old_one_and_has_a_newer_id(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=0)
     with both.database.transaction() as session:
         for step in (100, 200):
@@ -112,7 +112,7 @@ def test_a_point_written_again_replaces_the_old_one_and_is_new_again(both: Store
     assert points(both, made.experiment.id, last_id) == {"entropy": [(200, 9.0)]}
 
 
-def test_values_that_are_not_finite_are_left_out(both: Stores) -> None:
+def test_values_that_are_not_finite_are_skipped(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=0)
     with both.database.transaction() as session:
         metrics.record(session, made.experiment.id, 1, {"entropy": math.nan, "policy_loss": math.inf, "labels": 1})
@@ -127,9 +127,7 @@ def test_values_that_are_not_finite_are_left_out(both: Stores) -> None:
         ("true", {"true_return", "true_return_best", "learned_return", "value_loss"}),
     ],
 )
-def test_labellers_get_no_curve_that_tells_of_true_rewards(
-    sqlite: Stores, reward_source: str, hidden: set[str]
-) -> None:
+def test_labellers_get_no_curve_that_reveals_true_rewards(sqlite: Stores, reward_source: str, hidden: set[str]) -> None:
     made = scene(sqlite.database, sqlite.blobs, queries=0, reward_source=reward_source)
     names = {"true_return", "true_return_best", "learned_return", "value_loss", "entropy", "labels"}
     with sqlite.database.transaction() as session:
@@ -142,7 +140,7 @@ def test_labellers_get_no_curve_that_tells_of_true_rewards(
             assert seen == (names - hidden if role is Role.LABELLER else names)
 
 
-def test_a_claim_is_one_holders_until_it_runs_out_or_is_given_back(both: Stores) -> None:
+def test_a_claim_has_one_holder_until_it_expires_or_is_released(both: Stores) -> None:
     def claim(holder: str, seconds: float = 60.0) -> bool:
         with both.database.transaction() as session:
             return workers.claim(session, "policy:exp", holder, seconds)
@@ -165,7 +163,7 @@ def test_a_claim_is_one_holders_until_it_runs_out_or_is_given_back(both: Stores)
     assert claim("a")
 
 
-def test_of_many_that_claim_at_once_one_gets_it(both: Stores) -> None:
+def test_one_of_many_concurrent_claims_succeeds(both: Stores) -> None:
     ready, got = threading.Barrier(8), list[bool]()
 
     def claim(holder: str) -> None:
@@ -181,7 +179,7 @@ def test_of_many_that_claim_at_once_one_gets_it(both: Stores) -> None:
     assert sorted(got) == [False] * 7 + [True]
 
 
-def test_a_worker_that_was_started_again_keeps_its_row(both: Stores) -> None:
+def test_a_restarted_worker_keeps_its_row(both: Stores) -> None:
     with both.database.transaction() as session:
         workers.report(session, "policy-0", "policy", 100, "starting")
         workers.report(session, "render-0", "render", 101, "idle", "waits")

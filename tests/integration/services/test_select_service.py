@@ -22,7 +22,7 @@ def set_steps(stores: Stores, experiment_id: str, steps: int) -> None:
         experiments.get(session, experiment_id).steps = steps
 
 
-def test_due_queries_and_a_few_ahead_are_wanted_up_to_the_budget(both: Stores) -> None:
+def test_queries_are_added_for_due_labels_and_the_lookahead_up_to_the_budget(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=2, queries=0)
     # 10 labels before the first version, 4 ahead
     assert wanted(both, made.experiment.id) == 14
@@ -30,7 +30,7 @@ def test_due_queries_and_a_few_ahead_are_wanted_up_to_the_budget(both: Stores) -
     assert wanted(both, made.experiment.id) == 20
 
 
-def test_the_budget_allows_as_many_queries_as_are_not_made_yet(both: Stores) -> None:
+def test_the_budget_allows_the_queries_that_do_not_exist_yet(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=6)
     with both.database.transaction() as session:
         row = experiments.get(session, made.experiment.id)
@@ -40,12 +40,12 @@ def test_the_budget_allows_as_many_queries_as_are_not_made_yet(both: Stores) -> 
         assert select.queries_within_budget(session, row) == 15
 
 
-def test_queries_that_are_there_are_not_wanted_again(both: Stores) -> None:
+def test_existing_queries_are_not_added_again(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=6, ready=False)
     assert wanted(both, made.experiment.id) == 8
 
 
-def test_a_pool_is_exhausted_once_every_pair_is_answered_and_no_more_by_another_segment(both: Stores) -> None:
+def test_segments_are_exhausted_once_every_pair_is_answered(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=3, queries=3)
     another = collect.store_arrays(both.blobs, made.experiment.id, segment())
     with both.database.transaction() as session:
@@ -63,19 +63,19 @@ def test_a_pool_is_exhausted_once_every_pair_is_answered_and_no_more_by_another_
 
 
 @pytest.mark.parametrize("verb", [experiments.pause, experiments.cancel, experiments.finish])
-def test_an_experiment_that_does_not_run_wants_none(sqlite: Stores, verb: object) -> None:
+def test_an_experiment_that_does_not_run_gets_no_queries(sqlite: Stores, verb: object) -> None:
     made = scene(sqlite.database, sqlite.blobs, queries=1)
     with sqlite.database.transaction() as session:
         verb(session, made.experiment.id)  # type: ignore[operator]
     assert wanted(sqlite, made.experiment.id) == 0
 
 
-def test_a_policy_taught_by_the_true_reward_wants_none(sqlite: Stores) -> None:
+def test_a_policy_that_learns_from_the_true_reward_gets_no_queries(sqlite: Stores) -> None:
     made = scene(sqlite.database, sqlite.blobs, segments=0, queries=0, reward_source="true")
     assert wanted(sqlite, made.experiment.id) == 0
 
 
-def test_a_skipped_query_is_replaced_until_somebody_labels_it(both: Stores) -> None:
+def test_a_skipped_query_is_replaced_until_it_is_labelled(both: Stores) -> None:
     made = scene(both.database, both.blobs, queries=4)
     before = wanted(both, made.experiment.id)
     with both.database.transaction() as session:
@@ -88,7 +88,7 @@ def test_a_skipped_query_is_replaced_until_somebody_labels_it(both: Stores) -> N
     assert wanted(both, made.experiment.id) == before
 
 
-def test_a_query_whose_clip_cannot_be_made_is_replaced(both: Stores) -> None:
+def test_a_query_whose_clip_failed_is_replaced(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=3, queries=3, ready=False)
     before = wanted(both, made.experiment.id)
     with both.database.transaction() as session:
@@ -107,7 +107,7 @@ def test_a_query_whose_clip_cannot_be_made_is_replaced(both: Stores) -> None:
         assert select.selectable_segments(session, row.id, 1) == others[-1:]
 
 
-def test_no_pair_is_asked_twice_whichever_way_round(both: Stores) -> None:
+def test_a_pair_has_one_query_in_either_order(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=3, queries=0)
     a, b, c = made.segment_ids
     with both.database.transaction() as session:
@@ -118,7 +118,7 @@ def test_no_pair_is_asked_twice_whichever_way_round(both: Stores) -> None:
         assert select.existing_pairs(session, row.id) == {frozenset((a, b)), frozenset((b, c))}
 
 
-def test_queries_are_numbered_in_their_order(both: Stores) -> None:
+def test_queries_are_numbered_consecutively(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=4, queries=5, ready=False)
     with both.database.reading() as session:
         rows = [session.get(QueryRow, each) for each in made.query_ids]
@@ -140,7 +140,7 @@ def test_without_clips_a_query_is_open_at_once(both: Stores) -> None:
     assert make_clips(both.database, both.blobs) == 0
 
 
-def test_with_clips_there_already_a_query_is_open_at_once(both: Stores) -> None:
+def test_a_query_whose_clips_exist_is_open_at_once(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=3, queries=2)
     with both.database.transaction() as session:
         row = experiments.get(session, made.experiment.id)
@@ -159,7 +159,7 @@ def test_candidates_are_the_newest_segments_first(both: Stores) -> None:
         assert set(select.segment_blobs(session, made.segment_ids)) == set(made.segment_ids)
 
 
-def test_two_that_add_at_once_never_take_the_same_number(both: Stores) -> None:
+def test_queries_added_concurrently_get_different_numbers(both: Stores) -> None:
     made = scene(both.database, both.blobs, segments=9, queries=0)
     ready = threading.Barrier(4)
 

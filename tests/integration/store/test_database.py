@@ -29,13 +29,13 @@ def add(session: Session, name: str) -> None:
     session.flush()
 
 
-def test_what_a_block_wrote_is_there_when_it_has_ended(both: Stores) -> None:
+def test_a_block_is_committed_when_it_ends(both: Stores) -> None:
     with both.database.transaction() as session:
         add(session, "kept")
     assert names(both.database) == {"kept"}
 
 
-def test_what_a_block_wrote_is_gone_when_it_raises(both: Stores) -> None:
+def test_a_block_is_rolled_back_when_it_raises(both: Stores) -> None:
     def write_and_fail() -> None:
         with both.database.transaction() as session:
             add(session, "lost")
@@ -46,7 +46,7 @@ def test_what_a_block_wrote_is_gone_when_it_raises(both: Stores) -> None:
     assert names(both.database) == set()
 
 
-def test_sqlite_is_opened_as_the_design_says(sqlite: Stores) -> None:
+def test_sqlite_has_the_expected_pragmas(sqlite: Stores) -> None:
     with sqlite.database.reading() as session:
         settings = {
             name: session.execute(text(f"PRAGMA {name}")).scalar_one()
@@ -108,7 +108,7 @@ def commits_of(engine: Engine) -> list[object]:
     return commits
 
 
-def test_writers_that_come_together_share_one_commit(sqlite: Stores) -> None:
+def test_concurrent_writers_share_one_commit(sqlite: Stores) -> None:
     commits = commits_of(sqlite.database.engine)
     crowd = Crowd(sqlite.database, 20)
     crowd.run()
@@ -118,14 +118,14 @@ def test_writers_that_come_together_share_one_commit(sqlite: Stores) -> None:
     assert names(sqlite.database) == {f"writer {number}" for number in range(20) if number != 1}
 
 
-def test_a_group_is_committed_before_it_grows_without_end(sqlite: Stores) -> None:
+def test_a_group_is_committed_at_its_largest_size(sqlite: Stores) -> None:
     commits = commits_of(sqlite.database.engine)
     Crowd(sqlite.database, 100).run()
     assert len(commits) == 2
     assert len(names(sqlite.database)) == 99
 
 
-def test_when_the_shared_commit_fails_every_writer_is_told(sqlite: Stores) -> None:
+def test_a_failed_shared_commit_raises_for_every_writer(sqlite: Stores) -> None:
     class DiskGone(Exception):
         pass
 
@@ -143,39 +143,39 @@ def test_when_the_shared_commit_fails_every_writer_is_told(sqlite: Stores) -> No
     assert names(sqlite.database) == {"afterwards"}
 
 
-def test_a_thread_that_would_wait_for_itself_is_told_so(sqlite: Stores) -> None:
+def test_a_nested_transaction_raises_instead_of_a_deadlock(sqlite: Stores) -> None:
     with sqlite.database.transaction() as session:
         add(session, "outer")
-        with pytest.raises(RuntimeError, match="open already"), sqlite.database.transaction():
+        with pytest.raises(RuntimeError), sqlite.database.transaction():
             pass
     assert names(sqlite.database) == {"outer"}
 
 
-def test_a_file_that_is_no_database_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_database_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "accord.db"
     path.write_text("a shopping list, long enough to be read as a page of a database" * 100)
     database = Database.open(f"sqlite:///{path}")
-    with pytest.raises(DatabaseUnreachable, match=r"accord\.db.*not a database"):
+    with pytest.raises(DatabaseUnreachable):
         database.migrate()
     database.close()
 
 
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_created_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(DatabaseUnreachable, match="ACCORD_HOME"):
+    with pytest.raises(DatabaseUnreachable):
         Database.open(f"sqlite:///{tmp_path / 'file' / 'accord.db'}")
 
 
 @pytest.mark.parametrize("url", ["what", "nosuch://host/name", ""])
-def test_a_url_that_makes_no_sense_is_named(url: str) -> None:
-    with pytest.raises(DatabaseUnreachable, match="no database URL"):
+def test_an_invalid_url_is_refused(url: str) -> None:
+    with pytest.raises(DatabaseUnreachable):
         Database.open(url)
 
 
-def test_a_postgres_that_does_not_answer_is_named_without_its_password() -> None:
+def test_an_unreachable_postgres_is_named_without_its_password() -> None:
     pytest.importorskip("psycopg", reason="psycopg is not installed: pip install 'accord[postgres]'")
     database = Database.open("postgresql+psycopg://ada:secret@127.0.0.1:1/accord")
-    with pytest.raises(DatabaseUnreachable, match=r"127\.0\.0\.1") as caught:
+    with pytest.raises(DatabaseUnreachable) as caught:
         database.migrate()
     assert "secret" not in str(caught.value)
     database.close()

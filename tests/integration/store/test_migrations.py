@@ -31,7 +31,7 @@ def test_migrating_again_changes_nothing(both: Stores) -> None:
         assert session.execute(text("SELECT count(*) FROM claims")).scalar_one() == 1
 
 
-def test_migrations_can_be_undone_and_done_again(both: Stores) -> None:
+def test_migrations_can_be_reverted_and_repeated(both: Stores) -> None:
     with both.database.engine.begin() as connection:
         command.downgrade(alembic_config(connection), "base")
     assert inspect(both.database.engine).get_table_names() == ["alembic_version"]
@@ -40,14 +40,14 @@ def test_migrations_can_be_undone_and_done_again(both: Stores) -> None:
         assert compare_metadata(MigrationContext.configure(session.connection()), Base.metadata) == []
 
 
-def test_a_database_of_a_newer_version_is_refused_with_what_to_do(both: Stores) -> None:
+def test_a_database_of_a_newer_version_is_refused(both: Stores) -> None:
     with both.database.transaction() as session:
         session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
-    with pytest.raises(DatabaseTooNew, match=r"'9999'.*Start that version"):
+    with pytest.raises(DatabaseTooNew):
         both.database.migrate()
 
 
-def test_two_that_migrate_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
+def test_concurrent_migrations_succeed(tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path / 'accord.db'}"
     errors: list[BaseException] = []
     ready = threading.Barrier(4)
@@ -70,7 +70,7 @@ def test_two_that_migrate_at_once_do_not_disturb_each_other(tmp_path: Path) -> N
     assert errors == []
 
 
-def test_every_migration_says_what_it_does() -> None:
+def test_every_migration_has_a_docstring() -> None:
     scripts = list((Path(store.__file__).parent / "migrations" / "versions").glob("[0-9]*.py"))
     assert scripts
     for script in scripts:

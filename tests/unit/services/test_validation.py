@@ -49,5 +49,5 @@ def test_a_teacher_that_is_accepted_is_plain_json(teacher: dict[str, object]) ->
 
 
 def test_a_long_description_of_a_teacher_is_refused() -> None:
-    with pytest.raises(Invalid, match="4000"):
+    with pytest.raises(Invalid):
         check_teacher({"name": "x" * 4000})

@@ -1,4 +1,4 @@
-"""Who is signed in; users; signing in and out."""
+"""The signed-in user, adding users, signing in and out."""
 
 from html import escape
 
@@ -13,20 +13,20 @@ from accord.domain.permissions import may_manage_users, require
 from accord.services import accounts
 
 router = APIRouter(tags=["accounts"])
-#: outside the API's prefix: what a person opens in a browser
+#: pages outside the API's prefix, opened in a browser
 pages = APIRouter(include_in_schema=False)
 
 
-@router.get("/me", summary="Who am I?")
+@router.get("/me", summary="Get the signed-in user")
 def me(auth: AuthDep) -> schemas.Me:
-    """The user whose token came with the request."""
+    """Returns the user whose token the request has."""
     with auth.reading() as caller:
         return schemas.Me(id=caller.user.id, name=caller.user.name, role=caller.role)
 
 
 @router.post("/users", status_code=201, summary="Add a user")
 def create_user(body: schemas.NewUser, request: Request, auth: AuthDep) -> schemas.CreatedUser:
-    """Makes a user with a bearer token and a sign-in link. Admins alone may."""
+    """Creates a user with a bearer token and a sign-in link. For admins only."""
     settings = auth.app.settings
     with auth.writing() as caller:
         require(may_manage_users(caller.role), caller.role, "add users")
@@ -44,7 +44,7 @@ def create_user(body: schemas.NewUser, request: Request, auth: AuthDep) -> schem
 
 @router.post("/sign-out", status_code=204, summary="Sign out")
 def sign_out(auth: AuthDep) -> Response:
-    """Ends the browser's session, or makes the bearer token that came with the request worthless."""
+    """Ends the browser's session, or deletes the bearer token of the request."""
     with auth.writing() as caller:
         accounts.sign_out(caller.session, auth.token)
         response = Response(status_code=204)
@@ -54,7 +54,7 @@ def sign_out(auth: AuthDep) -> Response:
 
 @pages.get("/sign-in/{link_token}")
 def sign_in(link_token: str, request: Request) -> Response:
-    """Turns a one-time link into the browser's cookie and shows the page."""
+    """Redeems a one-time link: sets the browser's cookie and redirects to the page."""
     app = app_state(request)
     try:
         with app.database.transaction() as session:
@@ -80,7 +80,7 @@ def sign_in(link_token: str, request: Request) -> Response:
 
 
 def _signed_in(request: Request) -> bool:
-    """Whether the browser has a good cookie already: it opened its old link once more."""
+    """Whether the browser has a valid cookie: it may have opened its used link again."""
     cookie = request.cookies.get(COOKIE)
     if not cookie:
         return False

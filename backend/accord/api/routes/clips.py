@@ -1,4 +1,4 @@
-"""The clips themselves, with HTTP ranges, so that a browser can seek."""
+"""Clips, with HTTP range requests, so that a browser can seek."""
 
 import re
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ _RANGE = re.compile(r"bytes=(\d*)-(\d*)")
 
 @dataclass(frozen=True, slots=True)
 class ByteRange:
-    """Bytes from `start` up to, not with, `stop`."""
+    """Bytes from `start` up to but not including `stop`."""
 
     start: int
     stop: int
@@ -26,18 +26,18 @@ class ByteRange:
     response_class=Response,
     responses={
         200: {"content": {"video/mp4": {}}, "description": "The whole clip."},
-        206: {"content": {"video/mp4": {}}, "description": "The range asked for."},
-        304: {"description": "The clip in the browser's cache is this one."},
-        416: {"description": "The range lies outside of the clip."},
+        206: {"content": {"video/mp4": {}}, "description": "The requested range."},
+        304: {"description": "The clip in the browser's cache is current."},
+        416: {"description": "The range is outside the clip."},
     },
-    summary="Play a clip",
+    summary="Get a clip",
 )
 def get_clip(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
-    """H.264 in MP4. A clip never changes: browsers may keep it."""
+    """H.264 video in MP4. A clip never changes, so browsers may cache it."""
     with auth.reading() as caller:
         row = clips.get(caller.session, clip_id)
         key, size = row.blob_key, row.size_bytes
-    assert key is not None  # a clip that is ready has one
+    assert key is not None  # a ready clip has a blob
     etag = f'"{clip_id}"'
     headers = {"Accept-Ranges": "bytes", "ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
     if etag in request.headers.get("if-none-match", ""):
@@ -55,9 +55,9 @@ def get_clip(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
 
 
 def parse_range(header: str, size: int) -> ByteRange | None:
-    """The one range that a Range header asks for, cut to the size; an empty one cannot be satisfied.
+    """The single range of a Range header, limited to the size; an empty one cannot be satisfied.
 
-    None for no range, several, or one that makes no sense: RFC 9110 lets a server then send the whole.
+    None if there is no range, several, or an invalid one; RFC 9110 then lets a server send everything.
     """
     match = _RANGE.fullmatch(header.strip())
     if match is None or match[0] == "bytes=-":

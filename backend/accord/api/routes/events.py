@@ -1,7 +1,7 @@
-"""Live events: what changed in an experiment, pushed to the page as server-sent events.
+"""Live events: changes of an experiment, pushed to the page as server-sent events.
 
-The server looks at the rows twice a second, in a thread, and sends what is new. Rows are the truth; an event that
-nobody received is found again by the next look.
+A thread polls the rows twice a second and sends what changed. The rows hold the state; a client that missed an event
+receives the change with its next connection.
 """
 
 import json
@@ -21,17 +21,17 @@ from accord.domain.errors import Unauthenticated
 from accord.services import experiments, metrics, workers
 
 router = APIRouter(tags=["experiments"])
-LOOK_SECONDS = 0.5
-#: a client that takes nothing for so long is gone
+POLL_SECONDS = 0.5
+#: a client that accepts no data for so long is disconnected
 _SEND_TIMEOUT_SECONDS = 30.0
-#: a worker that was silent for so long shows as such: its event is sent again
+#: a worker without a heartbeat for so long is shown as silent
 _SILENT_SECONDS = 20.0
 _WORKERS = TypeAdapter(list[schemas.Worker])
 
 
 @dataclass(slots=True)
 class Watch:
-    """What one client has been sent."""
+    """The events of one client, and what it was sent already."""
 
     auth: Auth
     experiment_id: str
@@ -39,34 +39,34 @@ class Watch:
     after_id: int
     sent: dict[str, str] = field(default_factory=dict[str, str])
 
-    def look(self) -> list[ServerSentEvent]:
-        """Events for what changed since the last look; blocks on the database.
+    def poll(self) -> list[ServerSentEvent]:
+        """Events for what changed since the last poll; blocks on the database.
 
         Raises:
             ExperimentNotFound: if there is no such experiment.
-            Unauthenticated: if the token was made worthless meanwhile.
+            Unauthenticated: if the token is no longer valid.
         """
         with self.auth.reading() as caller:
             row = experiments.get(caller.session, self.experiment_id)
             experiment = responses.experiment_response(caller.session, row, caller.role).model_dump_json()
-            # all of them move the mark, so that hidden ones are not read again and again
+            # hidden curves advance the id too, so that they are not read again
             found = metrics.series(caller.session, self.experiment_id, None, self.after_id)
             self.after_id = max((point.id for curve in found for point in curve.points), default=self.after_id)
             curves = metrics.visible(found, row, caller.role)
-            crew = [responses.worker_response(each, caller.role) for each in workers.all(caller.session)]
+            reported = [responses.worker_response(each, caller.role) for each in workers.all(caller.session)]
         events: list[ServerSentEvent] = []
-        if self._is_news("experiment", experiment):
+        if self._changed("experiment", experiment):
             events.append(self._event("experiment", experiment))
         if curves:
             events.append(self._event("metrics", responses.metrics_response(curves).model_dump_json()))
-        if self._is_news("workers", _standing(crew)):
-            events.append(self._event("workers", _WORKERS.dump_json(crew).decode()))
+        if self._changed("workers", _without_ages(reported)):
+            events.append(self._event("workers", _WORKERS.dump_json(reported).decode()))
         return events
 
-    def _is_news(self, name: str, state: str) -> bool:
-        news = self.sent.get(name) != state
+    def _changed(self, name: str, state: str) -> bool:
+        changed = self.sent.get(name) != state
         self.sent[name] = state
-        return news
+        return changed
 
     def _event(self, name: str, text: str) -> ServerSentEvent:
         return ServerSentEvent(text, event=name, id=str(self.after_id))
@@ -90,13 +90,13 @@ async def follow_experiment(
 ) -> EventSourceResponse:
     """Server-sent events: `experiment` on any change, `metrics` with new points, `workers` when one changes.
 
-    The first `metrics` event holds the whole curves, or those after `Last-Event-ID`. A point at a step that was sent
-    before replaces it.
+    The first `metrics` event has all points, or those after `Last-Event-ID`. A point replaces one sent earlier for the
+    same step.
     """
     after_id = int(last_event_id) if last_event_id and last_event_id.isdecimal() and len(last_event_id) < 19 else 0
     watch = Watch(auth, experiment_id, after_id)
-    # before the stream begins, while an error can still have its status
-    first = await run_sync(watch.look)
+    # before the stream begins, so that an error still has its status
+    first = await run_sync(watch.poll)
     return EventSourceResponse(_stream(watch, first), send_timeout=_SEND_TIMEOUT_SECONDS)
 
 
@@ -105,17 +105,17 @@ async def _stream(watch: Watch, first: list[ServerSentEvent]) -> AsyncGenerator[
     while True:
         for event in events:
             yield event
-        await anyio.sleep(LOOK_SECONDS)
+        await anyio.sleep(POLL_SECONDS)
         try:
-            events = await run_sync(watch.look)
+            events = await run_sync(watch.poll)
         except Unauthenticated:
-            return  # signed out: the browser's next attempt is told so
+            return  # signed out; the browser's next request gets a 401
 
 
-def _standing(crew: list[schemas.Worker]) -> str:
-    """Workers without what changes all the time."""
+def _without_ages(reported: list[schemas.Worker]) -> str:
+    """The workers without the age of their heartbeats, which always changes."""
     states: list[dict[str, Any]] = [
         each.model_dump(exclude={"heartbeat_age_seconds"}) | {"silent": each.heartbeat_age_seconds > _SILENT_SECONDS}
-        for each in crew
+        for each in reported
     ]
     return json.dumps(states)

@@ -1,4 +1,4 @@
-"""Experiments: made, listed, inspected, steered; their curves and reward versions; the workers."""
+"""Experiments: start, list, read, pause, resume, cancel; their metrics and reward versions; workers."""
 
 from collections.abc import Callable
 from typing import Annotated
@@ -19,14 +19,14 @@ router = APIRouter(tags=["experiments"])
 
 @router.get("/tasks", summary="List the tasks")
 def list_tasks(auth: AuthDep) -> list[schemas.TaskSchema]:
-    """Everything a policy can be taught here."""
+    """Lists every task that an experiment can use."""
     with auth.reading():
         return responses.task_responses()
 
 
 @router.post("/experiments", status_code=201, summary="Start an experiment")
 def create_experiment(body: schemas.NewExperiment, auth: AuthDep) -> schemas.Experiment:
-    """A policy worker takes it up as soon as one is free. Researchers and admins may."""
+    """Starts an experiment when a policy worker is free. For researchers and admins."""
     config = read_config(body.settings)
     with auth.writing() as caller:
         require(may_run_experiments(caller.role), caller.role, "start experiments")
@@ -38,9 +38,9 @@ def create_experiment(body: schemas.NewExperiment, auth: AuthDep) -> schemas.Exp
 def list_experiments(
     auth: AuthDep,
     limit: Annotated[int, Query(ge=1, le=100, description="Most experiments to return.")] = 20,
-    cursor: Annotated[str | None, Query(description="`next_cursor` of the page before.")] = None,
+    cursor: Annotated[str | None, Query(description="`next_cursor` of the previous page.")] = None,
 ) -> schemas.ExperimentPage:
-    """Newest first, a page at a time."""
+    """Lists experiments a page at a time, newest first."""
     if cursor is not None:
         check_id(cursor, "exp")
     with auth.reading() as caller:
@@ -49,9 +49,9 @@ def list_experiments(
         return schemas.ExperimentPage(items=items, next_cursor=page.next_cursor)
 
 
-@router.get("/experiments/{experiment_id}", summary="Look at an experiment")
+@router.get("/experiments/{experiment_id}", summary="Get an experiment")
 def get_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
-    """Its settings, what its policy is doing, and how far its labelling is."""
+    """Returns its settings, status, phase and labelling progress."""
     with auth.reading() as caller:
         row = experiments.get(caller.session, experiment_id)
         return responses.experiment_response(caller.session, row, caller.role)
@@ -59,29 +59,29 @@ def get_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experi
 
 @router.post("/experiments/{experiment_id}/pause", summary="Pause an experiment")
 def pause_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
-    """Its workers stop after the step they are in; no query is offered. A paused one stays paused."""
-    return _steer(auth, experiment_id, experiments.pause, "pause experiments")
+    """Workers stop after their current step, and no queries are leased. Pausing twice changes nothing."""
+    return _change_status(auth, experiment_id, experiments.pause, "pause experiments")
 
 
 @router.post("/experiments/{experiment_id}/resume", summary="Resume an experiment")
 def resume_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
-    """Goes on from the newest checkpoint, after a pause or a failure. A running one goes on running."""
-    return _steer(auth, experiment_id, experiments.resume, "resume experiments")
+    """Resumes from the newest checkpoint after a pause or a failure. A running experiment is not changed."""
+    return _change_status(auth, experiment_id, experiments.resume, "resume experiments")
 
 
 @router.post("/experiments/{experiment_id}/cancel", summary="Cancel an experiment")
 def cancel_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
-    """Ends it for good. Its labels, segments and curves stay."""
-    return _steer(auth, experiment_id, experiments.cancel, "cancel experiments")
+    """Ends it for good. Its labels, segments and metrics are kept."""
+    return _change_status(auth, experiment_id, experiments.cancel, "cancel experiments")
 
 
-@router.get("/experiments/{experiment_id}/metrics", summary="Read curves")
+@router.get("/experiments/{experiment_id}/metrics", summary="Get metrics")
 def get_metrics(
     experiment_id: ExperimentId,
     auth: AuthDep,
-    names: Annotated[list[str] | None, Query(description="Curves to return; all when left out.")] = None,
+    names: Annotated[list[str] | None, Query(description="Curves to return; all by default.")] = None,
 ) -> schemas.Metrics:
-    """Curves over the policy's environment steps. Labellers get none that tells of true rewards."""
+    """Curves over the policy's environment steps. Labellers get none that reveals true rewards."""
     with auth.reading() as caller:
         row = experiments.get(caller.session, experiment_id)
         found = metrics.series(caller.session, experiment_id, names)
@@ -90,7 +90,7 @@ def get_metrics(
 
 @router.get("/experiments/{experiment_id}/reward-versions", summary="List reward versions")
 def list_reward_versions(experiment_id: ExperimentId, auth: AuthDep) -> schemas.RewardVersionPage:
-    """Every version of the reward model that was published, oldest first."""
+    """Lists every published version of the reward model, oldest first."""
     with auth.reading() as caller:
         rows = publish.versions(caller.session, experiment_id)
         return schemas.RewardVersionPage(items=[responses.reward_version_response(row, caller.role) for row in rows])
@@ -98,15 +98,15 @@ def list_reward_versions(experiment_id: ExperimentId, auth: AuthDep) -> schemas.
 
 @router.get("/workers", tags=["service"], summary="List the workers")
 def list_workers(auth: AuthDep) -> list[schemas.Worker]:
-    """Every worker process, what it does, and how long it has been silent."""
+    """Lists every worker process with its state and the age of its heartbeat."""
     with auth.reading() as caller:
         return [responses.worker_response(row, caller.role) for row in workers.all(caller.session)]
 
 
-def _steer(
-    auth: Auth, experiment_id: str, verb: Callable[[Session, str], ExperimentRow], doing: str
+def _change_status(
+    auth: Auth, experiment_id: str, change: Callable[[Session, str], ExperimentRow], doing: str
 ) -> schemas.Experiment:
     with auth.writing() as caller:
         require(may_run_experiments(caller.role), caller.role, doing)
-        row = verb(caller.session, experiment_id)
+        row = change(caller.session, experiment_id)
         return responses.experiment_response(caller.session, row, caller.role)

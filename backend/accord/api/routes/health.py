@@ -1,4 +1,4 @@
-"""Whether the service can do its work."""
+"""Health check."""
 
 from fastapi import APIRouter, Request
 from sqlalchemy import text
@@ -9,9 +9,9 @@ from accord.api.dependencies import app_state
 router = APIRouter(tags=["service"])
 
 
-@router.get("/health", summary="Is the service well?")
+@router.get("/health", summary="Check the service")
 def health(request: Request) -> schemas.Health:
-    """Asks the database; needs no sign-in. 503 with a sentence when it does not answer."""
+    """Queries the database. Needs no authentication. Returns 503 if the database does not answer."""
     with app_state(request).database.reading() as session:
         session.execute(text("SELECT 1"))
     return schemas.Health(status="ok")

@@ -1,4 +1,4 @@
-"""Queries and labels: the way a person, or a program, says which of two segments is better."""
+"""Queries and labels."""
 
 from typing import Annotated
 
@@ -21,12 +21,12 @@ router = APIRouter(tags=["labelling"])
 def next_queries(
     experiment_id: ExperimentId,
     auth: AuthDep,
-    count: Annotated[int, Query(ge=1, le=16, description="Queries to hold at once.")] = 1,
-    returns: Annotated[bool, Query(description="Add true returns and rewards; not for labellers.")] = False,
+    count: Annotated[int, Query(ge=1, le=16, description="Queries to lease.")] = 1,
+    returns: Annotated[bool, Query(description="Include true returns and rewards; not for labellers.")] = False,
 ) -> Response:
-    """Leases queries to the caller: those already held come first, on the sides they were first shown with.
+    """Leases queries to the caller. Those the caller holds already come first, on the same sides as before.
 
-    Fewer than `count`, with a reason, when there are no more.
+    If there are fewer than `count`, `reason` says why.
     """
     app = auth.app
     lease_seconds = app.settings.lease_seconds
@@ -39,18 +39,18 @@ def next_queries(
         return json_response(schemas.Queries(items=items, reason=found.reason))
 
 
-@router.put("/queries/{query_id}/lease", summary="Keep a query")
+@router.put("/queries/{query_id}/lease", summary="Renew a lease")
 def heartbeat(query_id: QueryId, auth: AuthDep) -> schemas.Lease:
-    """Lengthens the lease, for someone who looks at the clips for long."""
+    """Renews the caller's lease of a query."""
     lease_seconds = auth.app.settings.lease_seconds
     with auth.writing() as caller:
         lease.heartbeat(caller.session, caller.user, query_id, lease_seconds)
         return schemas.Lease(query_id=query_id, lease_seconds=lease_seconds)
 
 
-@router.delete("/queries/{query_id}/lease", status_code=204, summary="Give a query back")
+@router.delete("/queries/{query_id}/lease", status_code=204, summary="Release a query")
 def release(query_id: QueryId, auth: AuthDep) -> Response:
-    """Ends the caller's lease, so that another may have the query at once."""
+    """Ends the caller's lease, so that another user may get the query at once."""
     with auth.writing() as caller:
         lease.release(caller.session, caller.user, query_id)
         return Response(status_code=204)
@@ -59,11 +59,11 @@ def release(query_id: QueryId, auth: AuthDep) -> Response:
 @router.put(
     "/queries/{query_id}/label",
     response_model=schemas.Label,
-    responses={201: {"model": schemas.Label, "description": "Written, or changed."}},
+    responses={201: {"model": schemas.Label, "description": "Created or changed."}},
     summary="Label or skip a query",
 )
 def put_label(query_id: QueryId, body: schemas.NewLabel, auth: AuthDep) -> Response:
-    """Writes the caller's label, or changes it. 201 when something changed, 200 when the same was there already."""
+    """Creates or changes the caller's label. 201 if something changed, 200 if the same label was stored already."""
     with auth.writing() as caller:
         outcome = _put(caller, query_id, body, None)
         return json_response(responses.label_response(outcome), 201 if outcome.created else 200)
@@ -71,7 +71,7 @@ def put_label(query_id: QueryId, body: schemas.NewLabel, auth: AuthDep) -> Respo
 
 @router.delete("/queries/{query_id}/label", response_model=schemas.Query, summary="Undo a label")
 def undo_label(query_id: QueryId, auth: AuthDep) -> Response:
-    """Takes the caller's label or skip back, and leases the query to the caller again."""
+    """Undoes the caller's label or skip, and leases the query to the caller again."""
     lease_seconds = auth.app.settings.lease_seconds
     with auth.writing() as caller:
         row = label.undo(caller.session, caller.user, query_id, lease_seconds)
@@ -81,12 +81,12 @@ def undo_label(query_id: QueryId, auth: AuthDep) -> Response:
 
 
 @router.post(
-    "/experiments/{experiment_id}/labels", response_model=schemas.LabelBatchResult, summary="Write many labels"
+    "/experiments/{experiment_id}/labels", response_model=schemas.LabelBatchResult, summary="Label many queries"
 )
 def put_labels(experiment_id: ExperimentId, body: schemas.LabelBatch, auth: AuthDep) -> Response:
-    """For programs: each label is written or refused by itself, and the good ones are committed together.
+    """Writes the valid labels in one transaction and returns an error for each of the others.
 
-    Teachers, researchers and admins may.
+    For teachers, researchers and admins.
     """
     with auth.writing() as caller:
         require(may_label_in_batches(caller.role), caller.role, "label in batches")
@@ -98,7 +98,7 @@ def put_labels(experiment_id: ExperimentId, body: schemas.LabelBatch, auth: Auth
 def _outcome(caller: CallerSession, experiment_id: str, each: schemas.BatchLabel) -> schemas.BatchOutcome:
     try:
         check_id(each.query_id, "qry")
-        # A refusal comes before the first change, so there is nothing to roll back.
+        # Errors are raised before anything is written, so there is nothing to roll back.
         outcome = _put(caller, each.query_id, each, experiment_id)
     except AccordError as error:
         return schemas.BatchOutcome(query_id=each.query_id, ok=False, code=error.code, message=str(error))

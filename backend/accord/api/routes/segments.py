@@ -1,4 +1,4 @@
-"""What a segment holds, for programs that judge it."""
+"""The arrays of segments, for scripted teachers."""
 
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
@@ -16,14 +16,14 @@ _MEDIA_TYPE = "application/octet-stream"
     response_class=Response,
     responses={
         200: {"content": {_MEDIA_TYPE: {}}, "description": "The arrays, as safetensors."},
-        304: {"description": "The arrays in the caller's cache are these."},
+        304: {"description": "The arrays in the caller's cache are current."},
     },
-    summary="Read a segment's arrays",
+    summary="Get a segment's arrays",
 )
 def get_segment_arrays(segment_id: SegmentId, request: Request, auth: AuthDep) -> Response:
-    """Observations, actions, true rewards and simulator states, as they are stored; not for labellers.
+    """Observations, actions, true rewards and simulator states, as safetensors. Not for labellers.
 
-    They never change: a program may keep them.
+    They never change, so programs may cache them.
     """
     with auth.reading() as caller:
         require_returns(caller.role)

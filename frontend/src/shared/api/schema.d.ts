@@ -15,9 +15,9 @@ export interface paths {
         put?: never;
         /**
          * Get the next queries
-         * @description Leases queries to the caller: those already held come first, on the sides they were first shown with.
+         * @description Leases queries to the caller. Those the caller holds already come first, on the same sides as before.
          *
-         *     Fewer than `count`, with a reason, when there are no more.
+         *     If there are fewer than `count`, `reason` says why.
          */
         post: operations["next_queries"];
         delete?: never;
@@ -35,14 +35,14 @@ export interface paths {
         };
         get?: never;
         /**
-         * Keep a query
-         * @description Lengthens the lease, for someone who looks at the clips for long.
+         * Renew a lease
+         * @description Renews the caller's lease of a query.
          */
         put: operations["heartbeat"];
         post?: never;
         /**
-         * Give a query back
-         * @description Ends the caller's lease, so that another may have the query at once.
+         * Release a query
+         * @description Ends the caller's lease, so that another user may get the query at once.
          */
         delete: operations["release"];
         options?: never;
@@ -60,13 +60,13 @@ export interface paths {
         get?: never;
         /**
          * Label or skip a query
-         * @description Writes the caller's label, or changes it. 201 when something changed, 200 when the same was there already.
+         * @description Creates or changes the caller's label. 201 if something changed, 200 if the same label was stored already.
          */
         put: operations["put_label"];
         post?: never;
         /**
          * Undo a label
-         * @description Takes the caller's label or skip back, and leases the query to the caller again.
+         * @description Undoes the caller's label or skip, and leases the query to the caller again.
          */
         delete: operations["undo_label"];
         options?: never;
@@ -84,10 +84,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Write many labels
-         * @description For programs: each label is written or refused by itself, and the good ones are committed together.
+         * Label many queries
+         * @description Writes the valid labels in one transaction and returns an error for each of the others.
          *
-         *     Teachers, researchers and admins may.
+         *     For teachers, researchers and admins.
          */
         post: operations["put_labels"];
         delete?: never;
@@ -104,8 +104,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Play a clip
-         * @description H.264 in MP4. A clip never changes: browsers may keep it.
+         * Get a clip
+         * @description H.264 video in MP4. A clip never changes, so browsers may cache it.
          */
         get: operations["get_clip"];
         put?: never;
@@ -124,10 +124,10 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Read a segment's arrays
-         * @description Observations, actions, true rewards and simulator states, as they are stored; not for labellers.
+         * Get a segment's arrays
+         * @description Observations, actions, true rewards and simulator states, as safetensors. Not for labellers.
          *
-         *     They never change: a program may keep them.
+         *     They never change, so programs may cache them.
          */
         get: operations["get_segment_arrays"];
         put?: never;
@@ -147,7 +147,7 @@ export interface paths {
         };
         /**
          * List the tasks
-         * @description Everything a policy can be taught here.
+         * @description Lists every task that an experiment can use.
          */
         get: operations["list_tasks"];
         put?: never;
@@ -167,13 +167,13 @@ export interface paths {
         };
         /**
          * List experiments
-         * @description Newest first, a page at a time.
+         * @description Lists experiments a page at a time, newest first.
          */
         get: operations["list_experiments"];
         put?: never;
         /**
          * Start an experiment
-         * @description A policy worker takes it up as soon as one is free. Researchers and admins may.
+         * @description Starts an experiment when a policy worker is free. For researchers and admins.
          */
         post: operations["create_experiment"];
         delete?: never;
@@ -190,8 +190,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Look at an experiment
-         * @description Its settings, what its policy is doing, and how far its labelling is.
+         * Get an experiment
+         * @description Returns its settings, status, phase and labelling progress.
          */
         get: operations["get_experiment"];
         put?: never;
@@ -213,7 +213,7 @@ export interface paths {
         put?: never;
         /**
          * Pause an experiment
-         * @description Its workers stop after the step they are in; no query is offered. A paused one stays paused.
+         * @description Workers stop after their current step, and no queries are leased. Pausing twice changes nothing.
          */
         post: operations["pause_experiment"];
         delete?: never;
@@ -233,7 +233,7 @@ export interface paths {
         put?: never;
         /**
          * Resume an experiment
-         * @description Goes on from the newest checkpoint, after a pause or a failure. A running one goes on running.
+         * @description Resumes from the newest checkpoint after a pause or a failure. A running experiment is not changed.
          */
         post: operations["resume_experiment"];
         delete?: never;
@@ -253,7 +253,7 @@ export interface paths {
         put?: never;
         /**
          * Cancel an experiment
-         * @description Ends it for good. Its labels, segments and curves stay.
+         * @description Ends it for good. Its labels, segments and metrics are kept.
          */
         post: operations["cancel_experiment"];
         delete?: never;
@@ -270,8 +270,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Read curves
-         * @description Curves over the policy's environment steps. Labellers get none that tells of true rewards.
+         * Get metrics
+         * @description Curves over the policy's environment steps. Labellers get none that reveals true rewards.
          */
         get: operations["get_metrics"];
         put?: never;
@@ -291,7 +291,7 @@ export interface paths {
         };
         /**
          * List reward versions
-         * @description Every version of the reward model that was published, oldest first.
+         * @description Lists every published version of the reward model, oldest first.
          */
         get: operations["list_reward_versions"];
         put?: never;
@@ -311,7 +311,7 @@ export interface paths {
         };
         /**
          * List the workers
-         * @description Every worker process, what it does, and how long it has been silent.
+         * @description Lists every worker process with its state and the age of its heartbeat.
          */
         get: operations["list_workers"];
         put?: never;
@@ -333,8 +333,8 @@ export interface paths {
          * Follow an experiment live
          * @description Server-sent events: `experiment` on any change, `metrics` with new points, `workers` when one changes.
          *
-         *     The first `metrics` event holds the whole curves, or those after `Last-Event-ID`. A point at a step that was sent
-         *     before replaces it.
+         *     The first `metrics` event has all points, or those after `Last-Event-ID`. A point replaces one sent earlier for the
+         *     same step.
          */
         get: operations["follow_experiment"];
         put?: never;
@@ -353,8 +353,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Who am I?
-         * @description The user whose token came with the request.
+         * Get the signed-in user
+         * @description Returns the user whose token the request has.
          */
         get: operations["me"];
         put?: never;
@@ -376,7 +376,7 @@ export interface paths {
         put?: never;
         /**
          * Add a user
-         * @description Makes a user with a bearer token and a sign-in link. Admins alone may.
+         * @description Creates a user with a bearer token and a sign-in link. For admins only.
          */
         post: operations["create_user"];
         delete?: never;
@@ -396,7 +396,7 @@ export interface paths {
         put?: never;
         /**
          * Sign out
-         * @description Ends the browser's session, or makes the bearer token that came with the request worthless.
+         * @description Ends the browser's session, or deletes the bearer token of the request.
          */
         post: operations["sign_out"];
         delete?: never;
@@ -413,8 +413,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Is the service well?
-         * @description Asks the database; needs no sign-in. 503 with a sentence when it does not answer.
+         * Check the service
+         * @description Queries the database. Needs no authentication. Returns 503 if the database does not answer.
          */
         get: operations["health"];
         put?: never;
@@ -431,24 +431,24 @@ export interface components {
     schemas: {
         /**
          * BatchLabel
-         * @description One label of many.
+         * @description One label of a batch.
          */
         BatchLabel: {
             /**
              * Label
-             * @description 1, 0 or 0.5 (see `order`); null skips: it is stored, and never trained on.
+             * @description 1, 0 or 0.5 (see `order`); null skips the query. Skips are stored but not trained on.
              */
             label: number | null;
             /**
              * Order
-             * @description `segments`: 1 means that segment 0 is better. `shown`: 1 means that the left clip is better, and the server undoes the side that was drawn.
+             * @description segments: 1 means that segment 0 is better. shown: 1 means that the left clip is better; the server converts it to segment order.
              * @default segments
              * @enum {string}
              */
             order: "segments" | "shown";
             /**
              * Response Seconds
-             * @description From both clips playing to the answer.
+             * @description From both clips playing to the label.
              */
             response_seconds?: number | null;
             /**
@@ -466,12 +466,12 @@ export interface components {
         };
         /**
          * BatchOutcome
-         * @description What became of one label.
+         * @description Result for one label of a batch.
          */
         BatchOutcome: {
             /**
              * Query Id
-             * @description As it was sent.
+             * @description The query of the label.
              */
             query_id: string;
             /**
@@ -479,22 +479,22 @@ export interface components {
              * @description Whether the label is stored.
              */
             ok: boolean;
-            /** @description The stored label, when ok. */
+            /** @description The stored label, if ok. */
             label?: components["schemas"]["Label"] | null;
             /**
              * Code
-             * @description Stable error code when not ok.
+             * @description Stable error code, if not ok.
              */
             code?: string | null;
             /**
              * Message
-             * @description What was wrong and what to do, when not ok.
+             * @description What is wrong and what to do, if not ok.
              */
             message?: string | null;
         };
         /**
          * CreatedUser
-         * @description A new user, with the only copy of their token.
+         * @description A new user and their token.
          */
         CreatedUser: {
             /**
@@ -504,25 +504,25 @@ export interface components {
             id: string;
             /**
              * Name
-             * @description As given, without spaces around it.
+             * @description The name, without surrounding spaces.
              */
             name: string;
-            /** @description As given. */
+            /** @description The role. */
             role: components["schemas"]["Role"];
             /**
              * Token
-             * @description Bearer token. Shown once: only its hash is kept.
+             * @description Bearer token. Only its hash is stored, so it cannot be shown again.
              */
             token: string;
             /**
              * Sign In Url
-             * @description Opens the page signed in as this user. Works once.
+             * @description Signs a browser in as this user. Works once.
              */
             sign_in_url: string;
         };
         /**
          * ErrorBody
-         * @description What went wrong.
+         * @description Description of an error.
          */
         ErrorBody: {
             /**
@@ -532,7 +532,7 @@ export interface components {
             code: string;
             /**
              * Message
-             * @description What was wrong and what to do.
+             * @description What is wrong and what to do.
              */
             message: string;
             /**
@@ -545,14 +545,15 @@ export interface components {
         };
         /**
          * ErrorResponse
-         * @description The body of every failure.
+         * @description The body of every error response.
          */
         ErrorResponse: {
+            /** @description Description of the error. */
             error: components["schemas"]["ErrorBody"];
         };
         /**
          * Experiment
-         * @description An experiment as it is now.
+         * @description An experiment with its current state.
          */
         Experiment: {
             /**
@@ -562,30 +563,30 @@ export interface components {
             id: string;
             /**
              * Name
-             * @description As it was given.
+             * @description Unique name.
              */
             name: string;
-            /** @description What is taught. */
+            /** @description The task. */
             task: components["schemas"]["TaskSchema"];
             /**
              * Instructions
-             * @description What labellers are told.
+             * @description Shown to labellers.
              */
             instructions: string;
             /**
              * Config
-             * @description Every setting, as when the experiment was started.
+             * @description Every setting; they never change.
              */
             config: {
                 [key: string]: unknown;
             };
-            /** @description What its owner wants of it, and how it ended. */
+            /** @description Whether it runs, and how it ended. */
             status: components["schemas"]["ExperimentStatus"];
-            /** @description What its policy worker is doing. */
+            /** @description What the policy worker is doing. */
             phase: components["schemas"]["Phase"];
             /**
              * Phase Detail
-             * @description A sentence beside the phase, or why it failed; empty for labellers.
+             * @description One sentence about the phase, or why it failed; empty for labellers.
              */
             phase_detail: string;
             /**
@@ -593,7 +594,7 @@ export interface components {
              * @description Environment steps the policy has taken.
              */
             steps: number;
-            /** @description How far the labelling is. */
+            /** @description Progress of the labelling. */
             labels: components["schemas"]["LabelCounts"];
             /**
              * Reward Version
@@ -624,31 +625,31 @@ export interface components {
             items: components["schemas"]["Experiment"][];
             /**
              * Next Cursor
-             * @description Give it as `cursor` for the next page; null at the end.
+             * @description Pass it as `cursor` to get the next page; null at the end.
              */
             next_cursor?: string | null;
         };
         /**
          * ExperimentStatus
-         * @description What its owner wants of an experiment, and how it ended.
+         * @description Whether an experiment runs, and how it ended.
          * @enum {string}
          */
         ExperimentStatus: "running" | "paused" | "cancelled" | "finished" | "failed";
         /**
          * Health
-         * @description The service can do its work.
+         * @description The service is healthy.
          */
         Health: {
             /**
              * Status
-             * @description Anything else is an error with a sentence.
+             * @description Always ok; a service that is not healthy returns an error.
              * @constant
              */
             status: "ok";
         };
         /**
          * Label
-         * @description The caller's label on a query, as it is stored.
+         * @description The caller's label on a query, as stored.
          */
         Label: {
             /**
@@ -663,7 +664,7 @@ export interface components {
             label: number | null;
             /**
              * State
-             * @description A skip is stored, and never trained on.
+             * @description Skips are stored but not trained on.
              * @enum {string}
              */
             state: "label" | "skip" | "undone";
@@ -674,76 +675,76 @@ export interface components {
             left_segment: number | null;
             /**
              * Revision
-             * @description Goes up by one with every change of a label of the experiment.
+             * @description Label revision of the experiment: one more with every label written, changed or undone.
              */
             revision: number;
             /**
              * Created
-             * @description False when the same label was there already.
+             * @description False if the same label was stored already.
              */
             created: boolean;
         };
         /**
          * LabelBatch
-         * @description Labels of a program, written in one transaction.
+         * @description Labels to write in one transaction.
          */
         LabelBatch: {
             /**
              * Labels
-             * @description Each is judged by itself.
+             * @description Each is accepted or refused by itself.
              */
             labels: components["schemas"]["BatchLabel"][];
         };
         /**
          * LabelBatchResult
-         * @description What became of every label, in the order they were sent.
+         * @description Results of a batch, in the order of the labels.
          */
         LabelBatchResult: {
             /**
              * Items
-             * @description One for each label.
+             * @description One per label.
              */
             items: components["schemas"]["BatchOutcome"][];
         };
         /**
          * LabelCounts
-         * @description How far the labelling of an experiment is.
+         * @description Progress of an experiment's labelling.
          */
         LabelCounts: {
             /**
              * Budget
-             * @description Labels asked for in all.
+             * @description Labels to collect in total.
              */
             budget: number;
             /**
              * Labels
-             * @description Labels that count: 1, 0 or 0.5.
+             * @description Labels 1, 0 or 0.5; no skips.
              */
             labels: number;
             /**
              * Skips
-             * @description Times that somebody could not tell.
+             * @description Skipped queries.
              */
             skips: number;
             /**
              * Due
-             * @description Labels the schedule asks for by now.
+             * @description Labels due at the policy's current step.
              */
             due: number;
             /**
              * Open Queries
-             * @description Queries ready to be labelled.
+             * @description Queries ready to label.
              */
             open_queries: number;
             /**
              * Rendering Queries
-             * @description Queries that wait for their clips.
+             * @description Queries whose clips are not rendered yet.
              */
             rendering_queries: number;
         };
         /**
          * Lease
-         * @description A query kept.
+         * @description A renewed lease.
          */
         Lease: {
             /**
@@ -753,7 +754,7 @@ export interface components {
             query_id: string;
             /**
              * Lease Seconds
-             * @description Send the next heartbeat before this is over.
+             * @description The lease ends after so long without another heartbeat.
              */
             lease_seconds: number;
         };
@@ -769,7 +770,7 @@ export interface components {
             id: string;
             /**
              * Name
-             * @description Shown to others.
+             * @description Unique name.
              */
             name: string;
             /** @description What the user may do. */
@@ -787,12 +788,12 @@ export interface components {
             step: number;
             /**
              * Value
-             * @description Always finite.
+             * @description A finite number.
              */
             value: number;
             /**
              * Reward Version Id
-             * @description The reward version in force; null before any.
+             * @description The reward version in use; null before the first.
              */
             reward_version_id?: string | null;
         };
@@ -808,18 +809,18 @@ export interface components {
             name: string;
             /**
              * Points
-             * @description By step.
+             * @description Sorted by step.
              */
             points: components["schemas"]["MetricPoint"][];
         };
         /**
          * Metrics
-         * @description Curves of an experiment by name. Series of true rewards are left out for labellers.
+         * @description Curves of an experiment. Labellers get none that reveals true rewards.
          */
         Metrics: {
             /**
              * Series
-             * @description By name.
+             * @description Sorted by name.
              */
             series: components["schemas"]["MetricSeries"][];
         };
@@ -1084,24 +1085,24 @@ export interface components {
         };
         /**
          * NewLabel
-         * @description The answer to a query. Posting the same again changes nothing.
+         * @description A label for a query. Sending the same again changes nothing.
          */
         NewLabel: {
             /**
              * Label
-             * @description 1, 0 or 0.5 (see `order`); null skips: it is stored, and never trained on.
+             * @description 1, 0 or 0.5 (see `order`); null skips the query. Skips are stored but not trained on.
              */
             label: number | null;
             /**
              * Order
-             * @description `segments`: 1 means that segment 0 is better. `shown`: 1 means that the left clip is better, and the server undoes the side that was drawn.
+             * @description segments: 1 means that segment 0 is better. shown: 1 means that the left clip is better; the server converts it to segment order.
              * @default segments
              * @enum {string}
              */
             order: "segments" | "shown";
             /**
              * Response Seconds
-             * @description From both clips playing to the answer.
+             * @description From both clips playing to the label.
              */
             response_seconds?: number | null;
             /**
@@ -1114,20 +1115,20 @@ export interface components {
         };
         /**
          * NewUser
-         * @description A user to add.
+         * @description A user to create.
          */
         NewUser: {
             /**
              * Name
-             * @description One line; no two users have the same.
+             * @description Must be unique, and one line.
              */
             name: string;
-            /** @description labeller: a person who labels. teacher: a program that labels and may read true returns. researcher: runs experiments. admin: adds users too. */
+            /** @description labeller: a person who labels. teacher: a program that labels and may read true returns. researcher: also starts experiments. admin: also adds users. */
             role: components["schemas"]["Role"];
         };
         /**
          * Phase
-         * @description What the policy worker is doing with a running experiment right now.
+         * @description What the policy worker is doing with a running experiment.
          * @enum {string}
          */
         Phase: "queued" | "collecting" | "waiting_for_labels" | "training" | "evaluating" | "done";
@@ -1138,12 +1139,12 @@ export interface components {
         Queries: {
             /**
              * Items
-             * @description By number; those the caller held before come first.
+             * @description Sorted by number.
              */
             items: components["schemas"]["Query"][];
             /**
              * Reason
-             * @description Why there are fewer than asked for.
+             * @description Why there are fewer than requested.
              * @default
              * @enum {string}
              */
@@ -1151,7 +1152,7 @@ export interface components {
         };
         /**
          * Query
-         * @description Two segments to compare, on the sides that were drawn for this user.
+         * @description Two segments to compare, on the sides chosen for this user.
          */
         Query: {
             /**
@@ -1175,13 +1176,13 @@ export interface components {
             right: components["schemas"]["SegmentView"];
             /**
              * Lease Seconds
-             * @description Send a heartbeat, or the label, before this is over.
+             * @description The lease ends after so long without a heartbeat or a label.
              */
             lease_seconds: number;
         };
         /**
          * RewardVersion
-         * @description A trained reward model. It never changes: the next one is another version.
+         * @description A version of the reward model. It never changes.
          */
         RewardVersion: {
             /**
@@ -1196,17 +1197,17 @@ export interface components {
             number: number;
             /**
              * Parent Id
-             * @description The version it was trained on from.
+             * @description The version before it.
              */
             parent_id: string | null;
             /**
              * Label Watermark
-             * @description It knows every label with a revision up to this one.
+             * @description It was trained on the labels up to this revision.
              */
             label_watermark: number;
             /**
              * Label Count
-             * @description Labels it was trained on.
+             * @description Number of labels it was trained on.
              */
             label_count: number;
             /**
@@ -1241,7 +1242,7 @@ export interface components {
         };
         /**
          * Role
-         * @description What a user may do; see `accord.domain.permissions`.
+         * @description A user's role; `accord.domain.permissions` says what each may do.
          * @enum {string}
          */
         Role: "labeller" | "researcher" | "admin" | "teacher";
@@ -1263,12 +1264,12 @@ export interface components {
             segment_id: string;
             /**
              * Clip Url
-             * @description Path of the mp4; None when the experiment makes no clips.
+             * @description Path of the MP4 file; null if the experiment renders no clips.
              */
             clip_url: string | null;
             /**
              * Seconds
-             * @description How long the clip lasts.
+             * @description Duration of the clip.
              */
             seconds: number;
             /**
@@ -1278,18 +1279,18 @@ export interface components {
             frames: number;
             /**
              * True Return
-             * @description For teachers and researchers that ask; else absent.
+             * @description With `returns=true`, for teachers and researchers; else null.
              */
             true_return?: number | null;
             /**
              * True Rewards
-             * @description Per step; as true_return.
+             * @description Per step; as `true_return`.
              */
             true_rewards?: number[] | null;
         };
         /**
          * TaskSchema
-         * @description A task that a team of agents can be taught.
+         * @description A cooperative multi-agent task.
          */
         TaskSchema: {
             /**
@@ -1304,7 +1305,7 @@ export interface components {
             n_agents: number;
             /**
              * Agent Names
-             * @description What the agents are called, in agent order.
+             * @description Names of the agents, in agent order.
              */
             agent_names: string[];
             /**
@@ -1314,27 +1315,27 @@ export interface components {
             agent_colours: string[];
             /**
              * Observation Dim
-             * @description Numbers in one agent's observation, C.
+             * @description Size of one agent's observation, C.
              */
             observation_dim: number;
             /**
              * Action Dim
-             * @description Numbers in one agent's action, A.
+             * @description Size of one agent's action, A.
              */
             action_dim: number;
             /**
              * Horizon Steps
-             * @description Steps after which an episode is cut.
+             * @description Longest episode, in steps.
              */
             horizon_steps: number;
             /**
              * Step Seconds
-             * @description Simulated time of one step.
+             * @description Simulated seconds per step.
              */
             step_seconds: number;
             /**
              * Instructions
-             * @description What the team should achieve, in plain words.
+             * @description What the team should achieve.
              */
             instructions: string;
         };
@@ -1360,17 +1361,17 @@ export interface components {
             state: string;
             /**
              * Detail
-             * @description What it does, or what went wrong; empty for labellers.
+             * @description What it is doing, or its last error; empty for labellers.
              */
             detail: string;
             /**
              * Restarts
-             * @description How often it was started again.
+             * @description Number of restarts.
              */
             restarts: number;
             /**
              * Heartbeat Age Seconds
-             * @description Since its last sign of life.
+             * @description Seconds since its last heartbeat.
              */
             heartbeat_age_seconds: number;
         };
@@ -1386,9 +1387,9 @@ export interface operations {
     next_queries: {
         parameters: {
             query?: {
-                /** @description Queries to hold at once. */
+                /** @description Queries to lease. */
                 count?: number;
-                /** @description Add true returns and rewards; not for labellers. */
+                /** @description Include true returns and rewards; not for labellers. */
                 returns?: boolean;
             };
             header?: never;
@@ -1409,7 +1410,7 @@ export interface operations {
                     "application/json": components["schemas"]["Queries"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1441,7 +1442,7 @@ export interface operations {
                     "application/json": components["schemas"]["Lease"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1471,7 +1472,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1507,7 +1508,7 @@ export interface operations {
                     "application/json": components["schemas"]["Label"];
                 };
             };
-            /** @description Written, or changed. */
+            /** @description Created or changed. */
             201: {
                 headers: {
                     [name: string]: unknown;
@@ -1516,7 +1517,7 @@ export interface operations {
                     "application/json": components["schemas"]["Label"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1548,7 +1549,7 @@ export interface operations {
                     "application/json": components["schemas"]["Query"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1584,7 +1585,7 @@ export interface operations {
                     "application/json": components["schemas"]["LabelBatchResult"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1616,7 +1617,7 @@ export interface operations {
                     "video/mp4": unknown;
                 };
             };
-            /** @description The range asked for. */
+            /** @description The requested range. */
             206: {
                 headers: {
                     [name: string]: unknown;
@@ -1625,21 +1626,21 @@ export interface operations {
                     "video/mp4": unknown;
                 };
             };
-            /** @description The clip in the browser's cache is this one. */
+            /** @description The clip in the browser's cache is current. */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description The range lies outside of the clip. */
+            /** @description The range is outside the clip. */
             416: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1671,14 +1672,14 @@ export interface operations {
                     "application/octet-stream": unknown;
                 };
             };
-            /** @description The arrays in the caller's cache are these. */
+            /** @description The arrays in the caller's cache are current. */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1707,7 +1708,7 @@ export interface operations {
                     "application/json": components["schemas"]["TaskSchema"][];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1723,7 +1724,7 @@ export interface operations {
             query?: {
                 /** @description Most experiments to return. */
                 limit?: number;
-                /** @description `next_cursor` of the page before. */
+                /** @description `next_cursor` of the previous page. */
                 cursor?: string | null;
             };
             header?: never;
@@ -1741,7 +1742,7 @@ export interface operations {
                     "application/json": components["schemas"]["ExperimentPage"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1774,7 +1775,7 @@ export interface operations {
                     "application/json": components["schemas"]["Experiment"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1806,7 +1807,7 @@ export interface operations {
                     "application/json": components["schemas"]["Experiment"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1838,7 +1839,7 @@ export interface operations {
                     "application/json": components["schemas"]["Experiment"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1870,7 +1871,7 @@ export interface operations {
                     "application/json": components["schemas"]["Experiment"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1902,7 +1903,7 @@ export interface operations {
                     "application/json": components["schemas"]["Experiment"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1916,7 +1917,7 @@ export interface operations {
     get_metrics: {
         parameters: {
             query?: {
-                /** @description Curves to return; all when left out. */
+                /** @description Curves to return; all by default. */
                 names?: string[] | null;
             };
             header?: never;
@@ -1937,7 +1938,7 @@ export interface operations {
                     "application/json": components["schemas"]["Metrics"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1969,7 +1970,7 @@ export interface operations {
                     "application/json": components["schemas"]["RewardVersionPage"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -1998,7 +1999,7 @@ export interface operations {
                     "application/json": components["schemas"]["Worker"][];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -2033,7 +2034,7 @@ export interface operations {
                     "text/event-stream": unknown;
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -2062,7 +2063,7 @@ export interface operations {
                     "application/json": components["schemas"]["Me"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -2095,7 +2096,7 @@ export interface operations {
                     "application/json": components["schemas"]["CreatedUser"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -2122,7 +2123,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -2151,7 +2152,7 @@ export interface operations {
                     "application/json": components["schemas"]["Health"];
                 };
             };
-            /** @description A stable code, and a sentence that helps. */
+            /** @description A stable code, a message, and the invalid field. */
             default: {
                 headers: {
                     [name: string]: unknown;
