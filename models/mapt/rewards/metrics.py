@@ -96,9 +96,10 @@ def rank_correlation(first: ArrayLike, second: ArrayLike) -> float:
 
 def correlation(first: ArrayLike, second: ArrayLike) -> float:
     """Pearson's correlation of two (B,) arrays; NaN if one is constant."""
-    centred = [values - values.mean() for values in _float_arrays(first, second)]
-    scale = np.sqrt((centred[0] ** 2).sum() * (centred[1] ** 2).sum())
-    return float((centred[0] * centred[1]).sum() / scale) if scale > 0 else math.nan
+    values = _float_arrays(first, second)
+    if any(each.size == 0 or np.ptp(each) == 0 for each in values):
+        return math.nan
+    return float(np.corrcoef(*values)[0, 1])
 
 
 def _mean_ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:

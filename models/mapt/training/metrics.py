@@ -12,6 +12,7 @@ from tensorboardX import SummaryWriter
 
 from mapt.errors import DamagedRun
 from mapt.policies import Rollout
+from mapt.rewards.metrics import correlation
 
 #: what differs from run to run of the same settings; everything else is decided by them
 TIMINGS = ("time", "steps_per_second", "seconds_physics", "seconds_inference", "seconds_reward", "seconds_update")
@@ -92,15 +93,10 @@ def iteration_metrics(
     values["learned_return"] = float(shared.mean()) * horizon_steps
     if len(rollout.episode_returns):
         values["true_return"] = float(rollout.episode_returns.mean())
-    if (agreement := _correlation(shared, rollout.rewards)) is not None:
+    agreement = correlation(shared.ravel(), rollout.rewards.ravel())
+    if math.isfinite(agreement):
         values["true_reward_correlation"] = agreement
     return values
-
-
-def _correlation(first: NDArray[np.floating], second: NDArray[np.floating]) -> float | None:
-    left, right = (values.astype(np.float64).ravel() - values.mean() for values in (first, second))
-    scale = math.sqrt(float((left**2).sum()) * float((right**2).sum()))
-    return float((left * right).sum()) / scale if scale > 0 else None
 
 
 #: names of event files, which TensorBoard looks for
