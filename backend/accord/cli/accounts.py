@@ -11,7 +11,8 @@ from accord.domain.enums import Role
 from accord.services import accounts
 from accord.settings import Settings
 from accord.store.database import Database
-from mapt.cli.output import out, print_line
+from mapt.cli.options import Json
+from mapt.cli.output import out, print_json, print_line
 
 Name = Annotated[str, typer.Argument(help="Name of a user; `accord user list` shows them.")]
 
@@ -66,10 +67,25 @@ def user_link(name: Name, home: Home = None) -> None:
 
 
 @user.command("list")
-def list_users(home: Home = None) -> None:
+def list_users(*, home: Home = None, as_json: Json = False) -> None:
     """List every user: role, labels, browsers that are signed in, bearer tokens, and the day they were added."""
     with migrated(load_settings(home)) as database, database.reading() as session:
         found = accounts.summaries(session)
+    if as_json:
+        print_json(
+            [
+                {
+                    "name": each.name,
+                    "role": each.role,
+                    "labels": each.labels,
+                    "browsers": each.browsers,
+                    "tokens": each.bearer_tokens,
+                    "created_at": each.created_at.isoformat(),
+                }
+                for each in found
+            ]
+        )
+        return
     rows = [("user", "role", "labels", "browsers", "tokens", "added")]
     rows += [
         (

@@ -1,5 +1,6 @@
 """`accord link` and `accord user`, over a database of their own."""
 
+import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -74,6 +75,12 @@ def test_users_are_listed_in_columns(accord: Accord) -> None:
         ["Lena", "Maier", "labeller", "0", "0", "1"],
         ["bot", "teacher", "0", "0", "1"],
     ]
+
+
+def test_users_are_listed_as_json(accord: Accord) -> None:
+    accord("user", "add", "bot", "--role", "teacher")
+    [user] = json.loads("".join(accord("user", "list", "--json").lines))
+    assert (user["name"], user["role"], user["tokens"]) == ("bot", "teacher", 1)
 
 
 def test_a_removed_user_is_gone_from_the_list(accord: Accord) -> None:
