@@ -1,5 +1,5 @@
-"""One process per role, each a level-triggered loop over rows, and the supervisor that keeps them running.
+"""The worker processes: each polls the database for work of its role, claims it and does it.
 
-`stop`, `lifeline`, `pulse`, `backoff` and `loop` are what every worker shares; `render`, `reward` and `policy` are the
-roles; `supervisor` and `children` are the parent.
+`reward_worker`, `policy_worker` and `render_worker` are the roles. `query_planner` runs in a thread of the reward
+worker. All share `runner` and `heartbeat`; `supervisor` starts and restarts them.
 """

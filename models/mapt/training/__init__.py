@@ -1,1 +1,1 @@
-"""Runs of a policy without the service: trained, resumed, evaluated, compared."""
+"""Training of policies: single runs, the preference loop, and the steps they share with the service."""

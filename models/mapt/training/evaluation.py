@@ -1,4 +1,4 @@
-"""How good a policy is by the true reward: whole episodes with mean actions."""
+"""Evaluation of a policy by its true return over whole episodes with mean actions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,24 +9,24 @@ from numpy.typing import ArrayLike
 from mapt.policies import Policy, play
 from mapt.tasks import make_task
 
-#: the mean's standard error is then a sixth of the spread
+#: the standard error of the mean is then a sixth of the standard deviation
 EPISODES = 32
-#: environments that play at once
+#: most environments in parallel
 _MOST_ENVS = 32
-#: keeps the starts apart from those of training
+#: added to the seed, so that initial states differ from those of training
 SEED_OF_STARTS = 1_000_003
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Episodes of one policy."""
+    """The episodes of one evaluation."""
 
-    #: true returns, and steps, by episode
+    #: true return and length in steps of each episode
     returns: tuple[float, ...]
     lengths: tuple[int, ...]
 
     def summary(self) -> dict[str, float]:
-        """Mean, standard deviation and interquartile mean of the returns, their ends, and the mean length."""
+        """Mean, standard deviation, interquartile mean, minimum and maximum of the returns, and the mean length."""
         returns = np.asarray(self.returns)
         return {
             "mean": float(returns.mean()),
@@ -38,7 +38,7 @@ class Evaluation:
         }
 
     def to_dict(self) -> dict[str, object]:
-        """The summary and every episode, for JSON."""
+        """The summary and every episode, ready for JSON."""
         return {
             "episodes": len(self.returns),
             **self.summary(),
@@ -56,17 +56,17 @@ class Evaluation:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Sequence[float]]) -> "Evaluation":
-        """What `to_dict` gave; raises KeyError where something is missing."""
+        """Read the result of `to_dict`. Raises KeyError if a key is missing."""
         return cls(tuple(map(float, values["returns"])), tuple(map(int, values["lengths"])))
 
 
 def evaluate_policy(
     policy: Policy, task_name: str, *, agent_obsk: int, episodes: int = EPISODES, seed: int = 0, n_threads: int = 0
 ) -> Evaluation:
-    """Play whole episodes with mean actions, from starts of their own.
+    """Play whole episodes with mean actions.
 
     Args:
-        seed: decides the starts.
+        seed: of the initial states.
         n_threads: as in `make_task`.
     """
     task = make_task(task_name, min(episodes, _MOST_ENVS), n_threads=n_threads, agent_obsk=agent_obsk)
@@ -78,7 +78,7 @@ def evaluate_policy(
 
 
 def interquartile_mean(values: ArrayLike) -> float:
-    """Mean of the middle half (Agarwal et al. 2021): a quarter of the values, rounded down, is left out at each end."""
+    """Mean without the lowest and the highest quarter of the values, each rounded down (Agarwal et al. 2021)."""
     ordered = np.sort(np.asarray(values, dtype=np.float64))
     cut = len(ordered) // 4
     return float(ordered[cut : len(ordered) - cut].mean())

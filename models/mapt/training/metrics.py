@@ -14,21 +14,22 @@ from mapt.errors import DamagedRun
 from mapt.policies import Rollout
 from mapt.rewards.metrics import correlation
 
-#: what differs from run to run of the same settings; everything else is decided by them
+#: metrics that differ between runs with equal settings
 TIMINGS = ("time", "steps_per_second", "seconds_physics", "seconds_inference", "seconds_reward", "seconds_update")
 
+#: the metrics of one iteration by name
 Metrics = dict[str, float | str]
 
 
 class MetricsFile:
-    """The lines of a run, from the checkpoint on that it goes on from.
+    """Appends lines to metrics.jsonl, after those of the checkpoint that training resumes from.
 
     Args:
-        path: made when missing.
-        lines: of the checkpoint; those after them, written by a process that was killed since, are made again.
+        path: created if missing.
+        lines: lines to keep, one for each iteration before the checkpoint; later ones are deleted.
 
     Raises:
-        DamagedRun: if there are fewer.
+        DamagedRun: if there are fewer lines.
     """
 
     def __init__(self, path: Path, lines: int) -> None:
@@ -42,12 +43,12 @@ class MetricsFile:
         self._file.truncate()
 
     def append(self, values: Mapping[str, float | str]) -> None:
-        """Add a line; another process sees it at once."""
+        """Add a line, which other processes can read at once."""
         self._file.write(json.dumps(values).encode() + b"\n")
         self._file.flush()
 
     def sync(self) -> None:
-        """Return when the lines are on disk."""
+        """Flush all lines to disk."""
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
@@ -55,10 +56,10 @@ class MetricsFile:
 
 
 def read_metrics(path: Path) -> list[Metrics]:
-    """The whole lines of a file; a run that is being trained may be in the middle of its last.
+    """The complete lines of a file; the last one may be incomplete while a run trains.
 
     Raises:
-        DamagedRun: if it is missing, or a whole line is no JSON object.
+        DamagedRun: if the file is missing, or a complete line is not a JSON object.
     """
     try:
         lines = path.read_bytes().split(b"\n")[:-1]
@@ -66,44 +67,45 @@ def read_metrics(path: Path) -> list[Metrics]:
     except (OSError, ValueError) as error:
         raise DamagedRun(path, str(error)) from error
     if not all(isinstance(line, dict) for line in values):
-        raise DamagedRun(path, "a line is no JSON object")
+        raise DamagedRun(path, "a line is not a JSON object")
     return values
 
 
-#: the learner's names -> the curves'
+#: metrics of `Learner.update` that are recorded under another name
 _RENAMED = {"actor_loss": "policy_loss", "critic_loss": "value_loss"}
+#: metrics of `Learner.update` that keep their name
 _KEPT = ("entropy", "explained_variance", "kl", "clip_fraction", "action_std", "learning_rate")
 
 
 def iteration_metrics(
     rollout: Rollout, rewards: NDArray[np.floating], losses: dict[str, float], horizon_steps: int
 ) -> dict[str, float]:
-    """The points that one iteration adds to the curves.
+    """The metrics of one iteration.
 
     Args:
-        rewards: (L, E) or (L, E, N), those the policy learned from.
-        losses: what `Learner.update` gave.
+        rewards: (L, E) or (L, E, N), given to `Learner.update`.
+        losses: returned by `Learner.update`.
 
     Returns:
-        `true_return` if an episode ended, `learned_return` (the mean reward, times an episode's steps: it can be told
-        for every rollout), `true_reward_correlation` over the rollout's steps where it is defined, and the losses.
+        `true_return` if an episode ended; `learned_return`, the mean reward times the steps of an episode, which is
+        defined for every rollout; `true_reward_correlation` over the rollout's steps if defined; and the losses.
     """
     shared = rewards.mean(axis=2) if rewards.ndim == 3 else rewards
     values = {_RENAMED.get(name, name): value for name, value in losses.items() if name in _RENAMED or name in _KEPT}
     values["learned_return"] = float(shared.mean()) * horizon_steps
     if len(rollout.episode_returns):
         values["true_return"] = float(rollout.episode_returns.mean())
-    agreement = correlation(shared.ravel(), rollout.rewards.ravel())
-    if math.isfinite(agreement):
-        values["true_reward_correlation"] = agreement
+    coefficient = correlation(shared.ravel(), rollout.rewards.ravel())
+    if math.isfinite(coefficient):
+        values["true_reward_correlation"] = coefficient
     return values
 
 
-#: names of event files, which TensorBoard looks for
+#: pattern of TensorBoard's event files
 EVENTS = "events.out.tfevents.*"
-#: seconds after which a point is on disk at the latest
+#: most seconds until a point is on disk
 _FLUSH_SECONDS = 10
-#: where a curve is found on the page, by what its name begins with; all others are the learner's
+#: TensorBoard group by prefix of the metric's name; other metrics are in the group `learner`
 _GROUPS = {
     "true_return": "return",
     "learned_return": "return",
@@ -113,17 +115,17 @@ _GROUPS = {
     "seconds": "speed",
     "steps_per_second": "speed",
 }
-#: what every point has: no curves of their own
+#: coordinates of every point, which are not plotted
 _COORDINATES = ("iteration", "steps", "time")
 
 
 class EventFile:
-    """Writes each number of each line as a scalar, by environment steps.
+    """Writes every number of metrics.jsonl as a TensorBoard scalar, by environment steps.
 
     Args:
-        folder: of the run, whose name TensorBoard shows; what a process before this one wrote is replaced by `lines`,
-            so that no point is missing or there twice.
-        lines: so far.
+        folder: of the run; TensorBoard shows its name. Existing event files are replaced, so that no point is missing
+            or duplicated.
+        lines: of metrics.jsonl so far.
     """
 
     def __init__(self, folder: Path, lines: Iterable[Metrics]) -> None:
@@ -145,5 +147,5 @@ class EventFile:
 
 
 def tag(name: str) -> str:
-    """`group/name`, under which TensorBoard shows the curve of this name."""
+    """The metric's TensorBoard tag: `group/name`."""
     return f"{next((group for prefix, group in _GROUPS.items() if name.startswith(prefix)), 'learner')}/{name}"

@@ -30,13 +30,13 @@ _CONTEXT = "context."
 
 @dataclass(frozen=True, slots=True)
 class PolicyCheckpoint:
-    """Everything that decides how training goes on."""
+    """The state that training resumes from."""
 
     #: `Learner.to_bytes`
     learner: bytes
     #: `RolloutRelabeller.state_dict`; empty before the first reward version
     context: dict[str, NDArray[np.generic]]
-    #: whatever the run notes of itself, for JSON
+    #: JSON-ready state of the run, such as its iteration
     progress: dict[str, object] = field(default_factory=dict[str, object])
 
     def to_bytes(self) -> bytes:
@@ -49,19 +49,19 @@ class PolicyCheckpoint:
 
     @classmethod
     def from_bytes(cls, content: bytes) -> "PolicyCheckpoint":
-        """What `to_bytes` wrote.
+        """Read what `to_bytes` wrote.
 
         Raises:
-            DamagedCheckpoint: if it is damaged, or another file.
+            DamagedCheckpoint: if it is damaged, or not a checkpoint.
         """
         try:
             arrays = load(content)
             learner, progress = arrays[_LEARNER].tobytes(), arrays.get(_PROGRESS)
-            noted = {} if progress is None else json.loads(progress.tobytes())
+            run_state = {} if progress is None else json.loads(progress.tobytes())
         except (SafetensorError, KeyError, ValueError) as error:
             raise DamagedCheckpoint(repr(error)) from error
         context = {name.removeprefix(_CONTEXT): array for name, array in arrays.items() if name.startswith(_CONTEXT)}
-        return cls(learner, context, noted)
+        return cls(learner, context, run_state)
 
 
 FORMAT_VERSION = 1
@@ -74,7 +74,7 @@ REWARDS_FOLDER = "rewards"
 
 
 class RunFolder:
-    """One run's files."""
+    """The files of one run."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -86,10 +86,10 @@ class RunFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Be the only process that trains here; the lock goes with the process, however that ends.
+        """Lock the folder against other processes that train; the lock ends with the process, even when it is killed.
 
         Raises:
-            RunBusy: if another one does.
+            RunBusy: if another process holds the lock.
         """
         self.path.mkdir(parents=True, exist_ok=True)
         with (self.path / "lock").open("w") as file:
@@ -100,17 +100,17 @@ class RunFolder:
             yield
 
     def check(self, settings: RunSettings) -> None:
-        """Make sure that a run that is here has these settings.
+        """Check that the folder is empty or holds a run with these settings.
 
         Raises:
-            RunMismatch: if it has others.
-            DamagedRun: if its settings cannot be read.
+            RunMismatch: if it holds a run with other settings.
+            DamagedRun: if the settings of the run cannot be read.
         """
         if (self.path / RUN_FILE).exists() and (differences := self.settings().differences(settings)):
             raise RunMismatch(self.path, differences)
 
     def claim(self, settings: RunSettings) -> None:
-        """Write the settings of a new run, or of one that is made longer; raises as `check` does."""
+        """Write the settings of a new or extended run; raises as `check` does."""
         self.check(settings)
         if (self.path / RUN_FILE).exists():
             settings = replace(settings, steps=max(settings.steps, self.settings().steps))
@@ -118,17 +118,17 @@ class RunFolder:
         atomic_write(self.path / RUN_FILE, json.dumps(card, indent=2).encode() + b"\n")
 
     def settings(self) -> RunSettings:
-        """What the run was started with.
+        """The settings of the run.
 
         Raises:
-            DamagedRun: if that cannot be read.
+            DamagedRun: if they cannot be read.
         """
         path = self.path / RUN_FILE
         try:
             card = json.loads(path.read_bytes())
             version = card.pop("format_version")
             if version != FORMAT_VERSION:
-                raise DamagedRun(path, f"its format is {version}, known is {FORMAT_VERSION}")
+                raise DamagedRun(path, f"it has format {version}, and this version reads format {FORMAT_VERSION}")
             return RunSettings.from_dict(card)
         except DamagedRun:
             raise
@@ -136,7 +136,7 @@ class RunFolder:
             raise DamagedRun(path, str(error)) from error
 
     def last_checkpoint(self) -> PolicyCheckpoint | None:
-        """Where the run stands; None if it was killed before its first checkpoint.
+        """The newest checkpoint; None before the first.
 
         Raises:
             CheckpointError: if it is damaged.
@@ -144,10 +144,10 @@ class RunFolder:
         return PolicyCheckpoint.from_bytes(self.checkpoint.read_bytes()) if self.checkpoint.exists() else None
 
     def read_evaluation(self, steps: int) -> Evaluation | None:
-        """What the policy after so many steps did; None if it was not evaluated.
+        """The evaluation of the policy after `steps` steps; None if it was not evaluated.
 
         Raises:
-            DamagedRun: if the file is not as it was written.
+            DamagedRun: if the file is damaged.
         """
         if not self.evaluation.exists():
             return None
@@ -158,33 +158,33 @@ class RunFolder:
             raise DamagedRun(self.evaluation, str(error)) from error
 
     def write_evaluation(self, steps: int, evaluation: Evaluation) -> None:
-        """Keep what the policy after so many steps did."""
+        """Store the evaluation of the policy after `steps` steps."""
         content = json.dumps({"steps": steps, **evaluation.to_dict()}, indent=2)
         atomic_write(self.evaluation, content.encode() + b"\n")
 
 
 @dataclass(frozen=True, slots=True)
 class SavedPolicy:
-    """A policy that only acts."""
+    """A trained policy without its learner."""
 
     policy: Policy
     task: str
     agent_obsk: int
     algorithm: str
-    #: environment steps that it was trained for
+    #: environment steps of its training
     steps: int
 
 
 def load_policy(path: Path, device: str = "auto", agent_obsk: int | None = None) -> SavedPolicy:
-    """The policy of a run's folder or of a checkpoint.
+    """Load the policy of a run's folder or of a checkpoint file.
 
     Args:
-        device: where it acts, whatever it was trained on.
-        agent_obsk: how many joints away its agents see; None for the run's own, or the usual where there is no run.
+        device: where to run it; it may differ from the one it was trained on.
+        agent_obsk: observation radius in joints; default: that of the run, or of new runs for a single file.
 
     Raises:
-        RunNotFound: if there is none.
-        CheckpointError: if the file is damaged, no checkpoint, or of other observations.
+        RunNotFound: if there is no checkpoint.
+        CheckpointError: if the file is damaged, not a checkpoint, or for other observations.
     """
     file = path / CHECKPOINT_FILE if path.is_dir() else path
     if not file.is_file():
@@ -196,7 +196,7 @@ def load_policy(path: Path, device: str = "auto", agent_obsk: int | None = None)
 
 
 def learner_bytes(file: Path) -> bytes:
-    """What `Learner.to_bytes` gave, which a run's checkpoint holds inside."""
+    """The bytes of the learner in a checkpoint of a run, or in a file of `Learner.save`."""
     content = file.read_bytes()
     try:
         describe(content)
@@ -206,7 +206,7 @@ def learner_bytes(file: Path) -> bytes:
 
 
 def policy_of(content: bytes, device: str, agent_obsk: int) -> SavedPolicy:
-    """The policy of `Learner.to_bytes`, without its learner."""
+    """The policy in the bytes of a learner."""
     description = describe(content)
     config = replace(PolicyConfig.from_dict(description.config), device=device)
     tensors, _ = unpack(content, description.task)

@@ -1,4 +1,4 @@
-"""What makes a run: equal settings, equal run."""
+"""The settings of a run. Two runs with equal settings give equal results."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -10,13 +10,13 @@ from mapt.rewards.model import PolicyReward
 from mapt.rewards.relabelling import Credit
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 
-#: how the true reward is written
+#: name of the task's own reward
 TRUE = "true"
 
 
 @dataclass(frozen=True, slots=True)
 class LearnedRewardSettings:
-    """A reward model, and what the policy is given of it.
+    """A trained reward model, and how its rewards reach the policy.
 
     Raises:
         InvalidConfig: if a value is out of its range.
@@ -24,7 +24,7 @@ class LearnedRewardSettings:
 
     #: folder of reward.safetensors and reward.json, or a .safetensors file with its .json beside it
     path: str
-    #: T: steps of the segments that the model was trained on
+    #: T, steps of the segments that the model was trained on
     segment_steps: int
     #: see `RewardModel.policy_rewards`
     kind: PolicyReward = "value"
@@ -33,13 +33,13 @@ class LearnedRewardSettings:
 
     def __post_init__(self) -> None:
         if self.segment_steps < 1:
-            raise InvalidConfig(f"segment_steps is {self.segment_steps}; it must be 1 or more")
+            raise InvalidConfig(f"segment_steps is {self.segment_steps}; it must be 1 or more", "segment_steps")
         for name, value, known in (
             ("policy_reward", self.kind, get_args(PolicyReward)),
             ("credit", self.credit, get_args(Credit)),
         ):
             if value not in known:
-                raise InvalidConfig(f"{name} is {value!r}; known: {', '.join(known)}")
+                raise InvalidConfig(f"{name} is {value!r}; known: {', '.join(known)}", name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,32 +60,34 @@ class PreferenceRewardSettings:
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """One policy's training.
+    """The training of one policy.
 
     Raises:
         InvalidConfig: if a value is out of its range.
     """
 
     task: str
-    #: with the seed and the algorithm
+    #: includes the seed and the algorithm
     policy: PolicyConfig
     #: environment steps to train for, rounded up to whole rollouts
     steps: int
     #: None for the task's own reward
     reward: LearnedRewardSettings | PreferenceRewardSettings | None = None
-    #: how many joints away an agent sees
+    #: MaMuJoCo's observation radius of an agent, in joints
     agent_obsk: int = DEFAULT_AGENT_OBSK
-    #: environment steps between evaluations; 0 for one at the end alone
+    #: environment steps between evaluations; 0 evaluates at the end only
     evaluate_every_steps: int = 0
 
     def __post_init__(self) -> None:
         if self.steps < 1:
-            raise InvalidConfig(f"steps is {self.steps}; it must be 1 or more")
+            raise InvalidConfig(f"steps is {self.steps}; it must be 1 or more", "steps")
         if self.evaluate_every_steps < 0:
-            raise InvalidConfig(f"evaluate_every_steps is {self.evaluate_every_steps}; it must be 0 or more")
+            raise InvalidConfig(
+                f"evaluate_every_steps is {self.evaluate_every_steps}; it must be 0 or more", "evaluate_every_steps"
+            )
 
     def to_dict(self) -> dict[str, object]:
-        """What `from_dict` reads, ready for JSON."""
+        """JSON-ready values; `from_dict` reads them back."""
         return {
             "task": self.task,
             "policy": self.policy.to_dict(),
@@ -106,20 +108,20 @@ class RunSettings:
         try:
             policy, reward = values.pop("policy"), values.pop("reward")
             if not isinstance(policy, Mapping) or not isinstance(reward, Mapping | None):
-                raise InvalidConfig("policy and reward of a run must be settings by name")
+                raise InvalidConfig("policy and reward must be objects with settings")
             return cls(policy=PolicyConfig.from_dict(policy), reward=_reward_of(reward), **values)  # pyright: ignore[reportArgumentType]
         except (KeyError, TypeError) as error:
             raise InvalidConfig(f"These are not the settings of a run: {error}") from error
 
     def flat(self) -> dict[str, object]:
-        """Every setting by name, those within others as `outer.inner`."""
+        """Every setting by name; nested ones as `outer.inner`."""
         return _flat(self.to_dict())
 
     def differences(self, other: "RunSettings") -> list[str]:
-        """How `other` differs, as `name: own value, not its`; steps do not count, since a run may be made longer."""
-        own, its = self.flat(), other.flat()
-        names = [name for name in own | its if name != "steps" and own.get(name) != its.get(name)]
-        return [f"{name}: {own.get(name)}, not {its.get(name)}" for name in names]
+        """Settings that differ, as `name: own value, not other value`, but for `steps`: a run can be extended."""
+        own, theirs = self.flat(), other.flat()
+        names = [name for name in own | theirs if name != "steps" and own.get(name) != theirs.get(name)]
+        return [f"{name}: {own.get(name)}, not {theirs.get(name)}" for name in names]
 
 
 def _reward_of(settings: Mapping[str, object] | None) -> LearnedRewardSettings | PreferenceRewardSettings | None:
@@ -131,7 +133,6 @@ def _reward_of(settings: Mapping[str, object] | None) -> LearnedRewardSettings |
 
 
 def _flat(settings: Mapping[str, object]) -> dict[str, object]:
-    """Inner settings as `outer.inner`."""
     flat: dict[str, object] = {}
     for name, value in settings.items():
         flat |= (

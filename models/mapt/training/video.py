@@ -1,4 +1,4 @@
-"""A video of one episode of a policy, drawn in a process of its own: EGL and CUDA in one have hung."""
+"""A video of one episode, rendered in a separate process: EGL and CUDA in the same process can hang."""
 
 import tempfile
 from collections.abc import Iterator
@@ -22,32 +22,32 @@ _LIMIT_SECONDS = 600.0
 
 
 def record_video(policy: Policy, task_name: str, path: Path, *, agent_obsk: int, seed: int = 0) -> None:
-    """Write an mp4 of one episode with mean actions, one frame a step.
+    """Write an mp4 of one episode with mean actions, one frame per step.
 
     Args:
-        path: replaced; its folder exists.
-        seed: decides the start.
+        path: replaced if it exists; its folder must exist.
+        seed: of the initial state.
 
     Raises:
-        NoRenderer: if nothing draws this task here; the message says why and what helps.
-        ClipNotWritten: if the disk or the encoder refuses.
+        NoRenderer: if this task cannot be rendered here; the message says why and what helps.
+        ClipNotWritten: if writing or encoding fails.
     """
     task = make_task(task_name, 1, agent_obsk=agent_obsk)
     try:
         if isinstance(task, RenderableTask):
-            _film_drawn(policy, task, path, seed)
+            _record_frames(policy, task, path, seed)
         elif task.spec.nq == 0:
-            raise NoRenderer(f"{task_name} has no simulator's state to draw, and does not draw itself.")
+            raise NoRenderer(f"{task_name} has no simulator state to render, and does not render itself.")
         else:
             states = [task.simulator_state() for _ in _episode(policy, task, seed)]
             qpos, qvel = (np.concatenate(parts) for parts in zip(*states, strict=True))
-            _film_states(task_name, qpos, qvel, _frame_rate(task), path)
+            _record_states(task_name, qpos, qvel, _frame_rate(task), path)
     finally:
         task.close()
 
 
 def _episode(policy: Policy, task: Task, seed: int) -> Iterator[None]:
-    """Step through one episode; the task is in the state of each step when it yields."""
+    """Play one episode; yields before each step, when the task is in its state."""
     observations, _ = task.reset(seed)
     while True:
         yield
@@ -61,29 +61,29 @@ def _frame_rate(task: Task) -> float:
     return 1.0 / task.spec.step_seconds
 
 
-def _film_drawn(policy: Policy, task: RenderableTask, path: Path, seed: int) -> None:
+def _record_frames(policy: Policy, task: RenderableTask, path: Path, seed: int) -> None:
     def frames() -> Iterator[NDArray[np.uint8]]:
         for _ in _episode(policy, task, seed):
-            yield _even(task.render(0))
+            yield _even_size(task.render(0))
 
     try:
         task.reset(seed)
-        height, width, _ = _even(task.render(0)).shape
+        height, width, _ = _even_size(task.render(0)).shape
         write_clip(frames(), path, RenderSettings(width=width, height=height, frame_rate_hz=_frame_rate(task)))
     except NotRenderable as error:
         raise NoRenderer(str(error)) from error
 
 
-def _even(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Without its last row or column where their number is odd: an encoder's chroma needs even sizes."""
+def _even_size(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The frame without its last row or column where their number is odd: the encoder needs even sizes."""
     height, width, _ = frame.shape
     return frame[: height - height % 2, : width - width % 2]
 
 
-def _film_states(
+def _record_states(
     task_name: str, qpos: NDArray[np.float64], qvel: NDArray[np.float64], frame_rate_hz: float, path: Path
 ) -> None:
-    said: list[str] = []
+    failures: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         states = Path(folder) / "states.safetensors"
         save_file({"qpos": qpos, "qvel": qvel}, states)
@@ -97,5 +97,7 @@ def _film_states(
             )
             if failure is None:
                 return
-            said.append(f"{backend}: {failure}")
-    raise NoRenderer(f"{task_name} was not drawn without a display ({'; '.join(said)}). It may help: {INSTALL}")
+            failures.append(f"{backend}: {failure}")
+    raise NoRenderer(
+        f"{task_name} cannot be rendered without a display ({'; '.join(failures)}). This may help: {INSTALL}"
+    )

@@ -113,7 +113,7 @@ def test_after_the_first_version_queries_are_chosen_by_disagreement_and_a_share_
     assert len(pairs) == len(bench.queries())
 
 
-def test_until_the_ensemble_is_there_queries_come_all_the_same(versioned):
+def test_queries_are_uniform_until_there_is_an_ensemble(versioned):
     bench, worker = versioned
     bench.train_policy()
     assert worker.work()
@@ -122,7 +122,7 @@ def test_until_the_ensemble_is_there_queries_come_all_the_same(versioned):
     assert len(bench.ensembles()) == 1
 
 
-def test_while_the_newest_version_has_no_ensemble_its_parents_chooses(versioned):
+def test_without_an_ensemble_of_the_newest_version_its_parents_is_used(versioned):
     bench, worker = versioned
     drain(worker)
     bench.train_policy()
@@ -140,7 +140,7 @@ def test_while_the_newest_version_has_no_ensemble_its_parents_chooses(versioned)
     assert len(bench.ensembles()) == 2
 
 
-def test_a_worker_that_starts_anew_chooses_as_the_one_before_would(versioned):
+def test_a_restarted_worker_chooses_the_same_pairs(versioned):
     bench, worker = versioned
     drain(worker)
     bench.train_policy()
@@ -154,7 +154,7 @@ def test_a_worker_that_starts_anew_chooses_as_the_one_before_would(versioned):
     assert bench.queries()[asked:] == chosen
 
 
-def test_an_ensemble_found_damaged_chooses_nothing_and_is_trained_again(versioned):
+def test_a_damaged_ensemble_is_not_used_and_trained_again(versioned):
     bench, worker = versioned
     drain(worker)
     (path,) = bench.ensembles()
@@ -242,7 +242,7 @@ def test_k_center_needs_no_ensemble(place: Workplace):
         assert bench.ensembles() == []
 
 
-def test_both_in_turn(place: Workplace):
+def test_entropy_then_k_center(place: Workplace):
     for bench in bench_of(place, query_selection="entropy_k_center", control_share=0.0):
         worker = bench.worker()
         assert worker.work()

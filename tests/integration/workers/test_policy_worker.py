@@ -44,7 +44,7 @@ def test_first_rollout_gives_segments_and_then_waits_for_labels(place: Workplace
         assert not run.step()
 
 
-def test_segments_are_handed_in_once_however_often_the_process_is_killed(place: Workplace):
+def test_segments_are_stored_once_even_if_the_process_is_killed(place: Workplace):
     id = place.begin()
     for _ in range(2):
         place.train(id)
@@ -84,7 +84,7 @@ def test_policy_waits_until_due_labels_are_in_and_trained_on(place: Workplace):
     assert set(used) == {1.0, 2.0}
 
 
-def test_an_interrupted_run_goes_on_as_if_it_had_not_been(place: Workplace):
+def test_an_interrupted_run_resumes_exactly(place: Workplace):
     """Killed before a checkpoint, left with one: the curves are those of an undisturbed run, bit for bit."""
     whole, broken = (place.begin(name, label_budget=8, seed=4) for name in ("whole", "broken"))
     # the same segments, queries and labels make the same first version
@@ -112,7 +112,7 @@ def test_true_reward_asks_for_no_labels(place: Workplace):
     assert place.curve(id, "true_reward_correlation")[STEPS_PER_ITERATION] == pytest.approx(1.0)
 
 
-def test_a_pause_is_obeyed_between_iterations_and_kept_in_a_checkpoint(place: Workplace):
+def test_a_pause_takes_effect_between_iterations_after_a_checkpoint(place: Workplace):
     id = place.begin(reward_source="true")
     with place.training(id) as run:
         run.step()
@@ -128,7 +128,7 @@ def test_a_pause_is_obeyed_between_iterations_and_kept_in_a_checkpoint(place: Wo
     assert status_of(place, id)[0] == ExperimentStatus.FINISHED
 
 
-def test_who_lost_the_claim_writes_nothing_more(place: Workplace):
+def test_a_worker_without_the_claim_writes_nothing(place: Workplace):
     id = place.begin(reward_source="true")
     with place.training(id) as run:
         run.step()
@@ -143,7 +143,7 @@ def test_who_lost_the_claim_writes_nothing_more(place: Workplace):
     assert place.rows("SELECT holder FROM claims") == [("another",)]
 
 
-def test_settings_of_another_version_fail_the_experiment_with_a_sentence(place: Workplace):
+def test_settings_of_another_version_fail_the_experiment(place: Workplace):
     id = place.begin()
     with place.database.transaction() as session:
         row = experiments.get(session, id)
@@ -154,7 +154,7 @@ def test_settings_of_another_version_fail_the_experiment_with_a_sentence(place: 
     assert "n_environments" in detail
 
 
-def test_a_pool_without_another_pair_does_not_hold_the_policy_up(place: Workplace):
+def test_the_policy_does_not_wait_when_every_pair_is_labelled(place: Workplace):
     # Four segments make six pairs, and more labels than that are due before there are others.
     id = place.begin(segment_steps=25, initial_labels=4, label_budget=40)
     reward = SingleThreadedRewardWorker(place.context)
@@ -170,7 +170,7 @@ def test_a_pool_without_another_pair_does_not_hold_the_policy_up(place: Workplac
     assert place.rows("SELECT label_count >= 36 FROM experiments") == [(1,)]
 
 
-def test_too_few_segments_for_the_first_labels_fail_the_experiment_with_a_sentence(place: Workplace):
+def test_too_few_pairs_for_the_first_labels_fail_the_experiment(place: Workplace):
     id = place.begin(segment_steps=25, initial_labels=7)
     place.train(id)
     assert SingleThreadedRewardWorker(place.context).work()
@@ -190,11 +190,11 @@ def test_while_one_waits_for_labels_another_is_trained(place: Workplace):
     assert status_of(place, ready)[0] == "finished"
 
 
-def test_nothing_to_do_is_said_so(place: Workplace):
+def test_work_returns_false_without_an_experiment(place: Workplace):
     assert not PolicyWorker(place.context).work()
 
 
-def test_old_checkpoints_are_forgotten_with_their_blobs(place: Workplace):
+def test_old_checkpoints_are_deleted_with_their_blobs(place: Workplace):
     id = place.begin(reward_source="true")
     with place.training(id) as run:
         for _ in range(5):

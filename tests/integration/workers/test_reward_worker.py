@@ -18,7 +18,7 @@ def versions(place: Workplace) -> list[tuple[int, int, int]]:
     return place.rows("SELECT number, label_count, label_watermark FROM reward_versions ORDER BY number")
 
 
-def test_it_asks_about_what_is_due_and_a_few_ahead_and_no_more(place: Workplace, asked):
+def test_queries_are_those_due_and_the_lookahead(place: Workplace, asked):
     worker, _ = asked
     assert place.rows("SELECT count(*) FROM queries WHERE status = 'open'") == [(16,)]
     assert not worker.work()
@@ -26,7 +26,7 @@ def test_it_asks_about_what_is_due_and_a_few_ahead_and_no_more(place: Workplace,
     assert len(pairs) == 16
 
 
-def test_it_asks_nothing_without_segments(place: Workplace):
+def test_no_queries_without_segments(place: Workplace):
     place.begin()
     assert not SingleThreadedRewardWorker(place.context).work()
 
@@ -53,7 +53,7 @@ def test_each_version_is_the_child_of_the_one_before(place: Workplace, asked):
     assert (parent,) in place.rows("SELECT id FROM reward_versions WHERE number = 1")
 
 
-def test_second_thoughts_bring_a_version_too(place: Workplace, asked):
+def test_changed_labels_give_a_new_version(place: Workplace, asked):
     worker, id = asked
     labelled = place.label(id, 8)
     assert worker.work()
@@ -64,7 +64,7 @@ def test_second_thoughts_bring_a_version_too(place: Workplace, asked):
     assert watermark > 8
 
 
-def test_the_last_label_brings_a_version_though_few_are_new(place: Workplace, asked):
+def test_the_last_label_gives_a_version_although_few_are_new(place: Workplace, asked):
     worker, id = asked
     place.label(id, 15)
     assert worker.work()
@@ -82,7 +82,7 @@ def test_a_stop_in_the_middle_of_training_publishes_nothing(place: Workplace, as
 
 
 @pytest.mark.parametrize("setting", ["reward_preset", "query_selection"])
-def test_a_word_of_another_version_fails_the_experiment_with_a_sentence(place: Workplace, setting: str):
+def test_a_setting_of_another_version_fails_the_experiment(place: Workplace, setting: str):
     id = place.begin()
     with place.database.transaction() as session:
         session.connection().exec_driver_sql(f"UPDATE experiments SET config = json_set(config, '$.{setting}', 'huge')")
@@ -98,7 +98,7 @@ def test_a_word_of_another_version_fails_the_experiment_with_a_sentence(place: W
     assert "huge" in detail
 
 
-def test_a_paused_experiment_is_left_alone(place: Workplace, asked):
+def test_a_paused_experiment_is_not_trained(place: Workplace, asked):
     worker, id = asked
     place.label(id, 8)
     with place.database.transaction() as session:

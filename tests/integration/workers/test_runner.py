@@ -9,7 +9,7 @@ from integration.workers.workplace import Workplace, workplace
 from support.waiting import until
 
 
-class Moody:
+class FailsTwice:
     """Fails twice, works once, then asks the process to end."""
 
     def __init__(self, place: Workplace) -> None:
@@ -38,15 +38,15 @@ class Moody:
         pass
 
 
-def test_a_failure_is_recorded_left_alone_and_tried_again(place: Workplace):
-    worker = Moody(place)
+def test_a_failure_is_reported_and_retried_after_a_pause(place: Workplace):
+    worker = FailsTwice(place)
     run_loop(place.context, worker)
     assert worker.tries == 4
     assert [state for state, _ in worker.seen] == ["backing_off", "backing_off", "working"]
     assert worker.seen[0][1].startswith("RuntimeError: the cable is loose. Retrying in")
 
 
-def test_the_row_says_stopped_in_the_end(tmp_path: Path):
+def test_the_row_of_an_ended_worker_says_stopped(tmp_path: Path):
     with workplace(tmp_path) as place:
         place.context.heartbeat.set_state("working", "hard")
     assert place.rows("SELECT state FROM workers") == [("stopped",)]
@@ -56,7 +56,7 @@ def second(context: Context) -> Heartbeat:
     return Heartbeat(context.database, "policy-1", WorkerRole.POLICY, "second", context.settings.worker_lease_seconds)
 
 
-def test_a_claim_is_one_workers_at_a_time(place: Workplace):
+def test_one_worker_at_a_time_holds_a_claim(place: Workplace):
     with place.context.heartbeat.claim("policy:exp_1") as mine:
         assert mine is not None
         with second(place.context).claim("policy:exp_1") as theirs:
@@ -65,7 +65,7 @@ def test_a_claim_is_one_workers_at_a_time(place: Workplace):
         assert theirs is not None
 
 
-def test_a_claim_that_was_taken_over_is_noticed_without_asking(tmp_path: Path):
+def test_the_heartbeat_notices_a_lost_claim(tmp_path: Path):
     with workplace(tmp_path) as place:
         heartbeat = Heartbeat(place.database, "policy-2", WorkerRole.POLICY, "third", 0.4)
         heartbeat.start()
@@ -78,7 +78,7 @@ def test_a_claim_that_was_taken_over_is_noticed_without_asking(tmp_path: Path):
         heartbeat.close()
 
 
-def test_heartbeats_outlast_the_lease(tmp_path: Path):
+def test_heartbeats_extend_the_lease(tmp_path: Path):
     with workplace(tmp_path) as place:
         heartbeat = Heartbeat(place.database, "policy-2", WorkerRole.POLICY, "third", 0.4)
         heartbeat.start()

@@ -51,7 +51,7 @@ def tick_until(supervisor: Supervisor, condition: Callable[[], object]) -> None:
     until(step)
 
 
-def test_a_killed_child_is_started_again_and_its_death_told(make, deaths, tmp_path):
+def test_a_killed_child_restarts_and_its_death_is_reported(make, deaths, tmp_path):
     supervisor = make("calm")
     tick_until(supervisor, lambda: len(starts(tmp_path)) == 1)
     os.kill(supervisor.pids()["calm-0"], signal.SIGKILL)
@@ -68,7 +68,7 @@ def test_a_child_that_fails_at_once_restarts_and_the_last_log_line_is_reported(m
     assert deaths[0].description.endswith("the cable is loose")
 
 
-def test_shutdown_ends_children_that_listen(make, tmp_path):
+def test_shutdown_ends_children_that_handle_sigterm(make, tmp_path):
     supervisor = make("calm")
     tick_until(supervisor, lambda: starts(tmp_path))
     pid = supervisor.pids()["calm-0"]
@@ -76,7 +76,7 @@ def test_shutdown_ends_children_that_listen(make, tmp_path):
     assert not alive(pid)
 
 
-def test_shutdown_kills_a_child_that_does_not_listen(make, tmp_path):
+def test_shutdown_kills_a_child_that_ignores_sigterm(make, tmp_path):
     supervisor = make("deaf")
     tick_until(supervisor, lambda: starts(tmp_path))
     pid = supervisor.pids()["deaf-0"]
@@ -84,7 +84,7 @@ def test_shutdown_kills_a_child_that_does_not_listen(make, tmp_path):
     assert not alive(pid)
 
 
-def test_asked_twice_to_stop_it_does_not_wait_for_the_deaf(make, tmp_path):
+def test_a_second_request_to_stop_kills_at_once(make, tmp_path):
     supervisor, stop = make("deaf"), Stop()
     tick_until(supervisor, lambda: starts(tmp_path))
     stop.request()
@@ -92,7 +92,7 @@ def test_asked_twice_to_stop_it_does_not_wait_for_the_deaf(make, tmp_path):
     assert supervisor.shutdown(stop, grace_seconds=3600.0) == ["deaf-0"]
 
 
-def test_what_a_killed_child_had_started_ends_with_it(make, tmp_path):
+def test_processes_started_by_a_killed_child_end_with_it(make, tmp_path):
     supervisor = make("parent")
     tick_until(supervisor, lambda: starts(tmp_path))
     grandchild = int((tmp_path / "grandchild").read_text())

@@ -144,10 +144,10 @@ def test_scores_and_features_keep_the_order_of_the_segments():
     view = SegmentScorer(segments.read).view(order, "1", sums, [(order[0], order[1]), (order[1], order[5])])
     assert view.scores is not None
     assert view.features is not None
-    assert view.asked is not None
+    assert view.queried is not None
     np.testing.assert_array_equal(view.scores, sums(segments.all)[:, order])
     np.testing.assert_allclose(view.features, segment_features(segments.all)[order], rtol=1e-5, atol=1e-6)
-    np.testing.assert_array_equal(view.asked, view.features[[[0, 1], [1, 5]]])
+    np.testing.assert_array_equal(view.queried, view.features[[[0, 1], [1, 5]]])
 
 
 def test_each_segment_is_read_once_for_a_version_and_once_for_its_features():

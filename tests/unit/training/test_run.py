@@ -1,4 +1,4 @@
-"""A run in this process: what it leaves behind, how it goes on, and what a new reward version does to it."""
+"""Runs in this process: their files, resuming, and new reward versions."""
 
 import json
 
@@ -44,7 +44,7 @@ def test_a_run_leaves_its_curves_and_its_evaluation(settings, tmp_path):
     assert evaluation["lengths"] == [SHORTEST_HORIZON_STEPS] * 32
 
 
-def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(settings, tmp_path):
+def test_a_stopped_run_resumes_exactly(settings, tmp_path):
     run = settings(iterations=5, reward=write_reward(tmp_path / "reward", reward_model()), evaluate_every_steps=200)
     whole = train(run, tmp_path / "whole", checkpoint_seconds=1e9)
     seen: list[float] = []
@@ -60,7 +60,7 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(settings, tmp_path
     assert stopped.evaluation.read_bytes() == whole.evaluation.read_bytes()
 
 
-def test_a_finished_run_is_made_longer_and_is_then_the_long_run(settings, tmp_path):
+def test_an_extended_run_equals_a_run_of_that_length(settings, tmp_path):
     grown = train(settings(iterations=2), tmp_path / "grown")
     short = grown.evaluation.read_bytes()
     train(settings(iterations=4), tmp_path / "grown")
@@ -69,7 +69,7 @@ def test_a_finished_run_is_made_longer_and_is_then_the_long_run(settings, tmp_pa
     assert grown.evaluation.read_bytes() == whole.evaluation.read_bytes() != short
 
 
-def test_threads_of_the_physics_change_nothing_that_is_learned(settings, tmp_path):
+def test_physics_threads_do_not_affect_results(settings, tmp_path):
     folders = [RunFolder(tmp_path / str(threads)) for threads in (1, 3)]
     for folder, threads in zip(folders, (1, 3), strict=True):
         complete_run(settings(iterations=2), folder, 0.0, RunCallbacks(), video=False, physics_threads=threads)
@@ -77,7 +77,7 @@ def test_threads_of_the_physics_change_nothing_that_is_learned(settings, tmp_pat
     assert folders[0].evaluation.read_bytes() == folders[1].evaluation.read_bytes()
 
 
-def test_evaluations_on_the_way_change_nothing_that_is_learned(settings, tmp_path):
+def test_evaluations_do_not_affect_training(settings, tmp_path):
     often = train(settings(iterations=4, evaluate_every_steps=2 * STEPS_PER_ITERATION), tmp_path / "often")
     never = train(settings(iterations=4), tmp_path / "never")
     assert ["evaluation_mean" in line for line in lines(often)] == [False, True, False, True]
@@ -85,7 +85,7 @@ def test_evaluations_on_the_way_change_nothing_that_is_learned(settings, tmp_pat
     assert lines(often)[-1]["evaluation_mean"] == json.loads(often.evaluation.read_text())["mean"]
 
 
-def test_a_learned_reward_takes_the_place_of_the_true_one(settings, tmp_path):
+def test_a_learned_reward_replaces_the_true_one(settings, tmp_path):
     reward = write_reward(tmp_path / "reward", reward_model())
     folder = train(settings(reward=reward), tmp_path / "run")
     for line in lines(folder):
@@ -126,7 +126,7 @@ def test_a_version_of_another_scale_does_not_corrupt_the_values(settings, tmp_pa
     assert moved == ((True, True) if told else (False, False))
 
 
-def test_a_version_that_cannot_be_used_is_told_once_and_the_old_one_stays(settings, tmp_path):
+def test_an_unusable_version_is_reported_once_and_the_old_one_stays(settings, tmp_path):
     reward = tmp_path / "reward"
     run = settings(iterations=6, reward=write_reward(reward, reward_model()))
     whole = (reward / "reward.safetensors").read_bytes()
@@ -144,7 +144,7 @@ def test_a_version_that_cannot_be_used_is_told_once_and_the_old_one_stays(settin
     assert str(reward) in said[0]
 
 
-def test_a_version_that_came_while_no_process_ran_is_taken_up(settings, tmp_path):
+def test_a_version_written_while_no_process_ran_is_used(settings, tmp_path):
     reward = write_reward(tmp_path / "reward", reward_model())
     train(settings(iterations=2, reward=reward), tmp_path / "run")
     write_reward(tmp_path / "reward", reward_model(seed=1))
@@ -152,12 +152,12 @@ def test_a_version_that_came_while_no_process_ran_is_taken_up(settings, tmp_path
     assert [line["reward_version"] for line in lines(folder)] == [1, 1, 2, 2]
 
 
-def test_a_reward_that_is_missing_or_of_another_task_is_refused(settings, tmp_path):
+def test_a_reward_that_is_missing_or_for_another_task_is_refused(settings, tmp_path):
     run = settings(reward=write_reward(tmp_path / "reward", reward_model()), agent_obsk=0)
-    with pytest.raises(ModelMismatch, match="ShortestHalfCheetah"):
+    with pytest.raises(ModelMismatch):
         train(run, tmp_path / "run")
     (tmp_path / "reward" / "reward.json").unlink()
-    with pytest.raises(DamagedCheckpoint, match=r"reward\.json is missing"):
+    with pytest.raises(DamagedCheckpoint):
         train(run, tmp_path / "run")
 
 

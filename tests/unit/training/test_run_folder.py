@@ -49,7 +49,7 @@ def test_a_checkpoint_is_read_as_it_was_written(learner):
 
 def test_other_observations_than_the_policys_are_refused(learner, tmp_path):
     learner.save(tmp_path / "policy.safetensors")
-    with pytest.raises(CheckpointMismatch, match="does not fit"):
+    with pytest.raises(CheckpointMismatch):
         load_policy(tmp_path / "policy.safetensors", "cpu", agent_obsk=0)
 
 
