@@ -138,7 +138,7 @@ def test_stop_ends_training_in_processes():
 
 PARENT = """
 import sys
-sys.path.insert(0, {folder!r})
+sys.path[:0] = {folders!r}
 from test_ensemble import QUICK, config, preferences
 from dataclasses import replace
 from mapt.rewards.ensemble import train_reward_ensemble
@@ -151,7 +151,8 @@ if __name__ == "__main__":
 
 def test_worker_processes_end_when_their_parent_is_killed(tmp_path):
     script = tmp_path / "parent.py"
-    script.write_text(PARENT.format(folder=str(Path(__file__).parent)))
+    folder = Path(__file__).parent
+    script.write_text(PARENT.format(folders=[str(folder), str(folder.parents[1])]))
     parent = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
     assert parent.stdout is not None
     assert parent.stdout.readline().strip() == "1"
