@@ -28,7 +28,7 @@ from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
 from support.api_process import running_server
-from support.scenes import scene, user
+from support.sample_experiments import create_sample, user
 
 #: enough for a server several times as fast as today's
 SEGMENTS, QUERIES = 190, 17_000
@@ -169,7 +169,7 @@ def prepare(home: Path, clients: int) -> tuple[str, list[str]]:
     settings = Settings(home=home)
     database, blobs = Database.open(settings.resolved_database_url), open_blobs(settings.resolved_blob_url)
     database.migrate()
-    made = scene(
+    sample = create_sample(
         database,
         blobs,
         segments=SEGMENTS,
@@ -181,7 +181,7 @@ def prepare(home: Path, clients: int) -> tuple[str, list[str]]:
     with database.transaction() as session:
         tokens = [user(session, f"labeller {number}")[1] for number in range(clients)]
     database.close()
-    return made.experiment.id, tokens
+    return sample.experiment.id, tokens
 
 
 def cpu_seconds(pid: int) -> float:

@@ -13,13 +13,13 @@ from accord.api.app import create_app
 from accord.api.server import address_of, listen
 from accord.domain.enums import Role
 from accord.settings import Settings
-from support.scenes import user
+from support.sample_experiments import user
 from support.stores import Stores
 from support.waiting import PATIENCE_SECONDS, until
 
 
 @dataclass(frozen=True, slots=True)
-class Served:
+class ApiServer:
     """A running server with one user of each role."""
 
     stores: Stores
@@ -45,7 +45,7 @@ def client(url: str, token: str | None, **options: object) -> httpx.Client:
 
 
 @contextmanager
-def served(stores: Stores, home: Path, **changes: object) -> Generator[Served]:
+def run_api_server(stores: Stores, home: Path, **changes: object) -> Generator[ApiServer]:
     """Run a server over the stores until the block ends."""
     settings = Settings(home=home, **changes)  # type: ignore[arg-type]
     app = create_app(settings, stores.database, stores.blobs)
@@ -61,7 +61,7 @@ def served(stores: Stores, home: Path, **changes: object) -> Generator[Served]:
             until(lambda: server.started or not thread.is_alive(), "the server starts")
             assert thread.is_alive(), "the server did not start"
             made = {role: clients.enter_context(client(url, token)) for role, token in tokens.items()}
-            yield Served(
+            yield ApiServer(
                 stores=stores,
                 settings=settings,
                 url=url,

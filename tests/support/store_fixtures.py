@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from support.ci import IN_CI
-from support.stores import Stores, empty_postgres_database, missing_for_postgres, postgres, stores
+from support.stores import Stores, empty_postgres_database, missing_for_postgres, open_stores, run_postgres
 
 
 @pytest.fixture(scope="session")
@@ -21,24 +21,24 @@ def postgres_server() -> Generator[str]:
         pytest.fail(missing)
     if missing:
         pytest.skip(missing)
-    with postgres() as url:
+    with run_postgres() as url:
         yield url
 
 
 @pytest.fixture(params=["sqlite", "postgres"])
-def both(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[Stores]:
+def stores(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[Stores]:
     """Stores on SQLite and on PostgreSQL: the test runs once with each."""
     if request.param == "sqlite":
-        with stores(tmp_path) as made:
-            yield made
+        with open_stores(tmp_path) as opened:
+            yield opened
         return
     server: str = request.getfixturevalue("postgres_server")
-    with empty_postgres_database(server, f"test_{secrets.token_hex(6)}") as url, stores(tmp_path, url) as made:
-        yield made
+    with empty_postgres_database(server, f"test_{secrets.token_hex(6)}") as url, open_stores(tmp_path, url) as opened:
+        yield opened
 
 
 @pytest.fixture
 def sqlite(tmp_path: Path) -> Generator[Stores]:
     """Stores on SQLite only."""
-    with stores(tmp_path) as made:
-        yield made
+    with open_stores(tmp_path) as opened:
+        yield opened

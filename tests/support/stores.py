@@ -32,7 +32,7 @@ class Stores:
 
 
 @contextmanager
-def stores(home: Path, database_url: str = "") -> Generator[Stores]:
+def open_stores(home: Path, database_url: str = "") -> Generator[Stores]:
     """Migrated stores in a folder: SQLite unless `database_url` names another database."""
     url = database_url or f"sqlite:///{home / 'accord.db'}"
     blob_url = f"file://{home / 'blobs'}"
@@ -71,7 +71,7 @@ def missing_for_postgres() -> str:
 
 
 @contextmanager
-def postgres() -> Generator[str]:
+def run_postgres() -> Generator[str]:
     """Start a PostgreSQL server with an empty cluster and yield its URL; stop and remove it afterwards."""
     programs = postgres_programs()
     assert programs is not None

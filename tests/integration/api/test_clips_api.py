@@ -3,21 +3,21 @@
 import pytest
 
 from accord.api.routes.clips import ByteRange, parse_range
-from support.api_in_thread import Served
-from support.scenes import CLIP_BYTES, scene
+from support.api_in_thread import ApiServer
+from support.sample_experiments import CLIP_BYTES, create_sample
 
 SIZE = len(CLIP_BYTES)
 
 
 @pytest.fixture
-def clip(api: Served) -> str:
+def clip(api: ApiServer) -> str:
     """The address of a clip."""
-    made = scene(api.stores.database, api.stores.blobs)
-    found = api.labeller.post(f"/api/v1/experiments/{made.experiment.id}/queries/next").json()
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    found = api.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next").json()
     return found["items"][0]["left"]["clip_url"]
 
 
-def test_a_clip_is_sent_whole_and_may_be_kept(api: Served, clip: str) -> None:
+def test_a_clip_is_sent_whole_and_may_be_kept(api: ApiServer, clip: str) -> None:
     response = api.labeller.get(clip)
     assert (response.status_code, response.content) == (200, CLIP_BYTES)
     assert response.headers["content-type"] == "video/mp4"
@@ -32,28 +32,28 @@ def test_a_clip_is_sent_whole_and_may_be_kept(api: Served, clip: str) -> None:
     ("asked", "start", "stop"),
     [("bytes=0-0", 0, 1), ("bytes=10-19", 10, 20), ("bytes=100-", 100, SIZE), ("bytes=-5", SIZE - 5, SIZE)],
 )
-def test_a_range_is_sent_alone(api: Served, clip: str, asked: str, start: int, stop: int) -> None:
+def test_a_range_is_sent_alone(api: ApiServer, clip: str, asked: str, start: int, stop: int) -> None:
     response = api.labeller.get(clip, headers={"Range": asked})
     assert (response.status_code, response.content) == (206, CLIP_BYTES[start:stop])
     assert response.headers["content-range"] == f"bytes {start}-{stop - 1}/{SIZE}"
 
 
-def test_a_range_outside_of_the_clip_is_refused(api: Served, clip: str) -> None:
+def test_a_range_outside_of_the_clip_is_refused(api: ApiServer, clip: str) -> None:
     response = api.labeller.get(clip, headers={"Range": f"bytes={SIZE}-"})
     assert response.status_code == 416
     assert response.headers["content-range"] == f"bytes */{SIZE}"
 
 
-def test_a_range_of_another_version_gets_the_whole(api: Served, clip: str) -> None:
+def test_a_range_of_another_version_gets_the_whole(api: ApiServer, clip: str) -> None:
     response = api.labeller.get(clip, headers={"Range": "bytes=0-9", "If-Range": '"another"'})
     assert (response.status_code, response.content) == (200, CLIP_BYTES)
 
 
-def test_a_clip_is_for_those_who_are_signed_in(api: Served, clip: str) -> None:
+def test_a_clip_is_for_those_who_are_signed_in(api: ApiServer, clip: str) -> None:
     assert api.anyone.get(clip).status_code == 401
 
 
-def test_a_clip_whose_file_was_lost_is_named(api: Served, clip: str) -> None:
+def test_a_clip_whose_file_was_lost_is_named(api: ApiServer, clip: str) -> None:
     clip_id = clip.rpartition("/")[2]
     api.stores.blobs.delete(f"clips/{clip_id}")
     response = api.labeller.get(clip)

@@ -13,8 +13,8 @@ from accord.domain import errors as domain_errors
 from accord.domain.enums import Role
 from accord.domain.errors import AccordError
 from accord.domain.ids import new_id
-from support.api_in_thread import Served, served
-from support.scenes import scene
+from support.api_in_thread import ApiServer, run_api_server
+from support.sample_experiments import create_sample
 from support.stores import Stores
 
 NEW = {"name": "one", "task": "HalfCheetah-6x1"}
@@ -35,47 +35,47 @@ def refusal(response: httpx.Response, status: int, code: str, *words: str, field
         assert body["error"]["details"][0]["field"] == field
 
 
-def test_a_label_of_seven_tenths(api: Served) -> None:
-    made = scene(api.stores.database, api.stores.blobs)
-    path = f"/api/v1/queries/{made.query_ids[0]}/label"
+def test_a_label_of_seven_tenths(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    path = f"/api/v1/queries/{sample.query_ids[0]}/label"
     refusal(api.teacher.put(path, json={"label": 0.7}), 422, "invalid_label", "0.7", "0.5 (equal)")
     nan = api.teacher.put(path, content=b'{"label": NaN}', headers={"Content-Type": "application/json"})
     refusal(nan, 422, "invalid_label", "nan")
 
 
 @pytest.mark.parametrize("label", ["1", True, [1], {}])
-def test_a_label_that_is_no_number(api: Served, label: object) -> None:
+def test_a_label_that_is_no_number(api: ApiServer, label: object) -> None:
     path = f"/api/v1/queries/{new_id('qry')}/label"
     refusal(api.teacher.put(path, json={"label": label}), 422, "invalid_request", field="label")
 
 
-def test_a_label_for_a_query_that_is_closed(both_api: Served) -> None:
-    made = scene(both_api.stores.database, both_api.stores.blobs)
-    path = f"/api/v1/queries/{made.query_ids[0]}/label"
-    assert both_api.teacher.put(path, json={"label": 1}).status_code == 201
-    refusal(both_api.researcher.put(path, json={"label": 1}), 409, "query_closed", "next query")
+def test_a_label_for_a_query_that_is_closed(api_per_database: ApiServer) -> None:
+    sample = create_sample(api_per_database.stores.database, api_per_database.stores.blobs)
+    path = f"/api/v1/queries/{sample.query_ids[0]}/label"
+    assert api_per_database.teacher.put(path, json={"label": 1}).status_code == 201
+    refusal(api_per_database.researcher.put(path, json={"label": 1}), 409, "query_closed", "next query")
 
 
-def test_a_label_for_a_query_that_another_holds(both_api: Served) -> None:
-    made = scene(both_api.stores.database, both_api.stores.blobs)
-    both_api.labeller.post(f"/api/v1/experiments/{made.experiment.id}/queries/next")
-    path = f"/api/v1/queries/{made.query_ids[0]}/label"
-    refusal(both_api.teacher.put(path, json={"label": 1}), 410, "lease_lost", "next query")
+def test_a_label_for_a_query_that_another_holds(api_per_database: ApiServer) -> None:
+    sample = create_sample(api_per_database.stores.database, api_per_database.stores.blobs)
+    api_per_database.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next")
+    path = f"/api/v1/queries/{sample.query_ids[0]}/label"
+    refusal(api_per_database.teacher.put(path, json={"label": 1}), 410, "lease_lost", "next query")
 
 
-def test_a_label_of_an_experiment_that_is_over(api: Served) -> None:
-    made = scene(api.stores.database, api.stores.blobs)
-    assert api.researcher.post(f"/api/v1/experiments/{made.experiment.id}/cancel").status_code == 200
-    path = f"/api/v1/queries/{made.query_ids[0]}/label"
+def test_a_label_of_an_experiment_that_is_over(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    assert api.researcher.post(f"/api/v1/experiments/{sample.experiment.id}/cancel").status_code == 200
+    path = f"/api/v1/queries/{sample.query_ids[0]}/label"
     refusal(api.teacher.put(path, json={"label": 1}), 409, "experiment_not_active", "cancelled")
 
 
-def test_nothing_to_undo(api: Served) -> None:
-    made = scene(api.stores.database, api.stores.blobs)
-    refusal(api.teacher.delete(f"/api/v1/queries/{made.query_ids[0]}/label"), 404, "label_not_found")
+def test_nothing_to_undo(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    refusal(api.teacher.delete(f"/api/v1/queries/{sample.query_ids[0]}/label"), 404, "label_not_found")
 
 
-def test_a_segment_longer_than_an_episode(api: Served) -> None:
+def test_a_segment_longer_than_an_episode(api: ApiServer) -> None:
     long = {"segment_steps": 2000, "policy": {"rollout_steps": 2000}}
     response = api.researcher.post("/api/v1/experiments", json=NEW | long)
     refusal(response, 422, "invalid_experiment", "1000", field="segment_steps")
@@ -92,12 +92,12 @@ def test_a_segment_longer_than_an_episode(api: Served) -> None:
         ({"rollout_steps": 25, "minibatches": 1}, "policy.rollout_steps"),
     ],
 )
-def test_settings_that_the_policy_cannot_have(api: Served, policy: dict[str, object], field: str) -> None:
+def test_settings_that_the_policy_cannot_have(api: ApiServer, policy: dict[str, object], field: str) -> None:
     response = api.researcher.post("/api/v1/experiments", json=NEW | {"segment_steps": 50, "policy": policy})
     refusal(response, 422, "invalid_experiment", field, field=field)
 
 
-def test_a_task_that_does_not_exist(api: Served) -> None:
+def test_a_task_that_does_not_exist(api: ApiServer) -> None:
     response = api.researcher.post("/api/v1/experiments", json=NEW | {"task": "Walker"})
     refusal(response, 422, "unknown_task", "'Walker'", "HalfCheetah-6x1", field="task")
 
@@ -115,13 +115,13 @@ def test_a_task_that_does_not_exist(api: Served) -> None:
         {"pacing": "fast"},
     ],
 )
-def test_settings_that_are_not_valid(api: Served, wrong: dict[str, object]) -> None:
+def test_settings_that_are_not_valid(api: ApiServer, wrong: dict[str, object]) -> None:
     [field] = wrong
     response = api.researcher.post("/api/v1/experiments", json=NEW | wrong)
     refusal(response, 422, "invalid_experiment", field, field=field)
 
 
-def test_an_experiment_without_a_task(api: Served) -> None:
+def test_an_experiment_without_a_task(api: ApiServer) -> None:
     refusal(api.researcher.post("/api/v1/experiments", json={"name": "x"}), 422, "invalid_experiment", field="task")
 
 
@@ -135,12 +135,12 @@ def test_an_experiment_without_a_task(api: Served) -> None:
         ("label_schedule", ("power", "constant", "decaying")),
     ],
 )
-def test_an_unknown_choice_is_refused_with_the_known_ones(api: Served, setting: str, known: tuple[str, ...]) -> None:
+def test_an_unknown_choice_is_refused_with_the_known_ones(api: ApiServer, setting: str, known: tuple[str, ...]) -> None:
     response = api.researcher.post("/api/v1/experiments", json=NEW | {setting: "huge"})
     refusal(response, 422, "invalid_experiment", *known, field=setting)
 
 
-def test_a_name_that_is_taken(api: Served) -> None:
+def test_a_name_that_is_taken(api: ApiServer) -> None:
     assert api.researcher.post("/api/v1/experiments", json=NEW).status_code == 201
     refusal(api.researcher.post("/api/v1/experiments", json=NEW), 409, "name_taken", field="name")
 
@@ -160,7 +160,7 @@ def test_a_name_that_is_taken(api: Served) -> None:
         ("GET", "/api/v1/clips/{}.mp4"),
     ],
 )
-def test_malformed_and_absent_ids(api: Served, method: str, path: str) -> None:
+def test_malformed_and_absent_ids(api: ApiServer, method: str, path: str) -> None:
     kind = {"experiments": "exp", "queries": "qry", "clips": "clp"}[path.split("/")[3]]
     for bad in ("1", f"{kind}_", f"{kind}_{'g' * 24}", new_id("zzz"), "%00", "..", f"{kind}_{'0' * 24}%0a"):
         if bad == "..":
@@ -170,12 +170,12 @@ def test_malformed_and_absent_ids(api: Served, method: str, path: str) -> None:
     refusal(api.admin.request(method, path.format(new_id(kind))), 404, f"{name}_not_found", name)
 
 
-def test_a_cursor_that_is_none(api: Served) -> None:
+def test_a_cursor_that_is_none(api: ApiServer) -> None:
     refusal(api.admin.get("/api/v1/experiments", params={"cursor": "x"}), 422, "invalid_id")
 
 
 @pytest.mark.parametrize("token", [None, "", "wrong", "ü", "x" * 5000])
-def test_a_missing_or_wrong_token(api: Served, token: str | None) -> None:
+def test_a_missing_or_wrong_token(api: ApiServer, token: str | None) -> None:
     headers = {} if token is None else {"Authorization": f"Bearer {token}".strip().encode()}
     for method, path in (("GET", "/api/v1/me"), ("POST", "/api/v1/users"), ("GET", "/api/v1/experiments")):
         json_body = {"name": "x", "role": "admin"} if method == "POST" else None
@@ -184,15 +184,15 @@ def test_a_missing_or_wrong_token(api: Served, token: str | None) -> None:
         assert response.headers["WWW-Authenticate"].startswith("Bearer")
 
 
-def test_a_labeller_that_asks_for_returns(api: Served) -> None:
-    made = scene(api.stores.database, api.stores.blobs)
-    path = f"/api/v1/experiments/{made.experiment.id}/queries/next"
+def test_a_labeller_that_asks_for_returns(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    path = f"/api/v1/experiments/{sample.experiment.id}/queries/next"
     refusal(api.labeller.post(path, params={"returns": True}), 403, "returns_hidden", "labellers")
 
 
-def test_what_each_role_may_not_do(api: Served) -> None:
-    made = scene(api.stores.database, api.stores.blobs)
-    experiment = f"/api/v1/experiments/{made.experiment.id}"
+def test_what_each_role_may_not_do(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    experiment = f"/api/v1/experiments/{sample.experiment.id}"
     for client in (api.labeller, api.teacher):
         refusal(client.post("/api/v1/experiments", json=NEW), 403, "forbidden", "start experiments")
         for verb in ("pause", "resume", "cancel"):
@@ -200,11 +200,11 @@ def test_what_each_role_may_not_do(api: Served) -> None:
     for client in (api.labeller, api.teacher, api.researcher):
         response = client.post("/api/v1/users", json={"name": "x", "role": "admin"})
         refusal(response, 403, "forbidden", "add users")
-    batch = {"labels": [{"query_id": made.query_ids[0], "label": 1}]}
+    batch = {"labels": [{"query_id": sample.query_ids[0], "label": 1}]}
     refusal(api.labeller.post(f"{experiment}/labels", json=batch), 403, "forbidden", "batches")
 
 
-def test_addresses_and_methods_that_do_not_exist(api: Served) -> None:
+def test_addresses_and_methods_that_do_not_exist(api: ApiServer) -> None:
     for path in ("/api", "/api/", "/api/v1", "/api/v2/me", "/api/v1/nothing", "/api/v1/me/"):
         refusal(api.admin.get(path), 404, "not_found", "/api/docs")
     response = api.admin.delete("/api/v1/me")
@@ -214,7 +214,7 @@ def test_addresses_and_methods_that_do_not_exist(api: Served) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"label": 1', b'{"label": 1e999}'])
-def test_a_body_that_cannot_be_read(api: Served, content: bytes) -> None:
+def test_a_body_that_cannot_be_read(api: ApiServer, content: bytes) -> None:
     response = api.teacher.put(
         f"/api/v1/queries/{new_id('qry')}/label", content=content, headers={"Content-Type": "application/json"}
     )
@@ -223,30 +223,30 @@ def test_a_body_that_cannot_be_read(api: Served, content: bytes) -> None:
 
 
 @pytest.mark.parametrize("name", ["nul\u0000", "half \ud800", "two\nlines", " "])
-def test_names_that_no_database_can_store(both_api: Served, name: str) -> None:
+def test_names_that_no_database_can_store(api_per_database: ApiServer, name: str) -> None:
     content = json.dumps({"name": name, "task": "HalfCheetah-6x1"}).encode()
-    response = both_api.researcher.post(
+    response = api_per_database.researcher.post(
         "/api/v1/experiments", content=content, headers={"Content-Type": "application/json"}
     )
     assert response.status_code == 422
     assert response.json()["error"]["code"] in {"invalid", "invalid_request"}
 
 
-def test_strange_but_storable_descriptions_of_a_teacher(both_api: Served) -> None:
-    made = scene(both_api.stores.database, both_api.stores.blobs)
+def test_strange_but_storable_descriptions_of_a_teacher(api_per_database: ApiServer) -> None:
+    sample = create_sample(api_per_database.stores.database, api_per_database.stores.blobs)
     for query_id, teacher in zip(
-        made.query_ids,
+        sample.query_ids,
         ('{"a": "nul \\u0000"}', '{"\\ud800": 1}', '{"n": 123456789012345678901234567890}'),
         strict=False,
     ):
-        response = both_api.teacher.put(
+        response = api_per_database.teacher.put(
             f"/api/v1/queries/{query_id}/label",
             content=f'{{"label": 1, "teacher": {teacher}}}'.encode(),
             headers={"Content-Type": "application/json"},
         )
         assert response.status_code in {201, 422}, response.text
-    refused = both_api.teacher.put(
-        f"/api/v1/queries/{made.query_ids[3]}/label",
+    refused = api_per_database.teacher.put(
+        f"/api/v1/queries/{sample.query_ids[3]}/label",
         content=b'{"label": 1, "teacher": {"beta": Infinity}}',
         headers={"Content-Type": "application/json"},
     )
@@ -259,7 +259,7 @@ def pieces(size: int) -> Iterator[bytes]:
         yield piece
 
 
-def test_a_body_of_a_hundred_megabytes(api: Served) -> None:
+def test_a_body_of_a_hundred_megabytes(api: ApiServer) -> None:
     path = f"/api/v1/queries/{new_id('qry')}/label"
     headers = {"Content-Type": "application/json"}
     for content in (b"{" + b" " * 3_000_000 + b"}", pieces(3_000_000)):
@@ -274,7 +274,7 @@ def test_a_body_of_a_hundred_megabytes(api: Served) -> None:
 
 
 def test_a_body_as_large_as_allowed_is_read(sqlite: Stores, tmp_path: Path) -> None:
-    with served(sqlite, tmp_path, max_body_bytes=1000) as api:
+    with run_api_server(sqlite, tmp_path, max_body_bytes=1000) as api:
         path, good = f"/api/v1/queries/{new_id('qry')}/label", b'{"label": 1}'
         headers = {"Content-Type": "application/json"}
         exactly = api.teacher.put(path, content=good.ljust(1000), headers=headers)
@@ -283,7 +283,7 @@ def test_a_body_as_large_as_allowed_is_read(sqlite: Stores, tmp_path: Path) -> N
 
 
 def test_something_unforeseen_is_told_with_the_id_it_has_in_the_log(
-    api: Served, caplog: pytest.LogCaptureFixture
+    api: ApiServer, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(_connection: object) -> None:
         raise ZeroDivisionError("a secret")
@@ -297,24 +297,24 @@ def test_something_unforeseen_is_told_with_the_id_it_has_in_the_log(
     assert details["id"] in caplog.text
 
 
-def test_a_commit_that_fails_is_not_acknowledged(both_api: Served) -> None:
-    made = scene(both_api.stores.database, both_api.stores.blobs)
-    path = f"/api/v1/queries/{made.query_ids[0]}/label"
+def test_a_commit_that_fails_is_not_acknowledged(api_per_database: ApiServer) -> None:
+    sample = create_sample(api_per_database.stores.database, api_per_database.stores.blobs)
+    path = f"/api/v1/queries/{sample.query_ids[0]}/label"
 
     def fail(_connection: object) -> None:
         raise ZeroDivisionError
 
-    event.listen(both_api.stores.database.engine, "commit", fail)
-    response = both_api.teacher.put(path, json={"label": 1})
-    event.remove(both_api.stores.database.engine, "commit", fail)
+    event.listen(api_per_database.stores.database.engine, "commit", fail)
+    response = api_per_database.teacher.put(path, json={"label": 1})
+    event.remove(api_per_database.stores.database.engine, "commit", fail)
     refusal(response, 500, "internal")
     # on a new connection: the server closes one on which something unforeseen happened
-    with both_api.client(both_api.tokens[Role.TEACHER]) as teacher:
+    with api_per_database.client(api_per_database.tokens[Role.TEACHER]) as teacher:
         again = teacher.put(path, json={"label": 1})
     assert (again.status_code, again.json()["revision"]) == (201, 1)
 
 
-def test_a_database_that_went_away_is_said_so(api: Served) -> None:
+def test_a_database_that_went_away_is_said_so(api: ApiServer) -> None:
     path = Path(api.stores.database_url.removeprefix("sqlite:///"))
     api.stores.database.close()
     path.unlink()

@@ -11,9 +11,9 @@ import httpx
 from accord.domain.enums import Phase, Role
 from accord.services import experiments, label, metrics, workers
 from accord.settings import Settings
-from support.api_in_thread import Served, client
+from support.api_in_thread import ApiServer, client
 from support.api_process import running_server
-from support.scenes import scene, user
+from support.sample_experiments import create_sample, user
 from support.stores import Stores
 from support.waiting import PATIENCE_SECONDS
 
@@ -47,24 +47,24 @@ def record(stores: Stores, experiment_id: str, step: int, value: float) -> None:
         metrics.record(session, experiment_id, step, {"entropy": value})
 
 
-def test_a_page_is_told_what_is_and_then_what_changes(both_api: Served) -> None:
-    stores = both_api.stores
-    made = scene(stores.database, stores.blobs)
-    record(stores, made.experiment.id, 10, 0.25)
-    with both_api.labeller.stream("GET", f"/api/v1/experiments/{made.experiment.id}/events") as response:
+def test_a_page_is_told_what_is_and_then_what_changes(api_per_database: ApiServer) -> None:
+    stores = api_per_database.stores
+    sample = create_sample(stores.database, stores.blobs)
+    record(stores, sample.experiment.id, 10, 0.25)
+    with api_per_database.labeller.stream("GET", f"/api/v1/experiments/{sample.experiment.id}/events") as response:
         assert response.status_code == 200
         assert response.headers["content-type"].startswith("text/event-stream")
         stream = events(response)
         first = [next(stream) for _ in range(3)]
         assert [event.name for event in first] == ["experiment", "metrics", "workers"]
-        assert first[0].content == both_api.labeller.get(f"/api/v1/experiments/{made.experiment.id}").json()
+        assert first[0].content == api_per_database.labeller.get(f"/api/v1/experiments/{sample.experiment.id}").json()
         assert first[1].content == {
             "series": [{"name": "entropy", "points": [{"step": 10, "value": 0.25, "reward_version_id": None}]}]
         }
         with stores.database.transaction() as session:
-            experiments.report(session, made.experiment.id, phase=Phase.TRAINING, steps=20)
+            experiments.report(session, sample.experiment.id, phase=Phase.TRAINING, steps=20)
         assert until(stream, lambda event: event.name == "experiment").content["steps"] == 20
-        record(stores, made.experiment.id, 20, 0.5)
+        record(stores, sample.experiment.id, 20, 0.5)
         news = until(stream, lambda event: event.name == "metrics").content["series"]
         assert [point["step"] for point in news[0]["points"]] == [20]
         with stores.database.transaction() as session:
@@ -73,41 +73,41 @@ def test_a_page_is_told_what_is_and_then_what_changes(both_api: Served) -> None:
         assert (worker["state"], worker["restarts"]) == ("backing_off", 3)
         with stores.database.transaction() as session:
             teacher, _ = user(session, "somebody", Role.TEACHER)
-            label.put_label(session, teacher, made.query_ids[0], 1.0)
+            label.put_label(session, teacher, sample.query_ids[0], 1.0)
         assert until(stream, lambda event: event.name == "experiment").content["labels"]["labels"] == 1
 
 
-def test_a_stream_goes_on_where_it_broke_off(both_api: Served) -> None:
-    stores = both_api.stores
-    made = scene(stores.database, stores.blobs, queries=0)
-    path = f"/api/v1/experiments/{made.experiment.id}/events"
-    record(stores, made.experiment.id, 10, 1.0)
-    with both_api.labeller.stream("GET", path) as response:
+def test_a_stream_goes_on_where_it_broke_off(api_per_database: ApiServer) -> None:
+    stores = api_per_database.stores
+    sample = create_sample(stores.database, stores.blobs, queries=0)
+    path = f"/api/v1/experiments/{sample.experiment.id}/events"
+    record(stores, sample.experiment.id, 10, 1.0)
+    with api_per_database.labeller.stream("GET", path) as response:
         last = until(events(response), lambda event: event.name == "metrics").id
-    record(stores, made.experiment.id, 20, 2.0)
+    record(stores, sample.experiment.id, 20, 2.0)
     # a resumed run says the same step again
-    record(stores, made.experiment.id, 10, 3.0)
-    with both_api.labeller.stream("GET", path, headers={"Last-Event-ID": last}) as response:
+    record(stores, sample.experiment.id, 10, 3.0)
+    with api_per_database.labeller.stream("GET", path, headers={"Last-Event-ID": last}) as response:
         (curve,) = until(events(response), lambda event: event.name == "metrics").content["series"]
     assert [(point["step"], point["value"]) for point in curve["points"]] == [(10, 3.0), (20, 2.0)]
 
 
-def test_an_id_that_makes_no_sense_starts_from_the_beginning(api: Served) -> None:
-    made = scene(api.stores.database, api.stores.blobs, queries=0)
-    record(api.stores, made.experiment.id, 10, 1.0)
+def test_an_id_that_makes_no_sense_starts_from_the_beginning(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs, queries=0)
+    record(api.stores, sample.experiment.id, 10, 1.0)
     for bad in ("x", "-1", "9" * 30, ""):
         headers = {"Last-Event-ID": bad}
         with api.labeller.stream(
-            "GET", f"/api/v1/experiments/{made.experiment.id}/events", headers=headers
+            "GET", f"/api/v1/experiments/{sample.experiment.id}/events", headers=headers
         ) as response:
             assert until(events(response), lambda event: event.name == "metrics").content["series"]
 
 
-def test_who_signs_out_is_told_nothing_more(api: Served) -> None:
-    made = scene(api.stores.database, api.stores.blobs, queries=0)
+def test_who_signs_out_is_told_nothing_more(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs, queries=0)
     with (
         api.client(api.tokens[Role.LABELLER]) as other,
-        api.labeller.stream("GET", f"/api/v1/experiments/{made.experiment.id}/events") as response,
+        api.labeller.stream("GET", f"/api/v1/experiments/{sample.experiment.id}/events") as response,
     ):
         stream = events(response)
         next(stream)
@@ -116,9 +116,9 @@ def test_who_signs_out_is_told_nothing_more(api: Served) -> None:
         assert list(stream) is not None
 
 
-def test_many_open_streams_leave_the_service_as_quick_to_answer(api: Served) -> None:
-    made = scene(api.stores.database, api.stores.blobs)
-    path = f"/api/v1/experiments/{made.experiment.id}/events"
+def test_many_open_streams_leave_the_service_as_quick_to_answer(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    path = f"/api/v1/experiments/{sample.experiment.id}/events"
     # more than the server has threads: none of them may be held by a stream
     with api.client(api.tokens[Role.LABELLER], limits=httpx.Limits(max_connections=None)) as many:
         responses = [many.send(many.build_request("GET", path), stream=True) for _ in range(60)]
@@ -139,12 +139,12 @@ def test_the_server_ends_promptly_though_streams_are_open(tmp_path: object) -> N
 
         settings = Settings(home=home)
         database, blobs = Database.open(settings.resolved_database_url), open_blobs(settings.resolved_blob_url)
-        made = scene(database, blobs, queries=0)
+        sample = create_sample(database, blobs, queries=0)
         database.close()
         ended = threading.Event()
         with (
-            client(server.url, made.owner_token) as researcher,
-            researcher.stream("GET", f"/api/v1/experiments/{made.experiment.id}/events") as response,
+            client(server.url, sample.owner_token) as researcher,
+            researcher.stream("GET", f"/api/v1/experiments/{sample.experiment.id}/events") as response,
         ):
             stream = events(response)
             next(stream)

@@ -4,15 +4,15 @@ import pytest
 from sqlalchemy import event
 
 from accord.services import metrics, publish, workers
-from support.api_in_thread import Served, served
-from support.scenes import scene
+from support.api_in_thread import ApiServer, run_api_server
+from support.sample_experiments import create_sample
 from support.stores import Stores
 
 NEW = {"name": "one", "task": "HalfCheetah-6x1"}
 
 
-def test_an_experiment_is_started_read_paused_resumed_and_cancelled(both_api: Served) -> None:
-    client = both_api.researcher
+def test_an_experiment_is_started_read_paused_resumed_and_cancelled(api_per_database: ApiServer) -> None:
+    client = api_per_database.researcher
     chosen = {"query_selection": "disagreement", "control_share": 0.25, "ensemble_members": 5}
     settings = {
         "label_budget": 200,
@@ -34,14 +34,14 @@ def test_an_experiment_is_started_read_paused_resumed_and_cancelled(both_api: Se
     assert (refused.status_code, refused.json()["error"]["code"]) == (409, "experiment_not_active")
 
 
-def test_everybody_signed_in_sees_experiments_and_tasks(api: Served) -> None:
-    scene(api.stores.database, api.stores.blobs)
+def test_everybody_signed_in_sees_experiments_and_tasks(api: ApiServer) -> None:
+    create_sample(api.stores.database, api.stores.blobs)
     for client in (api.labeller, api.teacher, api.researcher, api.admin):
         assert len(client.get("/api/v1/experiments").json()["items"]) == 1
         assert {task["name"] for task in client.get("/api/v1/tasks").json()} >= {"HalfCheetah-6x1", "HalfCheetah-2x3"}
 
 
-def test_listing_takes_as_many_statements_for_many_experiments_as_for_one(api: Served) -> None:
+def test_listing_takes_as_many_statements_for_many_experiments_as_for_one(api: ApiServer) -> None:
     for number in range(8):
         assert api.researcher.post("/api/v1/experiments", json=NEW | {"name": f"run {number}"}).status_code == 201
     statements: list[str] = []
@@ -55,7 +55,7 @@ def test_listing_takes_as_many_statements_for_many_experiments_as_for_one(api: S
     assert count(1) == count(8)
 
 
-def test_pages_continue_at_the_cursor(api: Served) -> None:
+def test_pages_continue_at_the_cursor(api: ApiServer) -> None:
     made = [api.researcher.post("/api/v1/experiments", json=NEW | {"name": f"run {n}"}).json()["id"] for n in range(5)]
     first = api.labeller.get("/api/v1/experiments", params={"limit": 3}).json()
     second = api.labeller.get("/api/v1/experiments", params={"limit": 3, "cursor": first["next_cursor"]}).json()
@@ -64,44 +64,44 @@ def test_pages_continue_at_the_cursor(api: Served) -> None:
 
 
 @pytest.mark.parametrize("limit", [0, 101, "x"])
-def test_a_limit_has_its_limits(api: Served, limit: object) -> None:
+def test_a_limit_has_its_limits(api: ApiServer, limit: object) -> None:
     response = api.labeller.get("/api/v1/experiments", params={"limit": limit})
     assert (response.status_code, response.json()["error"]["code"]) == (422, "invalid_request")
 
 
-def test_curves_versions_and_workers_are_read(both_api: Served) -> None:
-    made = scene(both_api.stores.database, both_api.stores.blobs, queries=0)
-    with both_api.stores.database.transaction() as session:
+def test_curves_versions_and_workers_are_read(api_per_database: ApiServer) -> None:
+    sample = create_sample(api_per_database.stores.database, api_per_database.stores.blobs, queries=0)
+    with api_per_database.stores.database.transaction() as session:
         version = publish.publish(
             session,
-            made.experiment.id,
+            sample.experiment.id,
             "rewards/1",
             label_watermark=3,
             label_count=2,
             policy_steps=0,
             metrics={"holdout_accuracy": 0.75},
         )
-        metrics.record(session, made.experiment.id, 5, {"labels": 2, "entropy": 1.5}, version.id)
+        metrics.record(session, sample.experiment.id, 5, {"labels": 2, "entropy": 1.5}, version.id)
         workers.report(session, "reward-0", "reward", 1, "working", "trains version 2")
-    path = f"/api/v1/experiments/{made.experiment.id}"
-    (curve,) = both_api.labeller.get(f"{path}/metrics", params={"names": ["entropy"]}).json()["series"]
+    path = f"/api/v1/experiments/{sample.experiment.id}"
+    (curve,) = api_per_database.labeller.get(f"{path}/metrics", params={"names": ["entropy"]}).json()["series"]
     assert curve == {"name": "entropy", "points": [{"step": 5, "value": 1.5, "reward_version_id": version.id}]}
-    (listed,) = both_api.labeller.get(f"{path}/reward-versions").json()["items"]
+    (listed,) = api_per_database.labeller.get(f"{path}/reward-versions").json()["items"]
     assert (listed["number"], listed["label_watermark"], listed["metrics"]) == (1, 3, {"holdout_accuracy": 0.75})
-    assert both_api.labeller.get(path).json()["reward_version"] == 1
-    (worker,) = both_api.researcher.get("/api/v1/workers").json()
+    assert api_per_database.labeller.get(path).json()["reward_version"] == 1
+    (worker,) = api_per_database.researcher.get("/api/v1/workers").json()
     assert (worker["id"], worker["state"], worker["detail"]) == ("reward-0", "working", "trains version 2")
     assert 0 <= worker["heartbeat_age_seconds"] < 60
 
 
-def test_health_needs_no_sign_in(both_api: Served) -> None:
-    assert both_api.anyone.get("/api/v1/health").json() == {"status": "ok"}
+def test_health_needs_no_sign_in(api_per_database: ApiServer) -> None:
+    assert api_per_database.anyone.get("/api/v1/health").json() == {"status": "ok"}
 
 
 def test_the_lease_is_as_long_as_the_setting(sqlite: Stores, tmp_path: object) -> None:
     from pathlib import Path
 
-    with served(sqlite, Path(str(tmp_path)), lease_seconds=7.5) as api:
-        made = scene(sqlite.database, sqlite.blobs)
-        found = api.labeller.post(f"/api/v1/experiments/{made.experiment.id}/queries/next").json()
+    with run_api_server(sqlite, Path(str(tmp_path)), lease_seconds=7.5) as api:
+        sample = create_sample(sqlite.database, sqlite.blobs)
+        found = api.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next").json()
         assert found["items"][0]["lease_seconds"] == 7.5

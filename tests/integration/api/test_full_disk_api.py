@@ -15,9 +15,9 @@ from sqlalchemy import Engine, event, select, text
 from accord.domain.enums import Role
 from accord.store.database import Database
 from accord.store.tables import ExperimentRow, LabelRow
-from support.api_in_thread import Served, served
-from support.scenes import Scene, scene, user
-from support.stores import Stores, stores
+from support.api_in_thread import ApiServer, run_api_server
+from support.sample_experiments import SampleExperiment, create_sample, user
+from support.stores import Stores, open_stores
 from support.waiting import PATIENCE_SECONDS
 
 LABELLERS, POSTERS = 16, 3
@@ -32,10 +32,10 @@ DATABASE_BYTES, DISK_BYTES = 400_000, 3_000_000
 class Threads:
     """Labellers and batch posters, and what the service acknowledged to them."""
 
-    def __init__(self, api: Served, made: Scene) -> None:
-        self._api, self._made = api, made
+    def __init__(self, api: ApiServer, sample: SampleExperiment) -> None:
+        self._api, self._made = api, sample
         self._lock = threading.Lock()
-        self._batches = [made.query_ids[i : i + BATCH] for i in range(QUERIES // 2, QUERIES, BATCH)]
+        self._batches = [sample.query_ids[i : i + BATCH] for i in range(QUERIES // 2, QUERIES, BATCH)]
         with api.stores.database.transaction() as session:
             self._tokens = [user(session, f"labeller {i}", Role.LABELLER)[1] for i in range(LABELLERS)]
         #: query -> label in segment order
@@ -152,8 +152,8 @@ def label_until_full(made: Stores, home: Path, fill: Callable[[], Callable[[], N
     Args:
         fill: leaves little space for the database, and returns what gives it back.
     """
-    with served(made, home) as api:
-        an_experiment = scene(
+    with run_api_server(made, home) as api:
+        an_experiment = create_sample(
             made.database,
             made.blobs,
             segments=SEGMENTS,
@@ -197,5 +197,5 @@ def test_no_acknowledged_label_is_lost_when_the_disk_fills(tmp_path: Path) -> No
         filler.write_bytes(bytes(space.f_bavail * space.f_bsize - DISK_BYTES))
         return filler.unlink
 
-    with small_disk(disk), stores(home, f"sqlite:///{disk / 'accord.db'}") as made:
+    with small_disk(disk), open_stores(home, f"sqlite:///{disk / 'accord.db'}") as made:
         label_until_full(made, home, fill)

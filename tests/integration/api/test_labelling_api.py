@@ -7,25 +7,25 @@ from sqlalchemy import event
 
 from accord.domain.enums import Role
 from accord.services import experiments
-from support.api_in_thread import Served
-from support.scenes import Scene, scene
+from support.api_in_thread import ApiServer
+from support.sample_experiments import SampleExperiment, create_sample
 
 
-def begin(api: Served, **changes: object) -> Scene:
-    return scene(api.stores.database, api.stores.blobs, **changes)  # type: ignore[arg-type]
+def begin(api: ApiServer, **changes: object) -> SampleExperiment:
+    return create_sample(api.stores.database, api.stores.blobs, **changes)  # type: ignore[arg-type]
 
 
-def following(client: httpx.Client, made: Scene, count: int = 1, **query: object) -> dict[str, object]:
-    response = client.post(f"/api/v1/experiments/{made.experiment.id}/queries/next", params={"count": count} | query)
+def following(client: httpx.Client, sample: SampleExperiment, count: int = 1, **query: object) -> dict[str, object]:
+    response = client.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next", params={"count": count} | query)
     assert response.status_code == 200, response.text
     return response.json()
 
 
-def test_a_labeller_labels_undoes_and_labels_again(both_api: Served) -> None:
-    made, client = begin(both_api), both_api.labeller
-    (query,) = following(client, made)["items"]
+def test_a_labeller_labels_undoes_and_labels_again(api_per_database: ApiServer) -> None:
+    sample, client = begin(api_per_database), api_per_database.labeller
+    (query,) = following(client, sample)["items"]
     assert {query["left"]["index"], query["right"]["index"]} == {0, 1}
-    assert query["lease_seconds"] == both_api.settings.lease_seconds
+    assert query["lease_seconds"] == api_per_database.settings.lease_seconds
     assert client.get(query["left"]["clip_url"]).status_code == 200
     path = f"/api/v1/queries/{query['id']}/label"
     first = client.put(path, json={"label": 1, "order": "shown", "response_seconds": 1.25})
@@ -43,39 +43,39 @@ def test_a_labeller_labels_undoes_and_labels_again(both_api: Served) -> None:
     undone = client.delete(path)
     assert (undone.status_code, undone.json()) == (200, query)
     assert client.put(path, json={"label": 0.5}).json()["revision"] == 3
-    assert client.get(f"/api/v1/experiments/{made.experiment.id}").json()["labels"]["labels"] == 1
+    assert client.get(f"/api/v1/experiments/{sample.experiment.id}").json()["labels"]["labels"] == 1
 
 
-def test_a_lease_is_kept_and_given_back(both_api: Served) -> None:
-    made = begin(both_api, queries=1)
-    (query,) = following(both_api.labeller, made)["items"]
+def test_a_lease_is_kept_and_given_back(api_per_database: ApiServer) -> None:
+    sample = begin(api_per_database, queries=1)
+    (query,) = following(api_per_database.labeller, sample)["items"]
     lease = f"/api/v1/queries/{query['id']}/lease"
-    assert both_api.labeller.put(lease).json() == {"query_id": query["id"], "lease_seconds": 60.0}
-    assert both_api.teacher.put(lease).status_code == 410
-    assert following(both_api.teacher, made) == {"items": [], "reason": "policy_training"}
-    assert both_api.labeller.delete(lease).status_code == 204
-    assert both_api.labeller.put(lease).json()["error"]["code"] == "lease_lost"
-    assert len(following(both_api.teacher, made)["items"]) == 1
+    assert api_per_database.labeller.put(lease).json() == {"query_id": query["id"], "lease_seconds": 60.0}
+    assert api_per_database.teacher.put(lease).status_code == 410
+    assert following(api_per_database.teacher, sample) == {"items": [], "reason": "policy_training"}
+    assert api_per_database.labeller.delete(lease).status_code == 204
+    assert api_per_database.labeller.put(lease).json()["error"]["code"] == "lease_lost"
+    assert len(following(api_per_database.teacher, sample)["items"]) == 1
 
 
-def test_a_teacher_reads_true_returns_and_rewards(both_api: Served) -> None:
-    made = begin(both_api)
-    (query,) = following(both_api.teacher, made, returns=True)["items"]
+def test_a_teacher_reads_true_returns_and_rewards(api_per_database: ApiServer) -> None:
+    sample = begin(api_per_database)
+    (query,) = following(api_per_database.teacher, sample, returns=True)["items"]
     by_index = {side["index"]: side for side in (query["left"], query["right"])}
     # segment i of the scene has the reward i at each of its 5 steps
     assert (by_index[0]["true_return"], by_index[0]["true_rewards"]) == (0.0, [0.0] * 5)
     assert (by_index[1]["true_return"], by_index[1]["true_rewards"]) == (5.0, [1.0] * 5)
-    (plain,) = following(both_api.teacher, made)["items"]
+    (plain,) = following(api_per_database.teacher, sample)["items"]
     assert plain["left"]["true_return"] is None
     assert plain["left"]["true_rewards"] is None
 
 
-def test_a_batch_writes_the_good_labels_and_says_what_is_wrong_with_the_others(both_api: Served) -> None:
-    made, other = begin(both_api), begin(both_api)
-    one, two, three, _ = made.query_ids
-    following(both_api.labeller, made)  # holds the first
-    response = both_api.teacher.post(
-        f"/api/v1/experiments/{made.experiment.id}/labels",
+def test_a_batch_writes_the_good_labels_and_says_what_is_wrong_with_the_others(api_per_database: ApiServer) -> None:
+    sample, other = begin(api_per_database), begin(api_per_database)
+    one, two, three, _ = sample.query_ids
+    following(api_per_database.labeller, sample)  # holds the first
+    response = api_per_database.teacher.post(
+        f"/api/v1/experiments/{sample.experiment.id}/labels",
         json={
             "labels": [
                 {"query_id": one, "label": 1},
@@ -101,14 +101,14 @@ def test_a_batch_writes_the_good_labels_and_says_what_is_wrong_with_the_others(b
     ]
     assert [item["label"]["created"] for item in items if item["ok"]] == [True, False, True]
     assert all(item["message"] for item in items if not item["ok"])
-    with both_api.stores.database.reading() as session:
-        row = experiments.get(session, made.experiment.id)
+    with api_per_database.stores.database.reading() as session:
+        row = experiments.get(session, sample.experiment.id)
         assert (row.label_count, row.label_revision) == (1, 2)
 
 
-def test_more_requests_than_threads_all_are_answered(api: Served) -> None:
+def test_more_requests_than_threads_all_are_answered(api: ApiServer) -> None:
     """Sixty at once: a transaction that waited for a thread of the server's forty would never end."""
-    made = begin(api, segments=16, queries=120, label_budget=120, initial_labels=120)
+    sample = begin(api, segments=16, queries=120, label_budget=120, initial_labels=120)
     ready, answers = threading.Barrier(60), list[int]()
 
     def label(query_id: str) -> None:
@@ -116,22 +116,22 @@ def test_more_requests_than_threads_all_are_answered(api: Served) -> None:
             ready.wait()
             answers.append(client.put(f"/api/v1/queries/{query_id}/label", json={"label": 1}).status_code)
 
-    threads = [threading.Thread(target=label, args=(query_id,)) for query_id in made.query_ids[:60]]
+    threads = [threading.Thread(target=label, args=(query_id,)) for query_id in sample.query_ids[:60]]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     assert answers == [201] * 60
     with api.stores.database.reading() as session:
-        assert experiments.get(session, made.experiment.id).label_count == 60
+        assert experiments.get(session, sample.experiment.id).label_count == 60
 
 
-def test_sixteen_queries_take_as_many_statements_as_one(api: Served) -> None:
-    made = begin(api, segments=8, queries=20)
+def test_sixteen_queries_take_as_many_statements_as_one(api: ApiServer) -> None:
+    sample = begin(api, segments=8, queries=20)
     statements: list[str] = []
     event.listen(api.stores.database.engine, "before_cursor_execute", lambda *args: statements.append(args[2]))
-    following(api.labeller, made, 1)
+    following(api.labeller, sample, 1)
     one = len(statements)
     statements.clear()
-    assert len(following(api.teacher, made, 16)["items"]) == 16
+    assert len(following(api.teacher, sample, 16)["items"]) == 16
     assert len(statements) == one

@@ -9,8 +9,8 @@ import pytest
 
 from accord.domain.enums import Phase
 from accord.services import experiments, metrics, publish, workers
-from support.api_in_thread import Served
-from support.scenes import Scene, scene
+from support.api_in_thread import ApiServer
+from support.sample_experiments import SampleExperiment, create_sample
 
 #: a true return as it would be written anywhere; no other number of the scene has these digits
 SECRET = 98765.4321
@@ -18,10 +18,10 @@ FREE_TEXT = f"evaluated: true return {SECRET}"
 
 
 @pytest.fixture(params=["preferences", "true"])
-def made(api: Served, request: pytest.FixtureRequest) -> Scene:
+def sample(api: ApiServer, request: pytest.FixtureRequest) -> SampleExperiment:
     """An experiment in whose rows the secret is wherever workers write."""
     database, blobs = api.stores.database, api.stores.blobs
-    found = scene(database, blobs, reward_source=request.param)
+    found = create_sample(database, blobs, reward_source=request.param)
     names = ["true_return", "true_return_mean", "entropy"]
     if request.param == "true":
         # what the policy learns from is the true reward itself
@@ -44,12 +44,12 @@ def made(api: Served, request: pytest.FixtureRequest) -> Scene:
     return found
 
 
-def concrete(path: str, made: Scene, clip_id: str) -> str:
+def concrete(path: str, sample: SampleExperiment, clip_id: str) -> str:
     return path.format(
-        experiment_id=made.experiment.id,
-        query_id=made.query_ids[0],
+        experiment_id=sample.experiment.id,
+        query_id=sample.query_ids[0],
         clip_id=clip_id,
-        segment_id=made.segment_ids[0],
+        segment_id=sample.segment_ids[0],
     )
 
 
@@ -72,16 +72,16 @@ def hidden_from(text: str) -> None:
         assert not math.isclose(float(number), SECRET, rel_tol=1e-3), number
 
 
-def test_no_route_tells_a_labeller_a_true_return(api: Served, made: Scene) -> None:
+def test_no_route_tells_a_labeller_a_true_return(api: ApiServer, sample: SampleExperiment) -> None:
     document = api.anyone.get("/api/openapi.json").json()
-    offered = api.labeller.post(f"/api/v1/experiments/{made.experiment.id}/queries/next", params={"count": 4})
+    offered = api.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next", params={"count": 4})
     items = offered.json()["items"]
     for side in [item[name] for item in items for name in ("left", "right")]:
         assert (side["true_return"], side["true_rewards"]) == (None, None)
     clip_id = items[0]["left"]["clip_url"].rpartition("/")[2].removesuffix(".mp4") if items else "clp_" + "0" * 24
     bodies: dict[str, object] = {
         "put_label": {"label": 1},
-        "put_labels": {"labels": [{"query_id": made.query_ids[0], "label": 1}]},
+        "put_labels": {"labels": [{"query_id": sample.query_ids[0], "label": 1}]},
         "create_experiment": {"name": "mine", "task": "HalfCheetah-6x1"},
         "create_user": {"name": "x", "role": "admin"},
     }
@@ -94,9 +94,9 @@ def test_no_route_tells_a_labeller_a_true_return(api: Served, made: Scene) -> No
     # signing out comes last
     for method, path, name in sorted(operations, key=lambda each: each[2] == "sign_out"):
         if name == "follow_experiment":
-            text = first_events(api.labeller, concrete(path, made, clip_id), 3)
+            text = first_events(api.labeller, concrete(path, sample, clip_id), 3)
         else:
-            address = concrete(path, made, clip_id)
+            address = concrete(path, sample, clip_id)
             response = api.labeller.request(method.upper(), address, json=bodies.get(name))
             assert response.status_code < 500, (name, response.text)
             text = response.text if "json" in response.headers.get("content-type", "") else ""
@@ -105,27 +105,27 @@ def test_no_route_tells_a_labeller_a_true_return(api: Served, made: Scene) -> No
     assert walked == len(operations) >= 20
 
 
-def test_the_walk_would_have_seen_it(api: Served, made: Scene) -> None:
+def test_the_walk_would_have_seen_it(api: ApiServer, sample: SampleExperiment) -> None:
     """A researcher gets all of it, in every place from which it is kept from a labeller."""
-    path = f"/api/v1/experiments/{made.experiment.id}"
+    path = f"/api/v1/experiments/{sample.experiment.id}"
     for address in (path, "/api/v1/experiments", f"{path}/metrics", f"{path}/reward-versions", "/api/v1/workers"):
         assert "98765" in api.researcher.get(address).text, address
         hidden_from(api.labeller.get(address).text)
     events = first_events(api.researcher, f"{path}/events", 3)
     assert events.count("98765") >= 3
     query = api.researcher.post(f"{path}/queries/next", params={"returns": True, "count": 4}).json()
-    if made.experiment.config["reward_source"] == "preferences":
+    if sample.experiment.config["reward_source"] == "preferences":
         assert query["items"][1]["left"]["true_return"] is not None
 
 
-def test_curves_named_outright_are_hidden_too(api: Served, made: Scene) -> None:
-    path = f"/api/v1/experiments/{made.experiment.id}/metrics"
+def test_curves_named_outright_are_hidden_too(api: ApiServer, sample: SampleExperiment) -> None:
+    path = f"/api/v1/experiments/{sample.experiment.id}/metrics"
     names = {"names": ["true_return", "entropy"]}
     assert [each["name"] for each in api.labeller.get(path, params=names).json()["series"]] == ["entropy"]
     assert {each["name"] for each in api.teacher.get(path, params=names).json()["series"]} == {"true_return", "entropy"}
 
 
-def test_a_labeller_still_sees_how_the_reward_model_does(api: Served, made: Scene) -> None:
-    (version,) = api.labeller.get(f"/api/v1/experiments/{made.experiment.id}/reward-versions").json()["items"]
+def test_a_labeller_still_sees_how_the_reward_model_does(api: ApiServer, sample: SampleExperiment) -> None:
+    (version,) = api.labeller.get(f"/api/v1/experiments/{sample.experiment.id}/reward-versions").json()["items"]
     assert version["metrics"] == {"loss": 0.5}
     assert json.dumps(version).count("rank") == 0

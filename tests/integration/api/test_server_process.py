@@ -19,7 +19,7 @@ from accord.store.database import Database
 from accord.store.tables import LabelRow
 from support.api_in_thread import client
 from support.api_process import running_server
-from support.scenes import scene, user
+from support.sample_experiments import create_sample, user
 from support.waiting import PATIENCE_SECONDS
 
 
@@ -40,7 +40,7 @@ def test_an_acknowledged_label_survives_a_kill(tmp_path: Path, kill_after: int) 
     settings = Settings(home=tmp_path)
     database, blobs = Database.open(settings.resolved_database_url), open_blobs(settings.resolved_blob_url)
     database.migrate()
-    made = scene(database, blobs, segments=21, queries=200, label_budget=200, initial_labels=200)
+    sample = create_sample(database, blobs, segments=21, queries=200, label_budget=200, initial_labels=200)
     with database.transaction() as session:
         tokens = [user(session, f"labeller {number}")[1] for number in range(4)]
     acknowledged: dict[str, float] = {}
@@ -50,7 +50,7 @@ def test_an_acknowledged_label_survives_a_kill(tmp_path: Path, kill_after: int) 
         with client(url, token) as labeller:
             try:
                 while True:
-                    found = labeller.post(f"/api/v1/experiments/{made.experiment.id}/queries/next").json()["items"]
+                    found = labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next").json()["items"]
                     response = labeller.put(
                         f"/api/v1/queries/{found[0]['id']}/label", json={"label": 1, "order": "shown"}
                     )
@@ -77,8 +77,8 @@ def test_an_acknowledged_label_survives_a_kill(tmp_path: Path, kill_after: int) 
     assert count == len(stored)
     database.close()
     # and the next server goes on with them
-    with running_server(tmp_path) as server, client(server.url, made.owner_token) as researcher:
-        labels = researcher.get(f"/api/v1/experiments/{made.experiment.id}").json()["labels"]
+    with running_server(tmp_path) as server, client(server.url, sample.owner_token) as researcher:
+        labels = researcher.get(f"/api/v1/experiments/{sample.experiment.id}").json()["labels"]
         assert labels["labels"] == len(stored)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from accord.api import responses
 from mapt.tasks import registry
-from support.api_in_thread import Served
+from support.api_in_thread import ApiServer
 
 NEW = {"name": "one", "task": "Tug-2x1"}
 
@@ -30,7 +30,7 @@ def no_views_kept() -> Iterator[None]:
 )
 @pytest.mark.parametrize("ask", ["list", "create"])
 def test_a_task_file_that_fails_is_named_in_a_sentence(
-    api: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str | None, words: str, ask: str
+    api: ApiServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str | None, words: str, ask: str
 ) -> None:
     file = tmp_path / "broken_tasks.py"
     if content is not None:
@@ -48,7 +48,7 @@ def test_a_task_file_that_fails_is_named_in_a_sentence(
     assert api.anyone.get("/api/v1/health").status_code == 200
 
 
-def test_a_mended_file_is_read_again(api: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mended_file_is_read_again(api: ApiServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "mended_tasks.py"
     file.write_text("raise RuntimeError('not yet')")
     monkeypatch.setenv("MAPT_TASKS", str(file))
@@ -58,7 +58,7 @@ def test_a_mended_file_is_read_again(api: Served, tmp_path: Path, monkeypatch: p
 
 
 def test_an_experiment_whose_task_is_no_longer_known_is_a_sentence_too(
-    api: Served, no_views_kept: None, monkeypatch: pytest.MonkeyPatch
+    api: ApiServer, no_views_kept: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     entries = registry._ENTRIES
     made = api.researcher.post("/api/v1/experiments", json=NEW | {"task": "HalfCheetah-6x1"})

@@ -15,14 +15,14 @@ from accord.services.collect import NewSegment, load_arrays
 from accord.store.tables import LabelRow, QueryRow, SegmentRow
 from mapt.errors import PreferenceError
 from mapt.preferences.teachers import RULES, TeacherView, make_teacher, teacher_names
-from support.api_in_thread import Served
-from support.scenes import AGENTS, NQ, NV, OBSERVATION, STEPS, Scene, scene
+from support.api_in_thread import ApiServer
+from support.sample_experiments import AGENTS, NQ, NV, OBSERVATION, STEPS, SampleExperiment, create_sample
 
 N_LABELS = 12
 
 
 @pytest.fixture
-def api_of_teacher(api: Served) -> Generator[Api]:
+def api_of_teacher(api: ApiServer) -> Generator[Api]:
     client = Api(api.url, api.tokens[Role.TEACHER])
     yield client
     client.close()
@@ -42,10 +42,12 @@ def moving_segment(rng: np.random.Generator) -> NewSegment:
 
 
 @pytest.fixture
-def made(api: Served) -> Scene:
+def sample(api: ApiServer) -> SampleExperiment:
     """An experiment with more queries than the labels it wants, over segments that all differ."""
     stores, rng = api.stores, np.random.default_rng(0)
-    found = scene(stores.database, stores.blobs, segments=0, queries=0, label_budget=N_LABELS, render_clips=False)
+    found = create_sample(
+        stores.database, stores.blobs, segments=0, queries=0, label_budget=N_LABELS, render_clips=False
+    )
     stored = [collect.store_arrays(stores.blobs, found.experiment.id, moving_segment(rng)) for _ in range(8)]
     with stores.database.transaction() as session:
         collect.collect(session, found.experiment.id, stored)
@@ -55,15 +57,17 @@ def made(api: Served) -> Scene:
     return found
 
 
-def teach(api: Api, made: Scene, name: str, *parameters: str, labels: int = N_LABELS, seed: int = 0) -> int:
+def teach(
+    api: Api, sample: SampleExperiment, name: str, *parameters: str, labels: int = N_LABELS, seed: int = 0
+) -> int:
     teacher = TeacherChoice.parse(":".join((name, *parameters))).teacher(seed)
     taught = teach_experiment(
-        api, made.experiment.id, teacher, labels, on_progress=lambda _: None, stopped=lambda: False
+        api, sample.experiment.id, teacher, labels, on_progress=lambda _: None, stopped=lambda: False
     )
     return taught.labels
 
 
-def labelled(api: Served) -> list[tuple[LabelRow, TeacherView, TeacherView]]:
+def labelled(api: ApiServer) -> list[tuple[LabelRow, TeacherView, TeacherView]]:
     """Labels in the order in which they were given, with what was seen of segments 0 and 1."""
     with api.stores.database.reading() as session:
         rows = session.execute(
@@ -79,61 +83,67 @@ def labelled(api: Served) -> list[tuple[LabelRow, TeacherView, TeacherView]]:
 
 @pytest.mark.parametrize("name", ["oracle", *(name for name in RULES if name != "return")])
 def test_every_rule_labels_over_rest_as_it_does_by_itself(
-    api: Served, api_of_teacher: Api, made: Scene, name: str
+    api: ApiServer, api_of_teacher: Api, sample: SampleExperiment, name: str
 ) -> None:
     short = ("window_steps=2",) if hasattr(make_teacher(name).rule, "window_steps") else ()
-    assert teach(api_of_teacher, made, name, *short) == N_LABELS
+    assert teach(api_of_teacher, sample, name, *short) == N_LABELS
     judge = TeacherChoice.parse(":".join((name, *short))).teacher(0).judge
     rows = labelled(api)
     assert [row.value for row, _, _ in rows] == [judge(first, second)[0] for _, first, second in rows]
     assert {0.0, 1.0} <= {row.value for row, _, _ in rows}
 
 
-def test_name_and_parameters_arrive_in_the_labels_record(api: Served, api_of_teacher: Api, made: Scene) -> None:
-    teach(api_of_teacher, made, "phase+mistake", "mistake=0.5", "column=3", "want=equal", seed=4)
+def test_name_and_parameters_arrive_in_the_labels_record(
+    api: ApiServer, api_of_teacher: Api, sample: SampleExperiment
+) -> None:
+    teach(api_of_teacher, sample, "phase+mistake", "mistake=0.5", "column=3", "want=equal", seed=4)
     expected = make_teacher("phase+mistake", seed=4, mistake=0.5, column=3, want="equal").parameters()
     assert expected["name"] == "phase+mistake"
     assert [row.teacher for row, _, _ in labelled(api)] == [expected] * N_LABELS
 
 
 @pytest.mark.parametrize("name", [*(name for name in teacher_names() if name not in RULES), "recency+equal"])
-def test_every_habit_works_over_rest(api: Served, api_of_teacher: Api, made: Scene, name: str) -> None:
+def test_every_habit_works_over_rest(api: ApiServer, api_of_teacher: Api, sample: SampleExperiment, name: str) -> None:
     short = ("window_steps=2",) if name.startswith("recency") else ()
-    assert teach(api_of_teacher, made, name, *short) == N_LABELS
+    assert teach(api_of_teacher, sample, name, *short) == N_LABELS
     given = [row for row, _, _ in labelled(api) if row.state == "label"]
     assert {row.teacher["name"] for row in given} == {name}
 
 
-def test_a_skip_is_no_label_and_another_query_takes_its_place(api: Served, api_of_teacher: Api, made: Scene) -> None:
+def test_a_skip_is_no_label_and_another_query_takes_its_place(
+    api: ApiServer, api_of_teacher: Api, sample: SampleExperiment
+) -> None:
     with api.stores.database.transaction() as session:
         worst_six = sorted(session.scalars(sql_select(SegmentRow.true_return)))[5]
         # Episodes of a thousand steps, segments of five: half the mean return of so many steps is the sixth's.
-        metrics.record(session, made.experiment.id, 1, {"true_return": worst_six * 400})
-    assert teach(api_of_teacher, made, "skip", "skip=0.5000001") == N_LABELS
+        metrics.record(session, sample.experiment.id, 1, {"true_return": worst_six * 400})
+    assert teach(api_of_teacher, sample, "skip", "skip=0.5000001") == N_LABELS
     rows = labelled(api)
     assert {row.state for row, _, _ in rows} == {"label", "skip"}
     for row, first, second in rows:
         assert (row.state == "skip") == (max(first.rewards.sum(), second.rewards.sum()) < worst_six + 1e-4)
 
 
-def test_thresholds_follow_the_curve_of_true_returns(api: Served, api_of_teacher: Api, made: Scene) -> None:
+def test_thresholds_follow_the_curve_of_true_returns(
+    api: ApiServer, api_of_teacher: Api, sample: SampleExperiment
+) -> None:
     with api.stores.database.transaction() as session:
         # A thousand steps with a return of a million: every segment of five is equal to every other.
-        metrics.record(session, made.experiment.id, 1, {"true_return": 1e6})
-    teach(api_of_teacher, made, "equal")
+        metrics.record(session, sample.experiment.id, 1, {"true_return": 1e6})
+    teach(api_of_teacher, sample, "equal")
     assert {row.value for row, _, _ in labelled(api)} == {0.5}
 
 
-def test_a_labeller_is_no_scripted_teacher(api: Served, made: Scene) -> None:
+def test_a_labeller_is_no_scripted_teacher(api: ApiServer, sample: SampleExperiment) -> None:
     client = Api(api.url, api.tokens[Role.LABELLER])
     for name in ("oracle", "phase"):
         with pytest.raises(Refused) as refused:
-            teach(client, made, name)
+            teach(client, sample, name)
         assert refused.value.status == 403
     client.close()
 
 
-def test_what_a_rule_cannot_see_is_named(api: Served, api_of_teacher: Api, made: Scene) -> None:
+def test_what_a_rule_cannot_see_is_named(api: ApiServer, api_of_teacher: Api, sample: SampleExperiment) -> None:
     with pytest.raises(PreferenceError, match="column 77"):
-        teach(api_of_teacher, made, "phase", "column=77")
+        teach(api_of_teacher, sample, "phase", "column=77")
     assert labelled(api) == []

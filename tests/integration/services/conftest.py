@@ -1,3 +1,3 @@
-from support.store_fixtures import both, postgres_server, sqlite
+from support.store_fixtures import postgres_server, sqlite, stores
 
-__all__ = ["both", "postgres_server", "sqlite"]
+__all__ = ["postgres_server", "sqlite", "stores"]

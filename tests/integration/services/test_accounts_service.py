@@ -11,14 +11,14 @@ from accord.domain.errors import Invalid, NameTaken, Unauthenticated, UserNotFou
 from accord.domain.ids import new_id
 from accord.services import accounts, label, lease
 from accord.store.tables import TokenRow
-from support.scenes import scene
+from support.sample_experiments import create_sample
 from support.stores import Stores
 
 
-def test_a_token_authenticates_its_user(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_a_token_authenticates_its_user(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         ada, token = accounts.create_user(session, " Ada ", Role.RESEARCHER)
-    with both.database.reading() as session:
+    with stores.database.reading() as session:
         found = accounts.authenticate(session, token)
         assert (found.id, found.name, found.role) == (ada.id, "Ada", "researcher")
         for wrong in ("", token[:-1], token + "x", "ü", "\0", accounts.hash_of(token)):
@@ -26,17 +26,17 @@ def test_a_token_authenticates_its_user(both: Stores) -> None:
                 accounts.authenticate(session, wrong)
 
 
-def test_only_the_hash_of_a_token_is_stored(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_only_the_hash_of_a_token_is_stored(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         ada, token = accounts.create_user(session, "Ada", Role.ADMIN)
         link = accounts.make_link(session, ada.id, 5)
-    with both.database.reading() as session:
+    with stores.database.reading() as session:
         stored = {row.hash for row in session.scalars(sql_select(TokenRow))}
     assert stored == {hashlib.sha256(each.encode()).hexdigest() for each in (token, link)}
 
 
-def test_names_are_unique_and_printable(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_names_are_unique_and_printable(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         accounts.create_user(session, "Ada", Role.LABELLER)
         with pytest.raises(NameTaken):
             accounts.create_user(session, "Ada ", Role.LABELLER)
@@ -45,11 +45,11 @@ def test_names_are_unique_and_printable(both: Stores) -> None:
                 accounts.create_user(session, bad, Role.LABELLER)
 
 
-def test_a_link_signs_in_once(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_a_link_signs_in_once(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         ada, _ = accounts.create_user(session, "Ada", Role.LABELLER)
         link = accounts.make_link(session, ada.id, 5)
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         user, token = accounts.redeem_link(session, link, 30)
         assert user.id == ada.id
         assert accounts.authenticate(session, token).id == ada.id
@@ -60,8 +60,8 @@ def test_a_link_signs_in_once(both: Stores) -> None:
             accounts.authenticate(session, link)
 
 
-def test_of_browsers_that_open_a_link_concurrently_one_is_signed_in(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_of_browsers_that_open_a_link_concurrently_one_is_signed_in(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         ada, _ = accounts.create_user(session, "Ada", Role.LABELLER)
         link = accounts.make_link(session, ada.id, 5)
     ready, outcomes = threading.Barrier(6), list[str]()
@@ -69,7 +69,7 @@ def test_of_browsers_that_open_a_link_concurrently_one_is_signed_in(both: Stores
     def open_link() -> None:
         ready.wait()
         try:
-            with both.database.transaction() as session:
+            with stores.database.transaction() as session:
                 accounts.redeem_link(session, link, 30)
             outcomes.append("in")
         except Unauthenticated:
@@ -83,8 +83,8 @@ def test_of_browsers_that_open_a_link_concurrently_one_is_signed_in(both: Stores
     assert sorted(outcomes) == ["in"] + ["out"] * 5
 
 
-def test_links_and_sessions_expire(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_links_and_sessions_expire(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         ada, _ = accounts.create_user(session, "Ada", Role.LABELLER)
         late = accounts.make_link(session, ada.id, -1)
         with pytest.raises(Unauthenticated):
@@ -94,16 +94,16 @@ def test_links_and_sessions_expire(both: Stores) -> None:
             accounts.authenticate(session, token)
 
 
-def test_a_signed_out_token_is_not_valid(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_a_signed_out_token_is_not_valid(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         _, token = accounts.create_user(session, "Ada", Role.LABELLER)
         accounts.sign_out(session, token)
         with pytest.raises(Unauthenticated):
             accounts.authenticate(session, token)
 
 
-def test_the_first_admin_is_created_once(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_the_first_admin_is_created_once(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         first = accounts.ensure_admin(session)
         assert accounts.ensure_admin(session).id == first.id
         assert accounts.authenticate(session, accounts.new_bearer(session, first.id)).role == "admin"
@@ -115,23 +115,23 @@ def test_the_first_admin_is_created_even_if_the_name_is_taken(sqlite: Stores) ->
         assert accounts.ensure_admin(session).role == "admin"
 
 
-def test_a_link_for_an_absent_user_is_refused(both: Stores) -> None:
+def test_a_link_for_an_absent_user_is_refused(stores: Stores) -> None:
     absent = new_id("usr")
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         for make in (lambda: accounts.make_link(session, absent, 5), lambda: accounts.new_bearer(session, absent)):
             with pytest.raises(UserNotFound) as caught:
                 make()
             assert caught.value.id == absent
 
 
-def test_a_removed_user_cannot_sign_in_and_is_deleted(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_a_removed_user_cannot_sign_in_and_is_deleted(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         ada, bearer = accounts.create_user(session, "Ada", Role.LABELLER)
         _, browser = accounts.redeem_link(session, accounts.make_link(session, ada.id, 5), 30)
         link = accounts.make_link(session, ada.id, 5)
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         assert accounts.remove(session, accounts.by_name(session, "Ada"))
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         for token in (bearer, browser):
             with pytest.raises(Unauthenticated):
                 accounts.authenticate(session, token)
@@ -142,34 +142,34 @@ def test_a_removed_user_cannot_sign_in_and_is_deleted(both: Stores) -> None:
         accounts.create_user(session, "Ada", Role.LABELLER)
 
 
-def test_a_removed_user_with_labels_stays_on_record_and_a_new_link_lets_them_in(both: Stores) -> None:
-    made = scene(both.database, both.blobs)
-    with both.database.transaction() as session:
+def test_a_removed_user_with_labels_stays_on_record_and_a_new_link_lets_them_in(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs)
+    with stores.database.transaction() as session:
         ada, bearer = accounts.create_user(session, "Ada", Role.LABELLER)
-        first = lease.next_queries(session, ada, made.experiment.id, 2, 60.0).items[0]
+        first = lease.next_queries(session, ada, sample.experiment.id, 2, 60.0).items[0]
         label.put_label(session, ada, first.id, 1.0)
         assert accounts.by_name(session, "Ada").id == ada.id
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         assert not accounts.remove(session, accounts.by_name(session, "Ada"))
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         with pytest.raises(Unauthenticated):
             accounts.authenticate(session, bearer)
         [summary] = [each for each in accounts.summaries(session) if each.name == "Ada"]
         assert (summary.labels, summary.browsers, summary.bearer_tokens) == (1, 0, 0)
         # the other query that was leased to Ada is free at once
         other, _ = accounts.create_user(session, "Grace", Role.LABELLER)
-        assert len(lease.next_queries(session, other, made.experiment.id, 3, 60.0).items) == 3
+        assert len(lease.next_queries(session, other, sample.experiment.id, 3, 60.0).items) == 3
         link = accounts.make_link(session, ada.id, 5)
         assert accounts.redeem_link(session, link, 30)[0].id == ada.id
 
 
-def test_users_are_listed_by_name_with_their_sign_ins(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_users_are_listed_by_name_with_their_sign_ins(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         grace, _ = accounts.create_user(session, "Grace", Role.TEACHER)
         ada, _ = accounts.create_user(session, "Ada", Role.LABELLER)
         for days in (30, -1):
             accounts.redeem_link(session, accounts.make_link(session, ada.id, 5), days)
         accounts.new_bearer(session, grace.id)
-    with both.database.reading() as session:
+    with stores.database.reading() as session:
         found = [(each.name, each.role, each.browsers, each.bearer_tokens) for each in accounts.summaries(session)]
     assert found == [("Ada", "labeller", 1, 1), ("Grace", "teacher", 0, 2)]

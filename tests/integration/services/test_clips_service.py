@@ -9,7 +9,7 @@ from accord.domain.ids import new_id
 from accord.services import clips, experiments
 from accord.services.clips import ClipJob, MadeClip
 from accord.store.tables import ClipRow, QueryRow
-from support.scenes import CLIP_BYTES, scene
+from support.sample_experiments import CLIP_BYTES, create_sample
 from support.stores import Stores
 
 MADE = MadeClip("0" * 64, "clips/x.mp4", len(CLIP_BYTES), 5, 0.25, 320, 240)
@@ -30,39 +30,39 @@ def statuses(stores: Stores, query_ids: list[str]) -> list[str]:
         return [session.get(QueryRow, each).status for each in query_ids]  # type: ignore[union-attr]
 
 
-def test_clips_are_rendered_in_the_order_of_their_queries(both: Stores) -> None:
-    made = scene(both.database, both.blobs, segments=4, queries=6, ready=False)
-    jobs = [claim(both) for _ in range(4)]
-    assert [job.segment_id for job in jobs if job][2:] == made.segment_ids[2:]
-    assert {job.segment_id for job in jobs[:2] if job} == set(made.segment_ids[:2])
-    assert claim(both) is None
+def test_clips_are_rendered_in_the_order_of_their_queries(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, segments=4, queries=6, ready=False)
+    jobs = [claim(stores) for _ in range(4)]
+    assert [job.segment_id for job in jobs if job][2:] == sample.segment_ids[2:]
+    assert {job.segment_id for job in jobs[:2] if job} == set(sample.segment_ids[:2])
+    assert claim(stores) is None
     assert jobs[0] is not None
-    assert (jobs[0].task, jobs[0].attempts, jobs[0].experiment_id) == ("HalfCheetah-6x1", 1, made.experiment.id)
-    assert both.blobs.exists(jobs[0].segment_blob_key)
+    assert (jobs[0].task, jobs[0].attempts, jobs[0].experiment_id) == ("HalfCheetah-6x1", 1, sample.experiment.id)
+    assert stores.blobs.exists(jobs[0].segment_blob_key)
 
 
-def test_a_query_opens_when_both_of_its_clips_are_ready(both: Stores) -> None:
-    made = scene(both.database, both.blobs, segments=3, queries=2, ready=False)
-    first, second, third = (claim(both) for _ in range(3))
+def test_a_query_opens_when_both_of_its_clips_are_ready(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, segments=3, queries=2, ready=False)
+    first, second, third = (claim(stores) for _ in range(3))
     assert first
     assert second
     assert third
-    finish(both, first)
-    assert statuses(both, made.query_ids) == ["rendering", "rendering"]
-    finish(both, second)
-    finish(both, second)
-    assert statuses(both, made.query_ids) == ["open", "rendering"]
-    finish(both, third)
-    assert statuses(both, made.query_ids) == ["open", "open"]
+    finish(stores, first)
+    assert statuses(stores, sample.query_ids) == ["rendering", "rendering"]
+    finish(stores, second)
+    finish(stores, second)
+    assert statuses(stores, sample.query_ids) == ["open", "rendering"]
+    finish(stores, third)
+    assert statuses(stores, sample.query_ids) == ["open", "open"]
 
 
-def test_many_workers_never_get_the_same_clip(both: Stores) -> None:
-    scene(both.database, both.blobs, segments=12, queries=30, ready=False)
+def test_many_workers_never_get_the_same_clip(stores: Stores) -> None:
+    create_sample(stores.database, stores.blobs, segments=12, queries=30, ready=False)
     ready, taken = threading.Barrier(4), [list[str]() for _ in range(4)]
 
     def work(number: int) -> None:
         ready.wait()
-        while (job := claim(both, f"worker {number}")) is not None:
+        while (job := claim(stores, f"worker {number}")) is not None:
             taken[number].append(job.clip_id)
 
     threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
@@ -74,78 +74,78 @@ def test_many_workers_never_get_the_same_clip(both: Stores) -> None:
     assert len(everything) == len(set(everything)) == 12
 
 
-def test_an_expired_claim_can_be_taken(both: Stores) -> None:
-    scene(both.database, both.blobs, segments=2, queries=1, ready=False)
-    first, second = claim(both, "a", lease_seconds=0.0), claim(both, "b")
+def test_an_expired_claim_can_be_taken(stores: Stores) -> None:
+    create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
+    first, second = claim(stores, "a", lease_seconds=0.0), claim(stores, "b")
     assert first
     assert second
     assert (second.clip_id, second.attempts) == (first.clip_id, 2)
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         assert not clips.heartbeat(session, first.clip_id, "a", 60)
         assert clips.heartbeat(session, first.clip_id, "b", 60)
 
 
-def test_a_failing_clip_is_tried_three_times_and_then_fails_its_queries(both: Stores) -> None:
-    made = scene(both.database, both.blobs, segments=2, queries=1, ready=False)
+def test_a_failing_clip_is_tried_three_times_and_then_fails_its_queries(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
     for attempt in range(1, 4):
-        job = claim(both)
+        job = claim(stores)
         assert job
         assert job.attempts == attempt
-        with both.database.transaction() as session:
+        with stores.database.transaction() as session:
             clips.fail(session, job.clip_id, f"attempt {attempt}", retry=True)
-    assert statuses(both, made.query_ids) == ["failed"]
-    with both.database.reading() as session:
+    assert statuses(stores, sample.query_ids) == ["failed"]
+    with stores.database.reading() as session:
         row = session.get(ClipRow, job.clip_id)  # type: ignore[union-attr]
         assert row is not None
         assert (row.status, row.detail) == ("failed", "attempt 3")
 
 
-def test_a_clip_that_cannot_be_rendered_is_not_retried(both: Stores) -> None:
-    made = scene(both.database, both.blobs, segments=2, queries=1, ready=False)
-    job = claim(both)
+def test_a_clip_that_cannot_be_rendered_is_not_retried(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
+    job = claim(stores)
     assert job
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         clips.fail(session, job.clip_id, "no such model", retry=False)
-    assert statuses(both, made.query_ids) == ["failed"]
+    assert statuses(stores, sample.query_ids) == ["failed"]
     # the other clip is of no use to anybody
-    assert claim(both) is None
+    assert claim(stores) is None
 
 
-def test_a_clip_that_kills_its_workers_fails(both: Stores) -> None:
-    made = scene(both.database, both.blobs, segments=2, queries=1, ready=False)
-    deadly = [claim(both, lease_seconds=0.0) for _ in range(3)]
+def test_a_clip_that_kills_its_workers_fails(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
+    deadly = [claim(stores, lease_seconds=0.0) for _ in range(3)]
     assert len({job.clip_id for job in deadly if job}) == 1
-    assert claim(both) is None
-    assert statuses(both, made.query_ids) == ["failed"]
+    assert claim(stores) is None
+    assert statuses(stores, sample.query_ids) == ["failed"]
 
 
-def test_a_released_claim_does_not_count_as_an_attempt(both: Stores) -> None:
-    scene(both.database, both.blobs, segments=2, queries=1, ready=False)
-    job = claim(both, "a")
+def test_a_released_claim_does_not_count_as_an_attempt(stores: Stores) -> None:
+    create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
+    job = claim(stores, "a")
     assert job
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         clips.release(session, job.clip_id, "another")
         clips.release(session, job.clip_id, "a")
-    again = claim(both, "b")
+    again = claim(stores, "b")
     assert again
     assert (again.clip_id, again.attempts) == (job.clip_id, 1)
 
 
-def test_clips_of_an_ended_experiment_are_not_rendered(both: Stores) -> None:
-    made = scene(both.database, both.blobs, segments=2, queries=1, ready=False)
-    with both.database.transaction() as session:
-        experiments.cancel(session, made.experiment.id)
-    assert claim(both) is None
+def test_clips_of_an_ended_experiment_are_not_rendered(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
+    with stores.database.transaction() as session:
+        experiments.cancel(session, sample.experiment.id)
+    assert claim(stores) is None
 
 
-def test_only_a_ready_clip_can_be_played(both: Stores) -> None:
-    scene(both.database, both.blobs, segments=2, queries=1, ready=False)
-    job = claim(both)
+def test_only_a_ready_clip_can_be_played(stores: Stores) -> None:
+    create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
+    job = claim(stores)
     assert job
-    with both.database.reading() as session, pytest.raises(ClipNotFound):
+    with stores.database.reading() as session, pytest.raises(ClipNotFound):
         clips.get(session, job.clip_id)
-    finish(both, job)
-    with both.database.reading() as session:
+    finish(stores, job)
+    with stores.database.reading() as session:
         assert clips.get(session, job.clip_id).blob_key == "clips/x.mp4"
         with pytest.raises(ClipNotFound):
             clips.get(session, new_id("clp"))

@@ -7,12 +7,12 @@ import pytest
 from accord.domain.errors import BlobMissing, Invalid
 from accord.services import collect
 from accord.store.tables import SegmentRow
-from support.scenes import scene, segment
+from support.sample_experiments import create_sample, segment
 from support.stores import Stores
 
 
-def test_arrays_survive_storage(both: Stores) -> None:
-    made = scene(both.database, both.blobs, segments=0, queries=0)
+def test_arrays_survive_storage(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, segments=0, queries=0)
     rng = np.random.default_rng(0)
     new = collect.NewSegment(
         observations=rng.normal(size=(7, 6, 9)).astype(np.float32),
@@ -23,16 +23,16 @@ def test_arrays_survive_storage(both: Stores) -> None:
         policy_iteration=3,
         policy_steps=1234,
     )
-    stored = collect.store_arrays(both.blobs, made.experiment.id, new)
-    with both.database.transaction() as session:
-        collect.collect(session, made.experiment.id, [stored])
-    with both.database.reading() as session:
+    stored = collect.store_arrays(stores.blobs, sample.experiment.id, new)
+    with stores.database.transaction() as session:
+        collect.collect(session, sample.experiment.id, [stored])
+    with stores.database.reading() as session:
         row = session.get(SegmentRow, stored.id)
         assert row is not None
         assert (row.policy_iteration, row.policy_steps, row.length_steps) == (3, 1234, 7)
         assert row.true_return == new.rewards.sum()
         assert row.mujoco_version == mujoco.__version__
-        arrays = collect.load_arrays(both.blobs, row.blob_key)
+        arrays = collect.load_arrays(stores.blobs, row.blob_key)
     assert set(arrays) == {"observations", "actions", "rewards", "qpos", "qvel"}
     for name, array in arrays.items():
         expected = getattr(new, name)

@@ -19,7 +19,7 @@ from accord.domain.ids import new_id
 from accord.services import experiments
 from accord.services.experiments import LabelCounts
 from accord.store.tables import ExperimentRow
-from support.scenes import config, scene, user
+from support.sample_experiments import config, create_sample, user
 from support.stores import Stores
 
 
@@ -29,10 +29,10 @@ def create(stores: Stores, name: str = "one", instructions: str | None = None, *
         return experiments.create(session, owner.id, name, config(**changes), instructions).id
 
 
-def test_a_new_experiment_is_running_and_keeps_its_settings(both: Stores) -> None:
+def test_a_new_experiment_is_running_and_keeps_its_settings(stores: Stores) -> None:
     settings = config(label_budget=77, seed=3)
-    experiment_id = create(both, label_budget=77, seed=3)
-    with both.database.reading() as session:
+    experiment_id = create(stores, label_budget=77, seed=3)
+    with stores.database.reading() as session:
         row = experiments.get(session, experiment_id)
         assert (row.status, row.phase, row.steps) == ("running", "queued", 0)
         assert experiments.config_of(row) == settings
@@ -40,24 +40,24 @@ def test_a_new_experiment_is_running_and_keeps_its_settings(both: Stores) -> Non
         assert experiments.running(session) == [row]
 
 
-def test_a_task_that_does_not_exist_is_refused_with_those_that_do(both: Stores) -> None:
+def test_a_task_that_does_not_exist_is_refused_with_those_that_do(stores: Stores) -> None:
     with pytest.raises(UnknownTask) as caught:
-        create(both, task="Walker")
+        create(stores, task="Walker")
     assert caught.value.field == "task"
     assert "HalfCheetah-6x1" in str(caught.value)
 
 
-def test_a_segment_longer_than_an_episode_is_refused(both: Stores) -> None:
+def test_a_segment_longer_than_an_episode_is_refused(stores: Stores) -> None:
     with pytest.raises(InvalidExperiment) as caught:
-        create(both, segment_steps=1001, policy={"rollout_steps": 1001, "minibatches": 1})
+        create(stores, segment_steps=1001, policy={"rollout_steps": 1001, "minibatches": 1})
     assert caught.value.field == "segment_steps"
-    with both.database.reading() as session:
+    with stores.database.reading() as session:
         assert experiments.list_page(session, 10, None).rows == []
 
 
-def test_two_experiments_cannot_have_the_same_name(both: Stores) -> None:
-    create(both, "run")
-    with pytest.raises(NameTaken), both.database.transaction() as session:
+def test_two_experiments_cannot_have_the_same_name(stores: Stores) -> None:
+    create(stores, "run")
+    with pytest.raises(NameTaken), stores.database.transaction() as session:
         experiments.create(session, "usr", "  run ", config(), None)
 
 
@@ -111,9 +111,9 @@ def test_pause_resume_and_cancel_follow_the_status(sqlite: Stores, status: str, 
             assert row.ended_at is None
 
 
-def test_cancelling_sets_the_end_time_and_resuming_clears_it(both: Stores) -> None:
-    cancelled, failed = create(both, "one"), create(both, "two")
-    with both.database.transaction() as session:
+def test_cancelling_sets_the_end_time_and_resuming_clears_it(stores: Stores) -> None:
+    cancelled, failed = create(stores, "one"), create(stores, "two")
+    with stores.database.transaction() as session:
         first = experiments.cancel(session, cancelled).ended_at
         assert first is not None
         assert experiments.cancel(session, cancelled).ended_at == first
@@ -121,24 +121,24 @@ def test_cancelling_sets_the_end_time_and_resuming_clears_it(both: Stores) -> No
         assert experiments.resume(session, failed).ended_at is None
 
 
-def test_a_worker_reports_only_on_a_running_experiment(both: Stores) -> None:
-    experiment_id = create(both)
-    with both.database.transaction() as session:
+def test_a_worker_reports_only_on_a_running_experiment(stores: Stores) -> None:
+    experiment_id = create(stores)
+    with stores.database.transaction() as session:
         assert experiments.report(session, experiment_id, phase=Phase.TRAINING, detail="update 3", steps=400)
         experiments.pause(session, experiment_id)
         assert not experiments.report(session, experiment_id, phase=Phase.EVALUATING, detail="late", steps=500)
         assert not experiments.finish(session, experiment_id)
-    with both.database.reading() as session:
+    with stores.database.reading() as session:
         row = experiments.get(session, experiment_id)
         assert (row.phase, row.phase_detail, row.steps) == ("training", "update 3", 400)
 
 
-def test_finished_and_failed_experiments_store_time_and_reason(both: Stores) -> None:
-    finished, failed = create(both, "one"), create(both, "two")
-    with both.database.transaction() as session:
+def test_finished_and_failed_experiments_store_time_and_reason(stores: Stores) -> None:
+    finished, failed = create(stores, "one"), create(stores, "two")
+    with stores.database.transaction() as session:
         assert experiments.finish(session, finished)
         assert experiments.fail(session, failed, "the disk is full")
-    with both.database.reading() as session:
+    with stores.database.reading() as session:
         rows = [experiments.get(session, each) for each in (finished, failed)]
         assert [(row.status, row.phase, row.phase_detail) for row in rows] == [
             ("finished", "done", ""),
@@ -147,18 +147,18 @@ def test_finished_and_failed_experiments_store_time_and_reason(both: Stores) -> 
         assert all(row.ended_at is not None for row in rows)
 
 
-def test_an_absent_experiment_is_named(both: Stores) -> None:
+def test_an_absent_experiment_is_named(stores: Stores) -> None:
     absent = new_id("exp")
     for verb in (experiments.get, experiments.pause, experiments.resume, experiments.cancel, experiments.finish):
-        with pytest.raises(ExperimentNotFound), both.database.transaction() as session:
+        with pytest.raises(ExperimentNotFound), stores.database.transaction() as session:
             verb(session, absent)
 
 
-def test_pages_list_all_experiments_newest_first(both: Stores) -> None:
-    made = [create(both, f"run {number}") for number in range(7)]
+def test_pages_list_all_experiments_newest_first(stores: Stores) -> None:
+    made = [create(stores, f"run {number}") for number in range(7)]
     seen: list[str] = []
     cursor: str | None = None
-    with both.database.reading() as session:
+    with stores.database.reading() as session:
         while True:
             page = experiments.list_page(session, 3, cursor)
             seen += [row.id for row in page.rows]
@@ -168,14 +168,14 @@ def test_pages_list_all_experiments_newest_first(both: Stores) -> None:
     assert seen == sorted(made, reverse=True)
 
 
-def test_counts_show_the_labelling_progress(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=4)
-    waiting = scene(both.database, both.blobs, queries=3, ready=False)
-    with both.database.reading() as session:
+def test_counts_show_the_labelling_progress(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=4)
+    waiting = create_sample(stores.database, stores.blobs, queries=3, ready=False)
+    with stores.database.reading() as session:
         rows = experiments.list_page(session, 10, None).rows
         counts = experiments.label_counts_of(session, rows)
         assert counts == {row.id: experiments.label_counts(session, row) for row in rows}
-    assert counts[made.experiment.id] == LabelCounts(20, 0, 0, 10, 4, 0)
+    assert counts[sample.experiment.id] == LabelCounts(20, 0, 0, 10, 4, 0)
     assert counts[waiting.experiment.id] == LabelCounts(20, 0, 0, 10, 0, 3)
 
 

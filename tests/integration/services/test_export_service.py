@@ -14,13 +14,13 @@ from accord.domain.errors import BlobMissing, ExperimentNotFound, Invalid, Unava
 from accord.services import collect, export, label, lease, publish
 from accord.store.tables import UserRow
 from mapt.preferences.formats.tables import PreferenceTables
-from support.scenes import Scene, scene, user
-from support.stores import Stores, stores
+from support.sample_experiments import SampleExperiment, create_sample, user
+from support.stores import Stores, open_stores
 
 
-def labelled(made: Stores) -> tuple[Scene, UserRow, UserRow]:
+def labelled(made: Stores) -> tuple[SampleExperiment, UserRow, UserRow]:
     """Queries 0 to 3: a person prefers what is on the left, a program says equal, a person skips, one is undone."""
-    shown = scene(made.database, made.blobs, segments=5, queries=4)
+    shown = create_sample(made.database, made.blobs, segments=5, queries=4)
     with made.database.transaction() as session:
         person, _ = user(session, "Ada Lovelace")
         program, _ = user(session, "program", Role.TEACHER)
@@ -54,10 +54,10 @@ def exported(made: Stores, experiment_id: str, folder: Path) -> PreferenceTables
     return PreferenceTables.open(folder)
 
 
-def test_the_current_label_of_every_teacher_is_exported_with_its_details(both: Stores, tmp_path: Path) -> None:
-    shown, person, program = labelled(both)
+def test_the_current_label_of_every_teacher_is_exported_with_its_details(stores: Stores, tmp_path: Path) -> None:
+    shown, person, program = labelled(stores)
     said = {
-        (row.query_id, row.teacher_id): row for row in exported(both, shown.experiment.id, tmp_path / "out").labels()
+        (row.query_id, row.teacher_id): row for row in exported(stores, shown.experiment.id, tmp_path / "out").labels()
     }
     assert set(said) == {
         (shown.query_ids[0], person.id),
@@ -79,8 +79,8 @@ def test_the_current_label_of_every_teacher_is_exported_with_its_details(both: S
     assert len(set(revisions)) == 4
 
 
-def test_arrays_and_simulator_states_are_exported_bit_for_bit(both: Stores, tmp_path: Path) -> None:
-    shown = scene(both.database, both.blobs, segments=0, queries=0)
+def test_arrays_and_simulator_states_are_exported_bit_for_bit(stores: Stores, tmp_path: Path) -> None:
+    shown = create_sample(stores.database, stores.blobs, segments=0, queries=0)
     rng = np.random.default_rng(0)
     lengths, stored = (7, 3), {}
     for length in lengths:
@@ -93,11 +93,11 @@ def test_arrays_and_simulator_states_are_exported_bit_for_bit(both: Stores, tmp_
             length,
             1000 * length,
         )
-        stored[collect.store_arrays(both.blobs, shown.experiment.id, new)] = new
-    with both.database.transaction() as session:
+        stored[collect.store_arrays(stores.blobs, shown.experiment.id, new)] = new
+    with stores.database.transaction() as session:
         collect.collect(session, shown.experiment.id, list(stored))
     expected = {kept.id: new for kept, new in stored.items()}
-    ((rows, records),) = exported(both, shown.experiment.id, tmp_path / "out").segments()
+    ((rows, records),) = exported(stores, shown.experiment.id, tmp_path / "out").segments()
     assert [row.policy_steps for row in rows] == [3000, 7000]
     for index, row in enumerate(rows):
         new, real = expected[row.segment_id], records.segments.mask[index]
@@ -112,10 +112,10 @@ def test_arrays_and_simulator_states_are_exported_bit_for_bit(both: Stores, tmp_
             np.testing.assert_array_equal(values[index][real], wanted.astype(values.dtype))
 
 
-def test_an_export_loads_as_a_dataset_without_skips(both: Stores, tmp_path: Path) -> None:
-    shown, _, _ = labelled(both)
-    dataset = exported(both, shown.experiment.id, tmp_path / "out").load(tmp_path / "segments")
-    with both.database.reading() as session:
+def test_an_export_loads_as_a_dataset_without_skips(stores: Stores, tmp_path: Path) -> None:
+    shown, _, _ = labelled(stores)
+    dataset = exported(stores, shown.experiment.id, tmp_path / "out").load(tmp_path / "segments")
+    with stores.database.reading() as session:
         trained_on = publish.training_labels(session, shown.experiment.id).items
     assert sorted(dataset.labels.tolist()) == sorted(each.value for each in trained_on)
     # Segment i of a scene has the reward i; it is found again behind each pair.
@@ -127,9 +127,9 @@ def test_an_export_loads_as_a_dataset_without_skips(both: Stores, tmp_path: Path
     )
 
 
-def test_the_tables_describe_their_source_without_user_names(both: Stores, tmp_path: Path) -> None:
-    shown, _, _ = labelled(both)
-    tables = exported(both, shown.experiment.id, tmp_path / "out")
+def test_the_tables_describe_their_source_without_user_names(stores: Stores, tmp_path: Path) -> None:
+    shown, _, _ = labelled(stores)
+    tables = exported(stores, shown.experiment.id, tmp_path / "out")
     assert tables.about["experiment_id"] == shown.experiment.id
     assert tables.about["task"] == "HalfCheetah-6x1"
     assert set(tables.about["versions"]) == {"accord", "mujoco"}
@@ -155,7 +155,7 @@ def test_labels_given_after_the_rows_were_read_are_not_exported(sqlite: Stores, 
 
 def test_a_failed_export_leaves_nothing(sqlite: Stores, tmp_path: Path) -> None:
     shown, _, _ = labelled(sqlite)
-    empty = scene(sqlite.database, sqlite.blobs, segments=0, queries=0)
+    empty = create_sample(sqlite.database, sqlite.blobs, segments=0, queries=0)
     with sqlite.database.reading() as session:
         with pytest.raises(ExperimentNotFound):
             export.contents(session, "exp_nowhere")
@@ -181,7 +181,7 @@ def command(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_command_exports_from_a_home(tmp_path: Path) -> None:
-    with stores(tmp_path / "home") as made:
+    with open_stores(tmp_path / "home") as made:
         shown, _, _ = labelled(made)
         # The store stays open, as that of a running service does.
         ended = command("--experiment", shown.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home")

@@ -15,8 +15,8 @@ from accord.domain.enums import Role
 from accord.domain.errors import LabelNotFound, LeaseLost, QueryClosed
 from accord.services import experiments, label, lease, publish
 from accord.store.tables import LabelRevisionRow, LabelRow, QueryRow
-from support.scenes import scene, user
-from support.stores import stores
+from support.sample_experiments import create_sample, user
+from support.stores import open_stores
 
 PEOPLE, QUERIES = 3, 2
 VALUES = st.sampled_from([1.0, 0.5, 0.0, None])
@@ -28,10 +28,10 @@ class Labelling(RuleBasedStateMachine):
     @initialize()
     def start(self) -> None:
         self.folder = tempfile.TemporaryDirectory(prefix="accord-labels-")
-        self.context = stores(Path(self.folder.name))
+        self.context = open_stores(Path(self.folder.name))
         self.stores = self.context.__enter__()
-        made = scene(self.stores.database, self.stores.blobs, segments=3, queries=QUERIES, render_clips=False)
-        self.experiment_id, self.query_ids = made.experiment.id, made.query_ids
+        sample = create_sample(self.stores.database, self.stores.blobs, segments=3, queries=QUERIES, render_clips=False)
+        self.experiment_id, self.query_ids = sample.experiment.id, sample.query_ids
         with self.stores.database.transaction() as session:
             # the last one is a program, which needs no lease
             roles = [Role.LABELLER] * (PEOPLE - 1) + [Role.TEACHER]

@@ -20,7 +20,7 @@ from accord.domain.ids import new_id
 from accord.services import experiments, label, lease, publish
 from accord.services.label import LabelOutcome
 from accord.store.tables import LabelRevisionRow, LabelRow, QueryRow, UserRow
-from support.scenes import Scene, scene, user
+from support.sample_experiments import SampleExperiment, create_sample, user
 from support.stores import Stores
 
 
@@ -29,9 +29,9 @@ def person(stores: Stores, name: str = "ada", role: Role = Role.LABELLER) -> Use
         return user(session, name, role)[0]
 
 
-def leased(stores: Stores, who: UserRow, made: Scene, count: int = 1) -> list[lease.LeasedQuery]:
+def leased(stores: Stores, who: UserRow, sample: SampleExperiment, count: int = 1) -> list[lease.LeasedQuery]:
     with stores.database.transaction() as session:
-        return lease.next_queries(session, who, made.experiment.id, count, 60.0).items
+        return lease.next_queries(session, who, sample.experiment.id, count, 60.0).items
 
 
 def put(stores: Stores, who: UserRow, query_id: str, value: float | None, **options: object) -> LabelOutcome:
@@ -39,10 +39,10 @@ def put(stores: Stores, who: UserRow, query_id: str, value: float | None, **opti
         return label.put_label(session, who, query_id, value, **options)  # type: ignore[arg-type]
 
 
-def counters(stores: Stores, made: Scene) -> tuple[int, int]:
+def counters(stores: Stores, sample: SampleExperiment) -> tuple[int, int]:
     """Labels that count, and the newest revision."""
     with stores.database.reading() as session:
-        row = experiments.get(session, made.experiment.id)
+        row = experiments.get(session, sample.experiment.id)
         return row.label_count, row.label_revision
 
 
@@ -54,27 +54,27 @@ def status(stores: Stores, query_id: str) -> str:
 
 
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
-def test_a_label_is_stored_and_closes_its_query(both: Stores, value: float) -> None:
-    made, ada = scene(both.database, both.blobs), person(both)
-    (query,) = leased(both, ada, made)
-    outcome = put(both, ada, query.id, value, response_seconds=2.5)
+def test_a_label_is_stored_and_closes_its_query(stores: Stores, value: float) -> None:
+    sample, ada = create_sample(stores.database, stores.blobs), person(stores)
+    (query,) = leased(stores, ada, sample)
+    outcome = put(stores, ada, query.id, value, response_seconds=2.5)
     assert (outcome.created, outcome.row.value, outcome.row.state, outcome.row.revision) == (True, value, "label", 1)
     assert outcome.row.left_segment == query.left_segment
-    assert status(both, query.id) == "closed"
-    assert counters(both, made) == (1, 1)
-    with both.database.reading() as session:
+    assert status(stores, query.id) == "closed"
+    assert counters(stores, sample) == (1, 1)
+    with stores.database.reading() as session:
         row = session.scalars(sql_select(LabelRow)).one()
         assert (row.value, row.response_seconds, row.user_id) == (value, 2.5, ada.id)
 
 
-def test_sending_a_label_twice_stores_one_label(both: Stores) -> None:
-    made, ada = scene(both.database, both.blobs), person(both)
-    (query,) = leased(both, ada, made)
-    first = put(both, ada, query.id, 1.0, response_seconds=1.0)
-    again = put(both, ada, query.id, 1.0, response_seconds=9.0)
+def test_sending_a_label_twice_stores_one_label(stores: Stores) -> None:
+    sample, ada = create_sample(stores.database, stores.blobs), person(stores)
+    (query,) = leased(stores, ada, sample)
+    first = put(stores, ada, query.id, 1.0, response_seconds=1.0)
+    again = put(stores, ada, query.id, 1.0, response_seconds=9.0)
     assert (first.created, again.created) == (True, False)
     assert again.row == first.row
-    assert counters(both, made) == (1, 1)
+    assert counters(stores, sample) == (1, 1)
 
 
 @pytest.mark.parametrize("left", [0, 1])
@@ -82,8 +82,8 @@ def test_sending_a_label_twice_stores_one_label(both: Stores) -> None:
 def test_a_label_in_shown_order_is_converted_to_segment_order(
     sqlite: Stores, left: int, said: float | None, stored_if_left_is_0: float | None
 ) -> None:
-    made, ada = scene(sqlite.database, sqlite.blobs, segments=10, queries=20), person(sqlite)
-    query = next(each for each in leased(sqlite, ada, made, 20) if each.left_segment == left)
+    sample, ada = create_sample(sqlite.database, sqlite.blobs, segments=10, queries=20), person(sqlite)
+    query = next(each for each in leased(sqlite, ada, sample, 20) if each.left_segment == left)
     stored = put(sqlite, ada, query.id, said, order="shown").row
     expected = stored_if_left_is_0 if said is None or left == 0 else 1.0 - said
     assert (stored.value, stored.left_segment) == (expected, left)
@@ -91,31 +91,35 @@ def test_a_label_in_shown_order_is_converted_to_segment_order(
 
 @pytest.mark.parametrize("value", [0.7, -1.0, 2.0, math.nan, math.inf, 0.49999999999])
 def test_any_other_value_is_refused(sqlite: Stores, value: float) -> None:
-    made, ada = scene(sqlite.database, sqlite.blobs), person(sqlite)
-    (query,) = leased(sqlite, ada, made)
+    sample, ada = create_sample(sqlite.database, sqlite.blobs), person(sqlite)
+    (query,) = leased(sqlite, ada, sample)
     with pytest.raises(InvalidLabel):
         put(sqlite, ada, query.id, value)
-    assert counters(sqlite, made) == (0, 0)
+    assert counters(sqlite, sample) == (0, 0)
 
 
-def test_a_skip_is_stored_but_not_counted_and_leaves_the_query_open(both: Stores) -> None:
-    made, ada, bob = scene(both.database, both.blobs, queries=1), person(both, "ada"), person(both, "bob")
-    (query,) = leased(both, ada, made)
-    assert put(both, ada, query.id, None).row.state == "skip"
-    assert not put(both, ada, query.id, None).created
-    assert (status(both, query.id), counters(both, made)) == ("open", (0, 1))
-    assert [each.id for each in leased(both, bob, made)] == [query.id]
-    put(both, bob, query.id, 1.0)
-    assert counters(both, made) == (1, 2)
+def test_a_skip_is_stored_but_not_counted_and_leaves_the_query_open(stores: Stores) -> None:
+    sample, ada, bob = (
+        create_sample(stores.database, stores.blobs, queries=1),
+        person(stores, "ada"),
+        person(stores, "bob"),
+    )
+    (query,) = leased(stores, ada, sample)
+    assert put(stores, ada, query.id, None).row.state == "skip"
+    assert not put(stores, ada, query.id, None).created
+    assert (status(stores, query.id), counters(stores, sample)) == ("open", (0, 1))
+    assert [each.id for each in leased(stores, bob, sample)] == [query.id]
+    put(stores, bob, query.id, 1.0)
+    assert counters(stores, sample) == (1, 2)
 
 
-def test_an_author_may_change_a_label_and_its_history_is_kept(both: Stores) -> None:
-    made, ada = scene(both.database, both.blobs), person(both)
-    (query,) = leased(both, ada, made)
+def test_an_author_may_change_a_label_and_its_history_is_kept(stores: Stores) -> None:
+    sample, ada = create_sample(stores.database, stores.blobs), person(stores)
+    (query,) = leased(stores, ada, sample)
     for value in (1.0, 0.0, None, 0.5):
-        assert put(both, ada, query.id, value).created
-    assert counters(both, made) == (1, 4)
-    with both.database.reading() as session:
+        assert put(stores, ada, query.id, value).created
+    assert counters(stores, sample) == (1, 4)
+    with stores.database.reading() as session:
         words = session.execute(
             sql_select(LabelRevisionRow.revision, LabelRevisionRow.state, LabelRevisionRow.value).order_by(
                 LabelRevisionRow.revision
@@ -129,95 +133,110 @@ def test_an_author_may_change_a_label_and_its_history_is_kept(both: Stores) -> N
     ]
 
 
-def test_a_query_that_another_has_labelled_is_closed(both: Stores) -> None:
-    made, ada, bob = scene(both.database, both.blobs, queries=1), person(both, "ada"), person(both, "bob", Role.TEACHER)
-    (query,) = leased(both, ada, made)
-    put(both, ada, query.id, 1.0)
+def test_a_query_that_another_has_labelled_is_closed(stores: Stores) -> None:
+    sample, ada, bob = (
+        create_sample(stores.database, stores.blobs, queries=1),
+        person(stores, "ada"),
+        person(stores, "bob", Role.TEACHER),
+    )
+    (query,) = leased(stores, ada, sample)
+    put(stores, ada, query.id, 1.0)
     with pytest.raises(QueryClosed):
-        put(both, bob, query.id, 1.0)
+        put(stores, bob, query.id, 1.0)
 
 
-def test_a_query_leased_to_another_cannot_be_labelled_even_by_an_admin(both: Stores) -> None:
-    made, ada, root = scene(both.database, both.blobs, queries=1), person(both, "ada"), person(both, "root", Role.ADMIN)
-    (query,) = leased(both, ada, made)
+def test_a_query_leased_to_another_cannot_be_labelled_even_by_an_admin(stores: Stores) -> None:
+    sample, ada, root = (
+        create_sample(stores.database, stores.blobs, queries=1),
+        person(stores, "ada"),
+        person(stores, "root", Role.ADMIN),
+    )
+    (query,) = leased(stores, ada, sample)
     with pytest.raises(LeaseLost):
-        put(both, root, query.id, 1.0)
+        put(stores, root, query.id, 1.0)
 
 
 @pytest.mark.parametrize("role", list(Role))
 def test_only_programs_and_researchers_label_without_a_lease(sqlite: Stores, role: Role) -> None:
-    made, someone = scene(sqlite.database, sqlite.blobs, queries=1), person(sqlite, role=role)
+    sample, someone = create_sample(sqlite.database, sqlite.blobs, queries=1), person(sqlite, role=role)
     if role is Role.LABELLER:
         with pytest.raises(LeaseLost):
-            put(sqlite, someone, made.query_ids[0], 1.0)
+            put(sqlite, someone, sample.query_ids[0], 1.0)
     else:
-        assert put(sqlite, someone, made.query_ids[0], 1.0).row.left_segment is None
+        assert put(sqlite, someone, sample.query_ids[0], 1.0).row.left_segment is None
 
 
 def test_shown_order_needs_a_query_that_was_shown(sqlite: Stores) -> None:
-    made, teacher = scene(sqlite.database, sqlite.blobs, queries=1), person(sqlite, role=Role.TEACHER)
+    sample, teacher = create_sample(sqlite.database, sqlite.blobs, queries=1), person(sqlite, role=Role.TEACHER)
     with pytest.raises(LeaseLost):
-        put(sqlite, teacher, made.query_ids[0], 1.0, order="shown")
+        put(sqlite, teacher, sample.query_ids[0], 1.0, order="shown")
 
 
-def test_a_query_without_its_clips_cannot_be_labelled(both: Stores) -> None:
-    made, teacher = scene(both.database, both.blobs, queries=1, ready=False), person(both, role=Role.TEACHER)
+def test_a_query_without_its_clips_cannot_be_labelled(stores: Stores) -> None:
+    sample, teacher = (
+        create_sample(stores.database, stores.blobs, queries=1, ready=False),
+        person(stores, role=Role.TEACHER),
+    )
     with pytest.raises(LabelConflict):
-        put(both, teacher, made.query_ids[0], 1.0)
+        put(stores, teacher, sample.query_ids[0], 1.0)
 
 
-def test_an_absent_query_and_one_of_another_experiment_are_named(both: Stores) -> None:
-    made, other = scene(both.database, both.blobs), scene(both.database, both.blobs)
-    teacher, absent = person(both, role=Role.TEACHER), new_id("qry")
+def test_an_absent_query_and_one_of_another_experiment_are_named(stores: Stores) -> None:
+    sample, other = create_sample(stores.database, stores.blobs), create_sample(stores.database, stores.blobs)
+    teacher, absent = person(stores, role=Role.TEACHER), new_id("qry")
     with pytest.raises(QueryNotFound):
-        put(both, teacher, absent, 1.0)
+        put(stores, teacher, absent, 1.0)
     with pytest.raises(QueryNotFound):
-        put(both, teacher, made.query_ids[0], 1.0, experiment_id=other.experiment.id)
-    assert put(both, teacher, made.query_ids[0], 1.0, experiment_id=made.experiment.id).created
+        put(stores, teacher, sample.query_ids[0], 1.0, experiment_id=other.experiment.id)
+    assert put(stores, teacher, sample.query_ids[0], 1.0, experiment_id=sample.experiment.id).created
 
 
 @pytest.mark.parametrize("verb", [experiments.cancel, experiments.finish])
-def test_labels_of_an_ended_experiment_are_final(both: Stores, verb: object) -> None:
-    made, ada = scene(both.database, both.blobs), person(both)
-    first, second = leased(both, ada, made, 2)
-    put(both, ada, first.id, 1.0)
-    with both.database.transaction() as session:
-        verb(session, made.experiment.id)  # type: ignore[operator]
-    assert not put(both, ada, first.id, 1.0).created
+def test_labels_of_an_ended_experiment_are_final(stores: Stores, verb: object) -> None:
+    sample, ada = create_sample(stores.database, stores.blobs), person(stores)
+    first, second = leased(stores, ada, sample, 2)
+    put(stores, ada, first.id, 1.0)
+    with stores.database.transaction() as session:
+        verb(session, sample.experiment.id)  # type: ignore[operator]
+    assert not put(stores, ada, first.id, 1.0).created
     for refused in (first, second):
         with pytest.raises(ExperimentNotActive):
-            put(both, ada, refused.id, 0.0)
-    with both.database.transaction() as session, pytest.raises(ExperimentNotActive):
+            put(stores, ada, refused.id, 0.0)
+    with stores.database.transaction() as session, pytest.raises(ExperimentNotActive):
         label.undo(session, ada, first.id)
 
 
-def test_a_leased_query_may_be_labelled_while_the_experiment_is_paused(both: Stores) -> None:
-    made, ada = scene(both.database, both.blobs), person(both)
-    (query,) = leased(both, ada, made)
-    with both.database.transaction() as session:
-        experiments.pause(session, made.experiment.id)
-    assert put(both, ada, query.id, 1.0).created
+def test_a_leased_query_may_be_labelled_while_the_experiment_is_paused(stores: Stores) -> None:
+    sample, ada = create_sample(stores.database, stores.blobs), person(stores)
+    (query,) = leased(stores, ada, sample)
+    with stores.database.transaction() as session:
+        experiments.pause(session, sample.experiment.id)
+    assert put(stores, ada, query.id, 1.0).created
 
 
-def test_undo_reopens_the_query_for_its_author_on_the_same_sides(both: Stores) -> None:
-    made, ada, bob = scene(both.database, both.blobs, queries=1), person(both, "ada"), person(both, "bob")
-    (query,) = leased(both, ada, made)
-    put(both, ada, query.id, 1.0)
-    with both.database.transaction() as session:
+def test_undo_reopens_the_query_for_its_author_on_the_same_sides(stores: Stores) -> None:
+    sample, ada, bob = (
+        create_sample(stores.database, stores.blobs, queries=1),
+        person(stores, "ada"),
+        person(stores, "bob"),
+    )
+    (query,) = leased(stores, ada, sample)
+    put(stores, ada, query.id, 1.0)
+    with stores.database.transaction() as session:
         undone = label.undo(session, ada, query.id)
         assert (undone.state, undone.value, undone.revision) == ("undone", None, 2)
         assert lease.leased_query(session, ada, query.id) == query
-    assert (status(both, query.id), counters(both, made)) == ("open", (0, 2))
-    assert leased(both, bob, made) == []
-    assert put(both, ada, query.id, 1.0).created
-    assert counters(both, made) == (1, 3)
+    assert (status(stores, query.id), counters(stores, sample)) == ("open", (0, 2))
+    assert leased(stores, bob, sample) == []
+    assert put(stores, ada, query.id, 1.0).created
+    assert counters(stores, sample) == (1, 3)
 
 
-def test_only_an_existing_label_can_be_undone_and_only_once(both: Stores) -> None:
-    made, ada, bob = scene(both.database, both.blobs), person(both, "ada"), person(both, "bob")
-    (query,) = leased(both, ada, made)
-    put(both, ada, query.id, 1.0)
-    with both.database.transaction() as session:
+def test_only_an_existing_label_can_be_undone_and_only_once(stores: Stores) -> None:
+    sample, ada, bob = create_sample(stores.database, stores.blobs), person(stores, "ada"), person(stores, "bob")
+    (query,) = leased(stores, ada, sample)
+    put(stores, ada, query.id, 1.0)
+    with stores.database.transaction() as session:
         with pytest.raises(LabelNotFound):
             label.undo(session, bob, query.id)
         label.undo(session, ada, query.id)
@@ -227,45 +246,49 @@ def test_only_an_existing_label_can_be_undone_and_only_once(both: Stores) -> Non
             label.undo(session, ada, new_id("qry"))
 
 
-def test_a_skip_of_a_query_that_another_has_labelled_cannot_be_undone(both: Stores) -> None:
-    made, ada, bob = scene(both.database, both.blobs, queries=1), person(both, "ada"), person(both, "bob")
-    (query,) = leased(both, ada, made)
-    put(both, ada, query.id, None)
-    leased(both, bob, made)
-    with both.database.transaction() as session, pytest.raises(LeaseLost):
+def test_a_skip_of_a_query_that_another_has_labelled_cannot_be_undone(stores: Stores) -> None:
+    sample, ada, bob = (
+        create_sample(stores.database, stores.blobs, queries=1),
+        person(stores, "ada"),
+        person(stores, "bob"),
+    )
+    (query,) = leased(stores, ada, sample)
+    put(stores, ada, query.id, None)
+    leased(stores, bob, sample)
+    with stores.database.transaction() as session, pytest.raises(LeaseLost):
         label.undo(session, ada, query.id)
-    put(both, bob, query.id, 0.0)
-    with both.database.transaction() as session, pytest.raises(QueryClosed):
+    put(stores, bob, query.id, 0.0)
+    with stores.database.transaction() as session, pytest.raises(QueryClosed):
         label.undo(session, ada, query.id)
 
 
-def test_a_teachers_description_is_kept_and_must_be_json(both: Stores) -> None:
-    made, teacher = scene(both.database, both.blobs), person(both, role=Role.TEACHER)
-    put(both, teacher, made.query_ids[0], 1.0, teacher={"name": "oracle", "beta": 10.0})
-    with both.database.reading() as session:
+def test_a_teachers_description_is_kept_and_must_be_json(stores: Stores) -> None:
+    sample, teacher = create_sample(stores.database, stores.blobs), person(stores, role=Role.TEACHER)
+    put(stores, teacher, sample.query_ids[0], 1.0, teacher={"name": "oracle", "beta": 10.0})
+    with stores.database.reading() as session:
         assert session.scalars(sql_select(LabelRow)).one().teacher == {"name": "oracle", "beta": 10.0}
     for bad in ({"beta": math.inf}, {"name": "x" * 5000}):
         with pytest.raises(Invalid):
-            put(both, teacher, made.query_ids[1], 1.0, teacher=bad)
+            put(stores, teacher, sample.query_ids[1], 1.0, teacher=bad)
 
 
-def test_training_labels_are_all_labels_up_to_the_watermark(both: Stores) -> None:
-    made, teacher = scene(both.database, both.blobs, queries=4), person(both, role=Role.TEACHER)
-    one, two, three, four = made.query_ids
+def test_training_labels_are_all_labels_up_to_the_watermark(stores: Stores) -> None:
+    sample, teacher = create_sample(stores.database, stores.blobs, queries=4), person(stores, role=Role.TEACHER)
+    one, two, three, four = sample.query_ids
     for query_id, value in ((four, 0.0), (one, 1.0), (two, None), (three, 0.5)):
-        put(both, teacher, query_id, value)
-    with both.database.transaction() as session:
+        put(stores, teacher, query_id, value)
+    with stores.database.transaction() as session:
         label.undo(session, teacher, three)
-    with both.database.reading() as session:
-        found = publish.training_labels(session, made.experiment.id)
+    with stores.database.reading() as session:
+        found = publish.training_labels(session, sample.experiment.id)
         assert found.watermark == 5
         # in the order in which they were given, not that of the queries: the hold-out split goes by it
         assert [(each.query_id, each.value) for each in found.items] == [(four, 0.0), (one, 1.0)]
-        assert [found.items[1].segment_0_id, found.items[1].segment_1_id] == made.segment_ids[:2]
-        assert both.blobs.exists(found.items[0].segment_0_blob)
-        assert publish.new_labels(session, made.experiment.id, 0) == 2
-        assert publish.new_labels(session, made.experiment.id, found.watermark) == 0
-    put(both, teacher, one, 0.0)
-    with both.database.reading() as session:
+        assert [found.items[1].segment_0_id, found.items[1].segment_1_id] == sample.segment_ids[:2]
+        assert stores.blobs.exists(found.items[0].segment_0_blob)
+        assert publish.new_labels(session, sample.experiment.id, 0) == 2
+        assert publish.new_labels(session, sample.experiment.id, found.watermark) == 0
+    put(stores, teacher, one, 0.0)
+    with stores.database.reading() as session:
         # an earlier label, changed after the watermark, is new again
-        assert publish.new_labels(session, made.experiment.id, found.watermark) == 1
+        assert publish.new_labels(session, sample.experiment.id, found.watermark) == 1

@@ -14,7 +14,7 @@ from accord.domain.ids import new_id
 from accord.services import experiments, label, lease
 from accord.services.lease import Leased
 from accord.store.tables import QueryRow, UserRow
-from support.scenes import Scene, scene, user
+from support.sample_experiments import SampleExperiment, create_sample, user
 from support.stores import Stores
 from support.waiting import PATIENCE_SECONDS
 
@@ -26,166 +26,166 @@ def person(stores: Stores, name: str = "ada", role: Role = Role.LABELLER) -> Use
         return user(session, name, role)[0]
 
 
-def ask(stores: Stores, who: UserRow, made: Scene, count: int = 1, lease_seconds: float = 60.0) -> Leased:
+def ask(stores: Stores, who: UserRow, sample: SampleExperiment, count: int = 1, lease_seconds: float = 60.0) -> Leased:
     with stores.database.transaction() as session:
-        return lease.next_queries(session, who, made.experiment.id, count, lease_seconds)
+        return lease.next_queries(session, who, sample.experiment.id, count, lease_seconds)
 
 
 def ids(found: Leased) -> list[str]:
     return [item.id for item in found.items]
 
 
-def test_queries_are_leased_by_number(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=4)
-    found = ask(both, person(both), made, 3)
-    assert ids(found) == made.query_ids[:3]
+def test_queries_are_leased_by_number(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=4)
+    found = ask(stores, person(stores), sample, 3)
+    assert ids(found) == sample.query_ids[:3]
     assert found.reason == ""
     assert [item.number for item in found.items] == [1, 2, 3]
 
 
-def test_leasing_again_returns_the_same_queries_on_the_same_sides(both: Stores) -> None:
-    made = scene(both.database, both.blobs, segments=8, queries=16)
-    ada = person(both)
-    first = ask(both, ada, made, 16)
-    again = ask(both, ada, made, 16)
+def test_leasing_again_returns_the_same_queries_on_the_same_sides(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, segments=8, queries=16)
+    ada = person(stores)
+    first = ask(stores, ada, sample, 16)
+    again = ask(stores, ada, sample, 16)
     assert again == first
-    assert ask(both, ada, made, 3).items == first.items[:3]
+    assert ask(stores, ada, sample, 3).items == first.items[:3]
 
 
-def test_sides_are_random(both: Stores) -> None:
-    made = scene(both.database, both.blobs, segments=10, queries=45, label_budget=45, initial_labels=45)
-    sides = [item.left_segment for item in ask(both, person(both), made, 45).items]
+def test_sides_are_random(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, segments=10, queries=45, label_budget=45, initial_labels=45)
+    sides = [item.left_segment for item in ask(stores, person(stores), sample, 45).items]
     # the chance that 45 fair coins show fewer than 6 of one side is below 1e-7
     assert 6 <= sum(sides) <= 39
 
 
-def test_a_leased_query_is_not_leased_to_another(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=4)
-    ada, bob = person(both, "ada"), person(both, "bob")
-    assert ids(ask(both, ada, made, 3)) == made.query_ids[:3]
-    assert ids(ask(both, bob, made, 3)) == made.query_ids[3:]
+def test_a_leased_query_is_not_leased_to_another(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=4)
+    ada, bob = person(stores, "ada"), person(stores, "bob")
+    assert ids(ask(stores, ada, sample, 3)) == sample.query_ids[:3]
+    assert ids(ask(stores, bob, sample, 3)) == sample.query_ids[3:]
 
 
-def test_an_expired_lease_passes_to_the_next_user(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=1)
-    ada, bob = person(both, "ada"), person(both, "bob")
-    ask(both, ada, made, lease_seconds=0.0)
-    assert ids(ask(both, bob, made)) == made.query_ids
-    with both.database.transaction() as session, pytest.raises(LeaseLost):
-        lease.heartbeat(session, ada, made.query_ids[0], 60)
-    with both.database.transaction() as session, pytest.raises(LeaseLost):
-        label.put_label(session, ada, made.query_ids[0], 1.0)
+def test_an_expired_lease_passes_to_the_next_user(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=1)
+    ada, bob = person(stores, "ada"), person(stores, "bob")
+    ask(stores, ada, sample, lease_seconds=0.0)
+    assert ids(ask(stores, bob, sample)) == sample.query_ids
+    with stores.database.transaction() as session, pytest.raises(LeaseLost):
+        lease.heartbeat(session, ada, sample.query_ids[0], 60)
+    with stores.database.transaction() as session, pytest.raises(LeaseLost):
+        label.put_label(session, ada, sample.query_ids[0], 1.0)
 
 
-def test_an_expired_lease_that_nobody_took_is_still_valid(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=1)
-    ada = person(both)
-    ask(both, ada, made, lease_seconds=0.0)
-    with both.database.transaction() as session:
-        lease.heartbeat(session, ada, made.query_ids[0], 0.0)
-        assert label.put_label(session, ada, made.query_ids[0], 1.0).created
+def test_an_expired_lease_that_nobody_took_is_still_valid(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=1)
+    ada = person(stores)
+    ask(stores, ada, sample, lease_seconds=0.0)
+    with stores.database.transaction() as session:
+        lease.heartbeat(session, ada, sample.query_ids[0], 0.0)
+        assert label.put_label(session, ada, sample.query_ids[0], 1.0).created
 
 
-def test_a_heartbeat_renews_a_lease(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=1)
-    ada, bob = person(both, "ada"), person(both, "bob")
-    ask(both, ada, made, lease_seconds=0.0)
-    with both.database.transaction() as session:
-        lease.heartbeat(session, ada, made.query_ids[0], 60.0)
-    assert ids(ask(both, bob, made)) == []
+def test_a_heartbeat_renews_a_lease(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=1)
+    ada, bob = person(stores, "ada"), person(stores, "bob")
+    ask(stores, ada, sample, lease_seconds=0.0)
+    with stores.database.transaction() as session:
+        lease.heartbeat(session, ada, sample.query_ids[0], 60.0)
+    assert ids(ask(stores, bob, sample)) == []
 
 
-def test_a_heartbeat_without_a_lease_is_refused(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=2)
-    ada, absent = person(both, role=Role.TEACHER), new_id("qry")
-    with both.database.transaction() as session:
-        label.put_label(session, ada, made.query_ids[0], 1.0)
+def test_a_heartbeat_without_a_lease_is_refused(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=2)
+    ada, absent = person(stores, role=Role.TEACHER), new_id("qry")
+    with stores.database.transaction() as session:
+        label.put_label(session, ada, sample.query_ids[0], 1.0)
         with pytest.raises(QueryClosed):
-            lease.heartbeat(session, ada, made.query_ids[0], 60.0)
+            lease.heartbeat(session, ada, sample.query_ids[0], 60.0)
         with pytest.raises(LeaseLost):
-            lease.heartbeat(session, ada, made.query_ids[1], 60.0)
+            lease.heartbeat(session, ada, sample.query_ids[1], 60.0)
         with pytest.raises(QueryNotFound):
             lease.heartbeat(session, ada, absent, 60.0)
 
 
-def test_a_released_query_is_free_at_once(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=1)
-    ada, bob = person(both, "ada"), person(both, "bob")
-    ask(both, ada, made)
-    with both.database.transaction() as session:
-        lease.release(session, bob, made.query_ids[0])
-    assert ids(ask(both, bob, made)) == []
-    with both.database.transaction() as session:
-        lease.release(session, ada, made.query_ids[0])
-    assert ids(ask(both, bob, made)) == made.query_ids
+def test_a_released_query_is_free_at_once(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=1)
+    ada, bob = person(stores, "ada"), person(stores, "bob")
+    ask(stores, ada, sample)
+    with stores.database.transaction() as session:
+        lease.release(session, bob, sample.query_ids[0])
+    assert ids(ask(stores, bob, sample)) == []
+    with stores.database.transaction() as session:
+        lease.release(session, ada, sample.query_ids[0])
+    assert ids(ask(stores, bob, sample)) == sample.query_ids
 
 
-def test_a_skipped_query_is_leased_to_others_only(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=1)
-    ada, bob = person(both, "ada"), person(both, "bob")
-    ask(both, ada, made)
-    with both.database.transaction() as session:
-        label.put_label(session, ada, made.query_ids[0], None)
-    assert ids(ask(both, ada, made)) == []
-    assert ids(ask(both, bob, made)) == made.query_ids
+def test_a_skipped_query_is_leased_to_others_only(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=1)
+    ada, bob = person(stores, "ada"), person(stores, "bob")
+    ask(stores, ada, sample)
+    with stores.database.transaction() as session:
+        label.put_label(session, ada, sample.query_ids[0], None)
+    assert ids(ask(stores, ada, sample)) == []
+    assert ids(ask(stores, bob, sample)) == sample.query_ids
 
 
-def test_an_undone_query_comes_next(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=4)
-    ada = person(both)
-    before = ask(both, ada, made).items[0]
-    with both.database.transaction() as session:
+def test_an_undone_query_comes_next(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=4)
+    ada = person(stores)
+    before = ask(stores, ada, sample).items[0]
+    with stores.database.transaction() as session:
         label.put_label(session, ada, before.id, 1.0, "shown")
-    assert ids(ask(both, ada, made)) == made.query_ids[1:2]
-    with both.database.transaction() as session:
+    assert ids(ask(stores, ada, sample)) == sample.query_ids[1:2]
+    with stores.database.transaction() as session:
         label.undo(session, ada, before.id)
-    assert ask(both, ada, made).items == [before]
+    assert ask(stores, ada, sample).items == [before]
 
 
-def test_the_reason_for_no_queries_is_given(both: Stores) -> None:
-    rendering = scene(both.database, both.blobs, queries=2, ready=False)
-    ada = person(both)
-    assert ask(both, ada, rendering) == Leased("HalfCheetah-6x1", [], "rendering")
-    training = scene(both.database, both.blobs, segments=0, queries=0)
-    assert ask(both, ada, training).reason == "policy_training"
+def test_the_reason_for_no_queries_is_given(stores: Stores) -> None:
+    rendering = create_sample(stores.database, stores.blobs, queries=2, ready=False)
+    ada = person(stores)
+    assert ask(stores, ada, rendering) == Leased("HalfCheetah-6x1", [], "rendering")
+    training = create_sample(stores.database, stores.blobs, segments=0, queries=0)
+    assert ask(stores, ada, training).reason == "policy_training"
     for verb, reason in ((experiments.pause, "paused"), (experiments.cancel, "experiment_over")):
-        with both.database.transaction() as session:
+        with stores.database.transaction() as session:
             verb(session, training.experiment.id)
-        assert ask(both, ada, training) == Leased("HalfCheetah-6x1", [], reason)  # type: ignore[arg-type]
-    taught = scene(both.database, both.blobs, queries=1, reward_source="true")
-    assert ask(both, ada, taught).reason == "all_labelled"
+        assert ask(stores, ada, training) == Leased("HalfCheetah-6x1", [], reason)  # type: ignore[arg-type]
+    taught = create_sample(stores.database, stores.blobs, queries=1, reward_source="true")
+    assert ask(stores, ada, taught).reason == "all_labelled"
 
 
-def test_no_queries_are_leased_once_the_budget_is_spent(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=4, label_budget=2, initial_labels=2)
-    teacher = person(both, role=Role.TEACHER)
-    with both.database.transaction() as session:
-        for query_id in made.query_ids[:2]:
+def test_no_queries_are_leased_once_the_budget_is_spent(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=4, label_budget=2, initial_labels=2)
+    teacher = person(stores, role=Role.TEACHER)
+    with stores.database.transaction() as session:
+        for query_id in sample.query_ids[:2]:
             label.put_label(session, teacher, query_id, 0.5)
-    assert ask(both, teacher, made) == Leased("HalfCheetah-6x1", [], "all_labelled")
+    assert ask(stores, teacher, sample) == Leased("HalfCheetah-6x1", [], "all_labelled")
 
 
-def test_fewer_queries_than_requested_come_with_a_reason(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=2)
-    found = ask(both, person(both), made, 5)
+def test_fewer_queries_than_requested_come_with_a_reason(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=2)
+    found = ask(stores, person(stores), sample, 5)
     assert (len(found.items), found.reason) == (2, "policy_training")
 
 
-def test_an_absent_experiment_is_refused(both: Stores) -> None:
-    ada = person(both)
-    with both.database.transaction() as session, pytest.raises(ExperimentNotFound):
+def test_an_absent_experiment_is_refused(stores: Stores) -> None:
+    ada = person(stores)
+    with stores.database.transaction() as session, pytest.raises(ExperimentNotFound):
         lease.next_queries(session, ada, new_id("exp"), 1, 60)
 
 
-def test_concurrent_labellers_never_get_the_same_query(both: Stores) -> None:
-    made = scene(both.database, both.blobs, segments=12, queries=60, label_budget=60, initial_labels=60)
-    people = [person(both, f"labeller {number}") for number in range(8)]
+def test_concurrent_labellers_never_get_the_same_query(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, segments=12, queries=60, label_budget=60, initial_labels=60)
+    people = [person(stores, f"labeller {number}") for number in range(8)]
     ready, held = threading.Barrier(8), [set[str]() for _ in people]
 
     def take(number: int) -> None:
         ready.wait()
         for count in range(1, 12):
-            held[number] |= set(ids(ask(both, people[number], made, count)))
+            held[number] |= set(ids(ask(stores, people[number], sample, count)))
 
     threads = [threading.Thread(target=take, args=(number,)) for number in range(8)]
     for thread in threads:
@@ -196,14 +196,16 @@ def test_concurrent_labellers_never_get_the_same_query(both: Stores) -> None:
     assert len(set.union(*held)) == 60
 
 
-def test_concurrent_processes_label_each_query_once(both: Stores) -> None:
+def test_concurrent_processes_label_each_query_once(stores: Stores) -> None:
     queries = 60
-    made = scene(both.database, both.blobs, segments=12, queries=queries, label_budget=queries, initial_labels=queries)
-    with both.database.transaction() as session:
+    sample = create_sample(
+        stores.database, stores.blobs, segments=12, queries=queries, label_budget=queries, initial_labels=queries
+    )
+    with stores.database.transaction() as session:
         tokens = [user(session, f"labeller {number}")[1] for number in range(4)]
     processes = [
         subprocess.Popen(
-            [sys.executable, str(LABELLING), both.database_url, made.experiment.id, token],
+            [sys.executable, str(LABELLING), stores.database_url, sample.experiment.id, token],
             stdout=subprocess.PIPE,
             text=True,
         )
@@ -211,8 +213,8 @@ def test_concurrent_processes_label_each_query_once(both: Stores) -> None:
     ]
     labelled = [process.communicate(timeout=PATIENCE_SECONDS)[0].split() for process in processes]
     assert [process.returncode for process in processes] == [0, 0, 0, 0]
-    assert sorted(each for one in labelled for each in one) == sorted(made.query_ids)
-    with both.database.reading() as session:
-        row = experiments.get(session, made.experiment.id)
+    assert sorted(each for one in labelled for each in one) == sorted(sample.query_ids)
+    with stores.database.reading() as session:
+        row = experiments.get(session, sample.experiment.id)
         assert (row.label_count, row.label_revision) == (queries, queries)
-        assert {session.get(QueryRow, each).status for each in made.query_ids} == {"closed"}  # type: ignore[union-attr]
+        assert {session.get(QueryRow, each).status for each in sample.query_ids} == {"closed"}  # type: ignore[union-attr]

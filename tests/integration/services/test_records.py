@@ -9,7 +9,7 @@ from accord.domain.enums import Role
 from accord.domain.errors import ExperimentNotFound
 from accord.domain.ids import new_id
 from accord.services import checkpoints, experiments, metrics, publish, workers
-from support.scenes import scene
+from support.sample_experiments import create_sample
 from support.stores import Stores
 
 
@@ -26,30 +26,30 @@ def version(stores: Stores, experiment_id: str, watermark: int = 0, **values: fl
         ).number
 
 
-def test_versions_are_numbered_and_know_their_parents(both: Stores) -> None:
-    made, other = (scene(both.database, both.blobs, queries=0) for _ in range(2))
-    assert [version(both, made.experiment.id, watermark) for watermark in (5, 9, 12)] == [1, 2, 3]
-    assert version(both, other.experiment.id) == 1
-    with both.database.reading() as session:
-        rows = publish.versions(session, made.experiment.id)
+def test_versions_are_numbered_and_know_their_parents(stores: Stores) -> None:
+    sample, other = (create_sample(stores.database, stores.blobs, queries=0) for _ in range(2))
+    assert [version(stores, sample.experiment.id, watermark) for watermark in (5, 9, 12)] == [1, 2, 3]
+    assert version(stores, other.experiment.id) == 1
+    with stores.database.reading() as session:
+        rows = publish.versions(session, sample.experiment.id)
         assert [row.parent_id for row in rows] == [None, rows[0].id, rows[1].id]
-        newest = publish.newest(session, made.experiment.id)
+        newest = publish.newest(session, sample.experiment.id)
         assert newest is not None
         assert (newest.number, newest.label_watermark, newest.policy_steps) == (3, 12, 120)
-        assert experiments.reward_numbers(session, [made.experiment, other.experiment]) == {
-            made.experiment.id: 3,
+        assert experiments.reward_numbers(session, [sample.experiment, other.experiment]) == {
+            sample.experiment.id: 3,
             other.experiment.id: 1,
         }
 
 
-def test_versions_published_concurrently_get_different_numbers(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=0)
+def test_versions_published_concurrently_get_different_numbers(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=0)
     ready, numbers = threading.Barrier(4), list[int]()
 
     def publish_some() -> None:
         ready.wait()
         for _ in range(5):
-            numbers.append(version(both, made.experiment.id))
+            numbers.append(version(stores, sample.experiment.id))
 
     threads = [threading.Thread(target=publish_some) for _ in range(4)]
     for thread in threads:
@@ -59,32 +59,32 @@ def test_versions_published_concurrently_get_different_numbers(both: Stores) -> 
     assert sorted(numbers) == list(range(1, 21))
 
 
-def test_a_metric_that_is_not_finite_is_stored_as_null(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=0)
-    version(both, made.experiment.id, 1, loss=0.5, ece=math.nan, holdout_loss=None)
-    with both.database.reading() as session:
-        (row,) = publish.versions(session, made.experiment.id)
+def test_a_metric_that_is_not_finite_is_stored_as_null(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=0)
+    version(stores, sample.experiment.id, 1, loss=0.5, ece=math.nan, holdout_loss=None)
+    with stores.database.reading() as session:
+        (row,) = publish.versions(session, sample.experiment.id)
         assert row.metrics == {"loss": 0.5, "ece": None, "holdout_loss": None}
 
 
-def test_a_version_of_an_absent_experiment_is_refused(both: Stores) -> None:
+def test_a_version_of_an_absent_experiment_is_refused(stores: Stores) -> None:
     with pytest.raises(ExperimentNotFound):
-        version(both, new_id("exp"))
-    with both.database.reading() as session:
+        version(stores, new_id("exp"))
+    with stores.database.reading() as session:
         assert publish.newest(session, new_id("exp")) is None
         with pytest.raises(ExperimentNotFound):
             publish.versions(session, new_id("exp"))
 
 
-def test_pruning_keeps_the_newest_checkpoints_and_returns_the_other_blobs(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=0)
-    with both.database.transaction() as session:
-        assert checkpoints.newest(session, made.experiment.id) is None
+def test_pruning_keeps_the_newest_checkpoints_and_returns_the_other_blobs(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=0)
+    with stores.database.transaction() as session:
+        assert checkpoints.newest(session, sample.experiment.id) is None
         for iteration in range(5):
-            checkpoints.save(session, made.experiment.id, 100 * iteration, iteration, f"c/{iteration}", None)
-        assert sorted(checkpoints.prune(session, made.experiment.id)) == ["c/0", "c/1"]
-        assert checkpoints.prune(session, made.experiment.id) == []
-        newest = checkpoints.newest(session, made.experiment.id)
+            checkpoints.save(session, sample.experiment.id, 100 * iteration, iteration, f"c/{iteration}", None)
+        assert sorted(checkpoints.prune(session, sample.experiment.id)) == ["c/0", "c/1"]
+        assert checkpoints.prune(session, sample.experiment.id) == []
+        newest = checkpoints.newest(session, sample.experiment.id)
         assert newest is not None
         assert (newest.steps, newest.iteration, newest.blob_key) == (400, 4, "c/4")
 
@@ -97,27 +97,30 @@ def points(stores: Stores, experiment_id: str, after_id: int = 0) -> dict[str, l
         }
 
 
-def test_a_rewritten_point_replaces_the_old_one_and_has_a_newer_id(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=0)
-    with both.database.transaction() as session:
+def test_a_rewritten_point_replaces_the_old_one_and_has_a_newer_id(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=0)
+    with stores.database.transaction() as session:
         for step in (100, 200):
-            metrics.record(session, made.experiment.id, step, {"entropy": step / 100, "labels": 7})
-    with both.database.reading() as session:
-        curves = metrics.series(session, made.experiment.id)
+            metrics.record(session, sample.experiment.id, step, {"entropy": step / 100, "labels": 7})
+    with stores.database.reading() as session:
+        curves = metrics.series(session, sample.experiment.id)
         last_id = max(point.id for curve in curves for point in curve.points)
-    assert points(both, made.experiment.id, last_id) == {}
-    with both.database.transaction() as session:
-        metrics.record(session, made.experiment.id, 200, {"entropy": 9.0})
-    assert points(both, made.experiment.id) == {"entropy": [(100, 1.0), (200, 9.0)], "labels": [(100, 7.0), (200, 7.0)]}
-    assert points(both, made.experiment.id, last_id) == {"entropy": [(200, 9.0)]}
+    assert points(stores, sample.experiment.id, last_id) == {}
+    with stores.database.transaction() as session:
+        metrics.record(session, sample.experiment.id, 200, {"entropy": 9.0})
+    assert points(stores, sample.experiment.id) == {
+        "entropy": [(100, 1.0), (200, 9.0)],
+        "labels": [(100, 7.0), (200, 7.0)],
+    }
+    assert points(stores, sample.experiment.id, last_id) == {"entropy": [(200, 9.0)]}
 
 
-def test_values_that_are_not_finite_are_skipped(both: Stores) -> None:
-    made = scene(both.database, both.blobs, queries=0)
-    with both.database.transaction() as session:
-        metrics.record(session, made.experiment.id, 1, {"entropy": math.nan, "policy_loss": math.inf, "labels": 1})
-        metrics.record(session, made.experiment.id, 2, {"entropy": math.nan})
-    assert points(both, made.experiment.id) == {"labels": [(1, 1.0)]}
+def test_values_that_are_not_finite_are_skipped(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=0)
+    with stores.database.transaction() as session:
+        metrics.record(session, sample.experiment.id, 1, {"entropy": math.nan, "policy_loss": math.inf, "labels": 1})
+        metrics.record(session, sample.experiment.id, 2, {"entropy": math.nan})
+    assert points(stores, sample.experiment.id) == {"labels": [(1, 1.0)]}
 
 
 @pytest.mark.parametrize(
@@ -128,25 +131,25 @@ def test_values_that_are_not_finite_are_skipped(both: Stores) -> None:
     ],
 )
 def test_labellers_get_no_curve_that_reveals_true_rewards(sqlite: Stores, reward_source: str, hidden: set[str]) -> None:
-    made = scene(sqlite.database, sqlite.blobs, queries=0, reward_source=reward_source)
+    sample = create_sample(sqlite.database, sqlite.blobs, queries=0, reward_source=reward_source)
     names = {"true_return", "true_return_best", "learned_return", "value_loss", "entropy", "labels"}
     with sqlite.database.transaction() as session:
-        metrics.record(session, made.experiment.id, 1, dict.fromkeys(names, 1.0))
+        metrics.record(session, sample.experiment.id, 1, dict.fromkeys(names, 1.0))
     with sqlite.database.reading() as session:
-        row = experiments.get(session, made.experiment.id)
-        found = metrics.series(session, made.experiment.id)
+        row = experiments.get(session, sample.experiment.id)
+        found = metrics.series(session, sample.experiment.id)
         for role in Role:
             seen = {curve.name for curve in metrics.visible(found, row, role)}
             assert seen == (names - hidden if role is Role.LABELLER else names)
 
 
-def test_a_claim_has_one_holder_until_it_expires_or_is_released(both: Stores) -> None:
+def test_a_claim_has_one_holder_until_it_expires_or_is_released(stores: Stores) -> None:
     def claim(holder: str, seconds: float = 60.0) -> bool:
-        with both.database.transaction() as session:
+        with stores.database.transaction() as session:
             return workers.claim(session, "policy:exp", holder, seconds)
 
     def keep(holder: str) -> bool:
-        with both.database.transaction() as session:
+        with stores.database.transaction() as session:
             return workers.heartbeat(session, "policy:exp", holder, 60.0)
 
     assert not keep("a")
@@ -155,20 +158,20 @@ def test_a_claim_has_one_holder_until_it_expires_or_is_released(both: Stores) ->
     assert claim("b")
     assert not claim("a")
     assert (keep("a"), keep("b")) == (False, True)
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         workers.release(session, "policy:exp", "a")
     assert not claim("a")
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         workers.release(session, "policy:exp", "b")
     assert claim("a")
 
 
-def test_one_of_many_concurrent_claims_succeeds(both: Stores) -> None:
+def test_one_of_many_concurrent_claims_succeeds(stores: Stores) -> None:
     ready, got = threading.Barrier(8), list[bool]()
 
     def claim(holder: str) -> None:
         ready.wait()
-        with both.database.transaction() as session:
+        with stores.database.transaction() as session:
             got.append(workers.claim(session, "policy:exp", holder, 60.0))
 
     threads = [threading.Thread(target=claim, args=(f"worker {number}",)) for number in range(8)]
@@ -179,15 +182,15 @@ def test_one_of_many_concurrent_claims_succeeds(both: Stores) -> None:
     assert sorted(got) == [False] * 7 + [True]
 
 
-def test_a_restarted_worker_keeps_its_row(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_a_restarted_worker_keeps_its_row(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         workers.report(session, "policy-0", "policy", 100, "starting")
         workers.report(session, "render-0", "render", 101, "idle", "waits")
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         started = workers.all(session)[0].started_at
         workers.report(session, "policy-0", "policy", 100, "working", "update 1", restarts=2)
         workers.report(session, "policy-0", "policy", 100, "idle")
-    with both.database.transaction() as session:
+    with stores.database.transaction() as session:
         policy, render = workers.all(session)
         assert (policy.id, policy.state, policy.detail, policy.restarts) == ("policy-0", "idle", "", 2)
         assert policy.started_at == started

@@ -29,21 +29,21 @@ def add(session: Session, name: str) -> None:
     session.flush()
 
 
-def test_a_block_is_committed_when_it_ends(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_a_block_is_committed_when_it_ends(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         add(session, "kept")
-    assert names(both.database) == {"kept"}
+    assert names(stores.database) == {"kept"}
 
 
-def test_a_block_is_rolled_back_when_it_raises(both: Stores) -> None:
+def test_a_block_is_rolled_back_when_it_raises(stores: Stores) -> None:
     def write_and_fail() -> None:
-        with both.database.transaction() as session:
+        with stores.database.transaction() as session:
             add(session, "lost")
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
         write_and_fail()
-    assert names(both.database) == set()
+    assert names(stores.database) == set()
 
 
 def test_sqlite_has_the_expected_pragmas(sqlite: Stores) -> None:

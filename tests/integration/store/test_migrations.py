@@ -17,34 +17,34 @@ from accord.store.tables import Base
 from support.stores import Stores
 
 
-def test_migrated_tables_are_those_of_the_code(both: Stores) -> None:
-    with both.database.reading() as session:
+def test_migrated_tables_are_those_of_the_code(stores: Stores) -> None:
+    with stores.database.reading() as session:
         context = MigrationContext.configure(session.connection())
         assert compare_metadata(context, Base.metadata) == []
 
 
-def test_migrating_again_changes_nothing(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_migrating_again_changes_nothing(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         session.execute(text("INSERT INTO claims VALUES ('subject', 'holder', '2030-01-01')"))
-    both.database.migrate()
-    with both.database.reading() as session:
+    stores.database.migrate()
+    with stores.database.reading() as session:
         assert session.execute(text("SELECT count(*) FROM claims")).scalar_one() == 1
 
 
-def test_migrations_can_be_reverted_and_repeated(both: Stores) -> None:
-    with both.database.engine.begin() as connection:
+def test_migrations_can_be_reverted_and_repeated(stores: Stores) -> None:
+    with stores.database.engine.begin() as connection:
         command.downgrade(alembic_config(connection), "base")
-    assert inspect(both.database.engine).get_table_names() == ["alembic_version"]
-    both.database.migrate()
-    with both.database.reading() as session:
+    assert inspect(stores.database.engine).get_table_names() == ["alembic_version"]
+    stores.database.migrate()
+    with stores.database.reading() as session:
         assert compare_metadata(MigrationContext.configure(session.connection()), Base.metadata) == []
 
 
-def test_a_database_of_a_newer_version_is_refused(both: Stores) -> None:
-    with both.database.transaction() as session:
+def test_a_database_of_a_newer_version_is_refused(stores: Stores) -> None:
+    with stores.database.transaction() as session:
         session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
     with pytest.raises(DatabaseTooNew):
-        both.database.migrate()
+        stores.database.migrate()
 
 
 def test_concurrent_migrations_succeed(tmp_path: Path) -> None:

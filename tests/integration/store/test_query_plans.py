@@ -6,13 +6,13 @@ from sqlalchemy import event
 
 from accord.domain.enums import Role
 from accord.services import accounts, label, lease
-from support.scenes import scene, user
+from support.sample_experiments import create_sample, user
 from support.stores import Stores
 
 
 def statements_of_a_round_trip(stores: Stores) -> list[tuple[str, Any]]:
     """SQL and values of everything that one `next` and one label run."""
-    made = scene(stores.database, stores.blobs)
+    sample = create_sample(stores.database, stores.blobs)
     with stores.database.transaction() as session:
         _, token = user(session, "ada", Role.LABELLER)
     found: list[tuple[str, Any]] = []
@@ -21,7 +21,7 @@ def statements_of_a_round_trip(stores: Stores) -> list[tuple[str, Any]]:
     )
     with stores.database.transaction() as session:
         ada = accounts.authenticate(session, token)
-        (query,) = lease.next_queries(session, ada, made.experiment.id, 1, 60.0).items
+        (query,) = lease.next_queries(session, ada, sample.experiment.id, 1, 60.0).items
         label.put_label(session, ada, query.id, 1.0, "shown")
     return [each for each in found if each[0].startswith(("SELECT", "UPDATE"))]
 

@@ -13,7 +13,7 @@ from mapt.preferences.dataset import SegmentArrays
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.ensemble import RewardEnsemble
 from mapt.rewards.registry import build_reward_model
-from support.scenes import ACTION, AGENTS, OBSERVATION, STEPS, segment
+from support.sample_experiments import ACTION, AGENTS, OBSERVATION, STEPS, segment
 
 CONFIG = RewardConfig(OBSERVATION, ACTION, AGENTS, hidden_dim=8, heads=2)
 

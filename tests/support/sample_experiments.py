@@ -51,7 +51,7 @@ def user(session: Session, name: str, role: Role = Role.LABELLER) -> tuple[UserR
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class SampleExperiment:
     """An experiment with segments and queries."""
 
     experiment: ExperimentRow
@@ -62,10 +62,10 @@ class Scene:
     query_ids: list[str]
 
 
-def scene(
+def create_sample(
     database: Database, blobs: BlobStore, *, segments: int = 5, queries: int = 4, ready: bool = True, **changes: object
-) -> Scene:
-    """Make an experiment with segments and queries. With `ready`, all clips exist; else they wait for a render worker.
+) -> SampleExperiment:
+    """Create an experiment with segments and queries. With `ready`, all clips exist; else they are pending.
 
     Segment i has the true reward i at each step.
     """
@@ -73,7 +73,7 @@ def scene(
         owner, token = user(
             session, f"researcher {len(experiments.list_page(session, 100, None).rows)}", Role.RESEARCHER
         )
-        name = f"scene of {owner.name}"
+        name = f"experiment of {owner.name}"
         row = experiments.create(session, owner.id, name, config(**changes), None)
     stored = [collect.store_arrays(blobs, row.id, segment(float(i), 100 * i)) for i in range(segments)]
     ids = [each.id for each in stored]
@@ -86,10 +86,10 @@ def scene(
         query_ids = select.add_queries(session, row, pairs, "uniform")
     if ready:
         make_clips(database, blobs)
-    return Scene(row, owner, token, ids, query_ids)
+    return SampleExperiment(row, owner, token, ids, query_ids)
 
 
-def make_clips(database: Database, blobs: BlobStore, holder: str = "scene") -> int:
+def make_clips(database: Database, blobs: BlobStore, holder: str = "tests") -> int:
     """Finish every pending clip without rendering, and return their number."""
     made = 0
     while True:
