@@ -1,14 +1,23 @@
-"""Significance tests of the difference between two models, over seeds and over test pairs."""
+"""Rank correlation, and significance tests of the difference between two models over seeds and over test pairs."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+from mapt.rewards.metrics import correlation
 
 #: Normal quantile of a 95% interval.
-_NORMAL_QUANTILE = 1.959964
+_NORMAL_QUANTILE = float(stats.norm.ppf(0.975))
+
+
+def rank_correlation(first: ArrayLike, second: ArrayLike) -> float:
+    """Spearman's rank correlation of two (B,) arrays; ties share their mean rank. NaN if one is constant."""
+    return correlation(stats.rankdata(first), stats.rankdata(second))
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,24 +42,8 @@ def paired_test(differences: ArrayLike) -> PairedTest:
     deviation = float(values.std(ddof=1))
     if deviation == 0:
         return PairedTest(n, mean, 0.0, 1.0 if mean == 0 else 0.0)
-    return PairedTest(n, mean, deviation, student_p(mean / (deviation / math.sqrt(n)), n - 1))
-
-
-def student_p(t: float, degrees: int) -> float:
-    """Two-sided p of Student's t with a whole number of degrees of freedom.
-
-    Uses the finite series for whole degrees (Abramowitz and Stegun, 26.7.3 and 26.7.4).
-    """
-    angle = math.atan2(abs(t), math.sqrt(degrees))
-    cosine_squared = math.cos(angle) ** 2
-    odd = degrees % 2
-    term = math.cos(angle) if odd else 1.0
-    total = 0.0
-    for k in range(odd, degrees - 1, 2):
-        total += term
-        term *= cosine_squared * (k + 1) / (k + 2)
-    within = math.sin(angle) * total
-    return max(0.0, 1 - (2 / math.pi * (angle + within) if odd else within))
+    test: Any = stats.ttest_1samp(values, 0.0)
+    return PairedTest(n, mean, deviation, float(test.pvalue))
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +61,7 @@ def mcnemar(right: ArrayLike, baseline_right: ArrayLike) -> McNemar:
     """McNemar's exact test on pairs (P,) that a model and a baseline predict correctly or not."""
     own, other = np.asarray(right, dtype=np.bool_), np.asarray(baseline_right, dtype=np.bool_)
     gained, lost = int((own & ~other).sum()), int((other & ~own).sum())
-    return McNemar(gained, lost, binomial_p(min(gained, lost), gained + lost))
-
-
-def binomial_p(k: int, n: int) -> float:
-    """Two-sided p of the binomial test with probability 1/2: at most k of n, k <= n / 2."""
-    if n == 0:
-        return 1.0
-    # In logarithms: n may be thousands.
-    logs = [math.lgamma(n + 1) - math.lgamma(i + 1) - math.lgamma(n - i + 1) - n * math.log(2) for i in range(k + 1)]
-    return min(1.0, 2 * math.fsum(math.exp(value) for value in logs))
+    return McNemar(gained, lost, float(stats.binomtest(gained, gained + lost).pvalue) if gained + lost else 1.0)
 
 
 @dataclass(frozen=True, slots=True)

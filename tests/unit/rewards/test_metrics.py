@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mapt.benchmarks.statistics import rank_correlation
 from mapt.rewards.metrics import (
     CalibrationBin,
     accuracy,
     calibration_bins,
     calibration_error,
     correlation,
-    rank_correlation,
 )
 
 
