@@ -87,11 +87,26 @@ def follow_parent(parent_pid: int, *, grace_seconds: float = 8.0, check_seconds:
     """
     if not parent_pid:
         return
-    if sys.platform == "linux":
-        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    _signal_with_parent(signal.SIGTERM)
     threading.Thread(
         target=_watch_parent, args=(parent_pid, grace_seconds, check_seconds), name="parent-watch", daemon=True
     ).start()
+
+
+def kill_with_parent(parent_pid: int) -> None:
+    """Ask the kernel to kill this process at once when the thread that started it ends. Linux only.
+
+    Raises:
+        SystemExit: if the parent ended before this call.
+    """
+    _signal_with_parent(signal.SIGKILL)
+    if os.getppid() != parent_pid:
+        raise SystemExit("The parent process has ended.")
+
+
+def _signal_with_parent(number: signal.Signals) -> None:
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)
 
 
 def _watch_parent(parent_pid: int, grace_seconds: float, check_seconds: float) -> None:

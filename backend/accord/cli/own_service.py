@@ -1,6 +1,5 @@
 """The service of a demo: `accord up` as a child process, with a home folder of its own."""
 
-import contextlib
 import os
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from accord.services import accounts, checkpoints
 from accord.store import accounts as users
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from mapt.processes import end_process
 
 #: This file marks a home folder that belongs to a demo.
 _MARK = "own-service"
@@ -112,13 +112,9 @@ class OwnService:
 
     def close(self) -> None:
         """End the service and its workers."""
-        if self._process.poll() is None:
-            self._process.terminate()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(_END_SECONDS)
-        # Its children end with it.
-        self._process.kill()
-        self._process.wait()
+        # The service ends its workers.
+        self._process.terminate()
+        end_process(self._process, _END_SECONDS)
 
     def __enter__(self) -> Self:
         return self

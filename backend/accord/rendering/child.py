@@ -10,8 +10,6 @@ deadlock on some drivers.
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
-import ctypes
-import os
 import signal
 import sys
 from collections import OrderedDict
@@ -21,6 +19,7 @@ import mujoco
 
 from accord.rendering.checks import PROBE_SUCCESS
 from accord.rendering.process import ClipJob, Reply, receive_job, send_reply
+from mapt.processes import kill_with_parent
 from mapt.rendering.encode import write_clip
 from mapt.rendering.renderer import ClipRenderer
 from mapt.rendering.settings import RenderSettings
@@ -28,7 +27,6 @@ from mapt.tasks import agent_geoms, load_model
 
 #: OpenGL contexts kept open, one per task and settings
 RENDERERS_KEPT = 4
-_PR_SET_PDEATHSIG = 1
 #: scene of the probe
 BALL = """
 <mujoco>
@@ -45,17 +43,9 @@ def main() -> None:
         return
     descriptor, parent = int(sys.argv[1]), int(sys.argv[2])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and ends this process
-    end_with_parent(parent)
+    kill_with_parent(parent)  # even if a driver hangs
     with Connection(descriptor) as connection:
         serve(connection)
-
-
-def end_with_parent(parent: int) -> None:
-    """Ask the kernel to kill this process when the thread that started it ends, even if a driver hangs."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:  # it ended before the line above
-            raise SystemExit("the parent process has ended")
 
 
 def serve(connection: Connection) -> None:

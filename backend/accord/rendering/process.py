@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from accord.domain.errors import AccordError, Unavailable
 from mapt.io import delete_partial
+from mapt.processes import describe_exit, end_process
 from mapt.rendering.encode import ClipFile
 from mapt.rendering.offscreen import Backend, render_environment
 from mapt.rendering.settings import CodecSettings, RenderSettings
@@ -196,11 +197,7 @@ class RenderProcess:
     def close(self) -> None:
         """End the process."""
         self._connection.close()
-        try:
-            self._child.wait(CLOSE_LIMIT_SECONDS)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.wait()
+        end_process(self._child, CLOSE_LIMIT_SECONDS)
 
     def __enter__(self) -> Self:
         return self
@@ -237,4 +234,4 @@ class RenderProcess:
         self._connection.close()
         delete_partial(job.path, self._child.pid)
         self._start()
-        return f"signal {-status}" if status < 0 else f"exit status {status}"
+        return describe_exit(status)
