@@ -60,17 +60,17 @@ def run_api_server(stores: Stores, home: Path, **changes: object) -> Generator[A
         try:
             until(lambda: server.started or not thread.is_alive(), "the server starts")
             assert thread.is_alive(), "the server did not start"
-            made = {role: clients.enter_context(client(url, token)) for role, token in tokens.items()}
+            by_role = {role: clients.enter_context(client(url, token)) for role, token in tokens.items()}
             yield ApiServer(
                 stores=stores,
                 settings=settings,
                 url=url,
                 tokens=tokens,
                 anyone=clients.enter_context(client(url, None)),
-                labeller=made[Role.LABELLER],
-                teacher=made[Role.TEACHER],
-                researcher=made[Role.RESEARCHER],
-                admin=made[Role.ADMIN],
+                labeller=by_role[Role.LABELLER],
+                teacher=by_role[Role.TEACHER],
+                researcher=by_role[Role.RESEARCHER],
+                admin=by_role[Role.ADMIN],
             )
         finally:
             server.should_exit = True

@@ -6,7 +6,7 @@ from pettingzoo import ParallelEnv
 
 
 class Levers(ParallelEnv):
-    """Two agents pull one of three levers, not the same twice in a row. Each pull of lever 2 is rewarded with 1.
+    """Two agents pull one of three levers, not the same one twice in a row. A pull of lever 2 has a reward of 1.
 
     The episode ends when both pull lever 0.
     """
@@ -25,9 +25,9 @@ class Levers(ParallelEnv):
         self.agents = list(self.possible_agents)
         self.rng = np.random.default_rng(seed)
         self.pulled = {"left": -1, "right": -1}
-        return self.seen(), {}
+        return self.observations(), {}
 
-    def seen(self) -> dict:
+    def observations(self) -> dict:
         return {
             agent: {"observation": np.array([pulled, self.rng.uniform()]), "action_mask": np.arange(3) != pulled}
             for agent, pulled in self.pulled.items()
@@ -35,13 +35,13 @@ class Levers(ParallelEnv):
 
     def step(self, actions: dict) -> tuple[dict, dict, dict, dict, dict]:
         self.pulled = dict(actions)
-        broken = all(action == 0 for action in actions.values())
+        terminated = all(action == 0 for action in actions.values())
         flags = dict.fromkeys(self.agents, False)
         rewards = {agent: float(action == 2) for agent, action in actions.items()}
-        seen = self.seen()
-        if broken:
+        observations = self.observations()
+        if terminated:
             self.agents = []
-        return seen, rewards, dict.fromkeys(actions, broken), flags, {}
+        return observations, rewards, dict.fromkeys(actions, terminated), flags, {}
 
 
 class RenderableLevers(Levers):

@@ -10,7 +10,7 @@ import pytest
 from mapt.cli.main import main
 
 
-class Ended(NamedTuple):
+class CommandResult(NamedTuple):
     """Exit status and output of a command."""
 
     status: int
@@ -19,13 +19,13 @@ class Ended(NamedTuple):
 
 
 @pytest.fixture
-def mapt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+def mapt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., CommandResult]:
     """Run the command in this process."""
 
-    def run(*arguments: str | Path) -> Ended:
+    def run(*arguments: str | Path) -> CommandResult:
         monkeypatch.setattr(sys, "argv", ["mapt", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
+        with pytest.raises(SystemExit) as exited:
             main()
-        return Ended(int(ended.value.code or 0), *capsys.readouterr())
+        return CommandResult(int(exited.value.code or 0), *capsys.readouterr())
 
     return run

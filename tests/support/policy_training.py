@@ -34,7 +34,7 @@ def train(
 
 
 def teacher_view(segments: Sequence[Segment]) -> TeacherView:
-    """What a teacher sees of segments."""
+    """The arrays of segments that a teacher judges by."""
     return TeacherView.stack(
         [{name: getattr(each, name) for name in ("rewards", "observations", "actions")} for each in segments]
     )

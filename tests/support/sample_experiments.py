@@ -1,4 +1,4 @@
-"""Experiments with segments, clips and queries, made with the services that the workers use."""
+"""Experiments with segments, clips and queries, created through the services that the workers use."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -91,14 +91,14 @@ def create_sample(
 
 def make_clips(database: Database, blobs: BlobStore, holder: str = "tests") -> int:
     """Finish every pending clip without rendering, and return their number."""
-    made = 0
+    count = 0
     while True:
         with database.transaction() as session:
             job = clips.claim_pending(session, holder, 60.0)
         if job is None:
-            return made
+            return count
         key = f"clips/{job.clip_id}.mp4"
         blobs.put(key, CLIP_BYTES)
         with database.transaction() as session:
             clips.finish(session, job.clip_id, clips.MadeClip("0" * 64, key, len(CLIP_BYTES), STEPS, 0.25, 320, 240))
-        made += 1
+        count += 1

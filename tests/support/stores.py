@@ -54,7 +54,7 @@ def postgres_programs() -> Path | None:
 
 
 def missing_for_postgres() -> str:
-    """What this machine lacks to start a PostgreSQL server, in a sentence; empty if it lacks nothing."""
+    """Explain why this machine cannot start a PostgreSQL server; empty if it can."""
     if postgres_programs() is None:
         return (
             f"PostgreSQL is not installed: no initdb in {POSTGRES_VERSIONS}/*/bin or PATH. "

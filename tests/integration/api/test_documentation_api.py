@@ -1,4 +1,4 @@
-"""The API describes itself: every route, every field, the same text every time."""
+"""The OpenAPI document describes every route and field, and is deterministic."""
 
 import json
 import subprocess
@@ -24,7 +24,7 @@ def operations(api_document: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]
     ]
 
 
-def test_every_route_says_what_it_does(api_document: dict[str, Any]) -> None:
+def test_every_route_and_parameter_has_a_description(api_document: dict[str, Any]) -> None:
     for address, operation in operations(api_document):
         assert operation.get("summary"), address
         assert len(operation.get("description", "")) > 20, address
@@ -33,19 +33,19 @@ def test_every_route_says_what_it_does(api_document: dict[str, Any]) -> None:
             assert parameter.get("description"), (address, parameter["name"])
 
 
-def test_every_field_says_what_it_is(api_document: dict[str, Any]) -> None:
+def test_every_schema_and_field_has_a_description(api_document: dict[str, Any]) -> None:
     schemas = api_document["components"]["schemas"]
     assert len(schemas) > 20
     for name, schema in schemas.items():
         if name in {"HTTPValidationError", "ValidationError"}:
-            continue  # the framework's own
+            continue  # FastAPI's own schemas
         assert schema.get("description"), name
         for field, described in schema.get("properties", {}).items():
-            # a reference alone is described where it leads
+            # A bare reference is described by its target.
             assert described.get("description") or set(described) == {"$ref"}, f"{name}.{field}"
 
 
-def test_a_new_experiment_has_every_setting_with_its_range_and_default(api_document: dict[str, Any]) -> None:
+def test_settings_of_a_new_experiment_have_ranges_and_defaults(api_document: dict[str, Any]) -> None:
     schema = api_document["components"]["schemas"]["NewExperiment"]
     assert schema["required"] == ["name", "task"]
     assert schema["additionalProperties"] is False
@@ -62,7 +62,7 @@ def test_a_new_experiment_has_every_setting_with_its_range_and_default(api_docum
             assert "maximum" in described, field
 
 
-def test_every_answer_has_a_type(api_document: dict[str, Any]) -> None:
+def test_every_response_has_a_schema(api_document: dict[str, Any]) -> None:
     for address, operation in operations(api_document):
         for status, response in operation["responses"].items():
             if status in {"204", "304", "416"}:
@@ -70,19 +70,19 @@ def test_every_answer_has_a_type(api_document: dict[str, Any]) -> None:
             assert response.get("content"), (address, status)
 
 
-def test_names_of_operations_are_unique_and_short(api_document: dict[str, Any]) -> None:
+def test_operation_ids_are_unique_and_short(api_document: dict[str, Any]) -> None:
     names = [operation["operationId"] for _, operation in operations(api_document)]
     assert len(names) == len(set(names))
     assert all(name.isidentifier() and len(name) < 30 for name in names)
 
 
-def test_all_but_health_needs_sign_in(api_document: dict[str, Any]) -> None:
+def test_only_health_needs_no_sign_in(api_document: dict[str, Any]) -> None:
     assert api_document["security"]
-    open_to_all = [address for address, operation in operations(api_document) if operation.get("security") == []]
-    assert open_to_all == ["get /api/v1/health"]
+    public = [address for address, operation in operations(api_document) if operation.get("security") == []]
+    assert public == ["get /api/v1/health"]
 
 
-def test_the_document_is_the_same_from_run_to_run(tmp_path: Path) -> None:
+def test_document_is_deterministic(tmp_path: Path) -> None:
     file = tmp_path / "openapi.json"
     subprocess.run([sys.executable, "-m", "accord.api.openapi", str(file)], check=True, cwd=tmp_path)
     assert file.read_text() == document()

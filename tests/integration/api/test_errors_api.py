@@ -1,4 +1,4 @@
-"""Bad input: each has its status, a stable code and a sentence that helps."""
+"""Errors: status, stable code, message and invalid field."""
 
 import json
 from collections.abc import Iterator
@@ -9,6 +9,7 @@ import httpx
 import pytest
 from sqlalchemy import event
 
+from accord.api.errors import status_of
 from accord.domain import errors as domain_errors
 from accord.domain.enums import Role
 from accord.domain.errors import AccordError
@@ -20,8 +21,8 @@ from support.stores import Stores
 NEW = {"name": "one", "task": "HalfCheetah-6x1"}
 
 
-def refusal(response: httpx.Response, status: int, code: str, *words: str, field: str | None = None) -> None:
-    """Checks the body that every failure has; `field` is the invalid field that its details name."""
+def assert_error(response: httpx.Response, status: int, code: str, *parts: str, field: str | None = None) -> None:
+    """Check the body of an error: its message contains `parts`, and its details name the invalid `field`."""
     assert response.status_code == status, response.text
     body = response.json()
     assert set(body) == {"error"}
@@ -29,56 +30,56 @@ def refusal(response: httpx.Response, status: int, code: str, *words: str, field
     assert body["error"]["code"] == code
     message = body["error"]["message"]
     assert len(message) > 20
-    for word in words:
-        assert word in message
+    for part in parts:
+        assert part in message
     if field is not None:
         assert body["error"]["details"][0]["field"] == field
 
 
-def test_a_label_of_seven_tenths(api: ApiServer) -> None:
+def test_label_other_than_0_half_and_1_is_refused(api: ApiServer) -> None:
     sample = create_sample(api.stores.database, api.stores.blobs)
     path = f"/api/v1/queries/{sample.query_ids[0]}/label"
-    refusal(api.teacher.put(path, json={"label": 0.7}), 422, "invalid_label", "0.7", "0.5 (equal)")
+    assert_error(api.teacher.put(path, json={"label": 0.7}), 422, "invalid_label", "0.7", "0.5 (equal)")
     nan = api.teacher.put(path, content=b'{"label": NaN}', headers={"Content-Type": "application/json"})
-    refusal(nan, 422, "invalid_label", "nan")
+    assert_error(nan, 422, "invalid_label", "nan")
 
 
 @pytest.mark.parametrize("label", ["1", True, [1], {}])
-def test_a_label_that_is_no_number(api: ApiServer, label: object) -> None:
+def test_label_that_is_not_a_number_is_refused(api: ApiServer, label: object) -> None:
     path = f"/api/v1/queries/{new_id('qry')}/label"
-    refusal(api.teacher.put(path, json={"label": label}), 422, "invalid_request", field="label")
+    assert_error(api.teacher.put(path, json={"label": label}), 422, "invalid_request", field="label")
 
 
-def test_a_label_for_a_query_that_is_closed(api_per_database: ApiServer) -> None:
+def test_label_for_a_closed_query_is_refused(api_per_database: ApiServer) -> None:
     sample = create_sample(api_per_database.stores.database, api_per_database.stores.blobs)
     path = f"/api/v1/queries/{sample.query_ids[0]}/label"
     assert api_per_database.teacher.put(path, json={"label": 1}).status_code == 201
-    refusal(api_per_database.researcher.put(path, json={"label": 1}), 409, "query_closed", "next query")
+    assert_error(api_per_database.researcher.put(path, json={"label": 1}), 409, "query_closed", "next query")
 
 
-def test_a_label_for_a_query_that_another_holds(api_per_database: ApiServer) -> None:
+def test_label_for_a_query_leased_to_another_user_is_refused(api_per_database: ApiServer) -> None:
     sample = create_sample(api_per_database.stores.database, api_per_database.stores.blobs)
     api_per_database.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next")
     path = f"/api/v1/queries/{sample.query_ids[0]}/label"
-    refusal(api_per_database.teacher.put(path, json={"label": 1}), 410, "lease_lost", "next query")
+    assert_error(api_per_database.teacher.put(path, json={"label": 1}), 410, "lease_lost", "next query")
 
 
-def test_a_label_of_an_experiment_that_is_over(api: ApiServer) -> None:
+def test_label_for_a_cancelled_experiment_is_refused(api: ApiServer) -> None:
     sample = create_sample(api.stores.database, api.stores.blobs)
     assert api.researcher.post(f"/api/v1/experiments/{sample.experiment.id}/cancel").status_code == 200
     path = f"/api/v1/queries/{sample.query_ids[0]}/label"
-    refusal(api.teacher.put(path, json={"label": 1}), 409, "experiment_not_active", "cancelled")
+    assert_error(api.teacher.put(path, json={"label": 1}), 409, "experiment_not_active", "cancelled")
 
 
-def test_nothing_to_undo(api: ApiServer) -> None:
+def test_undo_without_a_label_is_refused(api: ApiServer) -> None:
     sample = create_sample(api.stores.database, api.stores.blobs)
-    refusal(api.teacher.delete(f"/api/v1/queries/{sample.query_ids[0]}/label"), 404, "label_not_found")
+    assert_error(api.teacher.delete(f"/api/v1/queries/{sample.query_ids[0]}/label"), 404, "label_not_found")
 
 
-def test_a_segment_longer_than_an_episode(api: ApiServer) -> None:
+def test_segments_longer_than_an_episode_are_refused(api: ApiServer) -> None:
     long = {"segment_steps": 2000, "policy": {"rollout_steps": 2000}}
     response = api.researcher.post("/api/v1/experiments", json=NEW | long)
-    refusal(response, 422, "invalid_experiment", "1000", field="segment_steps")
+    assert_error(response, 422, "invalid_experiment", "1000", field="segment_steps")
 
 
 @pytest.mark.parametrize(
@@ -92,14 +93,14 @@ def test_a_segment_longer_than_an_episode(api: ApiServer) -> None:
         ({"rollout_steps": 25, "minibatches": 1}, "policy.rollout_steps"),
     ],
 )
-def test_settings_that_the_policy_cannot_have(api: ApiServer, policy: dict[str, object], field: str) -> None:
+def test_error_for_an_invalid_policy_setting_names_it(api: ApiServer, policy: dict[str, object], field: str) -> None:
     response = api.researcher.post("/api/v1/experiments", json=NEW | {"segment_steps": 50, "policy": policy})
-    refusal(response, 422, "invalid_experiment", field, field=field)
+    assert_error(response, 422, "invalid_experiment", field, field=field)
 
 
-def test_a_task_that_does_not_exist(api: ApiServer) -> None:
+def test_error_for_an_unknown_task_lists_the_known_tasks(api: ApiServer) -> None:
     response = api.researcher.post("/api/v1/experiments", json=NEW | {"task": "Walker"})
-    refusal(response, 422, "unknown_task", "'Walker'", "HalfCheetah-6x1", field="task")
+    assert_error(response, 422, "unknown_task", "'Walker'", "HalfCheetah-6x1", field="task")
 
 
 @pytest.mark.parametrize(
@@ -115,14 +116,16 @@ def test_a_task_that_does_not_exist(api: ApiServer) -> None:
         {"pacing": "fast"},
     ],
 )
-def test_settings_that_are_not_valid(api: ApiServer, wrong: dict[str, object]) -> None:
+def test_error_for_an_invalid_setting_names_it(api: ApiServer, wrong: dict[str, object]) -> None:
     [field] = wrong
     response = api.researcher.post("/api/v1/experiments", json=NEW | wrong)
-    refusal(response, 422, "invalid_experiment", field, field=field)
+    assert_error(response, 422, "invalid_experiment", field, field=field)
 
 
-def test_an_experiment_without_a_task(api: ApiServer) -> None:
-    refusal(api.researcher.post("/api/v1/experiments", json={"name": "x"}), 422, "invalid_experiment", field="task")
+def test_experiment_without_a_task_is_refused(api: ApiServer) -> None:
+    assert_error(
+        api.researcher.post("/api/v1/experiments", json={"name": "x"}), 422, "invalid_experiment", field="task"
+    )
 
 
 @pytest.mark.parametrize(
@@ -135,14 +138,16 @@ def test_an_experiment_without_a_task(api: ApiServer) -> None:
         ("label_schedule", ("power", "constant", "decaying")),
     ],
 )
-def test_an_unknown_choice_is_refused_with_the_known_ones(api: ApiServer, setting: str, known: tuple[str, ...]) -> None:
+def test_error_for_an_unknown_choice_lists_the_known_choices(
+    api: ApiServer, setting: str, known: tuple[str, ...]
+) -> None:
     response = api.researcher.post("/api/v1/experiments", json=NEW | {setting: "huge"})
-    refusal(response, 422, "invalid_experiment", *known, field=setting)
+    assert_error(response, 422, "invalid_experiment", *known, field=setting)
 
 
-def test_a_name_that_is_taken(api: ApiServer) -> None:
+def test_duplicate_experiment_name_is_refused(api: ApiServer) -> None:
     assert api.researcher.post("/api/v1/experiments", json=NEW).status_code == 201
-    refusal(api.researcher.post("/api/v1/experiments", json=NEW), 409, "name_taken", field="name")
+    assert_error(api.researcher.post("/api/v1/experiments", json=NEW), 409, "name_taken", field="name")
 
 
 @pytest.mark.parametrize(
@@ -160,61 +165,59 @@ def test_a_name_that_is_taken(api: ApiServer) -> None:
         ("GET", "/api/v1/clips/{}.mp4"),
     ],
 )
-def test_malformed_and_absent_ids(api: ApiServer, method: str, path: str) -> None:
+def test_malformed_id_is_422_and_absent_id_is_404(api: ApiServer, method: str, path: str) -> None:
     kind = {"experiments": "exp", "queries": "qry", "clips": "clp"}[path.split("/")[3]]
-    for bad in ("1", f"{kind}_", f"{kind}_{'g' * 24}", new_id("zzz"), "%00", "..", f"{kind}_{'0' * 24}%0a"):
-        if bad == "..":
-            continue  # a client takes it for the folder above
-        refusal(api.admin.request(method, path.format(bad)), 422, "invalid_id", kind)
+    for bad in ("1", f"{kind}_", f"{kind}_{'g' * 24}", new_id("zzz"), "%00", f"{kind}_{'0' * 24}%0a"):
+        assert_error(api.admin.request(method, path.format(bad)), 422, "invalid_id", kind)
     name = {"exp": "experiment", "qry": "query", "clp": "clip"}[kind]
-    refusal(api.admin.request(method, path.format(new_id(kind))), 404, f"{name}_not_found", name)
+    assert_error(api.admin.request(method, path.format(new_id(kind))), 404, f"{name}_not_found", name)
 
 
-def test_a_cursor_that_is_none(api: ApiServer) -> None:
-    refusal(api.admin.get("/api/v1/experiments", params={"cursor": "x"}), 422, "invalid_id")
+def test_invalid_cursor_is_refused(api: ApiServer) -> None:
+    assert_error(api.admin.get("/api/v1/experiments", params={"cursor": "x"}), 422, "invalid_id")
 
 
 @pytest.mark.parametrize("token", [None, "", "wrong", "ü", "x" * 5000])
-def test_a_missing_or_wrong_token(api: ApiServer, token: str | None) -> None:
+def test_missing_or_wrong_token_is_refused(api: ApiServer, token: str | None) -> None:
     headers = {} if token is None else {"Authorization": f"Bearer {token}".strip().encode()}
     for method, path in (("GET", "/api/v1/me"), ("POST", "/api/v1/users"), ("GET", "/api/v1/experiments")):
         json_body = {"name": "x", "role": "admin"} if method == "POST" else None
         response = api.anyone.request(method, path, headers=headers, json=json_body)
-        refusal(response, 401, "unauthenticated")
+        assert_error(response, 401, "unauthenticated")
         assert response.headers["WWW-Authenticate"].startswith("Bearer")
 
 
-def test_a_labeller_that_asks_for_returns(api: ApiServer) -> None:
+def test_true_returns_are_refused_to_labellers(api: ApiServer) -> None:
     sample = create_sample(api.stores.database, api.stores.blobs)
     path = f"/api/v1/experiments/{sample.experiment.id}/queries/next"
-    refusal(api.labeller.post(path, params={"returns": True}), 403, "returns_hidden", "labellers")
+    assert_error(api.labeller.post(path, params={"returns": True}), 403, "returns_hidden", "labellers")
 
 
-def test_what_each_role_may_not_do(api: ApiServer) -> None:
+def test_actions_beyond_the_permissions_of_a_role_are_refused(api: ApiServer) -> None:
     sample = create_sample(api.stores.database, api.stores.blobs)
     experiment = f"/api/v1/experiments/{sample.experiment.id}"
     for client in (api.labeller, api.teacher):
-        refusal(client.post("/api/v1/experiments", json=NEW), 403, "forbidden", "start experiments")
+        assert_error(client.post("/api/v1/experiments", json=NEW), 403, "forbidden", "start experiments")
         for verb in ("pause", "resume", "cancel"):
-            refusal(client.post(f"{experiment}/{verb}"), 403, "forbidden", verb)
+            assert_error(client.post(f"{experiment}/{verb}"), 403, "forbidden", verb)
     for client in (api.labeller, api.teacher, api.researcher):
         response = client.post("/api/v1/users", json={"name": "x", "role": "admin"})
-        refusal(response, 403, "forbidden", "add users")
+        assert_error(response, 403, "forbidden", "add users")
     batch = {"labels": [{"query_id": sample.query_ids[0], "label": 1}]}
-    refusal(api.labeller.post(f"{experiment}/labels", json=batch), 403, "forbidden", "batches")
+    assert_error(api.labeller.post(f"{experiment}/labels", json=batch), 403, "forbidden", "batches")
 
 
-def test_addresses_and_methods_that_do_not_exist(api: ApiServer) -> None:
+def test_unknown_paths_are_404_and_unknown_methods_405(api: ApiServer) -> None:
     for path in ("/api", "/api/", "/api/v1", "/api/v2/me", "/api/v1/nothing", "/api/v1/me/"):
-        refusal(api.admin.get(path), 404, "not_found", "/api/docs")
+        assert_error(api.admin.get(path), 404, "not_found", "/api/docs")
     response = api.admin.delete("/api/v1/me")
-    refusal(response, 405, "method_not_allowed")
+    assert_error(response, 405, "method_not_allowed")
     assert response.headers["Allow"] == "GET"
-    refusal(api.admin.post("/elsewhere"), 405, "method_not_allowed")
+    assert_error(api.admin.post("/elsewhere"), 405, "method_not_allowed")
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"label": 1', b'{"label": 1e999}'])
-def test_a_body_that_cannot_be_read(api: ApiServer, content: bytes) -> None:
+def test_malformed_body_is_refused(api: ApiServer, content: bytes) -> None:
     response = api.teacher.put(
         f"/api/v1/queries/{new_id('qry')}/label", content=content, headers={"Content-Type": "application/json"}
     )
@@ -223,7 +226,7 @@ def test_a_body_that_cannot_be_read(api: ApiServer, content: bytes) -> None:
 
 
 @pytest.mark.parametrize("name", ["nul\u0000", "half \ud800", "two\nlines", " "])
-def test_names_that_no_database_can_store(api_per_database: ApiServer, name: str) -> None:
+def test_name_that_cannot_be_stored_is_refused(api_per_database: ApiServer, name: str) -> None:
     content = json.dumps({"name": name, "task": "HalfCheetah-6x1"}).encode()
     response = api_per_database.researcher.post(
         "/api/v1/experiments", content=content, headers={"Content-Type": "application/json"}
@@ -232,7 +235,7 @@ def test_names_that_no_database_can_store(api_per_database: ApiServer, name: str
     assert response.json()["error"]["code"] in {"invalid", "invalid_request"}
 
 
-def test_strange_but_storable_descriptions_of_a_teacher(api_per_database: ApiServer) -> None:
+def test_unusual_description_of_a_teacher_is_stored_or_refused_with_422(api_per_database: ApiServer) -> None:
     sample = create_sample(api_per_database.stores.database, api_per_database.stores.blobs)
     for query_id, teacher in zip(
         sample.query_ids,
@@ -245,44 +248,44 @@ def test_strange_but_storable_descriptions_of_a_teacher(api_per_database: ApiSer
             headers={"Content-Type": "application/json"},
         )
         assert response.status_code in {201, 422}, response.text
-    refused = api_per_database.teacher.put(
+    response = api_per_database.teacher.put(
         f"/api/v1/queries/{sample.query_ids[3]}/label",
         content=b'{"label": 1, "teacher": {"beta": Infinity}}',
         headers={"Content-Type": "application/json"},
     )
-    refusal(refused, 422, "invalid", "teacher")
+    assert_error(response, 422, "invalid", "teacher")
 
 
-def pieces(size: int) -> Iterator[bytes]:
-    piece = b" " * 50_000
-    for _ in range(size // len(piece)):
-        yield piece
+def chunks(size_bytes: int) -> Iterator[bytes]:
+    chunk = b" " * 50_000
+    for _ in range(size_bytes // len(chunk)):
+        yield chunk
 
 
-def test_a_body_of_a_hundred_megabytes(api: ApiServer) -> None:
+def test_body_above_the_size_limit_is_refused(api: ApiServer) -> None:
     path = f"/api/v1/queries/{new_id('qry')}/label"
     headers = {"Content-Type": "application/json"}
-    for content in (b"{" + b" " * 3_000_000 + b"}", pieces(3_000_000)):
-        refusal(api.teacher.put(path, content=content, headers=headers), 413, "body_too_large", "smaller")
-    # announced, and then cut off as soon as the server has answered
+    for content in (b"{" + b" " * 3_000_000 + b"}", chunks(3_000_000)):
+        assert_error(api.teacher.put(path, content=content, headers=headers), 413, "body_too_large", "smaller")
+    # The server responds without reading the rest of a streamed body.
     with api.client(None) as client:
-        request = client.build_request("PUT", path, content=pieces(100_000_000), headers=headers)
-        # it may hang up while we are still sending: it does not read the rest
+        request = client.build_request("PUT", path, content=chunks(100_000_000), headers=headers)
+        # It may close the connection while the client is still sending.
         with suppress(httpx.WriteError):
-            refusal(client.send(request), 413, "body_too_large")
+            assert_error(client.send(request), 413, "body_too_large")
     assert api.anyone.get("/api/v1/health").status_code == 200
 
 
-def test_a_body_as_large_as_allowed_is_read(sqlite: Stores, tmp_path: Path) -> None:
+def test_body_at_the_size_limit_is_accepted(sqlite: Stores, tmp_path: Path) -> None:
     with run_api_server(sqlite, tmp_path, max_body_bytes=1000) as api:
-        path, good = f"/api/v1/queries/{new_id('qry')}/label", b'{"label": 1}'
+        path, body = f"/api/v1/queries/{new_id('qry')}/label", b'{"label": 1}'
         headers = {"Content-Type": "application/json"}
-        exactly = api.teacher.put(path, content=good.ljust(1000), headers=headers)
-        refusal(exactly, 404, "query_not_found")
-        refusal(api.teacher.put(path, content=good.ljust(1001), headers=headers), 413, "body_too_large", "1000")
+        at_limit = api.teacher.put(path, content=body.ljust(1000), headers=headers)
+        assert_error(at_limit, 404, "query_not_found")
+        assert_error(api.teacher.put(path, content=body.ljust(1001), headers=headers), 413, "body_too_large", "1000")
 
 
-def test_something_unforeseen_is_told_with_the_id_it_has_in_the_log(
+def test_unexpected_error_hides_its_message_and_gives_the_id_in_the_log(
     api: ApiServer, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(_connection: object) -> None:
@@ -291,13 +294,13 @@ def test_something_unforeseen_is_told_with_the_id_it_has_in_the_log(
     event.listen(api.stores.database.engine, "commit", fail)
     response = api.admin.post("/api/v1/users", json={"name": "x", "role": "labeller"})
     event.remove(api.stores.database.engine, "commit", fail)
-    refusal(response, 500, "internal", "err_")
+    assert_error(response, 500, "internal", "err_")
     assert "secret" not in response.text
     (details,) = response.json()["error"]["details"]
     assert details["id"] in caplog.text
 
 
-def test_a_commit_that_fails_is_not_acknowledged(api_per_database: ApiServer) -> None:
+def test_label_is_not_acknowledged_if_the_commit_fails(api_per_database: ApiServer) -> None:
     sample = create_sample(api_per_database.stores.database, api_per_database.stores.blobs)
     path = f"/api/v1/queries/{sample.query_ids[0]}/label"
 
@@ -307,14 +310,14 @@ def test_a_commit_that_fails_is_not_acknowledged(api_per_database: ApiServer) ->
     event.listen(api_per_database.stores.database.engine, "commit", fail)
     response = api_per_database.teacher.put(path, json={"label": 1})
     event.remove(api_per_database.stores.database.engine, "commit", fail)
-    refusal(response, 500, "internal")
-    # on a new connection: the server closes one on which something unforeseen happened
+    assert_error(response, 500, "internal")
+    # A new connection, because the server closes a connection after an unexpected error.
     with api_per_database.client(api_per_database.tokens[Role.TEACHER]) as teacher:
         again = teacher.put(path, json={"label": 1})
     assert (again.status_code, again.json()["revision"]) == (201, 1)
 
 
-def test_a_database_that_went_away_is_said_so(api: ApiServer) -> None:
+def test_unreadable_database_is_a_503_error(api: ApiServer) -> None:
     path = Path(api.stores.database_url.removeprefix("sqlite:///"))
     api.stores.database.close()
     path.unlink()
@@ -322,17 +325,17 @@ def test_a_database_that_went_away_is_said_so(api: ApiServer) -> None:
     for companion in (f"{path}-wal", f"{path}-shm"):
         Path(companion).unlink(missing_ok=True)
     response = api.admin.get("/api/v1/me")
-    refusal(response, 503, "database_unreachable", "accord.db")
+    assert_error(response, 503, "database_unreachable", "accord.db")
     assert response.headers["Retry-After"]
 
 
-def test_every_error_has_a_status_and_a_code_of_its_own() -> None:
-    from accord.api.errors import status_of
-
-    kinds = [each for each in vars(domain_errors).values() if isinstance(each, type) and issubclass(each, AccordError)]
-    assert len(kinds) > 20
-    codes = [kind.code for kind in kinds]
+def test_every_error_has_a_status_and_a_unique_code() -> None:
+    classes = [
+        each for each in vars(domain_errors).values() if isinstance(each, type) and issubclass(each, AccordError)
+    ]
+    assert len(classes) > 20
+    codes = [each.code for each in classes]
     assert len(codes) == len(set(codes))
-    for kind in kinds:
-        if kind is not AccordError:
-            assert status_of(kind.__new__(kind)) != 500, kind
+    for each in classes:
+        if each is not AccordError:
+            assert status_of(each.__new__(each)) != 500, each

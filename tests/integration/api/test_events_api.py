@@ -1,9 +1,11 @@
-"""Live events: what changed, once; resumed where it broke off; ended at once when the server ends."""
+"""The event stream of an experiment: changes, resumption, and the end of streams."""
 
 import json
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -11,6 +13,8 @@ import httpx
 from accord.domain.enums import Phase, Role
 from accord.services import experiments, label, metrics, workers
 from accord.settings import Settings
+from accord.store.blobs import open_blobs
+from accord.store.database import Database
 from support.api_in_thread import ApiServer, client
 from support.api_process import running_server
 from support.sample_experiments import create_sample, user
@@ -26,7 +30,7 @@ class Event:
 
 
 def events(response: httpx.Response) -> Iterator[Event]:
-    """Parses a stream of server-sent events."""
+    """Parse a stream of server-sent events."""
     fields: dict[str, str] = {}
     for line in response.iter_lines():
         if line:
@@ -37,9 +41,9 @@ def events(response: httpx.Response) -> Iterator[Event]:
             fields = {}
 
 
-def until(stream: Iterator[Event], wanted: Callable[[Event], bool]) -> Event:
-    """The next event that is wanted; the test's own time limit is the deadline."""
-    return next(event for event in stream if wanted(event))
+def next_where(stream: Iterator[Event], condition: Callable[[Event], bool]) -> Event:
+    """The next event that meets a condition. pytest's timeout is the deadline."""
+    return next(event for event in stream if condition(event))
 
 
 def record(stores: Stores, experiment_id: str, step: int, value: float) -> None:
@@ -47,7 +51,7 @@ def record(stores: Stores, experiment_id: str, step: int, value: float) -> None:
         metrics.record(session, experiment_id, step, {"entropy": value})
 
 
-def test_a_page_is_told_what_is_and_then_what_changes(api_per_database: ApiServer) -> None:
+def test_stream_sends_the_current_state_and_then_changes(api_per_database: ApiServer) -> None:
     stores = api_per_database.stores
     sample = create_sample(stores.database, stores.blobs)
     record(stores, sample.experiment.id, 10, 0.25)
@@ -63,36 +67,36 @@ def test_a_page_is_told_what_is_and_then_what_changes(api_per_database: ApiServe
         }
         with stores.database.transaction() as session:
             experiments.report(session, sample.experiment.id, phase=Phase.TRAINING, steps=20)
-        assert until(stream, lambda event: event.name == "experiment").content["steps"] == 20
+        assert next_where(stream, lambda event: event.name == "experiment").content["steps"] == 20
         record(stores, sample.experiment.id, 20, 0.5)
-        news = until(stream, lambda event: event.name == "metrics").content["series"]
-        assert [point["step"] for point in news[0]["points"]] == [20]
+        changed = next_where(stream, lambda event: event.name == "metrics").content["series"]
+        assert [point["step"] for point in changed[0]["points"]] == [20]
         with stores.database.transaction() as session:
             workers.report(session, "policy-0", "policy", 1, "backing_off", restarts=3)
-        (worker,) = until(stream, lambda event: event.name == "workers").content
+        (worker,) = next_where(stream, lambda event: event.name == "workers").content
         assert (worker["state"], worker["restarts"]) == ("backing_off", 3)
         with stores.database.transaction() as session:
             teacher, _ = user(session, "somebody", Role.TEACHER)
             label.put_label(session, teacher, sample.query_ids[0], 1.0)
-        assert until(stream, lambda event: event.name == "experiment").content["labels"]["labels"] == 1
+        assert next_where(stream, lambda event: event.name == "experiment").content["labels"]["labels"] == 1
 
 
-def test_a_stream_goes_on_where_it_broke_off(api_per_database: ApiServer) -> None:
+def test_stream_resumes_after_the_last_event_id(api_per_database: ApiServer) -> None:
     stores = api_per_database.stores
     sample = create_sample(stores.database, stores.blobs, queries=0)
     path = f"/api/v1/experiments/{sample.experiment.id}/events"
     record(stores, sample.experiment.id, 10, 1.0)
     with api_per_database.labeller.stream("GET", path) as response:
-        last = until(events(response), lambda event: event.name == "metrics").id
+        last = next_where(events(response), lambda event: event.name == "metrics").id
     record(stores, sample.experiment.id, 20, 2.0)
-    # a resumed run says the same step again
+    # A resumed run records the same step again.
     record(stores, sample.experiment.id, 10, 3.0)
     with api_per_database.labeller.stream("GET", path, headers={"Last-Event-ID": last}) as response:
-        (curve,) = until(events(response), lambda event: event.name == "metrics").content["series"]
+        (curve,) = next_where(events(response), lambda event: event.name == "metrics").content["series"]
     assert [(point["step"], point["value"]) for point in curve["points"]] == [(10, 3.0), (20, 2.0)]
 
 
-def test_an_id_that_makes_no_sense_starts_from_the_beginning(api: ApiServer) -> None:
+def test_invalid_last_event_id_starts_from_the_beginning(api: ApiServer) -> None:
     sample = create_sample(api.stores.database, api.stores.blobs, queries=0)
     record(api.stores, sample.experiment.id, 10, 1.0)
     for bad in ("x", "-1", "9" * 30, ""):
@@ -100,10 +104,10 @@ def test_an_id_that_makes_no_sense_starts_from_the_beginning(api: ApiServer) -> 
         with api.labeller.stream(
             "GET", f"/api/v1/experiments/{sample.experiment.id}/events", headers=headers
         ) as response:
-            assert until(events(response), lambda event: event.name == "metrics").content["series"]
+            assert next_where(events(response), lambda event: event.name == "metrics").content["series"]
 
 
-def test_who_signs_out_is_told_nothing_more(api: ApiServer) -> None:
+def test_sign_out_ends_the_stream(api: ApiServer) -> None:
     sample = create_sample(api.stores.database, api.stores.blobs, queries=0)
     with (
         api.client(api.tokens[Role.LABELLER]) as other,
@@ -112,14 +116,14 @@ def test_who_signs_out_is_told_nothing_more(api: ApiServer) -> None:
         stream = events(response)
         next(stream)
         assert other.post("/api/v1/sign-out").status_code == 204
-        # it ends by itself: the iteration would go on for ever otherwise
-        assert list(stream) is not None
+        # Without an end of the stream, this never returns.
+        list(stream)
 
 
-def test_many_open_streams_leave_the_service_as_quick_to_answer(api: ApiServer) -> None:
+def test_open_streams_do_not_block_other_requests(api: ApiServer) -> None:
     sample = create_sample(api.stores.database, api.stores.blobs)
     path = f"/api/v1/experiments/{sample.experiment.id}/events"
-    # more than the server has threads: none of them may be held by a stream
+    # More streams than the server has threads: a stream must not hold a thread.
     with api.client(api.tokens[Role.LABELLER], limits=httpx.Limits(max_connections=None)) as many:
         responses = [many.send(many.build_request("GET", path), stream=True) for _ in range(60)]
         for response in responses:
@@ -129,15 +133,9 @@ def test_many_open_streams_leave_the_service_as_quick_to_answer(api: ApiServer) 
             response.close()
 
 
-def test_the_server_ends_promptly_though_streams_are_open(tmp_path: object) -> None:
-    from pathlib import Path
-
-    home = Path(str(tmp_path))
-    with running_server(home) as server:
-        from accord.store.blobs import open_blobs
-        from accord.store.database import Database
-
-        settings = Settings(home=home)
+def test_server_stops_gracefully_while_streams_are_open(tmp_path: Path) -> None:
+    with running_server(tmp_path) as server:
+        settings = Settings(home=tmp_path)
         database, blobs = Database.open(settings.resolved_database_url), open_blobs(settings.resolved_blob_url)
         sample = create_sample(database, blobs, queries=0)
         database.close()
@@ -150,11 +148,8 @@ def test_the_server_ends_promptly_though_streams_are_open(tmp_path: object) -> N
             next(stream)
 
             def read_to_the_end() -> None:
-                try:
-                    for _ in stream:
-                        pass
-                except httpx.RemoteProtocolError:
-                    pass
+                with suppress(httpx.RemoteProtocolError):
+                    list(stream)
                 ended.set()
 
             reader = threading.Thread(target=read_to_the_end)
@@ -162,5 +157,5 @@ def test_the_server_ends_promptly_though_streams_are_open(tmp_path: object) -> N
             assert server.stop() == 0
             assert ended.wait(PATIENCE_SECONDS)
             reader.join()
-        # what it says when requests are still open after its grace, and it cuts them off
+        # Uvicorn logs this when requests are still open at the end of the grace period.
         assert "graceful shutdown exceeded" not in server.log.read_text()

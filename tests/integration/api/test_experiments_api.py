@@ -1,4 +1,6 @@
-"""Experiments over HTTP."""
+"""Experiments, pages, metrics, workers and health over HTTP."""
+
+from pathlib import Path
 
 import pytest
 from sqlalchemy import event
@@ -11,17 +13,17 @@ from support.stores import Stores
 NEW = {"name": "one", "task": "HalfCheetah-6x1"}
 
 
-def test_an_experiment_is_started_read_paused_resumed_and_cancelled(api_per_database: ApiServer) -> None:
+def test_experiment_is_created_read_paused_resumed_and_cancelled(api_per_database: ApiServer) -> None:
     client = api_per_database.researcher
-    chosen = {"query_selection": "disagreement", "control_share": 0.25, "ensemble_members": 5}
+    selection = {"query_selection": "disagreement", "control_share": 0.25, "ensemble_members": 5}
     settings = {
         "label_budget": 200,
         "policy": {"learning_rate": 0.01, "hidden": [32, 32]},
         "label_schedule": "decaying",
-    } | chosen
-    made = client.post("/api/v1/experiments", json=NEW | settings)
-    assert made.status_code == 201
-    experiment = made.json()
+    } | selection
+    response = client.post("/api/v1/experiments", json=NEW | settings)
+    assert response.status_code == 201
+    experiment = response.json()
     assert (experiment["status"], experiment["phase"], experiment["steps"]) == ("running", "queued", 0)
     assert experiment["config"].items() >= settings.items()
     assert experiment["task"]["n_agents"] == len(experiment["task"]["agent_colours"]) == 6
@@ -34,14 +36,14 @@ def test_an_experiment_is_started_read_paused_resumed_and_cancelled(api_per_data
     assert (refused.status_code, refused.json()["error"]["code"]) == (409, "experiment_not_active")
 
 
-def test_everybody_signed_in_sees_experiments_and_tasks(api: ApiServer) -> None:
+def test_every_role_may_list_experiments_and_tasks(api: ApiServer) -> None:
     create_sample(api.stores.database, api.stores.blobs)
     for client in (api.labeller, api.teacher, api.researcher, api.admin):
         assert len(client.get("/api/v1/experiments").json()["items"]) == 1
         assert {task["name"] for task in client.get("/api/v1/tasks").json()} >= {"HalfCheetah-6x1", "HalfCheetah-2x3"}
 
 
-def test_listing_takes_as_many_statements_for_many_experiments_as_for_one(api: ApiServer) -> None:
+def test_listing_runs_as_many_statements_for_many_experiments_as_for_one(api: ApiServer) -> None:
     for number in range(8):
         assert api.researcher.post("/api/v1/experiments", json=NEW | {"name": f"run {number}"}).status_code == 201
     statements: list[str] = []
@@ -56,20 +58,22 @@ def test_listing_takes_as_many_statements_for_many_experiments_as_for_one(api: A
 
 
 def test_pages_continue_at_the_cursor(api: ApiServer) -> None:
-    made = [api.researcher.post("/api/v1/experiments", json=NEW | {"name": f"run {n}"}).json()["id"] for n in range(5)]
+    created = [
+        api.researcher.post("/api/v1/experiments", json=NEW | {"name": f"run {n}"}).json()["id"] for n in range(5)
+    ]
     first = api.labeller.get("/api/v1/experiments", params={"limit": 3}).json()
     second = api.labeller.get("/api/v1/experiments", params={"limit": 3, "cursor": first["next_cursor"]}).json()
-    assert [item["id"] for item in first["items"] + second["items"]] == made[::-1]
+    assert [item["id"] for item in first["items"] + second["items"]] == created[::-1]
     assert second["next_cursor"] is None
 
 
 @pytest.mark.parametrize("limit", [0, 101, "x"])
-def test_a_limit_has_its_limits(api: ApiServer, limit: object) -> None:
+def test_limit_out_of_range_is_refused(api: ApiServer, limit: object) -> None:
     response = api.labeller.get("/api/v1/experiments", params={"limit": limit})
     assert (response.status_code, response.json()["error"]["code"]) == (422, "invalid_request")
 
 
-def test_curves_versions_and_workers_are_read(api_per_database: ApiServer) -> None:
+def test_metrics_reward_versions_and_workers_are_read(api_per_database: ApiServer) -> None:
     sample = create_sample(api_per_database.stores.database, api_per_database.stores.blobs, queries=0)
     with api_per_database.stores.database.transaction() as session:
         version = publish.publish(
@@ -98,10 +102,8 @@ def test_health_needs_no_sign_in(api_per_database: ApiServer) -> None:
     assert api_per_database.anyone.get("/api/v1/health").json() == {"status": "ok"}
 
 
-def test_the_lease_is_as_long_as_the_setting(sqlite: Stores, tmp_path: object) -> None:
-    from pathlib import Path
-
-    with run_api_server(sqlite, Path(str(tmp_path)), lease_seconds=7.5) as api:
+def test_duration_of_a_lease_is_the_setting(sqlite: Stores, tmp_path: Path) -> None:
+    with run_api_server(sqlite, tmp_path, lease_seconds=7.5) as api:
         sample = create_sample(sqlite.database, sqlite.blobs)
         found = api.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next").json()
         assert found["items"][0]["lease_seconds"] == 7.5

@@ -1,4 +1,4 @@
-"""Labels on a disk that fills up: none that was acknowledged is missing, and labelling goes on once there is space."""
+"""A disk that fills up loses no acknowledged label, and labelling resumes once there is space."""
 
 import os
 import subprocess
@@ -23,17 +23,17 @@ from support.waiting import PATIENCE_SECONDS
 LABELLERS, POSTERS = 16, 3
 SEGMENTS, QUERIES = 80, 3000
 BATCH = 20
-#: each thread goes on for so many refusals, so that it also writes while others are refused
+#: refusals after which a thread stops; several, so that it also writes while others are refused
 REFUSALS = 10
-#: for new pages of the database, and on the disk, which also holds the write-ahead log
+#: space for new pages of the database, and on the disk, which also holds the write-ahead log
 DATABASE_BYTES, DISK_BYTES = 400_000, 3_000_000
 
 
-class Threads:
-    """Labellers and batch posters, and what the service acknowledged to them."""
+class ConcurrentClients:
+    """Threads of labellers and batch posters, with the labels that the service acknowledged."""
 
     def __init__(self, api: ApiServer, sample: SampleExperiment) -> None:
-        self._api, self._made = api, sample
+        self._api, self._sample = api, sample
         self._lock = threading.Lock()
         self._batches = [sample.query_ids[i : i + BATCH] for i in range(QUERIES // 2, QUERIES, BATCH)]
         with api.stores.database.transaction() as session:
@@ -45,7 +45,7 @@ class Threads:
         self.failures: list[BaseException] = []
 
     def run(self) -> None:
-        """Labels until every thread was refused often enough."""
+        """Label until every thread has been refused REFUSALS times."""
         work: list[Callable[[], None]] = [lambda token=token: self._label(token) for token in self._tokens]
         work += [self._post] * POSTERS
         threads = [threading.Thread(target=self._caught, args=(each,)) for each in work]
@@ -60,14 +60,14 @@ class Threads:
     def _caught(self, work: Callable[[], None]) -> None:
         try:
             work()
-        except BaseException as error:  # noqa: BLE001 (the test's own thread raises it)
+        except BaseException as error:  # noqa: BLE001 (the main thread raises it)
             self.failures.append(error)
 
     def _label(self, token: str) -> None:
         refused = 0
         with self._api.client(token) as client:
             while refused < REFUSALS:
-                response = client.post(f"/api/v1/experiments/{self._made.experiment.id}/queries/next")
+                response = client.post(f"/api/v1/experiments/{self._sample.experiment.id}/queries/next")
                 if self._refused(response):
                     refused += 1
                     continue
@@ -83,11 +83,11 @@ class Threads:
         with self._api.client(self._api.tokens[Role.TEACHER]) as client:
             while refused < REFUSALS:
                 with self._lock:
-                    # in turn, since a refused batch is to be sent again
+                    # Refused batches are sent again after all others.
                     batch = self._batches[0]
                     self._batches.append(self._batches.pop(0))
                 body = {"labels": [{"query_id": id, "label": 0, "teacher": {"name": "x" * 500}} for id in batch]}
-                response = client.post(f"/api/v1/experiments/{self._made.experiment.id}/labels", json=body)
+                response = client.post(f"/api/v1/experiments/{self._sample.experiment.id}/labels", json=body)
                 if self._refused(response):
                     refused += 1
                     continue
@@ -114,25 +114,25 @@ def stored(database: Database) -> dict[str, float | None]:
 
 
 def limit_pages(engine: Engine) -> Callable[[], None]:
-    """Lets the database grow by DATABASE_BYTES and no more; what it returns lifts the limit."""
+    """Limit the growth of the database to DATABASE_BYTES. Returns a function that removes the limit."""
     with engine.connect() as connection:
         pages = connection.execute(text("PRAGMA page_count")).scalar_one()
-        most = pages + DATABASE_BYTES // connection.execute(text("PRAGMA page_size")).scalar_one()
+        max_pages = pages + DATABASE_BYTES // connection.execute(text("PRAGMA page_size")).scalar_one()
 
     def set_limit(connection: Any, _record: object, _proxy: object) -> None:
-        connection.execute(f"PRAGMA max_page_count = {most}")
+        connection.execute(f"PRAGMA max_page_count = {max_pages}")
 
-    def lift() -> None:
-        nonlocal most
-        most = 2**30
+    def remove_limit() -> None:
+        nonlocal max_pages
+        max_pages = 2**30
 
     event.listen(engine, "checkout", set_limit)
-    return lift
+    return remove_limit
 
 
 @contextmanager
 def small_disk(folder: Path) -> Generator[None]:
-    """A file system of its own at `folder`."""
+    """Mount a file system of 24 MiB at `folder`."""
     if os.getuid() != 0:
         pytest.skip("only root may mount a small file system")
     mounted = subprocess.run(
@@ -146,39 +146,39 @@ def small_disk(folder: Path) -> Generator[None]:
         subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
-def label_until_full(made: Stores, home: Path, fill: Callable[[], Callable[[], None]]) -> None:
-    """Fills up, checks what was acknowledged, makes space, and checks that labelling goes on.
+def label_until_full(stores: Stores, home: Path, fill: Callable[[], Callable[[], None]]) -> None:
+    """Fill the disk, check that no acknowledged label is lost, free space, and check that labels are accepted again.
 
     Args:
-        fill: leaves little space for the database, and returns what gives it back.
+        fill: takes most of the space for the database, and returns a function that frees it.
     """
-    with run_api_server(made, home) as api:
-        an_experiment = create_sample(
-            made.database,
-            made.blobs,
+    with run_api_server(stores, home) as api:
+        sample = create_sample(
+            stores.database,
+            stores.blobs,
             segments=SEGMENTS,
             queries=QUERIES,
             render_clips=False,
             label_budget=QUERIES,
         )
-        threads = Threads(api, an_experiment)
-        make_space = fill()
-        threads.run()
-        found = stored(made.database)
-        lost = {id: label for id, label in threads.acknowledged.items() if found.get(id) != label}
+        clients = ConcurrentClients(api, sample)
+        free_space = fill()
+        clients.run()
+        found = stored(stores.database)
+        lost = {id: label for id, label in clients.acknowledged.items() if found.get(id) != label}
         assert lost == {}
-        assert set(threads.refusals) == {(507, "database_full")}
-        # more than one label each, so that a failed group had members to lose
-        assert len(threads.acknowledged) > 2 * LABELLERS
+        assert set(clients.refusals) == {(507, "database_full")}
+        # More than one label each, so that a failed group commit had labels to lose.
+        assert len(clients.acknowledged) > 2 * LABELLERS
 
-        make_space()
-        offered = api.labeller.post(f"/api/v1/experiments/{an_experiment.experiment.id}/queries/next").json()
+        free_space()
+        offered = api.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next").json()
         query = offered["items"][0]["id"]
         assert api.labeller.put(f"/api/v1/queries/{query}/label", json={"label": 0.5}).status_code == 201
-        found = stored(made.database)
+        found = stored(stores.database)
         assert found[query] == 0.5
-        with made.database.reading() as session:
-            row = session.get_one(ExperimentRow, an_experiment.experiment.id)
+        with stores.database.reading() as session:
+            row = session.get_one(ExperimentRow, sample.experiment.id)
             assert row.label_count == len(found)
 
 
@@ -193,9 +193,9 @@ def test_no_acknowledged_label_is_lost_when_the_disk_fills(tmp_path: Path) -> No
     filler = disk / "filler"
 
     def fill() -> Callable[[], None]:
-        space = os.statvfs(disk)
-        filler.write_bytes(bytes(space.f_bavail * space.f_bsize - DISK_BYTES))
+        status = os.statvfs(disk)
+        filler.write_bytes(bytes(status.f_bavail * status.f_bsize - DISK_BYTES))
         return filler.unlink
 
-    with small_disk(disk), open_stores(home, f"sqlite:///{disk / 'accord.db'}") as made:
-        label_until_full(made, home, fill)
+    with small_disk(disk), open_stores(home, f"sqlite:///{disk / 'accord.db'}") as stores:
+        label_until_full(stores, home, fill)

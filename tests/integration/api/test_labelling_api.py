@@ -1,4 +1,4 @@
-"""The way of a label over HTTP."""
+"""Labelling over HTTP: leases, labels, undo, batches and concurrency."""
 
 import threading
 
@@ -11,19 +11,19 @@ from support.api_in_thread import ApiServer
 from support.sample_experiments import SampleExperiment, create_sample
 
 
-def begin(api: ApiServer, **changes: object) -> SampleExperiment:
+def create(api: ApiServer, **changes: object) -> SampleExperiment:
     return create_sample(api.stores.database, api.stores.blobs, **changes)  # type: ignore[arg-type]
 
 
-def following(client: httpx.Client, sample: SampleExperiment, count: int = 1, **query: object) -> dict[str, object]:
+def next_queries(client: httpx.Client, sample: SampleExperiment, count: int = 1, **query: object) -> dict[str, object]:
     response = client.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next", params={"count": count} | query)
     assert response.status_code == 200, response.text
     return response.json()
 
 
-def test_a_labeller_labels_undoes_and_labels_again(api_per_database: ApiServer) -> None:
-    sample, client = begin(api_per_database), api_per_database.labeller
-    (query,) = following(client, sample)["items"]
+def test_labeller_labels_undoes_and_labels_again(api_per_database: ApiServer) -> None:
+    sample, client = create(api_per_database), api_per_database.labeller
+    (query,) = next_queries(client, sample)["items"]
     assert {query["left"]["index"], query["right"]["index"]} == {0, 1}
     assert query["lease_seconds"] == api_per_database.settings.lease_seconds
     assert client.get(query["left"]["clip_url"]).status_code == 200
@@ -46,34 +46,34 @@ def test_a_labeller_labels_undoes_and_labels_again(api_per_database: ApiServer) 
     assert client.get(f"/api/v1/experiments/{sample.experiment.id}").json()["labels"]["labels"] == 1
 
 
-def test_a_lease_is_kept_and_given_back(api_per_database: ApiServer) -> None:
-    sample = begin(api_per_database, queries=1)
-    (query,) = following(api_per_database.labeller, sample)["items"]
+def test_lease_is_renewed_and_released(api_per_database: ApiServer) -> None:
+    sample = create(api_per_database, queries=1)
+    (query,) = next_queries(api_per_database.labeller, sample)["items"]
     lease = f"/api/v1/queries/{query['id']}/lease"
     assert api_per_database.labeller.put(lease).json() == {"query_id": query["id"], "lease_seconds": 60.0}
     assert api_per_database.teacher.put(lease).status_code == 410
-    assert following(api_per_database.teacher, sample) == {"items": [], "reason": "policy_training"}
+    assert next_queries(api_per_database.teacher, sample) == {"items": [], "reason": "policy_training"}
     assert api_per_database.labeller.delete(lease).status_code == 204
     assert api_per_database.labeller.put(lease).json()["error"]["code"] == "lease_lost"
-    assert len(following(api_per_database.teacher, sample)["items"]) == 1
+    assert len(next_queries(api_per_database.teacher, sample)["items"]) == 1
 
 
-def test_a_teacher_reads_true_returns_and_rewards(api_per_database: ApiServer) -> None:
-    sample = begin(api_per_database)
-    (query,) = following(api_per_database.teacher, sample, returns=True)["items"]
+def test_teacher_may_request_true_returns_and_rewards(api_per_database: ApiServer) -> None:
+    sample = create(api_per_database)
+    (query,) = next_queries(api_per_database.teacher, sample, returns=True)["items"]
     by_index = {side["index"]: side for side in (query["left"], query["right"])}
-    # segment i of the scene has the reward i at each of its 5 steps
+    # Segment i of the sample has the reward i at each of its 5 steps.
     assert (by_index[0]["true_return"], by_index[0]["true_rewards"]) == (0.0, [0.0] * 5)
     assert (by_index[1]["true_return"], by_index[1]["true_rewards"]) == (5.0, [1.0] * 5)
-    (plain,) = following(api_per_database.teacher, sample)["items"]
-    assert plain["left"]["true_return"] is None
-    assert plain["left"]["true_rewards"] is None
+    (without_returns,) = next_queries(api_per_database.teacher, sample)["items"]
+    assert without_returns["left"]["true_return"] is None
+    assert without_returns["left"]["true_rewards"] is None
 
 
-def test_a_batch_writes_the_good_labels_and_says_what_is_wrong_with_the_others(api_per_database: ApiServer) -> None:
-    sample, other = begin(api_per_database), begin(api_per_database)
+def test_batch_stores_valid_labels_and_reports_an_error_for_each_other(api_per_database: ApiServer) -> None:
+    sample, other = create(api_per_database), create(api_per_database)
     one, two, three, _ = sample.query_ids
-    following(api_per_database.labeller, sample)  # holds the first
+    next_queries(api_per_database.labeller, sample)  # leases the first query
     response = api_per_database.teacher.post(
         f"/api/v1/experiments/{sample.experiment.id}/labels",
         json={
@@ -106,32 +106,32 @@ def test_a_batch_writes_the_good_labels_and_says_what_is_wrong_with_the_others(a
         assert (row.label_count, row.label_revision) == (1, 2)
 
 
-def test_more_requests_than_threads_all_are_answered(api: ApiServer) -> None:
-    """Sixty at once: a transaction that waited for a thread of the server's forty would never end."""
-    sample = begin(api, segments=16, queries=120, label_budget=120, initial_labels=120)
-    ready, answers = threading.Barrier(60), list[int]()
+def test_more_concurrent_labels_than_server_threads_are_stored(api: ApiServer) -> None:
+    """60 requests for 40 threads: a transaction that waits for a thread would deadlock."""
+    sample = create(api, segments=16, queries=120, label_budget=120, initial_labels=120)
+    barrier, statuses = threading.Barrier(60), list[int]()
 
     def label(query_id: str) -> None:
         with api.client(api.tokens[Role.TEACHER]) as client:
-            ready.wait()
-            answers.append(client.put(f"/api/v1/queries/{query_id}/label", json={"label": 1}).status_code)
+            barrier.wait()
+            statuses.append(client.put(f"/api/v1/queries/{query_id}/label", json={"label": 1}).status_code)
 
     threads = [threading.Thread(target=label, args=(query_id,)) for query_id in sample.query_ids[:60]]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert answers == [201] * 60
+    assert statuses == [201] * 60
     with api.stores.database.reading() as session:
         assert experiments.get(session, sample.experiment.id).label_count == 60
 
 
-def test_sixteen_queries_take_as_many_statements_as_one(api: ApiServer) -> None:
-    sample = begin(api, segments=8, queries=20)
+def test_leasing_runs_as_many_statements_for_sixteen_queries_as_for_one(api: ApiServer) -> None:
+    sample = create(api, segments=8, queries=20)
     statements: list[str] = []
     event.listen(api.stores.database.engine, "before_cursor_execute", lambda *args: statements.append(args[2]))
-    following(api.labeller, sample, 1)
+    next_queries(api.labeller, sample, 1)
     one = len(statements)
     statements.clear()
-    assert len(following(api.teacher, sample, 16)["items"]) == 16
+    assert len(next_queries(api.teacher, sample, 16)["items"]) == 16
     assert len(statements) == one

@@ -1,4 +1,4 @@
-"""The built page: its files, and index.html for the addresses it routes itself."""
+"""The built page: its files, and index.html for the paths that the page routes itself."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ def folder(tmp_path: Path) -> Path:
     return built
 
 
-async def ask(folder: Path, path: str, method: str = "GET") -> httpx.Response:
+async def request(folder: Path, path: str, method: str = "GET") -> httpx.Response:
     page = Page(folder)
 
     async def app(scope: Scope, receive: Receive, send: Send) -> None:
@@ -37,44 +37,44 @@ async def ask(folder: Path, path: str, method: str = "GET") -> httpx.Response:
 
 @pytest.mark.anyio
 @pytest.mark.parametrize("path", ["/", "/experiments/exp_1", "/label", "/index.html"])
-async def test_addresses_of_the_page_get_index_html(folder: Path, path: str) -> None:
-    response = await ask(folder, path)
+async def test_paths_of_the_page_return_index_html(folder: Path, path: str) -> None:
+    response = await request(folder, path)
     assert response.status_code == 200
     assert "<title>Accord</title>" in response.text
     assert response.headers["cache-control"] == "no-cache"
 
 
 @pytest.mark.anyio
-async def test_files_are_sent_and_those_with_a_hash_in_their_name_are_kept(folder: Path) -> None:
-    script = await ask(folder, "/assets/index-1a2b.js")
+async def test_files_with_a_hash_in_their_name_are_cached_forever(folder: Path) -> None:
+    script = await request(folder, "/assets/index-1a2b.js")
     assert "javascript" in script.headers["content-type"]
     assert "immutable" in script.headers["cache-control"]
-    assert (await ask(folder, "/icon.svg")).headers["cache-control"] == "no-cache"
+    assert (await request(folder, "/icon.svg")).headers["cache-control"] == "no-cache"
 
 
 @pytest.mark.anyio
 @pytest.mark.parametrize("path", ["/assets/gone-9z.js", "/api/v1/nothing", "/api"])
-async def test_what_is_missing_is_not_answered_with_the_page(folder: Path, path: str) -> None:
-    assert (await ask(folder, path)).status_code == 404
+async def test_missing_files_and_unknown_api_paths_are_404(folder: Path, path: str) -> None:
+    assert (await request(folder, path)).status_code == 404
 
 
 @pytest.mark.anyio
 @pytest.mark.parametrize("path", ["/%2e%2e/secret.txt", "/..%2fsecret.txt", "/assets/%2e%2e/%2e%2e/secret.txt", "/%00"])
-async def test_nothing_outside_of_the_folder_is_sent(folder: Path, path: str) -> None:
-    response = await ask(folder, path)
+async def test_files_outside_the_folder_are_not_sent(folder: Path, path: str) -> None:
+    response = await request(folder, path)
     assert "a secret" not in response.text
 
 
 @pytest.mark.anyio
-async def test_a_page_that_was_not_built_is_said_with_what_to_do(tmp_path: Path) -> None:
-    response = await ask(tmp_path / "nowhere", "/")
+async def test_page_that_was_not_built_is_a_503_error(tmp_path: Path) -> None:
+    response = await request(tmp_path / "nowhere", "/")
     assert response.status_code == 503
     assert "not built" in response.text
 
 
 @pytest.mark.anyio
-async def test_the_page_is_only_read(folder: Path) -> None:
-    assert (await ask(folder, "/", "POST")).status_code == 405
+async def test_post_to_the_page_is_refused(folder: Path) -> None:
+    assert (await request(folder, "/", "POST")).status_code == 405
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""A labeller never gets true returns: every route is walked as a labeller, over rows that are full of them."""
+"""Labellers never receive true returns: no route sends them, although every table contains them."""
 
 import json
 import math
@@ -12,19 +12,19 @@ from accord.services import experiments, metrics, publish, workers
 from support.api_in_thread import ApiServer
 from support.sample_experiments import SampleExperiment, create_sample
 
-#: a true return as it would be written anywhere; no other number of the scene has these digits
+#: a true return with digits that no other number of the experiment has
 SECRET = 98765.4321
 FREE_TEXT = f"evaluated: true return {SECRET}"
 
 
 @pytest.fixture(params=["preferences", "true"])
 def sample(api: ApiServer, request: pytest.FixtureRequest) -> SampleExperiment:
-    """An experiment in whose rows the secret is wherever workers write."""
+    """An experiment with the secret in every field that workers write."""
     database, blobs = api.stores.database, api.stores.blobs
     found = create_sample(database, blobs, reward_source=request.param)
     names = ["true_return", "true_return_mean", "entropy"]
     if request.param == "true":
-        # what the policy learns from is the true reward itself
+        # The policy learns from the true reward, so these curves reveal it too.
         names += ["learned_return", "value_loss"]
     with database.transaction() as session:
         for name in names:
@@ -44,7 +44,7 @@ def sample(api: ApiServer, request: pytest.FixtureRequest) -> SampleExperiment:
     return found
 
 
-def concrete(path: str, sample: SampleExperiment, clip_id: str) -> str:
+def fill_path(path: str, sample: SampleExperiment, clip_id: str) -> str:
     return path.format(
         experiment_id=sample.experiment.id,
         query_id=sample.query_ids[0],
@@ -54,28 +54,28 @@ def concrete(path: str, sample: SampleExperiment, clip_id: str) -> str:
 
 
 def first_events(client: httpx.Client, path: str, count: int) -> str:
-    """The stream's text until so many events are in."""
+    """The text of a stream up to this number of events."""
     text = ""
     with client.stream("GET", path) as response:
-        for piece in response.iter_text():
-            text += piece
+        for chunk in response.iter_text():
+            text += chunk
             if text.count("event:") >= count:
                 return text
     return text
 
 
-def hidden_from(text: str) -> None:
+def assert_no_secret(text: str) -> None:
     assert "98765" not in text
     assert "9.8765" not in text
-    # digits of the secret in any notation, and rewards by name with anything in them
+    # The secret in any other notation.
     for number in re.findall(r"-?\d+\.?\d*(?:e[+-]?\d+)?", text):
         assert not math.isclose(float(number), SECRET, rel_tol=1e-3), number
 
 
-def test_no_route_tells_a_labeller_a_true_return(api: ApiServer, sample: SampleExperiment) -> None:
+def test_no_route_sends_a_true_return_to_a_labeller(api: ApiServer, sample: SampleExperiment) -> None:
     document = api.anyone.get("/api/openapi.json").json()
-    offered = api.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next", params={"count": 4})
-    items = offered.json()["items"]
+    leased = api.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next", params={"count": 4})
+    items = leased.json()["items"]
     for side in [item[name] for item in items for name in ("left", "right")]:
         assert (side["true_return"], side["true_rewards"]) == (None, None)
     clip_id = items[0]["left"]["clip_url"].rpartition("/")[2].removesuffix(".mp4") if items else "clp_" + "0" * 24
@@ -85,32 +85,32 @@ def test_no_route_tells_a_labeller_a_true_return(api: ApiServer, sample: SampleE
         "create_experiment": {"name": "mine", "task": "HalfCheetah-6x1"},
         "create_user": {"name": "x", "role": "admin"},
     }
-    walked = 0
+    n_requests = 0
     operations = [
         (method, path, operation["operationId"])
         for path, methods in document["paths"].items()
         for method, operation in methods.items()
     ]
-    # signing out comes last
+    # Sign out last.
     for method, path, name in sorted(operations, key=lambda each: each[2] == "sign_out"):
         if name == "follow_experiment":
-            text = first_events(api.labeller, concrete(path, sample, clip_id), 3)
+            text = first_events(api.labeller, fill_path(path, sample, clip_id), 3)
         else:
-            address = concrete(path, sample, clip_id)
+            address = fill_path(path, sample, clip_id)
             response = api.labeller.request(method.upper(), address, json=bodies.get(name))
             assert response.status_code < 500, (name, response.text)
             text = response.text if "json" in response.headers.get("content-type", "") else ""
-        hidden_from(text)
-        walked += 1
-    assert walked == len(operations) >= 20
+        assert_no_secret(text)
+        n_requests += 1
+    assert n_requests == len(operations) >= 20
 
 
-def test_the_walk_would_have_seen_it(api: ApiServer, sample: SampleExperiment) -> None:
-    """A researcher gets all of it, in every place from which it is kept from a labeller."""
+def test_routes_send_true_returns_to_a_researcher(api: ApiServer, sample: SampleExperiment) -> None:
+    """The test above would notice a leak: the same routes contain the secret for a researcher."""
     path = f"/api/v1/experiments/{sample.experiment.id}"
     for address in (path, "/api/v1/experiments", f"{path}/metrics", f"{path}/reward-versions", "/api/v1/workers"):
         assert "98765" in api.researcher.get(address).text, address
-        hidden_from(api.labeller.get(address).text)
+        assert_no_secret(api.labeller.get(address).text)
     events = first_events(api.researcher, f"{path}/events", 3)
     assert events.count("98765") >= 3
     query = api.researcher.post(f"{path}/queries/next", params={"returns": True, "count": 4}).json()
@@ -118,14 +118,14 @@ def test_the_walk_would_have_seen_it(api: ApiServer, sample: SampleExperiment) -
         assert query["items"][1]["left"]["true_return"] is not None
 
 
-def test_curves_named_outright_are_hidden_too(api: ApiServer, sample: SampleExperiment) -> None:
+def test_hidden_curves_are_not_sent_when_requested_by_name(api: ApiServer, sample: SampleExperiment) -> None:
     path = f"/api/v1/experiments/{sample.experiment.id}/metrics"
     names = {"names": ["true_return", "entropy"]}
     assert [each["name"] for each in api.labeller.get(path, params=names).json()["series"]] == ["entropy"]
     assert {each["name"] for each in api.teacher.get(path, params=names).json()["series"]} == {"true_return", "entropy"}
 
 
-def test_a_labeller_still_sees_how_the_reward_model_does(api: ApiServer, sample: SampleExperiment) -> None:
+def test_labeller_sees_the_loss_of_the_reward_model(api: ApiServer, sample: SampleExperiment) -> None:
     (version,) = api.labeller.get(f"/api/v1/experiments/{sample.experiment.id}/reward-versions").json()["items"]
     assert version["metrics"] == {"loss": 0.5}
     assert json.dumps(version).count("rank") == 0

@@ -1,4 +1,4 @@
-"""A segment's arrays over HTTP: for programs that judge or learn, never for labellers."""
+"""Arrays of segments over HTTP: for every role but labellers."""
 
 import pytest
 from safetensors.numpy import load
@@ -18,7 +18,7 @@ def path(sample: SampleExperiment, index: int = 2) -> str:
 
 
 @pytest.mark.parametrize("role", ["teacher", "researcher", "admin"])
-def test_programs_get_the_arrays_as_they_are_stored(api: ApiServer, sample: SampleExperiment, role: str) -> None:
+def test_arrays_are_sent_as_stored(api: ApiServer, sample: SampleExperiment, role: str) -> None:
     response = getattr(api, role).get(path(sample))
     assert response.status_code == 200
     assert response.headers["content-type"] == "application/octet-stream"
@@ -29,24 +29,26 @@ def test_programs_get_the_arrays_as_they_are_stored(api: ApiServer, sample: Samp
     assert arrays["rewards"].tolist() == [2.0] * STEPS
 
 
-def test_a_labeller_gets_none_of_it_by_any_way(api: ApiServer, sample: SampleExperiment) -> None:
+def test_labeller_may_not_read_arrays(api: ApiServer, sample: SampleExperiment) -> None:
     for headers in ({}, {"If-None-Match": f'"{sample.segment_ids[2]}"'}, {"Range": "bytes=0-10"}):
         response = api.labeller.get(path(sample), headers=headers)
         assert (response.status_code, response.json()["error"]["code"]) == (403, "returns_hidden")
 
 
-def test_a_labeller_does_not_learn_which_segments_there_are(api: ApiServer, sample: SampleExperiment) -> None:
+def test_error_for_a_labeller_does_not_reveal_whether_a_segment_exists(
+    api: ApiServer, sample: SampleExperiment
+) -> None:
     absent = f"/api/v1/segments/seg_{'0' * 24}/arrays"
     assert api.labeller.get(absent).json() == api.labeller.get(path(sample)).json()
 
 
-def test_nobody_gets_arrays_without_a_token(api: ApiServer, sample: SampleExperiment) -> None:
+def test_arrays_require_a_token(api: ApiServer, sample: SampleExperiment) -> None:
     assert api.anyone.get(path(sample)).status_code == 401
-    with api.client("wrong") as stranger:
-        assert stranger.get(path(sample)).status_code == 401
+    with api.client("wrong") as unauthenticated:
+        assert unauthenticated.get(path(sample)).status_code == 401
 
 
-def test_arrays_never_change_and_may_be_kept(api: ApiServer, sample: SampleExperiment) -> None:
+def test_arrays_may_be_cached(api: ApiServer, sample: SampleExperiment) -> None:
     first = api.teacher.get(path(sample))
     assert "immutable" in first.headers["cache-control"]
     assert "private" in first.headers["cache-control"]
@@ -60,12 +62,12 @@ def test_arrays_never_change_and_may_be_kept(api: ApiServer, sample: SampleExper
     ("id", "status", "code"),
     [("seg_" + "0" * 24, 404, "segment_not_found"), ("qry_" + "0" * 24, 422, "invalid_id"), ("x", 422, "invalid_id")],
 )
-def test_segments_that_are_not_there_are_named(api: ApiServer, id: str, status: int, code: str) -> None:
+def test_absent_and_malformed_segment_ids_are_refused(api: ApiServer, id: str, status: int, code: str) -> None:
     response = api.teacher.get(f"/api/v1/segments/{id}/arrays")
     assert (response.status_code, response.json()["error"]["code"]) == (status, code)
 
 
-def test_arrays_whose_file_was_lost_are_named(api: ApiServer, sample: SampleExperiment) -> None:
+def test_segment_without_its_file_is_a_503_error(api: ApiServer, sample: SampleExperiment) -> None:
     with api.stores.database.reading() as session:
         key = blob_key(session, sample.segment_ids[2])
     api.stores.blobs.delete(key)

@@ -1,4 +1,4 @@
-"""The server as a process: what it acknowledged survives kill -9; what it cannot start with, it says."""
+"""The server process: acknowledged labels survive SIGKILL, it stops cleanly, and it explains why it cannot start."""
 
 import os
 import socket
@@ -23,8 +23,8 @@ from support.sample_experiments import create_sample, user
 from support.waiting import PATIENCE_SECONDS
 
 
-def start(home: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Runs a server that is expected to refuse."""
+def start_and_fail(home: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a server that is expected to exit with an error."""
     return subprocess.run(
         [sys.executable, "-m", "accord.api.server"],
         env=os.environ | {"ACCORD_HOME": str(home), "ACCORD_PORT": "0"} | environment,
@@ -36,7 +36,7 @@ def start(home: Path, **environment: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("kill_after", [1, 40, 120])
-def test_an_acknowledged_label_survives_a_kill(tmp_path: Path, kill_after: int) -> None:
+def test_acknowledged_labels_survive_sigkill(tmp_path: Path, kill_after: int) -> None:
     settings = Settings(home=tmp_path)
     database, blobs = Database.open(settings.resolved_database_url), open_blobs(settings.resolved_blob_url)
     database.migrate()
@@ -76,57 +76,57 @@ def test_an_acknowledged_label_survives_a_kill(tmp_path: Path, kill_after: int) 
     assert acknowledged.items() <= stored.items()
     assert count == len(stored)
     database.close()
-    # and the next server goes on with them
+    # The next server reads the same labels.
     with running_server(tmp_path) as server, client(server.url, sample.owner_token) as researcher:
         labels = researcher.get(f"/api/v1/experiments/{sample.experiment.id}").json()["labels"]
         assert labels["labels"] == len(stored)
 
 
-def test_it_ends_cleanly_when_asked(tmp_path: Path) -> None:
+def test_server_exits_cleanly_on_sigterm(tmp_path: Path) -> None:
     with running_server(tmp_path) as server:
         assert server.stop() == 0
     assert "Traceback" not in server.log.read_text()
 
 
-def test_a_port_in_use_is_said_with_what_to_do(tmp_path: Path) -> None:
+def test_error_for_a_port_in_use_suggests_another(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        refused = start(tmp_path, ACCORD_PORT=str(port))
+        refused = start_and_fail(tmp_path, ACCORD_PORT=str(port))
     assert refused.returncode == 1
     assert f"127.0.0.1:{port} is in use" in refused.stderr
     assert f"--port {port + 1}" in refused.stderr
     assert "Traceback" not in refused.stderr
 
 
-def test_an_address_that_is_not_this_machines_is_said(tmp_path: Path) -> None:
-    refused = start(tmp_path, ACCORD_HOST="no.such.host.invalid")
+def test_error_for_an_address_of_another_machine_explains_it(tmp_path: Path) -> None:
+    refused = start_and_fail(tmp_path, ACCORD_HOST="no.such.host.invalid")
     assert refused.returncode == 1
     assert "does not have the address" in refused.stderr
 
 
-def test_a_database_of_a_newer_version_is_said(tmp_path: Path) -> None:
+def test_error_for_a_newer_database_names_its_version(tmp_path: Path) -> None:
     database = Database.open(Settings(home=tmp_path).resolved_database_url)
     database.migrate()
     with database.transaction() as session:
         session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
     database.close()
-    refused = start(tmp_path)
+    refused = start_and_fail(tmp_path)
     assert refused.returncode == 1
     assert "'9999'" in refused.stderr
     assert "Traceback" not in refused.stderr
 
 
-def test_blobs_that_cannot_be_written_are_said(tmp_path: Path) -> None:
+def test_error_for_a_blob_store_that_is_not_writable_names_it(tmp_path: Path) -> None:
     (tmp_path / "blobs").write_text("a file where the folder should be")
-    refused = start(tmp_path)
+    refused = start_and_fail(tmp_path)
     assert refused.returncode == 1
     assert "blobs" in refused.stderr
     assert "Traceback" not in refused.stderr
 
 
-def test_a_role_that_is_unknown_cannot_be_given(tmp_path: Path) -> None:
+def test_unknown_role_is_refused(tmp_path: Path) -> None:
     with running_server(tmp_path) as server:
         settings = Settings(home=tmp_path)
         database = Database.open(settings.resolved_database_url)
@@ -139,7 +139,7 @@ def test_a_role_that_is_unknown_cannot_be_given(tmp_path: Path) -> None:
             assert "labeller" in response.json()["error"]["message"]
 
 
-def test_the_server_of_accord_up_closes_its_database_when_asked_to_end(tmp_path: Path) -> None:
+def test_server_of_accord_up_closes_its_database_on_sigterm(tmp_path: Path) -> None:
     with listen("127.0.0.1", 0) as listener:
         process = subprocess.Popen(
             [sys.executable, "-m", "accord.cli.serve", "--fd", str(listener.fileno())],
@@ -153,5 +153,5 @@ def test_the_server_of_accord_up_closes_its_database_when_asked_to_end(tmp_path:
         finally:
             process.kill()
             process.wait()
-    # SQLite removes its log when the last connection is closed.
+    # SQLite removes the write-ahead log when the last connection closes.
     assert not (tmp_path / "accord.db-wal").exists()

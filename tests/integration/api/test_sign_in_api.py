@@ -1,4 +1,4 @@
-"""Signing in: a link works once, and the cookie is of no use to other sites."""
+"""Sign-in links, the session cookie and its protection against requests of other sites."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -19,13 +19,13 @@ def invite(api: ApiServer, name: str = "Bob") -> dict[str, str]:
 @contextmanager
 def browser(api: ApiServer, link: str) -> Generator[httpx.Client]:
     """A client that opened a sign-in link."""
-    with api.client(None) as made:
-        response = made.get(urlsplit(link).path)
+    with api.client(None) as client:
+        response = client.get(urlsplit(link).path)
         assert (response.status_code, response.headers["location"]) == (303, "/")
-        yield made
+        yield client
 
 
-def test_a_link_signs_a_browser_in_once(api_per_database: ApiServer) -> None:
+def test_link_signs_in_one_browser_once(api_per_database: ApiServer) -> None:
     bob = invite(api_per_database)
     assert bob["sign_in_url"].startswith(f"{api_per_database.url}/sign-in/")
     with browser(api_per_database, bob["sign_in_url"]) as first, api_per_database.client(None) as second:
@@ -34,20 +34,20 @@ def test_a_link_signs_a_browser_in_once(api_per_database: ApiServer) -> None:
         assert refused.status_code == 401
         assert "once" in refused.text
         assert "set-cookie" not in refused.headers
-        # who is signed in already just gets the page
+        # A signed-in browser that opens the link again is redirected to the page.
         assert first.get(urlsplit(bob["sign_in_url"]).path).status_code == 303
 
 
 @pytest.mark.parametrize("token", ["x", "<script>", "%00", "a" * 3000])
-def test_a_link_that_was_never_made_is_refused(api: ApiServer, token: str) -> None:
+def test_unknown_link_is_refused(api: ApiServer, token: str) -> None:
     refused = api.anyone.get(f"/sign-in/{token}")
     assert refused.status_code == 401
     assert "<script>" not in refused.text
 
 
-def test_the_cookie_is_for_the_browser_alone(api: ApiServer) -> None:
-    with api.client(None) as made:
-        cookie = made.get(urlsplit(invite(api)["sign_in_url"]).path).headers["set-cookie"]
+def test_cookie_has_its_security_attributes(api: ApiServer) -> None:
+    with api.client(None) as client:
+        cookie = client.get(urlsplit(invite(api)["sign_in_url"]).path).headers["set-cookie"]
     flags = {part.strip().lower() for part in cookie.split(";")[1:]}
     assert {"httponly", "samesite=lax", "path=/"} <= flags
     assert f"max-age={30 * 86_400}" in flags
@@ -66,31 +66,31 @@ def test_the_cookie_is_for_the_browser_alone(api: ApiServer) -> None:
         ({"Origin": "{url}"}, True),
     ],
 )
-def test_a_write_with_the_cookie_must_come_from_our_own_page(
+def test_write_with_the_cookie_must_come_from_the_same_origin(
     api: ApiServer, headers: dict[str, str], allowed: bool
 ) -> None:
     with browser(api, invite(api)["sign_in_url"]) as bob:
-        filled = {name: value.format(url=api.url) for name, value in headers.items()}
-        response = bob.post("/api/v1/sign-out", headers=filled)
+        sent = {name: value.format(url=api.url) for name, value in headers.items()}
+        response = bob.post("/api/v1/sign-out", headers=sent)
         assert response.status_code == (204 if allowed else 403)
-        assert bob.get("/api/v1/me", headers=filled).status_code == (401 if allowed else 200)
+        assert bob.get("/api/v1/me", headers=sent).status_code == (401 if allowed else 200)
 
 
-def test_signing_out_ends_the_session_on_the_server_too(api: ApiServer) -> None:
+def test_sign_out_invalidates_the_cookie_on_the_server(api: ApiServer) -> None:
     with browser(api, invite(api)["sign_in_url"]) as bob:
-        stolen = dict(bob.cookies)
+        cookies = dict(bob.cookies)
         assert bob.post("/api/v1/sign-out", headers={"Origin": api.url}).status_code == 204
         assert dict(bob.cookies) == {}
-        with api.client(None, cookies=stolen) as thief:
-            assert thief.get("/api/v1/me").status_code == 401
+        with api.client(None, cookies=cookies) as other:
+            assert other.get("/api/v1/me").status_code == 401
 
 
-def test_a_bearer_token_goes_before_a_cookie(api: ApiServer) -> None:
+def test_bearer_token_takes_precedence_over_the_cookie(api: ApiServer) -> None:
     with browser(api, invite(api)["sign_in_url"]) as bob:
         headers = {"Authorization": api.admin.headers["Authorization"]}
         assert bob.get("/api/v1/me", headers=headers).json()["role"] == "admin"
 
 
-def test_a_token_in_the_address_is_no_token(api: ApiServer) -> None:
+def test_token_in_the_query_string_is_ignored(api: ApiServer) -> None:
     token = api.admin.headers["Authorization"].removeprefix("Bearer ")
     assert api.anyone.get("/api/v1/me", params={"token": token, "access_token": token}).status_code == 401

@@ -1,4 +1,4 @@
-"""A file of tasks that fails is a sentence of the API, whatever is asked."""
+"""Errors of task files over HTTP."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,17 +10,18 @@ from mapt.tasks import registry
 from support.api_in_thread import ApiServer
 
 NEW = {"name": "one", "task": "Tug-2x1"}
+REQUESTS = {"list": ("GET", "/api/v1/tasks", None), "create": ("POST", "/api/v1/experiments", NEW)}
 
 
 @pytest.fixture
-def no_views_kept() -> Iterator[None]:
+def empty_task_cache() -> Iterator[None]:
     responses.task_response.cache_clear()
     yield
     responses.task_response.cache_clear()
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("content", "cause"),
     [
         (None, "FileNotFoundError"),
         ("import not_installed_here", "not_installed_here"),
@@ -28,28 +29,28 @@ def no_views_kept() -> Iterator[None]:
         ("from mapt.tasks import register_task\nregister_task(1 / 0)", "division by zero"),
     ],
 )
-@pytest.mark.parametrize("ask", ["list", "create"])
-def test_a_task_file_that_fails_is_named_in_a_sentence(
-    api: ApiServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str | None, words: str, ask: str
+@pytest.mark.parametrize("request_kind", REQUESTS)
+def test_error_for_a_broken_task_file_names_the_file_and_the_cause(
+    api: ApiServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str | None, cause: str, request_kind: str
 ) -> None:
     file = tmp_path / "broken_tasks.py"
     if content is not None:
         file.write_text(content)
     monkeypatch.setenv("MAPT_TASKS", str(file))
-    client = api.researcher
-    response = client.get("/api/v1/tasks") if ask == "list" else client.post("/api/v1/experiments", json=NEW)
+    method, path, body = REQUESTS[request_kind]
+    response = api.researcher.request(method, path, json=body)
     assert response.status_code == 503
     assert response.headers["content-type"] == "application/json"
     error = response.json()["error"]
     assert error["code"] == "task_unavailable"
-    for part in ("MAPT_TASKS", str(file), words, "start Accord again"):
+    for part in ("MAPT_TASKS", str(file), cause, "start Accord again"):
         assert part in error["message"]
     assert "Traceback" not in response.text
     assert api.anyone.get("/api/v1/health").status_code == 200
 
 
-def test_a_mended_file_is_read_again(api: ApiServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = tmp_path / "mended_tasks.py"
+def test_repaired_task_file_is_read_again(api: ApiServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "repaired_tasks.py"
     file.write_text("raise RuntimeError('not yet')")
     monkeypatch.setenv("MAPT_TASKS", str(file))
     assert api.researcher.get("/api/v1/tasks").status_code == 503
@@ -57,14 +58,14 @@ def test_a_mended_file_is_read_again(api: ApiServer, tmp_path: Path, monkeypatch
     assert api.researcher.get("/api/v1/tasks").status_code == 200
 
 
-def test_an_experiment_whose_task_is_no_longer_known_is_a_sentence_too(
-    api: ApiServer, no_views_kept: None, monkeypatch: pytest.MonkeyPatch
+def test_experiment_whose_task_is_no_longer_registered_is_a_503_error(
+    api: ApiServer, empty_task_cache: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     entries = registry._ENTRIES
-    made = api.researcher.post("/api/v1/experiments", json=NEW | {"task": "HalfCheetah-6x1"})
-    assert made.status_code == 201, made.text
+    created = api.researcher.post("/api/v1/experiments", json=NEW | {"task": "HalfCheetah-6x1"})
+    assert created.status_code == 201, created.text
     responses.task_response.cache_clear()
     monkeypatch.delitem(entries, "HalfCheetah-6x1")
-    response = api.researcher.get(f"/api/v1/experiments/{made.json()['id']}")
+    response = api.researcher.get(f"/api/v1/experiments/{created.json()['id']}")
     assert response.status_code == 503
     assert "HalfCheetah-6x1" in response.json()["error"]["message"]

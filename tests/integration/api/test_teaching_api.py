@@ -1,4 +1,4 @@
-"""Scripted teachers at work over HTTP, as people are."""
+"""Scripted teachers label over HTTP."""
 
 from collections.abc import Generator
 from itertools import combinations
@@ -13,7 +13,7 @@ from accord.domain.enums import Role
 from accord.services import collect, metrics, select
 from accord.services.collect import NewSegment, load_arrays
 from accord.store.tables import LabelRow, QueryRow, SegmentRow
-from mapt.errors import PreferenceError
+from mapt.errors import MissingView
 from mapt.preferences.teachers import RULES, TeacherView, make_teacher, teacher_names
 from support.api_in_thread import ApiServer
 from support.sample_experiments import AGENTS, NQ, NV, OBSERVATION, STEPS, SampleExperiment, create_sample
@@ -22,14 +22,14 @@ N_LABELS = 12
 
 
 @pytest.fixture
-def api_of_teacher(api: ApiServer) -> Generator[Api]:
+def teacher_api(api: ApiServer) -> Generator[Api]:
     client = Api(api.url, api.tokens[Role.TEACHER])
     yield client
     client.close()
 
 
 def moving_segment(rng: np.random.Generator) -> NewSegment:
-    """Every rule has something to see in it."""
+    """A segment in which all signals that rules read vary."""
     return NewSegment(
         observations=rng.normal(size=(STEPS, AGENTS, OBSERVATION)),
         actions=rng.normal(size=(STEPS, AGENTS, 1)),
@@ -43,7 +43,7 @@ def moving_segment(rng: np.random.Generator) -> NewSegment:
 
 @pytest.fixture
 def sample(api: ApiServer) -> SampleExperiment:
-    """An experiment with more queries than the labels it wants, over segments that all differ."""
+    """An experiment with more queries than its label budget, whose segments all differ."""
     stores, rng = api.stores, np.random.default_rng(0)
     found = create_sample(
         stores.database, stores.blobs, segments=0, queries=0, label_budget=N_LABELS, render_clips=False
@@ -68,73 +68,69 @@ def teach(
 
 
 def labelled(api: ApiServer) -> list[tuple[LabelRow, TeacherView, TeacherView]]:
-    """Labels in the order in which they were given, with what was seen of segments 0 and 1."""
+    """Labels in the order of their revisions, with the teacher's views of segments 0 and 1."""
     with api.stores.database.reading() as session:
         rows = session.execute(
             sql_select(LabelRow, QueryRow).join(QueryRow, QueryRow.id == LabelRow.query_id).order_by(LabelRow.revision)
         ).all()
         keys = dict(session.execute(sql_select(SegmentRow.id, SegmentRow.blob_key)).all())
 
-    def seen(segment_id: str) -> TeacherView:
+    def view(segment_id: str) -> TeacherView:
         return TeacherView.stack([load_arrays(api.stores.blobs, keys[segment_id])])
 
-    return [(label, seen(query.segment_0_id), seen(query.segment_1_id)) for label, query in rows]
+    return [(label, view(query.segment_0_id), view(query.segment_1_id)) for label, query in rows]
 
 
 @pytest.mark.parametrize("name", ["oracle", *(name for name in RULES if name != "return")])
-def test_every_rule_labels_over_rest_as_it_does_by_itself(
-    api: ApiServer, api_of_teacher: Api, sample: SampleExperiment, name: str
+def test_labels_over_rest_equal_the_judgement_of_each_rule(
+    api: ApiServer, teacher_api: Api, sample: SampleExperiment, name: str
 ) -> None:
-    short = ("window_steps=2",) if hasattr(make_teacher(name).rule, "window_steps") else ()
-    assert teach(api_of_teacher, sample, name, *short) == N_LABELS
-    judge = TeacherChoice.parse(":".join((name, *short))).teacher(0).judge
+    parameters = ("window_steps=2",) if hasattr(make_teacher(name).rule, "window_steps") else ()
+    assert teach(teacher_api, sample, name, *parameters) == N_LABELS
+    judge = TeacherChoice.parse(":".join((name, *parameters))).teacher(0).judge
     rows = labelled(api)
     assert [row.value for row, _, _ in rows] == [judge(first, second)[0] for _, first, second in rows]
     assert {0.0, 1.0} <= {row.value for row, _, _ in rows}
 
 
-def test_name_and_parameters_arrive_in_the_labels_record(
-    api: ApiServer, api_of_teacher: Api, sample: SampleExperiment
+def test_name_and_parameters_are_stored_with_the_label(
+    api: ApiServer, teacher_api: Api, sample: SampleExperiment
 ) -> None:
-    teach(api_of_teacher, sample, "phase+mistake", "mistake=0.5", "column=3", "want=equal", seed=4)
+    teach(teacher_api, sample, "phase+mistake", "mistake=0.5", "column=3", "want=equal", seed=4)
     expected = make_teacher("phase+mistake", seed=4, mistake=0.5, column=3, want="equal").parameters()
     assert expected["name"] == "phase+mistake"
     assert [row.teacher for row, _, _ in labelled(api)] == [expected] * N_LABELS
 
 
 @pytest.mark.parametrize("name", [*(name for name in teacher_names() if name not in RULES), "recency+equal"])
-def test_every_habit_works_over_rest(api: ApiServer, api_of_teacher: Api, sample: SampleExperiment, name: str) -> None:
-    short = ("window_steps=2",) if name.startswith("recency") else ()
-    assert teach(api_of_teacher, sample, name, *short) == N_LABELS
-    given = [row for row, _, _ in labelled(api) if row.state == "label"]
-    assert {row.teacher["name"] for row in given} == {name}
+def test_every_preset_labels_over_rest(api: ApiServer, teacher_api: Api, sample: SampleExperiment, name: str) -> None:
+    parameters = ("window_steps=2",) if name.startswith("recency") else ()
+    assert teach(teacher_api, sample, name, *parameters) == N_LABELS
+    labels = [row for row, _, _ in labelled(api) if row.state == "label"]
+    assert {row.teacher["name"] for row in labels} == {name}
 
 
-def test_a_skip_is_no_label_and_another_query_takes_its_place(
-    api: ApiServer, api_of_teacher: Api, sample: SampleExperiment
-) -> None:
+def test_skipped_query_is_replaced_by_another(api: ApiServer, teacher_api: Api, sample: SampleExperiment) -> None:
     with api.stores.database.transaction() as session:
-        worst_six = sorted(session.scalars(sql_select(SegmentRow.true_return)))[5]
-        # Episodes of a thousand steps, segments of five: half the mean return of so many steps is the sixth's.
-        metrics.record(session, sample.experiment.id, 1, {"true_return": worst_six * 400})
-    assert teach(api_of_teacher, sample, "skip", "skip=0.5000001") == N_LABELS
+        sixth_lowest = sorted(session.scalars(sql_select(SegmentRow.true_return)))[5]
+        # Episodes have 1000 steps, segments 5. Half of the mean return of 5 steps equals the sixth lowest return.
+        metrics.record(session, sample.experiment.id, 1, {"true_return": sixth_lowest * 400})
+    assert teach(teacher_api, sample, "skip", "skip=0.5000001") == N_LABELS
     rows = labelled(api)
     assert {row.state for row, _, _ in rows} == {"label", "skip"}
     for row, first, second in rows:
-        assert (row.state == "skip") == (max(first.rewards.sum(), second.rewards.sum()) < worst_six + 1e-4)
+        assert (row.state == "skip") == (max(first.rewards.sum(), second.rewards.sum()) < sixth_lowest + 1e-4)
 
 
-def test_thresholds_follow_the_curve_of_true_returns(
-    api: ApiServer, api_of_teacher: Api, sample: SampleExperiment
-) -> None:
+def test_thresholds_follow_the_recorded_true_return(api: ApiServer, teacher_api: Api, sample: SampleExperiment) -> None:
     with api.stores.database.transaction() as session:
-        # A thousand steps with a return of a million: every segment of five is equal to every other.
+        # With a return of 10^6 per 1000 steps, all differences between segments are below the threshold.
         metrics.record(session, sample.experiment.id, 1, {"true_return": 1e6})
-    teach(api_of_teacher, sample, "equal")
+    teach(teacher_api, sample, "equal")
     assert {row.value for row, _, _ in labelled(api)} == {0.5}
 
 
-def test_a_labeller_is_no_scripted_teacher(api: ApiServer, sample: SampleExperiment) -> None:
+def test_labeller_may_not_run_a_scripted_teacher(api: ApiServer, sample: SampleExperiment) -> None:
     client = Api(api.url, api.tokens[Role.LABELLER])
     for name in ("oracle", "phase"):
         with pytest.raises(Refused) as refused:
@@ -143,7 +139,8 @@ def test_a_labeller_is_no_scripted_teacher(api: ApiServer, sample: SampleExperim
     client.close()
 
 
-def test_what_a_rule_cannot_see_is_named(api: ApiServer, api_of_teacher: Api, sample: SampleExperiment) -> None:
-    with pytest.raises(PreferenceError, match="column 77"):
-        teach(api_of_teacher, sample, "phase", "column=77")
+def test_error_for_a_missing_column_names_it(api: ApiServer, teacher_api: Api, sample: SampleExperiment) -> None:
+    with pytest.raises(MissingView) as refused:
+        teach(teacher_api, sample, "phase", "column=77")
+    assert "column 77" in refused.value.what
     assert labelled(api) == []

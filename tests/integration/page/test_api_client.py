@@ -17,7 +17,7 @@ def test_openapi_json_matches_the_app() -> None:
     assert committed == document(), "out of date: run `make client` and commit the result"
 
 
-def test_an_outdated_client_fails_the_check(tmp_path: Path) -> None:
+def test_outdated_client_fails_the_check(tmp_path: Path) -> None:
     if not (PAGE / "node_modules" / "openapi-typescript").is_dir():
         pytest.skip("the development dependencies of the page are not installed: run npm ci in frontend/")
     _copy_page(tmp_path)

@@ -46,7 +46,7 @@ def calls(tree: Path) -> list[str]:
     return log.read_text().splitlines() if log.exists() else []
 
 
-def test_the_page_is_rebuilt_only_when_a_source_changes(tree: Path) -> None:
+def test_page_is_rebuilt_only_when_a_source_changes(tree: Path) -> None:
     assert build(tree).returncode == 0
     assert (tree / "tree/backend/accord/static/index.html").read_text() == "page\n"
     assert calls(tree) == ["npm ci --omit=dev --no-audit --no-fund", "npm run build"]
@@ -57,7 +57,7 @@ def test_the_page_is_rebuilt_only_when_a_source_changes(tree: Path) -> None:
     assert calls(tree)[-1] == "npm run build"
 
 
-def test_a_page_without_index_html_is_rebuilt(tree: Path) -> None:
+def test_page_without_index_html_is_rebuilt(tree: Path) -> None:
     build(tree)
     (tree / "tree/backend/accord/static/index.html").unlink()
     assert "was built" in build(tree).stdout

@@ -72,19 +72,16 @@ def test_colours_are_preserved_and_tagged(tmp_path: Path, colour: tuple[int, int
 def test_error_between_frames_leaves_no_file(tmp_path: Path) -> None:
     def broken() -> Iterator[NDArray[np.uint8]]:
         yield from grey_ramp(8)
-        raise RuntimeError("the simulator went away")
+        raise ZeroDivisionError
 
-    with pytest.raises(RuntimeError, match="went away"):
+    with pytest.raises(ZeroDivisionError):
         write_clip(broken(), tmp_path / "clip.mp4", SETTINGS)
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("frames", "message"),
-    [([], "at least one frame"), ([np.zeros((64, 64, 3), np.uint8)], r"\(64, 64, 3\)")],
-)
-def test_no_frames_or_wrong_size_is_rejected(tmp_path: Path, frames: list[NDArray[np.uint8]], message: str) -> None:
-    with pytest.raises(ClipNotWritten, match=message):
+@pytest.mark.parametrize("frames", [[], [np.zeros((64, 64, 3), np.uint8)]])
+def test_no_frames_or_wrong_size_is_rejected(tmp_path: Path, frames: list[NDArray[np.uint8]]) -> None:
+    with pytest.raises(ClipNotWritten):
         write_clip(frames, tmp_path / "clip.mp4", SETTINGS)
     assert list(tmp_path.iterdir()) == []
 
@@ -98,5 +95,6 @@ def test_failure_keeps_an_existing_clip(tmp_path: Path) -> None:
 
 
 def test_error_of_a_missing_folder_names_the_clip(tmp_path: Path) -> None:
-    with pytest.raises(ClipNotWritten, match=r"clip\.mp4"):
+    with pytest.raises(ClipNotWritten) as error:
         write_clip(grey_ramp(5), tmp_path / "nowhere" / "clip.mp4", SETTINGS)
+    assert "clip.mp4" in str(error.value)

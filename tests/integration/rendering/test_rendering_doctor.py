@@ -20,12 +20,14 @@ def test_checks_pass_on_this_machine(backend: Backend) -> None:
 
 
 def test_without_opengl_the_check_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checks, "BACKENDS", ("glfw",))  # needs a display, which is missing here
+    monkeypatch.setattr(checks, "BACKENDS", ("glfw",))  # needs a display, and there is none
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(RenderingUnavailable, match=r"glfw: .+libegl1 libgl1") as error:
+    with pytest.raises(RenderingUnavailable) as error:
         probe_backend()
     assert error.value.code == "rendering_unavailable"
+    assert "glfw: " in str(error.value)
+    assert "libegl1 libgl1" in str(error.value)
     check = check_rendering()
     assert not check.ok
     assert check.fix == checks.INSTALL
@@ -39,7 +41,7 @@ def test_hung_backend_times_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert try_backend("egl", timeout_seconds=0.2) == "timed out after 0.2 seconds"
 
 
-def test_render_environment_adds_to_this_process_environment() -> None:
+def test_render_environment_extends_the_environment_of_this_process() -> None:
     environment = render_environment("osmesa")
     assert environment["MUJOCO_GL"] == environment["PYOPENGL_PLATFORM"] == "osmesa"
     assert environment["LP_NUM_THREADS"] == "0"

@@ -1,4 +1,4 @@
-"""Who is who: tokens are stored hashed, links work once, sessions end."""
+"""User accounts: tokens, sign-in links, sessions and removal."""
 
 import hashlib
 import threading
@@ -15,7 +15,7 @@ from support.sample_experiments import create_sample
 from support.stores import Stores
 
 
-def test_a_token_authenticates_its_user(stores: Stores) -> None:
+def test_token_authenticates_its_user(stores: Stores) -> None:
     with stores.database.transaction() as session:
         ada, token = accounts.create_user(session, " Ada ", Role.RESEARCHER)
     with stores.database.reading() as session:
@@ -45,7 +45,7 @@ def test_names_are_unique_and_printable(stores: Stores) -> None:
                 accounts.create_user(session, bad, Role.LABELLER)
 
 
-def test_a_link_signs_in_once(stores: Stores) -> None:
+def test_link_signs_in_once(stores: Stores) -> None:
     with stores.database.transaction() as session:
         ada, _ = accounts.create_user(session, "Ada", Role.LABELLER)
         link = accounts.make_link(session, ada.id, 5)
@@ -56,45 +56,45 @@ def test_a_link_signs_in_once(stores: Stores) -> None:
         with pytest.raises(Unauthenticated):
             accounts.redeem_link(session, link, 30)
         with pytest.raises(Unauthenticated):
-            # a link is no token for the API
+            # A link is not a token of the API.
             accounts.authenticate(session, link)
 
 
-def test_of_browsers_that_open_a_link_concurrently_one_is_signed_in(stores: Stores) -> None:
+def test_link_opened_concurrently_signs_in_one_browser(stores: Stores) -> None:
     with stores.database.transaction() as session:
         ada, _ = accounts.create_user(session, "Ada", Role.LABELLER)
         link = accounts.make_link(session, ada.id, 5)
-    ready, outcomes = threading.Barrier(6), list[str]()
+    barrier, outcomes = threading.Barrier(6), list[str]()
 
     def open_link() -> None:
-        ready.wait()
+        barrier.wait()
         try:
             with stores.database.transaction() as session:
                 accounts.redeem_link(session, link, 30)
-            outcomes.append("in")
+            outcomes.append("signed in")
         except Unauthenticated:
-            outcomes.append("out")
+            outcomes.append("refused")
 
     threads = [threading.Thread(target=open_link) for _ in range(6)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert sorted(outcomes) == ["in"] + ["out"] * 5
+    assert sorted(outcomes) == ["refused"] * 5 + ["signed in"]
 
 
 def test_links_and_sessions_expire(stores: Stores) -> None:
     with stores.database.transaction() as session:
         ada, _ = accounts.create_user(session, "Ada", Role.LABELLER)
-        late = accounts.make_link(session, ada.id, -1)
+        expired = accounts.make_link(session, ada.id, -1)
         with pytest.raises(Unauthenticated):
-            accounts.redeem_link(session, late, 30)
+            accounts.redeem_link(session, expired, 30)
         _, token = accounts.redeem_link(session, accounts.make_link(session, ada.id, 5), -1)
         with pytest.raises(Unauthenticated):
             accounts.authenticate(session, token)
 
 
-def test_a_signed_out_token_is_not_valid(stores: Stores) -> None:
+def test_token_is_invalid_after_sign_out(stores: Stores) -> None:
     with stores.database.transaction() as session:
         _, token = accounts.create_user(session, "Ada", Role.LABELLER)
         accounts.sign_out(session, token)
@@ -102,20 +102,20 @@ def test_a_signed_out_token_is_not_valid(stores: Stores) -> None:
             accounts.authenticate(session, token)
 
 
-def test_the_first_admin_is_created_once(stores: Stores) -> None:
+def test_first_admin_is_created_once(stores: Stores) -> None:
     with stores.database.transaction() as session:
         first = accounts.ensure_admin(session)
         assert accounts.ensure_admin(session).id == first.id
         assert accounts.authenticate(session, accounts.new_bearer(session, first.id)).role == "admin"
 
 
-def test_the_first_admin_is_created_even_if_the_name_is_taken(sqlite: Stores) -> None:
+def test_first_admin_is_created_even_if_the_name_is_taken(sqlite: Stores) -> None:
     with sqlite.database.transaction() as session:
         accounts.create_user(session, "admin", Role.LABELLER)
         assert accounts.ensure_admin(session).role == "admin"
 
 
-def test_a_link_for_an_absent_user_is_refused(stores: Stores) -> None:
+def test_link_or_token_for_an_absent_user_is_refused(stores: Stores) -> None:
     absent = new_id("usr")
     with stores.database.transaction() as session:
         for make in (lambda: accounts.make_link(session, absent, 5), lambda: accounts.new_bearer(session, absent)):
@@ -124,7 +124,7 @@ def test_a_link_for_an_absent_user_is_refused(stores: Stores) -> None:
             assert caught.value.id == absent
 
 
-def test_a_removed_user_cannot_sign_in_and_is_deleted(stores: Stores) -> None:
+def test_removed_user_without_labels_is_deleted_and_cannot_sign_in(stores: Stores) -> None:
     with stores.database.transaction() as session:
         ada, bearer = accounts.create_user(session, "Ada", Role.LABELLER)
         _, browser = accounts.redeem_link(session, accounts.make_link(session, ada.id, 5), 30)
@@ -142,7 +142,7 @@ def test_a_removed_user_cannot_sign_in_and_is_deleted(stores: Stores) -> None:
         accounts.create_user(session, "Ada", Role.LABELLER)
 
 
-def test_a_removed_user_with_labels_stays_on_record_and_a_new_link_lets_them_in(stores: Stores) -> None:
+def test_removed_user_with_labels_is_kept_and_can_sign_in_with_a_new_link(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs)
     with stores.database.transaction() as session:
         ada, bearer = accounts.create_user(session, "Ada", Role.LABELLER)
@@ -156,7 +156,7 @@ def test_a_removed_user_with_labels_stays_on_record_and_a_new_link_lets_them_in(
             accounts.authenticate(session, bearer)
         [summary] = [each for each in accounts.summaries(session) if each.name == "Ada"]
         assert (summary.labels, summary.browsers, summary.bearer_tokens) == (1, 0, 0)
-        # the other query that was leased to Ada is free at once
+        # Removal also released the other query that Ada had leased.
         other, _ = accounts.create_user(session, "Grace", Role.LABELLER)
         assert len(lease.next_queries(session, other, sample.experiment.id, 3, 60.0).items) == 3
         link = accounts.make_link(session, ada.id, 5)

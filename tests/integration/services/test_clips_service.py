@@ -1,4 +1,4 @@
-"""Clips are handed to one render worker at a time, those that are shown soonest first."""
+"""Claims of clips by render workers: order, expiry, retries and failure."""
 
 import threading
 
@@ -41,7 +41,7 @@ def test_clips_are_rendered_in_the_order_of_their_queries(stores: Stores) -> Non
     assert stores.blobs.exists(jobs[0].segment_blob_key)
 
 
-def test_a_query_opens_when_both_of_its_clips_are_ready(stores: Stores) -> None:
+def test_query_opens_when_both_clips_are_ready(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=3, queries=2, ready=False)
     first, second, third = (claim(stores) for _ in range(3))
     assert first
@@ -56,25 +56,25 @@ def test_a_query_opens_when_both_of_its_clips_are_ready(stores: Stores) -> None:
     assert statuses(stores, sample.query_ids) == ["open", "open"]
 
 
-def test_many_workers_never_get_the_same_clip(stores: Stores) -> None:
+def test_concurrent_workers_never_claim_the_same_clip(stores: Stores) -> None:
     create_sample(stores.database, stores.blobs, segments=12, queries=30, ready=False)
-    ready, taken = threading.Barrier(4), [list[str]() for _ in range(4)]
+    barrier, claimed = threading.Barrier(4), [list[str]() for _ in range(4)]
 
     def work(number: int) -> None:
-        ready.wait()
+        barrier.wait()
         while (job := claim(stores, f"worker {number}")) is not None:
-            taken[number].append(job.clip_id)
+            claimed[number].append(job.clip_id)
 
     threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    everything = [each for each_worker in taken for each in each_worker]
-    assert len(everything) == len(set(everything)) == 12
+    clip_ids = [clip_id for of_worker in claimed for clip_id in of_worker]
+    assert len(clip_ids) == len(set(clip_ids)) == 12
 
 
-def test_an_expired_claim_can_be_taken(stores: Stores) -> None:
+def test_expired_claim_passes_to_another_worker(stores: Stores) -> None:
     create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
     first, second = claim(stores, "a", lease_seconds=0.0), claim(stores, "b")
     assert first
@@ -85,7 +85,7 @@ def test_an_expired_claim_can_be_taken(stores: Stores) -> None:
         assert clips.heartbeat(session, first.clip_id, "b", 60)
 
 
-def test_a_failing_clip_is_tried_three_times_and_then_fails_its_queries(stores: Stores) -> None:
+def test_clip_that_fails_three_times_fails_its_queries(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
     for attempt in range(1, 4):
         job = claim(stores)
@@ -100,26 +100,26 @@ def test_a_failing_clip_is_tried_three_times_and_then_fails_its_queries(stores: 
         assert (row.status, row.detail) == ("failed", "attempt 3")
 
 
-def test_a_clip_that_cannot_be_rendered_is_not_retried(stores: Stores) -> None:
+def test_clip_that_cannot_be_rendered_is_not_retried(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
     job = claim(stores)
     assert job
     with stores.database.transaction() as session:
         clips.fail(session, job.clip_id, "no such model", retry=False)
     assert statuses(stores, sample.query_ids) == ["failed"]
-    # the other clip is of no use to anybody
+    # No query needs the other clip any more.
     assert claim(stores) is None
 
 
-def test_a_clip_that_kills_its_workers_fails(stores: Stores) -> None:
+def test_clip_whose_workers_crash_three_times_fails(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
-    deadly = [claim(stores, lease_seconds=0.0) for _ in range(3)]
-    assert len({job.clip_id for job in deadly if job}) == 1
+    jobs = [claim(stores, lease_seconds=0.0) for _ in range(3)]
+    assert len({job.clip_id for job in jobs if job}) == 1
     assert claim(stores) is None
     assert statuses(stores, sample.query_ids) == ["failed"]
 
 
-def test_a_released_claim_does_not_count_as_an_attempt(stores: Stores) -> None:
+def test_released_claim_does_not_count_as_an_attempt(stores: Stores) -> None:
     create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
     job = claim(stores, "a")
     assert job
@@ -138,7 +138,7 @@ def test_clips_of_an_ended_experiment_are_not_rendered(stores: Stores) -> None:
     assert claim(stores) is None
 
 
-def test_only_a_ready_clip_can_be_played(stores: Stores) -> None:
+def test_only_a_ready_clip_is_found(stores: Stores) -> None:
     create_sample(stores.database, stores.blobs, segments=2, queries=1, ready=False)
     job = claim(stores)
     assert job

@@ -1,4 +1,4 @@
-"""Segments: arrays to a blob, then the row."""
+"""Collecting segments: the arrays are stored as a blob, the rest as a row."""
 
 import mujoco
 import numpy as np
@@ -11,7 +11,7 @@ from support.sample_experiments import create_sample, segment
 from support.stores import Stores
 
 
-def test_arrays_survive_storage(stores: Stores) -> None:
+def test_arrays_are_read_back_equal(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=0, queries=0)
     rng = np.random.default_rng(0)
     new = collect.NewSegment(
@@ -51,13 +51,13 @@ def test_arrays_of_different_lengths_are_refused(sqlite: Stores) -> None:
     assert caught.value.field == "qpos"
 
 
-def test_a_number_that_is_not_finite_is_refused(sqlite: Stores) -> None:
+def test_array_with_a_number_that_is_not_finite_is_refused(sqlite: Stores) -> None:
     with pytest.raises(Invalid) as caught:
         collect.store_arrays(sqlite.blobs, "exp", segment(reward=float("nan")))
     assert caught.value.field == "rewards"
 
 
-def test_a_missing_blob_is_named(sqlite: Stores) -> None:
+def test_error_for_a_missing_blob_names_its_key(sqlite: Stores) -> None:
     with pytest.raises(BlobMissing) as caught:
         collect.load_arrays(sqlite.blobs, "segments/x")
     assert caught.value.key == "segments/x"

@@ -1,4 +1,4 @@
-"""An experiment's life, and what is refused at its start."""
+"""Experiments: creation, status changes, worker reports, pages and label counts."""
 
 from collections.abc import Callable
 
@@ -29,7 +29,7 @@ def create(stores: Stores, name: str = "one", instructions: str | None = None, *
         return experiments.create(session, owner.id, name, config(**changes), instructions).id
 
 
-def test_a_new_experiment_is_running_and_keeps_its_settings(stores: Stores) -> None:
+def test_new_experiment_is_running_and_keeps_its_settings(stores: Stores) -> None:
     settings = config(label_budget=77, seed=3)
     experiment_id = create(stores, label_budget=77, seed=3)
     with stores.database.reading() as session:
@@ -40,14 +40,14 @@ def test_a_new_experiment_is_running_and_keeps_its_settings(stores: Stores) -> N
         assert experiments.running(session) == [row]
 
 
-def test_a_task_that_does_not_exist_is_refused_with_those_that_do(stores: Stores) -> None:
+def test_error_for_an_unknown_task_lists_the_known_tasks(stores: Stores) -> None:
     with pytest.raises(UnknownTask) as caught:
         create(stores, task="Walker")
     assert caught.value.field == "task"
     assert "HalfCheetah-6x1" in str(caught.value)
 
 
-def test_a_segment_longer_than_an_episode_is_refused(stores: Stores) -> None:
+def test_segments_longer_than_an_episode_are_refused(stores: Stores) -> None:
     with pytest.raises(InvalidExperiment) as caught:
         create(stores, segment_steps=1001, policy={"rollout_steps": 1001, "minibatches": 1})
     assert caught.value.field == "segment_steps"
@@ -55,25 +55,25 @@ def test_a_segment_longer_than_an_episode_is_refused(stores: Stores) -> None:
         assert experiments.list_page(session, 10, None).rows == []
 
 
-def test_two_experiments_cannot_have_the_same_name(stores: Stores) -> None:
+def test_duplicate_name_is_refused(stores: Stores) -> None:
     create(stores, "run")
     with pytest.raises(NameTaken), stores.database.transaction() as session:
         experiments.create(session, "usr", "  run ", config(), None)
 
 
 @pytest.mark.parametrize("name", ["", "   ", "two\nlines", "nul\0", "half \ud800 a character", "x" * 201])
-def test_a_name_that_is_not_printable_is_refused(sqlite: Stores, name: str) -> None:
+def test_name_that_is_not_one_printable_line_is_refused(sqlite: Stores, name: str) -> None:
     with pytest.raises(Invalid):
         create(sqlite, name)
 
 
-def test_instructions_may_have_several_printable_lines(sqlite: Stores) -> None:
+def test_instructions_may_have_several_lines_of_printable_text(sqlite: Stores) -> None:
     create(sqlite, "good", "Run.\n\nDo not fall.")
     with pytest.raises(Invalid):
         create(sqlite, "bad", "Run.\0")
 
 
-STEERING: list[tuple[str, str, str | None]] = [
+STATUS_CHANGES: list[tuple[str, str, str | None]] = [
     ("running", "pause", "paused"),
     ("running", "resume", "running"),
     ("running", "cancel", "cancelled"),
@@ -92,22 +92,24 @@ STEERING: list[tuple[str, str, str | None]] = [
 ]
 
 
-@pytest.mark.parametrize(("status", "verb", "becomes"), STEERING)
-def test_pause_resume_and_cancel_follow_the_status(sqlite: Stores, status: str, verb: str, becomes: str | None) -> None:
+@pytest.mark.parametrize(("status", "verb", "expected"), STATUS_CHANGES)
+def test_pause_resume_and_cancel_follow_the_status(
+    sqlite: Stores, status: str, verb: str, expected: str | None
+) -> None:
     experiment_id = create(sqlite)
     with sqlite.database.transaction() as session:
         experiments.get(session, experiment_id).status = status
-    steer: Callable[[Session, str], ExperimentRow] = getattr(experiments, verb)
+    change_status: Callable[[Session, str], ExperimentRow] = getattr(experiments, verb)
     with sqlite.database.transaction() as session:
-        if becomes is None:
+        if expected is None:
             with pytest.raises(ExperimentNotActive):
-                steer(session, experiment_id)
+                change_status(session, experiment_id)
         else:
-            assert steer(session, experiment_id).status == becomes
+            assert change_status(session, experiment_id).status == expected
     with sqlite.database.reading() as session:
         row = experiments.get(session, experiment_id)
-        assert row.status == (becomes or status)
-        if becomes == "running":
+        assert row.status == (expected or status)
+        if expected == "running":
             assert row.ended_at is None
 
 
@@ -121,7 +123,7 @@ def test_cancelling_sets_the_end_time_and_resuming_clears_it(stores: Stores) -> 
         assert experiments.resume(session, failed).ended_at is None
 
 
-def test_a_worker_reports_only_on_a_running_experiment(stores: Stores) -> None:
+def test_worker_reports_are_accepted_only_for_a_running_experiment(stores: Stores) -> None:
     experiment_id = create(stores)
     with stores.database.transaction() as session:
         assert experiments.report(session, experiment_id, phase=Phase.TRAINING, detail="update 3", steps=400)
@@ -133,7 +135,7 @@ def test_a_worker_reports_only_on_a_running_experiment(stores: Stores) -> None:
         assert (row.phase, row.phase_detail, row.steps) == ("training", "update 3", 400)
 
 
-def test_finished_and_failed_experiments_store_time_and_reason(stores: Stores) -> None:
+def test_finished_and_failed_experiments_store_end_time_and_reason(stores: Stores) -> None:
     finished, failed = create(stores, "one"), create(stores, "two")
     with stores.database.transaction() as session:
         assert experiments.finish(session, finished)
@@ -147,7 +149,7 @@ def test_finished_and_failed_experiments_store_time_and_reason(stores: Stores) -
         assert all(row.ended_at is not None for row in rows)
 
 
-def test_an_absent_experiment_is_named(stores: Stores) -> None:
+def test_absent_experiment_is_refused(stores: Stores) -> None:
     absent = new_id("exp")
     for verb in (experiments.get, experiments.pause, experiments.resume, experiments.cancel, experiments.finish):
         with pytest.raises(ExperimentNotFound), stores.database.transaction() as session:
@@ -155,20 +157,20 @@ def test_an_absent_experiment_is_named(stores: Stores) -> None:
 
 
 def test_pages_list_all_experiments_newest_first(stores: Stores) -> None:
-    made = [create(stores, f"run {number}") for number in range(7)]
-    seen: list[str] = []
+    created = [create(stores, f"run {number}") for number in range(7)]
+    listed: list[str] = []
     cursor: str | None = None
     with stores.database.reading() as session:
         while True:
             page = experiments.list_page(session, 3, cursor)
-            seen += [row.id for row in page.rows]
+            listed += [row.id for row in page.rows]
             cursor = page.next_cursor
             if cursor is None:
                 break
-    assert seen == sorted(made, reverse=True)
+    assert listed == sorted(created, reverse=True)
 
 
-def test_counts_show_the_labelling_progress(stores: Stores) -> None:
+def test_label_counts_show_the_labelling_progress(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=4)
     waiting = create_sample(stores.database, stores.blobs, queries=3, ready=False)
     with stores.database.reading() as session:
@@ -179,7 +181,7 @@ def test_counts_show_the_labelling_progress(stores: Stores) -> None:
     assert counts[waiting.experiment.id] == LabelCounts(20, 0, 0, 10, 0, 3)
 
 
-def test_counting_takes_as_many_statements_for_many_experiments_as_for_one(sqlite: Stores) -> None:
+def test_number_of_statements_does_not_depend_on_the_number_of_experiments(sqlite: Stores) -> None:
     statements: list[str] = []
     for number in range(6):
         create(sqlite, f"run {number}")

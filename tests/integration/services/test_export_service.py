@@ -1,4 +1,4 @@
-"""An experiment as Parquet tables, from a real store."""
+"""Export of an experiment as Parquet tables."""
 
 import json
 import subprocess
@@ -18,69 +18,83 @@ from support.sample_experiments import SampleExperiment, create_sample, user
 from support.stores import Stores, open_stores
 
 
-def labelled(made: Stores) -> tuple[SampleExperiment, UserRow, UserRow]:
-    """Queries 0 to 3: a person prefers what is on the left, a program says equal, a person skips, one is undone."""
-    shown = create_sample(made.database, made.blobs, segments=5, queries=4)
-    with made.database.transaction() as session:
+def labelled(stores: Stores) -> tuple[SampleExperiment, UserRow, UserRow]:
+    """An experiment with labels of a person and a program.
+
+    Query 0: the person prefers the left clip. Query 1: the person changes a label to equal. Query 2: the person skips,
+    the program prefers segment 1. Query 3: the person labels and undoes.
+    """
+    sample = create_sample(stores.database, stores.blobs, segments=5, queries=4)
+    with stores.database.transaction() as session:
         person, _ = user(session, "Ada Lovelace")
         program, _ = user(session, "program", Role.TEACHER)
-    with made.database.transaction() as session:
-        lease.next_queries(session, person, shown.experiment.id, 4, 60.0)
-    with made.database.transaction() as session:
-        label.put_label(session, person, shown.query_ids[0], 1.0, "shown", response_seconds=2.5)
-        label.put_label(session, person, shown.query_ids[2], None, "shown")
-        label.put_label(session, person, shown.query_ids[3], 0.0)
-        label.undo(session, person, shown.query_ids[3])
-        label.put_label(session, person, shown.query_ids[1], 1.0)
-        label.put_label(session, person, shown.query_ids[1], 0.5)
-    with made.database.transaction() as session:
+    with stores.database.transaction() as session:
+        lease.next_queries(session, person, sample.experiment.id, 4, 60.0)
+    with stores.database.transaction() as session:
+        label.put_label(session, person, sample.query_ids[0], 1.0, "shown", response_seconds=2.5)
+        label.put_label(session, person, sample.query_ids[2], None, "shown")
+        label.put_label(session, person, sample.query_ids[3], 0.0)
+        label.undo(session, person, sample.query_ids[3])
+        label.put_label(session, person, sample.query_ids[1], 1.0)
+        label.put_label(session, person, sample.query_ids[1], 0.5)
+    with stores.database.transaction() as session:
         publish.publish(
             session,
-            shown.experiment.id,
+            sample.experiment.id,
             "rewards/1",
             label_watermark=1,
             label_count=1,
             policy_steps=100,
             metrics={"loss": 0.5, "accuracy": float("nan")},
         )
-        label.put_label(session, program, shown.query_ids[2], 0.0, teacher={"name": "oracle", "beta": 1})
-    return shown, person, program
+        label.put_label(session, program, sample.query_ids[2], 0.0, teacher={"name": "oracle", "beta": 1})
+    return sample, person, program
 
 
-def exported(made: Stores, experiment_id: str, folder: Path) -> PreferenceTables:
-    with made.database.reading() as session:
-        found = export.contents(session, experiment_id)
-    export.write(made.blobs, found, folder)
+def exported(stores: Stores, experiment_id: str, folder: Path) -> PreferenceTables:
+    with stores.database.reading() as session:
+        contents = export.contents(session, experiment_id)
+    export.write(stores.blobs, contents, folder)
     return PreferenceTables.open(folder)
 
 
-def test_the_current_label_of_every_teacher_is_exported_with_its_details(stores: Stores, tmp_path: Path) -> None:
-    shown, person, program = labelled(stores)
-    said = {
-        (row.query_id, row.teacher_id): row for row in exported(stores, shown.experiment.id, tmp_path / "out").labels()
+def test_current_label_of_every_teacher_is_exported_with_its_details(stores: Stores, tmp_path: Path) -> None:
+    sample, person, program = labelled(stores)
+    labels = {
+        (row.query_id, row.teacher_id): row for row in exported(stores, sample.experiment.id, tmp_path / "out").labels()
     }
-    assert set(said) == {
-        (shown.query_ids[0], person.id),
-        (shown.query_ids[1], person.id),
-        (shown.query_ids[2], person.id),
-        (shown.query_ids[2], program.id),
+    assert set(labels) == {
+        (sample.query_ids[0], person.id),
+        (sample.query_ids[1], person.id),
+        (sample.query_ids[2], person.id),
+        (sample.query_ids[2], program.id),
     }
-    first = said[shown.query_ids[0], person.id]
+    first = labels[sample.query_ids[0], person.id]
     assert first.left_segment in (0, 1)
-    # "The left one is better", told of the segments.
+    # The person preferred the left clip; the exported label is P(segment 0 preferred).
     assert first.label == 1.0 - first.left_segment
     assert first.response_seconds == 2.5
-    assert (said[shown.query_ids[1], person.id].label, said[shown.query_ids[1], person.id].state) == (0.5, "label")
-    assert (said[shown.query_ids[2], person.id].label, said[shown.query_ids[2], person.id].state) == (None, "skip")
-    taught = said[shown.query_ids[2], program.id]
-    assert (taught.label, taught.left_segment, taught.teacher) == (0.0, None, {"name": "oracle", "beta": 1})
-    revisions = [row.revision for row in said.values()]
+    assert (labels[sample.query_ids[1], person.id].label, labels[sample.query_ids[1], person.id].state) == (
+        0.5,
+        "label",
+    )
+    assert (labels[sample.query_ids[2], person.id].label, labels[sample.query_ids[2], person.id].state) == (
+        None,
+        "skip",
+    )
+    program_label = labels[sample.query_ids[2], program.id]
+    assert (program_label.label, program_label.left_segment, program_label.teacher) == (
+        0.0,
+        None,
+        {"name": "oracle", "beta": 1},
+    )
+    revisions = [row.revision for row in labels.values()]
     assert None not in revisions
     assert len(set(revisions)) == 4
 
 
 def test_arrays_and_simulator_states_are_exported_bit_for_bit(stores: Stores, tmp_path: Path) -> None:
-    shown = create_sample(stores.database, stores.blobs, segments=0, queries=0)
+    sample = create_sample(stores.database, stores.blobs, segments=0, queries=0)
     rng = np.random.default_rng(0)
     lengths, stored = (7, 3), {}
     for length in lengths:
@@ -93,33 +107,33 @@ def test_arrays_and_simulator_states_are_exported_bit_for_bit(stores: Stores, tm
             length,
             1000 * length,
         )
-        stored[collect.store_arrays(stores.blobs, shown.experiment.id, new)] = new
+        stored[collect.store_arrays(stores.blobs, sample.experiment.id, new)] = new
     with stores.database.transaction() as session:
-        collect.collect(session, shown.experiment.id, list(stored))
+        collect.collect(session, sample.experiment.id, list(stored))
     expected = {kept.id: new for kept, new in stored.items()}
-    ((rows, records),) = exported(stores, shown.experiment.id, tmp_path / "out").segments()
+    ((rows, records),) = exported(stores, sample.experiment.id, tmp_path / "out").segments()
     assert [row.policy_steps for row in rows] == [3000, 7000]
     for index, row in enumerate(rows):
-        new, real = expected[row.segment_id], records.segments.mask[index]
-        assert row.policy_iteration == real.sum()
+        new, mask = expected[row.segment_id], records.segments.mask[index]
+        assert row.policy_iteration == mask.sum()
         assert row.mujoco_version
         for name, values in {
             "observations": records.segments.observations,
             "actions": records.segments.actions,
             **records.extras(),
         }.items():
-            wanted = getattr(new, name)
-            np.testing.assert_array_equal(values[index][real], wanted.astype(values.dtype))
+            expected_values = getattr(new, name)
+            np.testing.assert_array_equal(values[index][mask], expected_values.astype(values.dtype))
 
 
-def test_an_export_loads_as_a_dataset_without_skips(stores: Stores, tmp_path: Path) -> None:
-    shown, _, _ = labelled(stores)
-    dataset = exported(stores, shown.experiment.id, tmp_path / "out").load(tmp_path / "segments")
+def test_exported_tables_load_as_the_training_labels(stores: Stores, tmp_path: Path) -> None:
+    sample, _, _ = labelled(stores)
+    dataset = exported(stores, sample.experiment.id, tmp_path / "out").load(tmp_path / "segments")
     with stores.database.reading() as session:
-        trained_on = publish.training_labels(session, shown.experiment.id).items
+        trained_on = publish.training_labels(session, sample.experiment.id).items
     assert sorted(dataset.labels.tolist()) == sorted(each.value for each in trained_on)
-    # Segment i of a scene has the reward i; it is found again behind each pair.
-    place = {segment_id: index for index, segment_id in enumerate(shown.segment_ids)}
+    # The reward of segment i of the sample is i, which identifies the segments of each pair.
+    place = {segment_id: index for index, segment_id in enumerate(sample.segment_ids)}
     rewards = dataset.segments.rewards(dataset.pairs.reshape(-1))[:, 0].reshape(-1, 2)  # type: ignore[attr-defined]
     pairs = [(place[each.segment_0_id], place[each.segment_1_id]) for each in trained_on]
     assert sorted(zip(rewards.tolist(), dataset.labels.tolist(), strict=True)) == sorted(
@@ -127,10 +141,10 @@ def test_an_export_loads_as_a_dataset_without_skips(stores: Stores, tmp_path: Pa
     )
 
 
-def test_the_tables_describe_their_source_without_user_names(stores: Stores, tmp_path: Path) -> None:
-    shown, _, _ = labelled(stores)
-    tables = exported(stores, shown.experiment.id, tmp_path / "out")
-    assert tables.about["experiment_id"] == shown.experiment.id
+def test_tables_describe_their_source_without_user_names(stores: Stores, tmp_path: Path) -> None:
+    sample, _, _ = labelled(stores)
+    tables = exported(stores, sample.experiment.id, tmp_path / "out")
+    assert tables.about["experiment_id"] == sample.experiment.id
     assert tables.about["task"] == "HalfCheetah-6x1"
     assert set(tables.about["versions"]) == {"accord", "mujoco"}
     (reward,) = tables.about["reward_versions"]
@@ -140,28 +154,28 @@ def test_the_tables_describe_their_source_without_user_names(stores: Stores, tmp
         assert "Lovelace" not in repr(text)
 
 
-def test_labels_given_after_the_rows_were_read_are_not_exported(sqlite: Stores, tmp_path: Path) -> None:
-    shown, person, _ = labelled(sqlite)
+def test_labels_given_after_the_contents_were_read_are_not_exported(sqlite: Stores, tmp_path: Path) -> None:
+    sample, person, _ = labelled(sqlite)
     with sqlite.database.reading() as session:
-        found = export.contents(session, shown.experiment.id)
-        # A writer is not kept waiting by the export that reads.
+        found = export.contents(session, sample.experiment.id)
+        # The open read transaction does not block a writer.
         with sqlite.database.transaction() as writing:
-            label.put_label(writing, person, shown.query_ids[3], 1.0)
+            label.put_label(writing, person, sample.query_ids[3], 1.0)
     counts: list[int] = []
     export.write(sqlite.blobs, found, tmp_path / "out", counts.append)
     assert counts == [5]
-    assert shown.query_ids[3] not in {row.query_id for row in PreferenceTables.open(tmp_path / "out").labels()}
+    assert sample.query_ids[3] not in {row.query_id for row in PreferenceTables.open(tmp_path / "out").labels()}
 
 
-def test_a_failed_export_leaves_nothing(sqlite: Stores, tmp_path: Path) -> None:
-    shown, _, _ = labelled(sqlite)
+def test_failed_export_leaves_no_files(sqlite: Stores, tmp_path: Path) -> None:
+    sample, _, _ = labelled(sqlite)
     empty = create_sample(sqlite.database, sqlite.blobs, segments=0, queries=0)
     with sqlite.database.reading() as session:
         with pytest.raises(ExperimentNotFound):
             export.contents(session, "exp_nowhere")
         with pytest.raises(Invalid):
             export.contents(session, empty.experiment.id)
-        found = export.contents(session, shown.experiment.id)
+        found = export.contents(session, sample.experiment.id)
     (tmp_path / "taken").mkdir()
     with pytest.raises(Invalid):
         export.write(sqlite.blobs, found, tmp_path / "taken")
@@ -176,34 +190,34 @@ def test_a_failed_export_leaves_nothing(sqlite: Stores, tmp_path: Path) -> None:
 
 
 def command(*arguments: object) -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, "-m", "accord.cli", "export", *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, check=False)
+    line = [sys.executable, "-m", "accord.cli", "export", *map(str, arguments)]
+    return subprocess.run(line, capture_output=True, text=True, check=False)
 
 
-def test_the_command_exports_from_a_home(tmp_path: Path) -> None:
-    with open_stores(tmp_path / "home") as made:
-        shown, _, _ = labelled(made)
-        # The store stays open, as that of a running service does.
-        ended = command("--experiment", shown.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home")
+def test_command_exports_from_a_home_folder_in_use(tmp_path: Path) -> None:
+    with open_stores(tmp_path / "home") as stores:
+        sample, _, _ = labelled(stores)
+        # The database stays open, as that of a running service.
+        ended = command("--experiment", sample.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home")
         assert (ended.returncode, ended.stderr) == (0, "")
         assert "5 segments, 4 queries, 3 labels and 1 skips" in ended.stdout
         assert len(PreferenceTables.open(tmp_path / "out").labels()) == 4
-        again = command("--experiment", shown.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home")
+        again = command("--experiment", sample.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home")
     assert again.returncode == 2
     assert "Choose another folder" in again.stderr
     assert "Traceback" not in again.stderr
 
 
-def test_the_command_creates_no_database(tmp_path: Path) -> None:
+def test_command_does_not_create_a_database(tmp_path: Path) -> None:
     ended = command("--experiment", "exp_x", "--output", tmp_path / "out", "--home", tmp_path / "home")
     assert ended.returncode == 2
     assert "no database" in ended.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_metadata_is_json(sqlite: Stores, tmp_path: Path) -> None:
-    shown, _, _ = labelled(sqlite)
-    exported(sqlite, shown.experiment.id, tmp_path / "out")
-    said = json.loads(pq.read_schema(tmp_path / "out" / "labels.parquet").metadata[b"accord"])
-    assert said["schema_version"] == 1
-    assert said["polarity"].startswith("1: segment 0 is better")
+def test_table_metadata_states_schema_version_and_polarity(sqlite: Stores, tmp_path: Path) -> None:
+    sample, _, _ = labelled(sqlite)
+    exported(sqlite, sample.experiment.id, tmp_path / "out")
+    metadata = json.loads(pq.read_schema(tmp_path / "out" / "labels.parquet").metadata[b"accord"])
+    assert metadata["schema_version"] == 1
+    assert metadata["polarity"].startswith("1: segment 0 is better")

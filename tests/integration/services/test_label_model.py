@@ -1,4 +1,4 @@
-"""Any sequence of labels, skips, changes and undos by several people, against a plain model of what should be."""
+"""Random sequences of leases, labels, skips and undos by several teachers, checked against a plain model."""
 
 import tempfile
 from contextlib import AbstractContextManager, nullcontext
@@ -18,12 +18,15 @@ from accord.store.tables import LabelRevisionRow, LabelRow, QueryRow
 from support.sample_experiments import create_sample, user
 from support.stores import open_stores
 
-PEOPLE, QUERIES = 3, 2
+TEACHERS, QUERIES = 3, 2
 VALUES = st.sampled_from([1.0, 0.5, 0.0, None])
 
 
-class Labelling(RuleBasedStateMachine):
-    """The model: who said what about which query, who holds which, and how many words were ever said."""
+class LabellingMachine(RuleBasedStateMachine):
+    """The model: the current label of each teacher for each query, the holder of each lease, and all revisions.
+
+    A label is a number, None for a skip, or "undone".
+    """
 
     @initialize()
     def start(self) -> None:
@@ -33,64 +36,64 @@ class Labelling(RuleBasedStateMachine):
         sample = create_sample(self.stores.database, self.stores.blobs, segments=3, queries=QUERIES, render_clips=False)
         self.experiment_id, self.query_ids = sample.experiment.id, sample.query_ids
         with self.stores.database.transaction() as session:
-            # the last one is a program, which needs no lease
-            roles = [Role.LABELLER] * (PEOPLE - 1) + [Role.TEACHER]
-            self.people = [user(session, f"person {n}", role)[0] for n, role in enumerate(roles)]
-        self.said: dict[tuple[int, int], float | str | None] = {}
+            # The last one is a program, which needs no lease.
+            roles = [Role.LABELLER] * (TEACHERS - 1) + [Role.TEACHER]
+            self.teachers = [user(session, f"teacher {n}", role)[0] for n, role in enumerate(roles)]
+        self.labels: dict[tuple[int, int], float | str | None] = {}
         self.holder: dict[int, int] = {}
-        self.words: list[tuple[int, int, float | str | None]] = []
+        self.revisions: list[tuple[int, int, float | str | None]] = []
 
     def closed_by(self, query: int) -> int | None:
-        return next((who for (who, which), word in self.said.items() if which == query and type(word) is float), None)
+        return next((who for (who, each), label in self.labels.items() if each == query and type(label) is float), None)
 
-    def say(self, who: int, query: int, word: float | str | None) -> None:
-        self.said[who, query] = word
-        self.words.append((who, query, word))
+    def record(self, who: int, query: int, label: float | str | None) -> None:
+        self.labels[who, query] = label
+        self.revisions.append((who, query, label))
 
-    @rule(who=st.integers(0, PEOPLE - 1), count=st.integers(1, QUERIES))
-    def ask(self, who: int, count: int) -> None:
-        mine = [query for query, holder in sorted(self.holder.items()) if holder == who]
+    @rule(who=st.integers(0, TEACHERS - 1), count=st.integers(1, QUERIES))
+    def lease_next(self, who: int, count: int) -> None:
+        own = [query for query, holder in sorted(self.holder.items()) if holder == who]
         free = [
             query
             for query in range(QUERIES)
             if query not in self.holder
             and self.closed_by(query) is None
-            and self.said.get((who, query), "undone") == "undone"
+            and self.labels.get((who, query), "undone") == "undone"
         ]
-        expected = sorted((mine + free)[:count])
+        expected = sorted((own + free)[:count])
         with self.stores.database.transaction() as session:
-            found = lease.next_queries(session, self.people[who], self.experiment_id, count, 3600.0)
+            found = lease.next_queries(session, self.teachers[who], self.experiment_id, count, 3600.0)
         assert [self.query_ids.index(item.id) for item in found.items] == expected
         self.holder |= dict.fromkeys(expected, who)
 
-    @rule(who=st.integers(0, PEOPLE - 1), query=st.integers(0, QUERIES - 1))
-    def give_back(self, who: int, query: int) -> None:
+    @rule(who=st.integers(0, TEACHERS - 1), query=st.integers(0, QUERIES - 1))
+    def release(self, who: int, query: int) -> None:
         with self.stores.database.transaction() as session:
-            lease.release(session, self.people[who], self.query_ids[query])
+            lease.release(session, self.teachers[who], self.query_ids[query])
         if self.holder.get(query) == who:
             del self.holder[query]
 
-    @rule(who=st.integers(0, PEOPLE - 1), query=st.integers(0, QUERIES - 1), value=VALUES)
+    @rule(who=st.integers(0, TEACHERS - 1), query=st.integers(0, QUERIES - 1), value=VALUES)
     def put(self, who: int, query: int, value: float | None) -> None:
-        before = self.said.get((who, query), "undone")
+        before = self.labels.get((who, query), "undone")
         expected: type[Exception] | None = None
         if before != value and type(before) is not float:
             if self.closed_by(query) is not None:
                 expected = QueryClosed
             elif self.holder.get(query, who) != who or (
-                query not in self.holder and before == "undone" and who != PEOPLE - 1
+                query not in self.holder and before == "undone" and who != TEACHERS - 1
             ):
                 expected = LeaseLost
-        with self.stores.database.transaction() as session, refusal(expected):
-            outcome = label.put_label(session, self.people[who], self.query_ids[query], value)
+        with self.stores.database.transaction() as session, raises(expected):
+            outcome = label.put_label(session, self.teachers[who], self.query_ids[query], value)
             assert outcome.created == (before != value)
         if expected is None and before != value:
-            self.say(who, query, value)
+            self.record(who, query, value)
             self.holder.pop(query, None)
 
-    @rule(who=st.integers(0, PEOPLE - 1), query=st.integers(0, QUERIES - 1))
+    @rule(who=st.integers(0, TEACHERS - 1), query=st.integers(0, QUERIES - 1))
     def undo(self, who: int, query: int) -> None:
-        before = self.said.get((who, query), "undone")
+        before = self.labels.get((who, query), "undone")
         expected: type[Exception] | None = None
         if before == "undone":
             expected = LabelNotFound
@@ -98,38 +101,40 @@ class Labelling(RuleBasedStateMachine):
             expected = QueryClosed
         elif before is None and self.holder.get(query, who) != who:
             expected = LeaseLost
-        with self.stores.database.transaction() as session, refusal(expected):
-            label.undo(session, self.people[who], self.query_ids[query], 3600.0)
+        with self.stores.database.transaction() as session, raises(expected):
+            label.undo(session, self.teachers[who], self.query_ids[query], 3600.0)
         if expected is None:
-            self.say(who, query, "undone")
+            self.record(who, query, "undone")
             self.holder[query] = who
 
     @invariant()
-    def the_database_says_the_same(self) -> None:
-        counted = {self.query_ids[query]: word for (_, query), word in sorted(self.said.items()) if type(word) is float}
+    def database_equals_the_model(self) -> None:
+        counted = {
+            self.query_ids[query]: label for (_, query), label in sorted(self.labels.items()) if type(label) is float
+        }
         with self.stores.database.reading() as session:
             row = experiments.get(session, self.experiment_id)
             assert row.label_count == len(counted)
-            assert row.label_revision == len(self.words)
-            # every word ever said is kept, in its order
+            assert row.label_revision == len(self.revisions)
+            # All revisions are kept, in order.
             history = session.execute(
                 sql_select(LabelRevisionRow.revision, LabelRevisionRow.state, LabelRevisionRow.value).order_by(
                     LabelRevisionRow.revision
                 )
             ).all()
             assert [tuple(each) for each in history] == [
-                (number, *state_and_value(word)) for number, (_, _, word) in enumerate(self.words, 1)
+                (number, *state_and_value(label)) for number, (_, _, label) in enumerate(self.revisions, 1)
             ]
-            assert session.scalar(sql_select(func.count()).select_from(LabelRow)) == len(self.said)
+            assert session.scalar(sql_select(func.count()).select_from(LabelRow)) == len(self.labels)
             training = publish.training_labels(session, self.experiment_id)
             assert {each.query_id: each.value for each in training.items} == counted
-            assert training.watermark == len(self.words)
+            assert training.watermark == len(self.revisions)
             for number, query_id in enumerate(self.query_ids):
                 query = session.get(QueryRow, query_id)
                 assert query is not None
                 assert query.status == ("closed" if self.closed_by(number) is not None else "open")
                 holder = self.holder.get(number)
-                assert query.leased_by == (None if holder is None else self.people[holder].id)
+                assert query.leased_by == (None if holder is None else self.teachers[holder].id)
 
     def teardown(self) -> None:
         if hasattr(self, "context"):
@@ -137,17 +142,17 @@ class Labelling(RuleBasedStateMachine):
             self.folder.cleanup()
 
 
-def refusal(expected: type[Exception] | None) -> AbstractContextManager[object]:
+def raises(expected: type[Exception] | None) -> AbstractContextManager[object]:
     return nullcontext() if expected is None else pytest.raises(expected)
 
 
-def state_and_value(word: float | str | None) -> tuple[str, float | None]:
-    if word == "undone":
+def state_and_value(label: float | str | None) -> tuple[str, float | None]:
+    if label == "undone":
         return "undone", None
-    return ("skip", None) if word is None else ("label", float(word))
+    return ("skip", None) if label is None else ("label", float(label))
 
 
-Labelling.TestCase.settings = settings(
+LabellingMachine.TestCase.settings = settings(
     max_examples=30, stateful_step_count=30, deadline=None, suppress_health_check=list(HealthCheck)
 )
-TestAnySequenceOfLabels = Labelling.TestCase
+TestAnySequenceOfLabels = LabellingMachine.TestCase

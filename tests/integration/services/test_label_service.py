@@ -1,4 +1,4 @@
-"""Labels: what is accepted, what is refused, and what it does to the counters."""
+"""Labels: validation, leases, changes, undo, counters and training labels."""
 
 import math
 
@@ -40,7 +40,7 @@ def put(stores: Stores, who: UserRow, query_id: str, value: float | None, **opti
 
 
 def counters(stores: Stores, sample: SampleExperiment) -> tuple[int, int]:
-    """Labels that count, and the newest revision."""
+    """Number of current labels, and the newest revision."""
     with stores.database.reading() as session:
         row = experiments.get(session, sample.experiment.id)
         return row.label_count, row.label_revision
@@ -54,7 +54,7 @@ def status(stores: Stores, query_id: str) -> str:
 
 
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
-def test_a_label_is_stored_and_closes_its_query(stores: Stores, value: float) -> None:
+def test_label_is_stored_and_closes_its_query(stores: Stores, value: float) -> None:
     sample, ada = create_sample(stores.database, stores.blobs), person(stores)
     (query,) = leased(stores, ada, sample)
     outcome = put(stores, ada, query.id, value, response_seconds=2.5)
@@ -67,7 +67,7 @@ def test_a_label_is_stored_and_closes_its_query(stores: Stores, value: float) ->
         assert (row.value, row.response_seconds, row.user_id) == (value, 2.5, ada.id)
 
 
-def test_sending_a_label_twice_stores_one_label(stores: Stores) -> None:
+def test_label_sent_twice_is_stored_once(stores: Stores) -> None:
     sample, ada = create_sample(stores.database, stores.blobs), person(stores)
     (query,) = leased(stores, ada, sample)
     first = put(stores, ada, query.id, 1.0, response_seconds=1.0)
@@ -78,19 +78,21 @@ def test_sending_a_label_twice_stores_one_label(stores: Stores) -> None:
 
 
 @pytest.mark.parametrize("left", [0, 1])
-@pytest.mark.parametrize(("said", "stored_if_left_is_0"), [(1.0, 1.0), (0.0, 0.0), (0.5, 0.5), (None, None)])
-def test_a_label_in_shown_order_is_converted_to_segment_order(
-    sqlite: Stores, left: int, said: float | None, stored_if_left_is_0: float | None
+@pytest.mark.parametrize(
+    ("label_in_shown_order", "label_if_left_is_0"), [(1.0, 1.0), (0.0, 0.0), (0.5, 0.5), (None, None)]
+)
+def test_label_in_shown_order_is_converted_to_segment_order(
+    sqlite: Stores, left: int, label_in_shown_order: float | None, label_if_left_is_0: float | None
 ) -> None:
     sample, ada = create_sample(sqlite.database, sqlite.blobs, segments=10, queries=20), person(sqlite)
     query = next(each for each in leased(sqlite, ada, sample, 20) if each.left_segment == left)
-    stored = put(sqlite, ada, query.id, said, order="shown").row
-    expected = stored_if_left_is_0 if said is None or left == 0 else 1.0 - said
+    stored = put(sqlite, ada, query.id, label_in_shown_order, order="shown").row
+    expected = label_if_left_is_0 if label_in_shown_order is None or left == 0 else 1.0 - label_in_shown_order
     assert (stored.value, stored.left_segment) == (expected, left)
 
 
 @pytest.mark.parametrize("value", [0.7, -1.0, 2.0, math.nan, math.inf, 0.49999999999])
-def test_any_other_value_is_refused(sqlite: Stores, value: float) -> None:
+def test_value_other_than_0_half_and_1_is_refused(sqlite: Stores, value: float) -> None:
     sample, ada = create_sample(sqlite.database, sqlite.blobs), person(sqlite)
     (query,) = leased(sqlite, ada, sample)
     with pytest.raises(InvalidLabel):
@@ -98,7 +100,7 @@ def test_any_other_value_is_refused(sqlite: Stores, value: float) -> None:
     assert counters(sqlite, sample) == (0, 0)
 
 
-def test_a_skip_is_stored_but_not_counted_and_leaves_the_query_open(stores: Stores) -> None:
+def test_skip_is_stored_but_not_counted_and_leaves_the_query_open(stores: Stores) -> None:
     sample, ada, bob = (
         create_sample(stores.database, stores.blobs, queries=1),
         person(stores, "ada"),
@@ -113,19 +115,19 @@ def test_a_skip_is_stored_but_not_counted_and_leaves_the_query_open(stores: Stor
     assert counters(stores, sample) == (1, 2)
 
 
-def test_an_author_may_change_a_label_and_its_history_is_kept(stores: Stores) -> None:
+def test_changed_label_replaces_the_old_one_and_all_revisions_are_kept(stores: Stores) -> None:
     sample, ada = create_sample(stores.database, stores.blobs), person(stores)
     (query,) = leased(stores, ada, sample)
     for value in (1.0, 0.0, None, 0.5):
         assert put(stores, ada, query.id, value).created
     assert counters(stores, sample) == (1, 4)
     with stores.database.reading() as session:
-        words = session.execute(
+        revisions = session.execute(
             sql_select(LabelRevisionRow.revision, LabelRevisionRow.state, LabelRevisionRow.value).order_by(
                 LabelRevisionRow.revision
             )
         ).all()
-    assert [tuple(word) for word in words] == [
+    assert [tuple(revision) for revision in revisions] == [
         (1, "label", 1.0),
         (2, "label", 0.0),
         (3, "skip", None),
@@ -133,7 +135,7 @@ def test_an_author_may_change_a_label_and_its_history_is_kept(stores: Stores) ->
     ]
 
 
-def test_a_query_that_another_has_labelled_is_closed(stores: Stores) -> None:
+def test_query_labelled_by_another_user_is_closed(stores: Stores) -> None:
     sample, ada, bob = (
         create_sample(stores.database, stores.blobs, queries=1),
         person(stores, "ada"),
@@ -145,7 +147,7 @@ def test_a_query_that_another_has_labelled_is_closed(stores: Stores) -> None:
         put(stores, bob, query.id, 1.0)
 
 
-def test_a_query_leased_to_another_cannot_be_labelled_even_by_an_admin(stores: Stores) -> None:
+def test_query_leased_to_another_user_cannot_be_labelled_even_by_an_admin(stores: Stores) -> None:
     sample, ada, root = (
         create_sample(stores.database, stores.blobs, queries=1),
         person(stores, "ada"),
@@ -157,7 +159,7 @@ def test_a_query_leased_to_another_cannot_be_labelled_even_by_an_admin(stores: S
 
 
 @pytest.mark.parametrize("role", list(Role))
-def test_only_programs_and_researchers_label_without_a_lease(sqlite: Stores, role: Role) -> None:
+def test_every_role_but_labellers_may_label_without_a_lease(sqlite: Stores, role: Role) -> None:
     sample, someone = create_sample(sqlite.database, sqlite.blobs, queries=1), person(sqlite, role=role)
     if role is Role.LABELLER:
         with pytest.raises(LeaseLost):
@@ -166,13 +168,13 @@ def test_only_programs_and_researchers_label_without_a_lease(sqlite: Stores, rol
         assert put(sqlite, someone, sample.query_ids[0], 1.0).row.left_segment is None
 
 
-def test_shown_order_needs_a_query_that_was_shown(sqlite: Stores) -> None:
+def test_label_in_shown_order_requires_a_lease(sqlite: Stores) -> None:
     sample, teacher = create_sample(sqlite.database, sqlite.blobs, queries=1), person(sqlite, role=Role.TEACHER)
     with pytest.raises(LeaseLost):
         put(sqlite, teacher, sample.query_ids[0], 1.0, order="shown")
 
 
-def test_a_query_without_its_clips_cannot_be_labelled(stores: Stores) -> None:
+def test_query_without_clips_cannot_be_labelled(stores: Stores) -> None:
     sample, teacher = (
         create_sample(stores.database, stores.blobs, queries=1, ready=False),
         person(stores, role=Role.TEACHER),
@@ -181,7 +183,7 @@ def test_a_query_without_its_clips_cannot_be_labelled(stores: Stores) -> None:
         put(stores, teacher, sample.query_ids[0], 1.0)
 
 
-def test_an_absent_query_and_one_of_another_experiment_are_named(stores: Stores) -> None:
+def test_absent_query_and_query_of_another_experiment_are_not_found(stores: Stores) -> None:
     sample, other = create_sample(stores.database, stores.blobs), create_sample(stores.database, stores.blobs)
     teacher, absent = person(stores, role=Role.TEACHER), new_id("qry")
     with pytest.raises(QueryNotFound):
@@ -206,7 +208,7 @@ def test_labels_of_an_ended_experiment_are_final(stores: Stores, verb: object) -
         label.undo(session, ada, first.id)
 
 
-def test_a_leased_query_may_be_labelled_while_the_experiment_is_paused(stores: Stores) -> None:
+def test_leased_query_may_be_labelled_while_the_experiment_is_paused(stores: Stores) -> None:
     sample, ada = create_sample(stores.database, stores.blobs), person(stores)
     (query,) = leased(stores, ada, sample)
     with stores.database.transaction() as session:
@@ -214,7 +216,7 @@ def test_a_leased_query_may_be_labelled_while_the_experiment_is_paused(stores: S
     assert put(stores, ada, query.id, 1.0).created
 
 
-def test_undo_reopens_the_query_for_its_author_on_the_same_sides(stores: Stores) -> None:
+def test_undo_reopens_the_query_and_leases_it_to_its_author_on_the_same_sides(stores: Stores) -> None:
     sample, ada, bob = (
         create_sample(stores.database, stores.blobs, queries=1),
         person(stores, "ada"),
@@ -232,7 +234,7 @@ def test_undo_reopens_the_query_for_its_author_on_the_same_sides(stores: Stores)
     assert counters(stores, sample) == (1, 3)
 
 
-def test_only_an_existing_label_can_be_undone_and_only_once(stores: Stores) -> None:
+def test_only_an_own_label_can_be_undone_and_only_once(stores: Stores) -> None:
     sample, ada, bob = create_sample(stores.database, stores.blobs), person(stores, "ada"), person(stores, "bob")
     (query,) = leased(stores, ada, sample)
     put(stores, ada, query.id, 1.0)
@@ -246,7 +248,7 @@ def test_only_an_existing_label_can_be_undone_and_only_once(stores: Stores) -> N
             label.undo(session, ada, new_id("qry"))
 
 
-def test_a_skip_of_a_query_that_another_has_labelled_cannot_be_undone(stores: Stores) -> None:
+def test_skip_cannot_be_undone_once_another_user_leased_or_labelled_the_query(stores: Stores) -> None:
     sample, ada, bob = (
         create_sample(stores.database, stores.blobs, queries=1),
         person(stores, "ada"),
@@ -262,7 +264,7 @@ def test_a_skip_of_a_query_that_another_has_labelled_cannot_be_undone(stores: St
         label.undo(session, ada, query.id)
 
 
-def test_a_teachers_description_is_kept_and_must_be_json(stores: Stores) -> None:
+def test_description_of_a_teacher_is_stored_and_must_be_short_json(stores: Stores) -> None:
     sample, teacher = create_sample(stores.database, stores.blobs), person(stores, role=Role.TEACHER)
     put(stores, teacher, sample.query_ids[0], 1.0, teacher={"name": "oracle", "beta": 10.0})
     with stores.database.reading() as session:
@@ -282,7 +284,7 @@ def test_training_labels_are_all_labels_up_to_the_watermark(stores: Stores) -> N
     with stores.database.reading() as session:
         found = publish.training_labels(session, sample.experiment.id)
         assert found.watermark == 5
-        # in the order in which they were given, not that of the queries: the hold-out split goes by it
+        # Ordered by revision, not by query: the hold-out split depends on this order.
         assert [(each.query_id, each.value) for each in found.items] == [(four, 0.0), (one, 1.0)]
         assert [found.items[1].segment_0_id, found.items[1].segment_1_id] == sample.segment_ids[:2]
         assert stores.blobs.exists(found.items[0].segment_0_blob)
@@ -290,5 +292,5 @@ def test_training_labels_are_all_labels_up_to_the_watermark(stores: Stores) -> N
         assert publish.new_labels(session, sample.experiment.id, found.watermark) == 0
     put(stores, teacher, one, 0.0)
     with stores.database.reading() as session:
-        # an earlier label, changed after the watermark, is new again
+        # A label changed after the watermark counts as new.
         assert publish.new_labels(session, sample.experiment.id, found.watermark) == 1

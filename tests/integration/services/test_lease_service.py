@@ -1,4 +1,4 @@
-"""Queries are offered to one labeller at a time, on sides drawn by lot."""
+"""Leases of queries: order, random sides, expiry, and concurrent labellers."""
 
 import subprocess
 import sys
@@ -18,7 +18,7 @@ from support.sample_experiments import SampleExperiment, create_sample, user
 from support.stores import Stores
 from support.waiting import PATIENCE_SECONDS
 
-LABELLING = Path(__file__).with_name("labelling.py")
+LABELLER_PROCESS = Path(__file__).with_name("labeller_process.py")
 
 
 def person(stores: Stores, name: str = "ada", role: Role = Role.LABELLER) -> UserRow:
@@ -26,7 +26,9 @@ def person(stores: Stores, name: str = "ada", role: Role = Role.LABELLER) -> Use
         return user(session, name, role)[0]
 
 
-def ask(stores: Stores, who: UserRow, sample: SampleExperiment, count: int = 1, lease_seconds: float = 60.0) -> Leased:
+def lease_next(
+    stores: Stores, who: UserRow, sample: SampleExperiment, count: int = 1, lease_seconds: float = 60.0
+) -> Leased:
     with stores.database.transaction() as session:
         return lease.next_queries(session, who, sample.experiment.id, count, lease_seconds)
 
@@ -37,7 +39,7 @@ def ids(found: Leased) -> list[str]:
 
 def test_queries_are_leased_by_number(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=4)
-    found = ask(stores, person(stores), sample, 3)
+    found = lease_next(stores, person(stores), sample, 3)
     assert ids(found) == sample.query_ids[:3]
     assert found.reason == ""
     assert [item.number for item in found.items] == [1, 2, 3]
@@ -46,56 +48,56 @@ def test_queries_are_leased_by_number(stores: Stores) -> None:
 def test_leasing_again_returns_the_same_queries_on_the_same_sides(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=8, queries=16)
     ada = person(stores)
-    first = ask(stores, ada, sample, 16)
-    again = ask(stores, ada, sample, 16)
+    first = lease_next(stores, ada, sample, 16)
+    again = lease_next(stores, ada, sample, 16)
     assert again == first
-    assert ask(stores, ada, sample, 3).items == first.items[:3]
+    assert lease_next(stores, ada, sample, 3).items == first.items[:3]
 
 
 def test_sides_are_random(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=10, queries=45, label_budget=45, initial_labels=45)
-    sides = [item.left_segment for item in ask(stores, person(stores), sample, 45).items]
-    # the chance that 45 fair coins show fewer than 6 of one side is below 1e-7
+    sides = [item.left_segment for item in lease_next(stores, person(stores), sample, 45).items]
+    # With 45 fair coins, fewer than 6 on one side have a probability below 1e-7.
     assert 6 <= sum(sides) <= 39
 
 
-def test_a_leased_query_is_not_leased_to_another(stores: Stores) -> None:
+def test_leased_query_is_not_leased_to_another_user(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=4)
     ada, bob = person(stores, "ada"), person(stores, "bob")
-    assert ids(ask(stores, ada, sample, 3)) == sample.query_ids[:3]
-    assert ids(ask(stores, bob, sample, 3)) == sample.query_ids[3:]
+    assert ids(lease_next(stores, ada, sample, 3)) == sample.query_ids[:3]
+    assert ids(lease_next(stores, bob, sample, 3)) == sample.query_ids[3:]
 
 
-def test_an_expired_lease_passes_to_the_next_user(stores: Stores) -> None:
+def test_expired_lease_passes_to_the_next_user(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=1)
     ada, bob = person(stores, "ada"), person(stores, "bob")
-    ask(stores, ada, sample, lease_seconds=0.0)
-    assert ids(ask(stores, bob, sample)) == sample.query_ids
+    lease_next(stores, ada, sample, lease_seconds=0.0)
+    assert ids(lease_next(stores, bob, sample)) == sample.query_ids
     with stores.database.transaction() as session, pytest.raises(LeaseLost):
         lease.heartbeat(session, ada, sample.query_ids[0], 60)
     with stores.database.transaction() as session, pytest.raises(LeaseLost):
         label.put_label(session, ada, sample.query_ids[0], 1.0)
 
 
-def test_an_expired_lease_that_nobody_took_is_still_valid(stores: Stores) -> None:
+def test_expired_lease_is_valid_until_another_user_gets_the_query(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=1)
     ada = person(stores)
-    ask(stores, ada, sample, lease_seconds=0.0)
+    lease_next(stores, ada, sample, lease_seconds=0.0)
     with stores.database.transaction() as session:
         lease.heartbeat(session, ada, sample.query_ids[0], 0.0)
         assert label.put_label(session, ada, sample.query_ids[0], 1.0).created
 
 
-def test_a_heartbeat_renews_a_lease(stores: Stores) -> None:
+def test_heartbeat_renews_a_lease(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=1)
     ada, bob = person(stores, "ada"), person(stores, "bob")
-    ask(stores, ada, sample, lease_seconds=0.0)
+    lease_next(stores, ada, sample, lease_seconds=0.0)
     with stores.database.transaction() as session:
         lease.heartbeat(session, ada, sample.query_ids[0], 60.0)
-    assert ids(ask(stores, bob, sample)) == []
+    assert ids(lease_next(stores, bob, sample)) == []
 
 
-def test_a_heartbeat_without_a_lease_is_refused(stores: Stores) -> None:
+def test_heartbeat_without_a_lease_is_refused(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=2)
     ada, absent = person(stores, role=Role.TEACHER), new_id("qry")
     with stores.database.transaction() as session:
@@ -108,52 +110,52 @@ def test_a_heartbeat_without_a_lease_is_refused(stores: Stores) -> None:
             lease.heartbeat(session, ada, absent, 60.0)
 
 
-def test_a_released_query_is_free_at_once(stores: Stores) -> None:
+def test_released_query_can_be_leased_by_another_user(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=1)
     ada, bob = person(stores, "ada"), person(stores, "bob")
-    ask(stores, ada, sample)
+    lease_next(stores, ada, sample)
     with stores.database.transaction() as session:
         lease.release(session, bob, sample.query_ids[0])
-    assert ids(ask(stores, bob, sample)) == []
+    assert ids(lease_next(stores, bob, sample)) == []
     with stores.database.transaction() as session:
         lease.release(session, ada, sample.query_ids[0])
-    assert ids(ask(stores, bob, sample)) == sample.query_ids
+    assert ids(lease_next(stores, bob, sample)) == sample.query_ids
 
 
-def test_a_skipped_query_is_leased_to_others_only(stores: Stores) -> None:
+def test_skipped_query_is_leased_to_other_users_only(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=1)
     ada, bob = person(stores, "ada"), person(stores, "bob")
-    ask(stores, ada, sample)
+    lease_next(stores, ada, sample)
     with stores.database.transaction() as session:
         label.put_label(session, ada, sample.query_ids[0], None)
-    assert ids(ask(stores, ada, sample)) == []
-    assert ids(ask(stores, bob, sample)) == sample.query_ids
+    assert ids(lease_next(stores, ada, sample)) == []
+    assert ids(lease_next(stores, bob, sample)) == sample.query_ids
 
 
-def test_an_undone_query_comes_next(stores: Stores) -> None:
+def test_query_whose_label_was_undone_is_leased_first(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=4)
     ada = person(stores)
-    before = ask(stores, ada, sample).items[0]
+    before = lease_next(stores, ada, sample).items[0]
     with stores.database.transaction() as session:
         label.put_label(session, ada, before.id, 1.0, "shown")
-    assert ids(ask(stores, ada, sample)) == sample.query_ids[1:2]
+    assert ids(lease_next(stores, ada, sample)) == sample.query_ids[1:2]
     with stores.database.transaction() as session:
         label.undo(session, ada, before.id)
-    assert ask(stores, ada, sample).items == [before]
+    assert lease_next(stores, ada, sample).items == [before]
 
 
-def test_the_reason_for_no_queries_is_given(stores: Stores) -> None:
+def test_reason_is_returned_if_there_are_no_queries(stores: Stores) -> None:
     rendering = create_sample(stores.database, stores.blobs, queries=2, ready=False)
     ada = person(stores)
-    assert ask(stores, ada, rendering) == Leased("HalfCheetah-6x1", [], "rendering")
+    assert lease_next(stores, ada, rendering) == Leased("HalfCheetah-6x1", [], "rendering")
     training = create_sample(stores.database, stores.blobs, segments=0, queries=0)
-    assert ask(stores, ada, training).reason == "policy_training"
+    assert lease_next(stores, ada, training).reason == "policy_training"
     for verb, reason in ((experiments.pause, "paused"), (experiments.cancel, "experiment_over")):
         with stores.database.transaction() as session:
             verb(session, training.experiment.id)
-        assert ask(stores, ada, training) == Leased("HalfCheetah-6x1", [], reason)  # type: ignore[arg-type]
-    taught = create_sample(stores.database, stores.blobs, queries=1, reward_source="true")
-    assert ask(stores, ada, taught).reason == "all_labelled"
+        assert lease_next(stores, ada, training) == Leased("HalfCheetah-6x1", [], reason)  # type: ignore[arg-type]
+    without_labels = create_sample(stores.database, stores.blobs, queries=1, reward_source="true")
+    assert lease_next(stores, ada, without_labels).reason == "all_labelled"
 
 
 def test_no_queries_are_leased_once_the_budget_is_spent(stores: Stores) -> None:
@@ -162,32 +164,32 @@ def test_no_queries_are_leased_once_the_budget_is_spent(stores: Stores) -> None:
     with stores.database.transaction() as session:
         for query_id in sample.query_ids[:2]:
             label.put_label(session, teacher, query_id, 0.5)
-    assert ask(stores, teacher, sample) == Leased("HalfCheetah-6x1", [], "all_labelled")
+    assert lease_next(stores, teacher, sample) == Leased("HalfCheetah-6x1", [], "all_labelled")
 
 
-def test_fewer_queries_than_requested_come_with_a_reason(stores: Stores) -> None:
+def test_reason_is_returned_with_fewer_queries_than_requested(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=2)
-    found = ask(stores, person(stores), sample, 5)
+    found = lease_next(stores, person(stores), sample, 5)
     assert (len(found.items), found.reason) == (2, "policy_training")
 
 
-def test_an_absent_experiment_is_refused(stores: Stores) -> None:
+def test_absent_experiment_is_refused(stores: Stores) -> None:
     ada = person(stores)
     with stores.database.transaction() as session, pytest.raises(ExperimentNotFound):
         lease.next_queries(session, ada, new_id("exp"), 1, 60)
 
 
-def test_concurrent_labellers_never_get_the_same_query(stores: Stores) -> None:
+def test_concurrent_labellers_never_lease_the_same_query(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=12, queries=60, label_budget=60, initial_labels=60)
     people = [person(stores, f"labeller {number}") for number in range(8)]
-    ready, held = threading.Barrier(8), [set[str]() for _ in people]
+    barrier, held = threading.Barrier(8), [set[str]() for _ in people]
 
-    def take(number: int) -> None:
-        ready.wait()
+    def lease_all(number: int) -> None:
+        barrier.wait()
         for count in range(1, 12):
-            held[number] |= set(ids(ask(stores, people[number], sample, count)))
+            held[number] |= set(ids(lease_next(stores, people[number], sample, count)))
 
-    threads = [threading.Thread(target=take, args=(number,)) for number in range(8)]
+    threads = [threading.Thread(target=lease_all, args=(number,)) for number in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -205,7 +207,7 @@ def test_concurrent_processes_label_each_query_once(stores: Stores) -> None:
         tokens = [user(session, f"labeller {number}")[1] for number in range(4)]
     processes = [
         subprocess.Popen(
-            [sys.executable, str(LABELLING), stores.database_url, sample.experiment.id, token],
+            [sys.executable, str(LABELLER_PROCESS), stores.database_url, sample.experiment.id, token],
             stdout=subprocess.PIPE,
             text=True,
         )

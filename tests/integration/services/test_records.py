@@ -1,4 +1,4 @@
-"""What workers write down: reward versions, checkpoints, curves, claims and signs of life."""
+"""Records of the workers: reward versions, checkpoints, metrics, claims and heartbeats."""
 
 import math
 import threading
@@ -26,7 +26,7 @@ def version(stores: Stores, experiment_id: str, watermark: int = 0, **values: fl
         ).number
 
 
-def test_versions_are_numbered_and_know_their_parents(stores: Stores) -> None:
+def test_reward_versions_are_numbered_and_store_their_parents(stores: Stores) -> None:
     sample, other = (create_sample(stores.database, stores.blobs, queries=0) for _ in range(2))
     assert [version(stores, sample.experiment.id, watermark) for watermark in (5, 9, 12)] == [1, 2, 3]
     assert version(stores, other.experiment.id) == 1
@@ -42,12 +42,12 @@ def test_versions_are_numbered_and_know_their_parents(stores: Stores) -> None:
         }
 
 
-def test_versions_published_concurrently_get_different_numbers(stores: Stores) -> None:
+def test_concurrently_published_versions_get_different_numbers(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=0)
-    ready, numbers = threading.Barrier(4), list[int]()
+    barrier, numbers = threading.Barrier(4), list[int]()
 
     def publish_some() -> None:
-        ready.wait()
+        barrier.wait()
         for _ in range(5):
             numbers.append(version(stores, sample.experiment.id))
 
@@ -59,7 +59,7 @@ def test_versions_published_concurrently_get_different_numbers(stores: Stores) -
     assert sorted(numbers) == list(range(1, 21))
 
 
-def test_a_metric_that_is_not_finite_is_stored_as_null(stores: Stores) -> None:
+def test_metric_of_a_version_that_is_not_finite_is_stored_as_null(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=0)
     version(stores, sample.experiment.id, 1, loss=0.5, ece=math.nan, holdout_loss=None)
     with stores.database.reading() as session:
@@ -67,7 +67,7 @@ def test_a_metric_that_is_not_finite_is_stored_as_null(stores: Stores) -> None:
         assert row.metrics == {"loss": 0.5, "ece": None, "holdout_loss": None}
 
 
-def test_a_version_of_an_absent_experiment_is_refused(stores: Stores) -> None:
+def test_version_of_an_absent_experiment_is_refused(stores: Stores) -> None:
     with pytest.raises(ExperimentNotFound):
         version(stores, new_id("exp"))
     with stores.database.reading() as session:
@@ -97,7 +97,7 @@ def points(stores: Stores, experiment_id: str, after_id: int = 0) -> dict[str, l
         }
 
 
-def test_a_rewritten_point_replaces_the_old_one_and_has_a_newer_id(stores: Stores) -> None:
+def test_rewritten_point_replaces_the_old_one_and_has_a_newer_id(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=0)
     with stores.database.transaction() as session:
         for step in (100, 200):
@@ -115,7 +115,7 @@ def test_a_rewritten_point_replaces_the_old_one_and_has_a_newer_id(stores: Store
     assert points(stores, sample.experiment.id, last_id) == {"entropy": [(200, 9.0)]}
 
 
-def test_values_that_are_not_finite_are_skipped(stores: Stores) -> None:
+def test_metrics_that_are_not_finite_are_not_recorded(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=0)
     with stores.database.transaction() as session:
         metrics.record(session, sample.experiment.id, 1, {"entropy": math.nan, "policy_loss": math.inf, "labels": 1})
@@ -130,7 +130,9 @@ def test_values_that_are_not_finite_are_skipped(stores: Stores) -> None:
         ("true", {"true_return", "true_return_best", "learned_return", "value_loss"}),
     ],
 )
-def test_labellers_get_no_curve_that_reveals_true_rewards(sqlite: Stores, reward_source: str, hidden: set[str]) -> None:
+def test_curves_that_reveal_true_rewards_are_hidden_from_labellers(
+    sqlite: Stores, reward_source: str, hidden: set[str]
+) -> None:
     sample = create_sample(sqlite.database, sqlite.blobs, queries=0, reward_source=reward_source)
     names = {"true_return", "true_return_best", "learned_return", "value_loss", "entropy", "labels"}
     with sqlite.database.transaction() as session:
@@ -143,21 +145,21 @@ def test_labellers_get_no_curve_that_reveals_true_rewards(sqlite: Stores, reward
             assert seen == (names - hidden if role is Role.LABELLER else names)
 
 
-def test_a_claim_has_one_holder_until_it_expires_or_is_released(stores: Stores) -> None:
+def test_claim_has_one_holder_until_it_expires_or_is_released(stores: Stores) -> None:
     def claim(holder: str, seconds: float = 60.0) -> bool:
         with stores.database.transaction() as session:
             return workers.claim(session, "policy:exp", holder, seconds)
 
-    def keep(holder: str) -> bool:
+    def renew(holder: str) -> bool:
         with stores.database.transaction() as session:
             return workers.heartbeat(session, "policy:exp", holder, 60.0)
 
-    assert not keep("a")
+    assert not renew("a")
     assert claim("a")
     assert claim("a", 0.0)
     assert claim("b")
     assert not claim("a")
-    assert (keep("a"), keep("b")) == (False, True)
+    assert (renew("a"), renew("b")) == (False, True)
     with stores.database.transaction() as session:
         workers.release(session, "policy:exp", "a")
     assert not claim("a")
@@ -167,22 +169,22 @@ def test_a_claim_has_one_holder_until_it_expires_or_is_released(stores: Stores) 
 
 
 def test_one_of_many_concurrent_claims_succeeds(stores: Stores) -> None:
-    ready, got = threading.Barrier(8), list[bool]()
+    barrier, results = threading.Barrier(8), list[bool]()
 
     def claim(holder: str) -> None:
-        ready.wait()
+        barrier.wait()
         with stores.database.transaction() as session:
-            got.append(workers.claim(session, "policy:exp", holder, 60.0))
+            results.append(workers.claim(session, "policy:exp", holder, 60.0))
 
     threads = [threading.Thread(target=claim, args=(f"worker {number}",)) for number in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert sorted(got) == [False] * 7 + [True]
+    assert sorted(results) == [False] * 7 + [True]
 
 
-def test_a_restarted_worker_keeps_its_row(stores: Stores) -> None:
+def test_restarted_worker_keeps_its_row(stores: Stores) -> None:
     with stores.database.transaction() as session:
         workers.report(session, "policy-0", "policy", 100, "starting")
         workers.report(session, "render-0", "render", 101, "idle", "waits")

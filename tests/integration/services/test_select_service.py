@@ -1,4 +1,4 @@
-"""How many queries are wanted, and which are never made."""
+"""The number of queries to add, and which pairs of segments become queries."""
 
 import threading
 
@@ -12,7 +12,7 @@ from support.sample_experiments import config, create_sample, make_clips, segmen
 from support.stores import Stores
 
 
-def wanted(stores: Stores, experiment_id: str) -> int:
+def queries_to_add(stores: Stores, experiment_id: str) -> int:
     with stores.database.reading() as session:
         return select.queries_to_add(session, experiments.get(session, experiment_id))
 
@@ -24,13 +24,13 @@ def set_steps(stores: Stores, experiment_id: str, steps: int) -> None:
 
 def test_queries_are_added_for_due_labels_and_the_lookahead_up_to_the_budget(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=2, queries=0)
-    # 10 labels before the first version, 4 ahead
-    assert wanted(stores, sample.experiment.id) == 14
+    # 10 labels before the first version, and 4 queries of lookahead.
+    assert queries_to_add(stores, sample.experiment.id) == 14
     set_steps(stores, sample.experiment.id, 10_000)
-    assert wanted(stores, sample.experiment.id) == 20
+    assert queries_to_add(stores, sample.experiment.id) == 20
 
 
-def test_the_budget_allows_the_queries_that_do_not_exist_yet(stores: Stores) -> None:
+def test_existing_queries_count_against_the_budget_unless_skipped(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=6)
     with stores.database.transaction() as session:
         row = experiments.get(session, sample.experiment.id)
@@ -40,12 +40,12 @@ def test_the_budget_allows_the_queries_that_do_not_exist_yet(stores: Stores) -> 
         assert select.queries_within_budget(session, row) == 15
 
 
-def test_existing_queries_are_not_added_again(stores: Stores) -> None:
+def test_existing_queries_reduce_the_number_to_add(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=6, ready=False)
-    assert wanted(stores, sample.experiment.id) == 8
+    assert queries_to_add(stores, sample.experiment.id) == 8
 
 
-def test_segments_are_exhausted_once_every_pair_is_answered(stores: Stores) -> None:
+def test_segments_are_exhausted_once_every_pair_is_labelled(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=3, queries=3)
     another = collect.store_arrays(stores.blobs, sample.experiment.id, segment())
     with stores.database.transaction() as session:
@@ -55,7 +55,7 @@ def test_segments_are_exhausted_once_every_pair_is_answered(stores: Stores) -> N
             label.put_label(session, one, query_id, 1.0)
         assert not select.exhausted(session, row)
         label.put_label(session, one, sample.query_ids[2], None)
-        assert select.exhausted(session, row), "a skip brings no label"
+        assert select.exhausted(session, row), "a skipped query must not count as pending"
         label.put_label(session, one, sample.query_ids[2], 0.0)
         assert select.exhausted(session, row)
         collect.collect(session, sample.experiment.id, [another])
@@ -63,51 +63,50 @@ def test_segments_are_exhausted_once_every_pair_is_answered(stores: Stores) -> N
 
 
 @pytest.mark.parametrize("verb", [experiments.pause, experiments.cancel, experiments.finish])
-def test_an_experiment_that_does_not_run_gets_no_queries(sqlite: Stores, verb: object) -> None:
+def test_experiment_that_is_not_running_gets_no_queries(sqlite: Stores, verb: object) -> None:
     sample = create_sample(sqlite.database, sqlite.blobs, queries=1)
     with sqlite.database.transaction() as session:
         verb(session, sample.experiment.id)  # type: ignore[operator]
-    assert wanted(sqlite, sample.experiment.id) == 0
+    assert queries_to_add(sqlite, sample.experiment.id) == 0
 
 
-def test_a_policy_that_learns_from_the_true_reward_gets_no_queries(sqlite: Stores) -> None:
+def test_experiment_with_the_true_reward_gets_no_queries(sqlite: Stores) -> None:
     sample = create_sample(sqlite.database, sqlite.blobs, segments=0, queries=0, reward_source="true")
-    assert wanted(sqlite, sample.experiment.id) == 0
+    assert queries_to_add(sqlite, sample.experiment.id) == 0
 
 
-def test_a_skipped_query_is_replaced_until_it_is_labelled(stores: Stores) -> None:
+def test_skipped_query_is_replaced_until_it_is_labelled(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=4)
-    before = wanted(stores, sample.experiment.id)
+    before = queries_to_add(stores, sample.experiment.id)
     with stores.database.transaction() as session:
         one, _ = user(session, "one", Role.TEACHER)
         two, _ = user(session, "two", Role.TEACHER)
         label.put_label(session, one, sample.query_ids[0], None)
-    assert wanted(stores, sample.experiment.id) == before + 1
+    assert queries_to_add(stores, sample.experiment.id) == before + 1
     with stores.database.transaction() as session:
         label.put_label(session, two, sample.query_ids[0], 1.0)
-    assert wanted(stores, sample.experiment.id) == before
+    assert queries_to_add(stores, sample.experiment.id) == before
 
 
-def test_a_query_whose_clip_failed_is_replaced(stores: Stores) -> None:
+def test_query_whose_clip_failed_is_replaced(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=3, queries=3, ready=False)
-    before = wanted(stores, sample.experiment.id)
+    before = queries_to_add(stores, sample.experiment.id)
     with stores.database.transaction() as session:
         job = clips.claim_pending(session, "worker", 60)
         assert job is not None
         clips.fail(session, job.clip_id, "broken", retry=False)
-    # each of 3 segments is in 2 of the 3 queries
-    assert wanted(stores, sample.experiment.id) == before + 2
+    # Each of 3 segments is in 2 of the 3 queries.
+    assert queries_to_add(stores, sample.experiment.id) == before + 2
     # and no new query is sample over that segment
     with stores.database.transaction() as session:
         row = experiments.get(session, sample.experiment.id)
         others = [each for each in sample.segment_ids if each != job.segment_id]
         assert select.add_queries(session, row, [(job.segment_id, others[0])], "uniform") == []
-        # so that it is no use to choose it
         assert select.selectable_segments(session, row.id) == others[::-1]
         assert select.selectable_segments(session, row.id, 1) == others[-1:]
 
 
-def test_a_pair_has_one_query_in_either_order(stores: Stores) -> None:
+def test_pair_gets_one_query_whatever_its_order(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=3, queries=0)
     a, b, c = sample.segment_ids
     with stores.database.transaction() as session:
@@ -125,7 +124,7 @@ def test_queries_are_numbered_consecutively(stores: Stores) -> None:
         assert [row.number for row in rows if row] == [1, 2, 3, 4, 5]
 
 
-def test_a_segment_of_another_experiment_is_refused(stores: Stores) -> None:
+def test_segment_of_another_experiment_is_refused(stores: Stores) -> None:
     sample, other = (create_sample(stores.database, stores.blobs, segments=2, queries=0) for _ in range(2))
     with stores.database.transaction() as session:
         row = experiments.get(session, sample.experiment.id)
@@ -133,14 +132,14 @@ def test_a_segment_of_another_experiment_is_refused(stores: Stores) -> None:
             select.add_queries(session, row, [(sample.segment_ids[0], other.segment_ids[0])], "uniform")
 
 
-def test_without_clips_a_query_is_open_at_once(stores: Stores) -> None:
+def test_query_without_clips_is_open_at_once(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=2, ready=False, render_clips=False)
     with stores.database.reading() as session:
         assert {session.get(QueryRow, each).status for each in sample.query_ids} == {"open"}  # type: ignore[union-attr]
     assert make_clips(stores.database, stores.blobs) == 0
 
 
-def test_a_query_whose_clips_exist_is_open_at_once(stores: Stores) -> None:
+def test_query_whose_clips_exist_is_open_at_once(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=3, queries=2)
     with stores.database.transaction() as session:
         row = experiments.get(session, sample.experiment.id)
@@ -150,7 +149,7 @@ def test_a_query_whose_clips_exist_is_open_at_once(stores: Stores) -> None:
         assert query.status == "open"
 
 
-def test_candidates_are_the_newest_segments_first(stores: Stores) -> None:
+def test_candidates_are_the_newest_segments(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=5, queries=0)
     with stores.database.reading() as session:
         found = select.candidates(session, sample.experiment.id, 3)
@@ -159,12 +158,12 @@ def test_candidates_are_the_newest_segments_first(stores: Stores) -> None:
         assert set(select.segment_blobs(session, sample.segment_ids)) == set(sample.segment_ids)
 
 
-def test_queries_added_concurrently_get_different_numbers(stores: Stores) -> None:
+def test_concurrently_added_queries_get_different_numbers(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, segments=9, queries=0)
-    ready = threading.Barrier(4)
+    barrier = threading.Barrier(4)
 
     def add(first: int) -> None:
-        ready.wait()
+        barrier.wait()
         for second in range(first + 1, 9):
             with stores.database.transaction() as session:
                 row = experiments.get(session, sample.experiment.id)
@@ -180,7 +179,7 @@ def test_queries_added_concurrently_get_different_numbers(stores: Stores) -> Non
     assert numbers == list(range(1, 8 + 7 + 6 + 5 + 1))
 
 
-def test_settings_survive_the_database(sqlite: Stores) -> None:
+def test_settings_are_read_back_equal(sqlite: Stores) -> None:
     sample = create_sample(
         sqlite.database, sqlite.blobs, segments=0, queries=0, policy={"learning_rate": 0.1, "shared_actor": True}
     )

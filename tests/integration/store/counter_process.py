@@ -1,4 +1,4 @@
-"""One of several processes that count in the same database: python counter_process.py URL TIMES."""
+"""Increments a counter in a database, beside other processes: python counter_process.py URL TIMES."""
 
 import sys
 

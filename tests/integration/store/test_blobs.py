@@ -1,4 +1,4 @@
-"""Blobs: written once, whole or not at all, and a sentence when they cannot be."""
+"""Blob stores: immutable and atomic writes, ranges, keys, and errors of stores that are not writable."""
 
 import errno
 import os
@@ -12,7 +12,7 @@ import pytest
 from accord.domain.errors import BlobMissing, BlobsNotWritable
 from accord.store.blobs import BlobStore, open_blobs
 
-PUTTING = Path(__file__).with_name("blob_writer_process.py")
+WRITER_PROCESS = Path(__file__).with_name("blob_writer_process.py")
 
 
 @pytest.fixture(params=["folder", "memory"])
@@ -22,7 +22,7 @@ def blobs(request: pytest.FixtureRequest, tmp_path: Path) -> BlobStore:
     return open_blobs(f"file://{tmp_path / 'blobs'}")
 
 
-def test_a_blob_is_read_as_it_was_stored(blobs: BlobStore) -> None:
+def test_blob_is_read_back_equal(blobs: BlobStore) -> None:
     content = os.urandom(10_000)
     blobs.put("some/folder/blob.bin", content)
     assert blobs.exists("some/folder/blob.bin")
@@ -31,18 +31,18 @@ def test_a_blob_is_read_as_it_was_stored(blobs: BlobStore) -> None:
 
 
 @pytest.mark.parametrize(("start", "stop"), [(0, 3), (2, 5), (4, 100), (3, 3), (10, 20), (7, 2)])
-def test_a_range_of_a_blob_is_read(blobs: BlobStore, start: int, stop: int) -> None:
+def test_range_of_a_blob_is_read(blobs: BlobStore, start: int, stop: int) -> None:
     blobs.put("key", b"abcdefgh")
     assert blobs.read_range("key", start, stop) == b"abcdefgh"[start:stop]
 
 
-def test_a_stored_blob_keeps_its_first_bytes(blobs: BlobStore) -> None:
+def test_second_write_does_not_change_a_blob(blobs: BlobStore) -> None:
     blobs.put("key", b"first")
     blobs.put("key", b"second")
     assert blobs.read("key") == b"first"
 
 
-def test_a_missing_blob_is_named(blobs: BlobStore) -> None:
+def test_missing_blob_is_refused(blobs: BlobStore) -> None:
     assert not blobs.exists("no/such")
     for read in (
         lambda: blobs.read("no/such"),
@@ -53,7 +53,7 @@ def test_a_missing_blob_is_named(blobs: BlobStore) -> None:
             read()
 
 
-def test_a_deleted_blob_is_gone_and_can_be_deleted_again(blobs: BlobStore) -> None:
+def test_delete_is_idempotent(blobs: BlobStore) -> None:
     blobs.put("key", b"x")
     blobs.delete("key")
     blobs.delete("key")
@@ -63,22 +63,22 @@ def test_a_deleted_blob_is_gone_and_can_be_deleted_again(blobs: BlobStore) -> No
 @pytest.mark.parametrize(
     "key", ["", "../secret", "/etc/passwd", "a/../b", "a//b", ".hidden", "a/.b", "a\0b", "a/", "ä"]
 )
-def test_a_key_that_could_leave_the_store_is_refused(blobs: BlobStore, key: str) -> None:
+def test_key_that_could_leave_the_store_is_refused(blobs: BlobStore, key: str) -> None:
     with pytest.raises(ValueError, match="blob key"):
         blobs.put(key, b"x")
     with pytest.raises(ValueError, match="blob key"):
         blobs.read(key)
 
 
-def test_a_writable_store_passes_the_check_and_stays_empty(blobs: BlobStore) -> None:
+def test_writable_store_passes_the_check(blobs: BlobStore) -> None:
     blobs.check_writable()
 
 
-def test_a_writer_killed_at_any_moment_leaves_only_whole_blobs(tmp_path: Path) -> None:
+def test_killed_writer_leaves_every_acknowledged_blob_whole(tmp_path: Path) -> None:
     url = f"file://{tmp_path}"
     acknowledged = -1
     for _ in range(5):
-        with subprocess.Popen([sys.executable, str(PUTTING), url], stdout=subprocess.PIPE, text=True) as process:
+        with subprocess.Popen([sys.executable, str(WRITER_PROCESS), url], stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
             for line in process.stdout:
                 acknowledged = max(acknowledged, int(line))
@@ -89,8 +89,8 @@ def test_a_writer_killed_at_any_moment_leaves_only_whole_blobs(tmp_path: Path) -
         assert blobs.read(f"folder-{number % 7}/{number}") == bytes([number % 256]) * 300_000
 
 
-@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become a user without permission")
-def test_a_read_only_folder_is_refused(tmp_path: Path) -> None:
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to switch to a user without permission")
+def test_read_only_folder_is_refused(tmp_path: Path) -> None:
     folder = tmp_path / "blobs"
     folder.mkdir()
     for each in (tmp_path, *tmp_path.parents):
@@ -110,7 +110,7 @@ def test_a_read_only_folder_is_refused(tmp_path: Path) -> None:
     assert "ACCORD_HOME" in printed
 
 
-def test_a_full_disk_leaves_no_partial_blob(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_leaves_no_partial_blob(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blobs = open_blobs(f"file://{tmp_path / 'blobs'}")
 
     def no_space(_descriptor: int) -> None:
@@ -122,13 +122,12 @@ def test_a_full_disk_leaves_no_partial_blob(tmp_path: Path, monkeypatch: pytest.
     assert [path for path in (tmp_path / "blobs").rglob("*") if path.is_file()] == []
 
 
-@pytest.mark.parametrize("url", ["nosuch://bucket/prefix"])
-def test_a_url_of_an_unknown_kind_is_refused(url: str) -> None:
+def test_url_of_an_unknown_kind_is_refused() -> None:
     with pytest.raises(BlobsNotWritable):
-        open_blobs(url)
+        open_blobs("nosuch://bucket/prefix")
 
 
-def test_a_folder_below_a_file_is_refused(tmp_path: Path) -> None:
+def test_folder_below_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BlobsNotWritable):
         open_blobs(f"file://{tmp_path / 'file' / 'blobs'}")

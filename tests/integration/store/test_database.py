@@ -1,4 +1,4 @@
-"""Transactions: whole or not at all, many at once, and a sentence when the database is not to be had."""
+"""Transactions: atomicity, concurrency, group commit, and errors of databases that cannot be opened."""
 
 import subprocess
 import sys
@@ -16,7 +16,7 @@ from accord.store.group_commit import CommitFailed
 from support.stores import Stores
 from support.waiting import PATIENCE_SECONDS, until
 
-COUNTING = Path(__file__).with_name("counter_process.py")
+COUNTER_PROCESS = Path(__file__).with_name("counter_process.py")
 
 
 def names(database: Database) -> set[str]:
@@ -29,13 +29,13 @@ def add(session: Session, name: str) -> None:
     session.flush()
 
 
-def test_a_block_is_committed_when_it_ends(stores: Stores) -> None:
+def test_transaction_is_committed_at_the_end_of_its_block(stores: Stores) -> None:
     with stores.database.transaction() as session:
         add(session, "kept")
     assert names(stores.database) == {"kept"}
 
 
-def test_a_block_is_rolled_back_when_it_raises(stores: Stores) -> None:
+def test_transaction_is_rolled_back_if_its_block_raises(stores: Stores) -> None:
     def write_and_fail() -> None:
         with stores.database.transaction() as session:
             add(session, "lost")
@@ -55,24 +55,24 @@ def test_sqlite_has_the_expected_pragmas(sqlite: Stores) -> None:
     assert settings == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "busy_timeout": 20_000}
 
 
-def test_processes_that_read_and_then_write_never_fail_and_lose_nothing(sqlite: Stores) -> None:
+def test_concurrent_processes_that_read_and_then_write_lose_no_update(sqlite: Stores) -> None:
     with sqlite.database.transaction() as session:
         add(session, "counter")
-    processes = [subprocess.Popen([sys.executable, str(COUNTING), sqlite.database_url, "50"]) for _ in range(4)]
+    processes = [subprocess.Popen([sys.executable, str(COUNTER_PROCESS), sqlite.database_url, "50"]) for _ in range(4)]
     assert [process.wait(PATIENCE_SECONDS) for process in processes] == [0, 0, 0, 0]
     with sqlite.database.reading() as session:
         assert workers.all(session)[0].restarts == 200
 
 
-def test_a_reader_does_not_wait_for_a_writer(sqlite: Stores) -> None:
+def test_reader_does_not_wait_for_a_writer(sqlite: Stores) -> None:
     with sqlite.database.transaction() as session:
-        add(session, "not yet")
+        add(session, "committed later")
         assert names(sqlite.database) == set()
-    assert names(sqlite.database) == {"not yet"}
+    assert names(sqlite.database) == {"committed later"}
 
 
-class Crowd:
-    """Threads that all want to write while a first one is still at it."""
+class ConcurrentWriters:
+    """Concurrent writers: the first keeps its transaction open until all others wait, and the second raises."""
 
     def __init__(self, database: Database, size: int) -> None:
         self.database = database
@@ -110,22 +110,21 @@ def commits_of(engine: Engine) -> list[object]:
 
 def test_concurrent_writers_share_one_commit(sqlite: Stores) -> None:
     commits = commits_of(sqlite.database.engine)
-    crowd = Crowd(sqlite.database, 20)
-    crowd.run()
-    # the first holds the turn until all others wait; from then on nobody else comes
+    writers = ConcurrentWriters(sqlite.database, 20)
+    writers.run()
     assert len(commits) == 1
-    assert list(crowd.raised) == [1]
+    assert list(writers.raised) == [1]
     assert names(sqlite.database) == {f"writer {number}" for number in range(20) if number != 1}
 
 
-def test_a_group_is_committed_at_its_largest_size(sqlite: Stores) -> None:
+def test_writers_beyond_the_largest_group_share_a_second_commit(sqlite: Stores) -> None:
     commits = commits_of(sqlite.database.engine)
-    Crowd(sqlite.database, 100).run()
+    ConcurrentWriters(sqlite.database, 100).run()
     assert len(commits) == 2
     assert len(names(sqlite.database)) == 99
 
 
-def test_a_failed_shared_commit_raises_for_every_writer(sqlite: Stores) -> None:
+def test_failed_shared_commit_raises_for_every_writer(sqlite: Stores) -> None:
     class DiskGone(Exception):
         pass
 
@@ -133,17 +132,17 @@ def test_a_failed_shared_commit_raises_for_every_writer(sqlite: Stores) -> None:
         raise DiskGone
 
     event.listen(sqlite.database.engine, "commit", fail)
-    crowd = Crowd(sqlite.database, 8)
-    crowd.run()
+    writers = ConcurrentWriters(sqlite.database, 8)
+    writers.run()
     event.remove(sqlite.database.engine, "commit", fail)
-    assert {number: type(error) for number, error in crowd.raised.items()} == dict.fromkeys(range(8), CommitFailed)
+    assert {number: type(error) for number, error in writers.raised.items()} == dict.fromkeys(range(8), CommitFailed)
     assert names(sqlite.database) == set()
     with sqlite.database.transaction() as session:
         add(session, "afterwards")
     assert names(sqlite.database) == {"afterwards"}
 
 
-def test_a_nested_transaction_raises_instead_of_a_deadlock(sqlite: Stores) -> None:
+def test_nested_transaction_raises_instead_of_deadlocking(sqlite: Stores) -> None:
     with sqlite.database.transaction() as session:
         add(session, "outer")
         with pytest.raises(RuntimeError), sqlite.database.transaction():
@@ -151,7 +150,7 @@ def test_a_nested_transaction_raises_instead_of_a_deadlock(sqlite: Stores) -> No
     assert names(sqlite.database) == {"outer"}
 
 
-def test_a_file_that_is_not_a_database_is_refused(tmp_path: Path) -> None:
+def test_file_that_is_not_a_database_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "accord.db"
     path.write_text("a shopping list, long enough to be read as a page of a database" * 100)
     database = Database.open(f"sqlite:///{path}")
@@ -160,19 +159,19 @@ def test_a_file_that_is_not_a_database_is_refused(tmp_path: Path) -> None:
     database.close()
 
 
-def test_a_folder_that_cannot_be_created_is_refused(tmp_path: Path) -> None:
+def test_folder_that_cannot_be_created_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(DatabaseUnreachable):
         Database.open(f"sqlite:///{tmp_path / 'file' / 'accord.db'}")
 
 
 @pytest.mark.parametrize("url", ["what", "nosuch://host/name", ""])
-def test_an_invalid_url_is_refused(url: str) -> None:
+def test_invalid_url_is_refused(url: str) -> None:
     with pytest.raises(DatabaseUnreachable):
         Database.open(url)
 
 
-def test_an_unreachable_postgres_is_named_without_its_password() -> None:
+def test_error_for_an_unreachable_postgres_does_not_show_the_password() -> None:
     pytest.importorskip("psycopg", reason="psycopg is not installed: pip install 'accord[postgres]'")
     database = Database.open("postgresql+psycopg://ada:secret@127.0.0.1:1/accord")
     with pytest.raises(DatabaseUnreachable) as caught:

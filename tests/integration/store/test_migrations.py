@@ -1,4 +1,4 @@
-"""The migrations make exactly the tables that the code has, on both databases."""
+"""Migrations: equality with the tables of the code, repetition, reversal and concurrency."""
 
 import re
 import threading
@@ -17,7 +17,7 @@ from accord.store.tables import Base
 from support.stores import Stores
 
 
-def test_migrated_tables_are_those_of_the_code(stores: Stores) -> None:
+def test_migrated_tables_equal_the_tables_of_the_code(stores: Stores) -> None:
     with stores.database.reading() as session:
         context = MigrationContext.configure(session.connection())
         assert compare_metadata(context, Base.metadata) == []
@@ -40,7 +40,7 @@ def test_migrations_can_be_reverted_and_repeated(stores: Stores) -> None:
         assert compare_metadata(MigrationContext.configure(session.connection()), Base.metadata) == []
 
 
-def test_a_database_of_a_newer_version_is_refused(stores: Stores) -> None:
+def test_database_of_a_newer_version_is_refused(stores: Stores) -> None:
     with stores.database.transaction() as session:
         session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
     with pytest.raises(DatabaseTooNew):
@@ -50,12 +50,12 @@ def test_a_database_of_a_newer_version_is_refused(stores: Stores) -> None:
 def test_concurrent_migrations_succeed(tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path / 'accord.db'}"
     errors: list[BaseException] = []
-    ready = threading.Barrier(4)
+    barrier = threading.Barrier(4)
 
     def start() -> None:
         database = Database.open(url)
         try:
-            ready.wait()
+            barrier.wait()
             database.migrate()
         except BaseException as error:  # noqa: BLE001
             errors.append(error)

@@ -1,4 +1,4 @@
-"""The statements of the label path find what they look for by an index, however many queries there are."""
+"""The SQL statements that lease and label a query use indexes."""
 
 from typing import Any
 
@@ -10,8 +10,8 @@ from support.sample_experiments import create_sample, user
 from support.stores import Stores
 
 
-def statements_of_a_round_trip(stores: Stores) -> list[tuple[str, Any]]:
-    """SQL and values of everything that one `next` and one label run."""
+def statements_of_lease_and_label(stores: Stores) -> list[tuple[str, Any]]:
+    """SQL and values of the statements that lease and label one query."""
     sample = create_sample(stores.database, stores.blobs)
     with stores.database.transaction() as session:
         _, token = user(session, "ada", Role.LABELLER)
@@ -26,8 +26,8 @@ def statements_of_a_round_trip(stores: Stores) -> list[tuple[str, Any]]:
     return [each for each in found if each[0].startswith(("SELECT", "UPDATE"))]
 
 
-def test_no_statement_of_a_round_trip_reads_a_whole_table_or_all_open_queries(sqlite: Stores) -> None:
-    statements = statements_of_a_round_trip(sqlite)
+def test_no_statement_scans_a_table_or_sorts_all_open_queries(sqlite: Stores) -> None:
+    statements = statements_of_lease_and_label(sqlite)
     assert len(statements) >= 8
     with sqlite.database.reading() as session:
         for sql, values in statements:
@@ -36,9 +36,9 @@ def test_no_statement_of_a_round_trip_reads_a_whole_table_or_all_open_queries(sq
             )
             plan = [str(row[3]) for row in rows]
             assert not [step for step in plan if step.startswith("SCAN")], (sql, plan)
-            # a lease is found by its holder, not among all that are open
+            # Leases are found by their holder, not among all open queries.
             if "leased_by = ?" in sql and sql.startswith("SELECT"):
                 assert any("ix_queries_leased" in step for step in plan), plan
-            # and what is sorted first has to be read whole
+            # A temporary B-tree would sort all rows before the limit applies.
             if "LIMIT" in sql:
                 assert not [step for step in plan if "TEMP B-TREE" in step], (sql, plan)

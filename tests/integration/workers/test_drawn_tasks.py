@@ -92,7 +92,7 @@ def test_nothing_is_drawn_where_programs_alone_label(place: Workplace) -> None:
 
 @pytest.mark.parametrize(
     ("task", "words"),
-    [("BlindButtons-2", "render_mode='rgb_array'"), ("DicedButtons-2", "is not deterministic given its seed")],
+    [("BlindButtons-2", "render_mode='rgb_array'"), ("VaryingButtons-2", "is not deterministic given its seed")],
 )
 def test_a_task_that_cannot_be_drawn_ends_its_experiment_with_a_sentence(
     place: Workplace, task: str, words: str

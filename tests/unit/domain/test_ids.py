@@ -1,8 +1,8 @@
 from accord.domain.ids import check_id, new_id
 
 
-def test_ids_sort_by_the_order_they_were_made_in():
-    made = [new_id("seg") for _ in range(20_000)]
-    assert made == sorted(made)
-    assert len(set(made)) == len(made)
-    check_id(made[-1], "seg")
+def test_ids_are_unique_and_sort_by_creation():
+    ids = [new_id("seg") for _ in range(20_000)]
+    assert ids == sorted(ids)
+    assert len(set(ids)) == len(ids)
+    check_id(ids[-1], "seg")

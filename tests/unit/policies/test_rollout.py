@@ -56,7 +56,7 @@ def test_recorded_actions_reproduce_the_rollout(rollouts) -> None:
             np.testing.assert_array_equal(step.final_state, rollout.final_state[t])
 
 
-def test_an_episode_starts_after_the_last_one_ended(rollouts) -> None:
+def test_episode_starts_after_the_last_one_ended(rollouts) -> None:
     starts = np.concatenate([rollout.episode_start for rollout in rollouts])
     ends = np.concatenate([rollout.truncated | rollout.terminated for rollout in rollouts])
     np.testing.assert_array_equal(np.flatnonzero(starts[:, 0]), [0, 1000])

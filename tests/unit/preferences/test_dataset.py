@@ -80,7 +80,7 @@ def test_nan_and_infinity_are_refused(value):
 
 
 @pytest.mark.parametrize("label", [-0.1, 1.5, np.nan])
-def test_a_label_outside_zero_to_one_is_refused(label):
+def test_label_outside_zero_to_one_is_refused(label):
     with pytest.raises(InvalidLabel) as refused:
         PreferenceDataset(segments(), np.array([[0, 1], [1, 2]]), np.array([0.5, label]))
     assert refused.value.index == 1

@@ -123,14 +123,14 @@ def test_pair_is_skipped_only_if_both_scores_are_below_the_threshold():
     assert np.isnan(teacher.judge(first, second)).tolist() == [True, False, True]
 
 
-def test_equal_applies_below_the_threshold():
+def test_pair_is_equal_if_scores_differ_by_less_than_the_threshold():
     teacher = make_teacher("equal", equal=0.1)
     teacher.set_episode_return(100.0, 20)
     first, second = view([[4.0, 0.9], [4.0, 1.0], [0.0, 0.0]]), view([[4.0, 0.0]] * 3)
     assert teacher.judge(first, second).tolist() == [0.5, 1.0, 0.0]
 
 
-def test_thresholds_are_linear_in_eps():
+def test_threshold_is_proportional_to_its_parameter_and_to_the_episode_return():
     teacher = make_teacher("equal", equal=0.5)
     teacher.set_episode_return(8.0, 1)
     assert teacher.judge(view([[13.9], [14.1]]), view([[10.0], [10.0]])).tolist() == [0.5, 1.0]
@@ -201,12 +201,12 @@ def test_statistics_follow_the_last_pairs():
 def test_labels_do_not_depend_on_the_batch_size(name):
     rng = np.random.default_rng(3)
 
-    def made():
+    def random_view():
         shape = (700, 8)
         rewards, observations = rng.normal(1, 2, size=shape), rng.normal(size=(*shape, 6, 9))
         return TeacherView(rewards, None, observations, rng.normal(size=(*shape, 6, 1)))
 
-    first, second = made(), made()
+    first, second = random_view(), random_view()
     whole = make_teacher(name, seed=5).judge(first, second)
     teacher, parts = make_teacher(name, seed=5), np.split(np.arange(700), [1, 2, 40, 600])
     np.testing.assert_array_equal(
@@ -241,7 +241,7 @@ def test_mistakes_of_a_rule_have_their_rate():
     assert within_binomial_bounds((mistaken != right).mean(), 0.1)
 
 
-def test_names_are_presets_then_rules():
+def test_teacher_names_list_presets_before_rules():
     assert teacher_names() == (*PRESETS, *list(RULES)[1:])
     assert len(set(teacher_names())) == len(teacher_names())
 

@@ -87,7 +87,7 @@ def test_same_seed_gives_the_same_pairs(name):
     assert chosen(3) != chosen(4)
 
 
-def test_selectors_have_the_names_they_are_made_by():
+def test_name_of_a_selector_is_its_name_in_make_selector():
     assert [make_selector(name, np.random.default_rng(0)).name for name in selector_names()] == list(selector_names())
 
 

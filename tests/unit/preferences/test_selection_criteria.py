@@ -74,7 +74,7 @@ def test_entropy_chooses_pairs_that_every_member_scores_alike():
     assert max(gaps) < 10
 
 
-def test_the_most_uncertain_candidates_are_chosen():
+def test_most_uncertain_candidates_are_chosen():
     view = SegmentView(scores=np.random.default_rng(1).normal(size=(3, 50)))
     k = 7
     candidates = make_selector("uniform", np.random.default_rng(5)).select(range(50), [], CANDIDATES_PER_QUERY * k)
@@ -222,7 +222,7 @@ def test_k_center_does_not_depend_on_the_units_of_features():
     assert chosen(features) == chosen(features * units)
 
 
-def test_identical_segments_are_chosen_once_nothing_else_is_left():
+def test_pairs_of_identical_segments_are_chosen_if_no_others_are_left():
     view = SegmentView(features=np.zeros((5, 3)))
     chosen = make_selector("k_center", np.random.default_rng(0)).select(range(5), [], 10, view)
     assert len({frozenset(pair) for pair in chosen}) == 10

@@ -147,43 +147,43 @@ CASES = [
 
 @pytest.mark.parametrize(("rule", "slow"), CASES)
 def test_scores_equal_a_plain_loop(rule, slow):
-    made = segments(60)
-    expected = [slow(rule, each["rewards"], each["observations"], each["actions"]) for each in made]
-    np.testing.assert_allclose(rule.scores(TeacherView.stack(made)), expected, rtol=1e-9, atol=1e-9)
+    samples = segments(60)
+    expected = [slow(rule, each["rewards"], each["observations"], each["actions"]) for each in samples]
+    np.testing.assert_allclose(rule.scores(TeacherView.stack(samples)), expected, rtol=1e-9, atol=1e-9)
 
 
 @every_rule
 def test_scores_do_not_depend_on_padding(rule):
-    made = TeacherView.stack(segments(20))
-    wider = np.pad(made.mask, ((0, 0), (0, 5)))
+    view = TeacherView.stack(segments(20))
+    wider = np.pad(view.mask, ((0, 0), (0, 5)))
     filled = {
-        name: np.pad(getattr(made, name), ((0, 0), (0, 5), *[(0, 0)] * (getattr(made, name).ndim - 2)))
+        name: np.pad(getattr(view, name), ((0, 0), (0, 5), *[(0, 0)] * (getattr(view, name).ndim - 2)))
         for name in ("rewards", "observations", "actions")
     }
     for array in filled.values():
         array[~wider] = 1e3
     np.testing.assert_allclose(
-        rule.scores(TeacherView(mask=wider, **filled)), rule.scores(made), rtol=1e-12, atol=1e-12
+        rule.scores(TeacherView(mask=wider, **filled)), rule.scores(view), rtol=1e-12, atol=1e-12
     )
 
 
 @every_rule
 def test_scores_of_a_segment_do_not_depend_on_the_others(rule):
-    made = segments(20)
-    alone = [rule.scores(TeacherView.stack([each]))[0] for each in made]
-    np.testing.assert_allclose(rule.scores(TeacherView.stack(made)), alone, rtol=1e-9, atol=1e-12)
+    samples = segments(20)
+    alone = [rule.scores(TeacherView.stack([each]))[0] for each in samples]
+    np.testing.assert_allclose(rule.scores(TeacherView.stack(samples)), alone, rtol=1e-9, atol=1e-12)
 
 
 @every_rule
 def test_rules_read_exactly_the_arrays_they_declare(rule):
-    made = TeacherView.stack(segments(10))
-    shown = {name: getattr(made, name) for name in ("observations", "actions") if name in rule.reads}
-    rewards = made.rewards if "rewards" in rule.reads else np.zeros_like(made.rewards)
-    np.testing.assert_array_equal(rule.scores(TeacherView(rewards, made.mask, **shown)), rule.scores(made))
-    for name in shown:
-        rest = {other: array for other, array in shown.items() if other != name}
+    view = TeacherView.stack(segments(10))
+    arrays = {name: getattr(view, name) for name in ("observations", "actions") if name in rule.reads}
+    rewards = view.rewards if "rewards" in rule.reads else np.zeros_like(view.rewards)
+    np.testing.assert_array_equal(rule.scores(TeacherView(rewards, view.mask, **arrays)), rule.scores(view))
+    for name in arrays:
+        rest = {other: array for other, array in arrays.items() if other != name}
         with pytest.raises(MissingView):
-            rule.scores(TeacherView(rewards, made.mask, **rest))
+            rule.scores(TeacherView(rewards, view.mask, **rest))
 
 
 @every_rule

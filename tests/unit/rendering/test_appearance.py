@@ -1,4 +1,4 @@
-"""The styled model, without rendering it."""
+"""Colours and dynamics of the styled model."""
 
 import numpy as np
 import pytest

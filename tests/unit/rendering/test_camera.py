@@ -1,4 +1,4 @@
-"""The camera's path."""
+"""The path of the camera."""
 
 import numpy as np
 from hypothesis import given
@@ -16,9 +16,9 @@ WINDOW = 8
 bodies = st.lists(st.tuples(st.floats(-1, 1), st.floats(0, 3), st.floats(0, 2), st.floats(0, 1.6)), min_size=1)
 
 
-def boxes(drawn: list[tuple[float, float, float, float]]) -> tuple[NDArray, NDArray]:
+def boxes(motion: list[tuple[float, float, float, float]]) -> tuple[NDArray, NDArray]:
     """Corners (T,2) of a body that moves by the given strides."""
-    stride, floor, length, height = np.array(drawn).T
+    stride, floor, length, height = np.array(motion).T
     lowest = np.column_stack([np.cumsum(stride), floor])
     return lowest, lowest + np.column_stack([length, height])
 
@@ -35,8 +35,8 @@ def follow(lowest: NDArray, highest: NDArray) -> NDArray:
 
 
 @given(bodies)
-def test_whole_body_stays_in_view_for_any_motion(drawn: list[tuple[float, float, float, float]]) -> None:
-    lowest, highest = boxes(drawn)
+def test_whole_body_stays_in_view_for_any_motion(motion: list[tuple[float, float, float, float]]) -> None:
+    lowest, highest = boxes(motion)
     path = follow(lowest, highest)
     half = np.array([VIEW.half_width, VIEW.half_height])
     assert (lowest >= path - half - 1e-9).all()

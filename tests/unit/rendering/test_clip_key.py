@@ -1,4 +1,4 @@
-"""Clip keys."""
+"""The key of a clip changes with every input."""
 
 from dataclasses import replace
 

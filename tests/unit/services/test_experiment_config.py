@@ -25,7 +25,7 @@ def config(**changes: object) -> ExperimentConfig:
     return ExperimentConfig(task="HalfCheetah-6x1", **changes)  # type: ignore[arg-type]
 
 
-def test_the_choices_are_those_of_the_library():
+def test_choices_equal_those_of_mapt():
     assert get_args(QuerySelection) == selector_names()
     assert set(get_args(RewardPreset)) == set(get_args(PresetName))
     assert get_args(RewardModelName) == MODEL_NAMES
@@ -44,7 +44,7 @@ def test_the_choices_are_those_of_the_library():
         ("reward_source", ("preferences", "true")),
     ],
 )
-def test_every_choice_is_accepted_and_another_is_refused_by_name(setting, choices):
+def test_every_choice_is_accepted_and_another_is_refused(setting, choices):
     for choice in choices:
         config(**{setting: choice})
     with pytest.raises(InvalidConfig) as caught:
@@ -70,7 +70,7 @@ def test_every_choice_is_accepted_and_another_is_refused_by_name(setting, choice
         ("device", "tpu"),
     ],
 )
-def test_a_value_of_the_wrong_type_or_out_of_range_is_refused_by_name(setting, value):
+def test_error_for_a_value_of_the_wrong_type_or_out_of_range_names_the_setting(setting, value):
     with pytest.raises(InvalidConfig) as caught:
         config(**{setting: value})
     assert caught.value.field == setting
@@ -88,24 +88,24 @@ def test_a_value_of_the_wrong_type_or_out_of_range_is_refused_by_name(setting, v
         (5, "policy"),
     ],
 )
-def test_an_invalid_setting_of_the_policy_is_named(policy, field):
+def test_error_for_an_invalid_policy_setting_names_it(policy, field):
     with pytest.raises(InvalidExperiment) as caught:
         read_config({"task": "HalfCheetah-6x1", "policy": policy})
     assert caught.value.field == field
     assert str(caught.value).startswith(field)
 
 
-def test_the_policy_has_the_experiments_seed_and_device_unless_it_sets_its_own():
+def test_policy_inherits_the_seed_of_the_experiment_unless_it_sets_its_own():
     assert config(seed=7, policy={"hidden": [32, 32]}).policy_config().seed == 7
-    made = config(seed=7, policy={"seed": 8, "hidden": [32, 32]}).policy_config(n_threads=3)
-    assert (made.seed, made.hidden, made.n_threads) == (8, (32, 32), 3)
+    own = config(seed=7, policy={"seed": 8, "hidden": [32, 32]}).policy_config(n_threads=3)
+    assert (own.seed, own.hidden, own.n_threads) == (8, (32, 32), 3)
 
 
-def test_the_true_reward_needs_no_labels():
+def test_experiment_with_the_true_reward_needs_no_labels():
     config(reward_source="true", label_budget=0, initial_labels=0)
 
 
-def test_a_stored_experiment_without_the_newer_settings_reads_as_before():
+def test_stored_experiment_without_newer_settings_has_their_defaults():
     stored = config().to_dict()
     for newer in (
         "label_schedule",
@@ -121,11 +121,11 @@ def test_a_stored_experiment_without_the_newer_settings_reads_as_before():
     assert read == config()
 
 
-def test_a_stored_experiment_with_a_choice_of_another_version_can_be_read():
+def test_stored_experiment_with_a_choice_of_another_version_can_be_read():
     assert ExperimentConfig.from_stored(config().to_dict() | {"reward_preset": "huge"}).reward_preset == "huge"
 
 
-def test_every_number_has_a_lowest_and_a_highest_value():
+def test_every_number_has_a_minimum_and_a_maximum():
     for row in describe(ExperimentConfig):
         if "number" in row.range:
             assert " from " in row.range or " and at most " in row.range, row

@@ -1,4 +1,4 @@
-"""gymnasium-robotics' MaMuJoCo as a reference: an environment that is started in the states of one of ours."""
+"""MaMuJoCo of gymnasium-robotics as a reference, which can be set to the states of our tasks."""
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false

@@ -90,12 +90,12 @@ def test_single_agent_observes_the_state_and_drives_every_joint(name: str) -> No
 def test_initial_states_have_gymnasiums_distribution(name: str) -> None:
     n = 200
     theirs = Reference(name, (0,))
-    drawn = np.array([theirs.sample_start(seed) for seed in range(n)])
+    reference = np.array([theirs.sample_start(seed) for seed in range(n)])
     task = make_task(name, 4_000, n_threads=1)
     task.reset(0)
     ours = np.hstack(task.simulator_state())
-    spread = drawn.std(axis=0)
-    assert (np.abs(ours.mean(axis=0) - drawn.mean(axis=0)) <= 5 * spread / np.sqrt(n) + 1e-12).all()
+    spread = reference.std(axis=0)
+    assert (np.abs(ours.mean(axis=0) - reference.mean(axis=0)) <= 5 * spread / np.sqrt(n) + 1e-12).all()
     np.testing.assert_allclose(ours.std(axis=0), spread, rtol=0.3, atol=1e-12)
 
 

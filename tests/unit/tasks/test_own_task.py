@@ -52,7 +52,7 @@ def test_documented_pettingzoo_task_works_and_renders(tmp_path: Path, monkeypatc
     steps = [task.step(np.tile([0.0, 1.0], (2, 2, 1))) for _ in range(100)]
     assert steps[-1].truncated.all()
     assert isinstance(task, RenderableTask)
-    assert task.render(1).shape == (*light_tasks.PICTURE, 3)
+    assert task.render(1).shape == (*light_tasks.IMAGE_SIZE, 3)
     assert set(render_modes) == {"rgb_array"}
 
 

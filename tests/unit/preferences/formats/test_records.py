@@ -74,8 +74,9 @@ def test_episode_with_arrays_of_different_lengths_is_refused():
     (good,) = made_episodes([4])
     for wrong in ({"rewards": np.zeros(3)}, {"qpos": np.zeros(4)}, {"actions": np.zeros((4, 2, 2), dtype=np.float32)}):
         arrays = {"observations": good.observations, "actions": good.actions, **wrong}
-        with pytest.raises(ShapeError, match=next(iter(wrong))):
+        with pytest.raises(ShapeError) as refused:
             Episode(**arrays)
+        assert refused.value.name in wrong
 
 
 def test_segments_are_saved_as_they_are_cut(tmp_path):

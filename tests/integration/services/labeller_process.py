@@ -1,4 +1,4 @@
-"""One of several labellers, as a process: python labelling.py URL EXPERIMENT TOKEN. Prints what it labelled."""
+"""A labeller as a process: python labeller_process.py URL EXPERIMENT TOKEN. Prints the ids of the queries it labels."""
 
 import sys
 
