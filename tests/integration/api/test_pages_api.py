@@ -69,7 +69,7 @@ async def test_files_outside_the_folder_are_not_sent(folder: Path, path: str) ->
 async def test_page_that_was_not_built_is_a_503_error(tmp_path: Path) -> None:
     response = await request(tmp_path / "nowhere", "/")
     assert response.status_code == 503
-    assert "not built" in response.text
+    assert "frontend/build_page.py" in response.text
 
 
 @pytest.mark.anyio

@@ -43,7 +43,7 @@ def test_error_for_a_broken_task_file_names_the_file_and_the_cause(
     assert response.headers["content-type"] == "application/json"
     error = response.json()["error"]
     assert error["code"] == "task_unavailable"
-    for part in ("MAPT_TASKS", str(file), cause, "start Accord again"):
+    for part in ("MAPT_TASKS", str(file), cause, "restart Accord"):
         assert part in error["message"]
     assert "Traceback" not in response.text
     assert api.anyone.get("/api/v1/health").status_code == 200
@@ -61,11 +61,11 @@ def test_repaired_task_file_is_read_again(api: ApiServer, tmp_path: Path, monkey
 def test_experiment_whose_task_is_no_longer_registered_is_a_503_error(
     api: ApiServer, empty_task_cache: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    entries = registry._ENTRIES
+    definitions = registry._DEFINITIONS
     created = api.researcher.post("/api/v1/experiments", json=NEW | {"task": "HalfCheetah-6x1"})
     assert created.status_code == 201, created.text
     responses.task_response.cache_clear()
-    monkeypatch.delitem(entries, "HalfCheetah-6x1")
+    monkeypatch.delitem(definitions, "HalfCheetah-6x1")
     response = api.researcher.get(f"/api/v1/experiments/{created.json()['id']}")
     assert response.status_code == 503
     assert "HalfCheetah-6x1" in response.json()["error"]["message"]

@@ -200,7 +200,7 @@ def test_command_exports_from_a_home_folder_in_use(tmp_path: Path) -> None:
         # The database stays open, as that of a running service.
         ended = command("--experiment", sample.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home")
         assert (ended.returncode, ended.stderr) == (0, "")
-        assert "5 segments, 4 queries, 3 labels and 1 skips" in ended.stdout
+        assert "5 segments, 4 queries, 3 labels, 1 skips" in ended.stdout
         assert len(PreferenceTables.open(tmp_path / "out").labels()) == 4
         again = command("--experiment", sample.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home")
     assert again.returncode == 2
