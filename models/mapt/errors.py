@@ -168,7 +168,9 @@ class TaskImportFailed(TaskError):
     """A file or module that registers tasks is missing, or raised an error when imported."""
 
     def __init__(self, variable: str, name: str, error: Exception) -> None:
-        super().__init__(f"{variable} names {name!r}, which cannot be imported: {type(error).__name__}: {error}.")
+        super().__init__(
+            f"{variable} names {name!r}, which cannot be imported: {type(error).__name__}: {str(error).rstrip('.')}."
+        )
         self.variable = variable
         self.name = name
 
@@ -276,7 +278,7 @@ class UnknownSelector(PreferenceError):
     """No query selector has this name."""
 
     def __init__(self, name: str, known: Sequence[str]) -> None:
-        super().__init__(f"no selector is called {name!r}; known: {', '.join(known)}")
+        super().__init__(f"No selector is called {name!r}. Known selectors: {', '.join(known)}.")
         self.name = name
         self.known = tuple(known)
 
@@ -297,7 +299,9 @@ class UnknownTeacher(InvalidTeacher):
     """No scripted teacher has this name."""
 
     def __init__(self, name: str, known: Sequence[str]) -> None:
-        super().__init__(f"no teacher is called {name!r}; known: {', '.join(known)}, or two of them as 'rule+preset'")
+        super().__init__(
+            f"No teacher is called {name!r}. Known teachers: {', '.join(known)}, or two of them as 'rule+preset'."
+        )
         self.name = name
         self.known = tuple(known)
 

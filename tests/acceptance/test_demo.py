@@ -122,7 +122,7 @@ def test_teach_prints_what_is_wrong_in_one_line(accord: Accord) -> None:
         (("--experiment", id, "--token", "wrong"), "token is wrong"),
         (("--experiment", id, "--token", token), "never for labellers"),
         (("--experiment", "exp_" + "0" * 24, "--token", token), "There is no experiment"),
-        (("--experiment", id, "--token", token, "--teacher", "nobody"), "no teacher is called"),
+        (("--experiment", id, "--token", token, "--teacher", "nobody"), "No teacher is called"),
         (("--experiment", id, "--token", token, "--teacher", "oracle:mistake=2"), "mistake"),
     ):
         done = accord.run("teach", *arguments)

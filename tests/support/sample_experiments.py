@@ -100,5 +100,5 @@ def make_clips(database: Database, blobs: BlobStore, holder: str = "tests") -> i
         key = f"clips/{job.clip_id}.mp4"
         blobs.put(key, CLIP_BYTES)
         with database.transaction() as session:
-            clips.finish(session, job.clip_id, clips.MadeClip("0" * 64, key, len(CLIP_BYTES), STEPS, 0.25, 320, 240))
+            clips.finish(session, job.clip_id, clips.StoredClip("0" * 64, key, len(CLIP_BYTES), STEPS, 0.25, 320, 240))
         count += 1

@@ -1,4 +1,4 @@
-"""What routes depend on: the caller's token, the request's one transaction, and checked identifiers.
+"""Dependencies of the routes: the caller's token, the request's transaction, and validated identifiers.
 
 A route opens its transaction itself and returns its response from inside the block, so that the transaction is
 committed before the first byte of the response is sent. FastAPI's usual way, a session from a dependency with `yield`,

@@ -31,7 +31,7 @@ from mapt.errors import TaskError
 
 log = logging.getLogger(__name__)
 
-#: the first matching class decides
+#: the first matching class determines the status
 STATUS: tuple[tuple[type[AccordError], int], ...] = (
     (Unauthenticated, 401),
     (Forbidden, 403),

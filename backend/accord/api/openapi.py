@@ -1,4 +1,4 @@
-"""python -m accord.api.openapi FILE: writes the OpenAPI document from which the page's client is generated."""
+"""`python -m accord.api.openapi FILE` writes the OpenAPI document from which the page's client is generated."""
 
 import argparse
 import json

@@ -31,7 +31,7 @@ class NewUser(Schema):
     name: str = Field(min_length=1, max_length=100, description="Must be unique, and one line.")
     role: Role = Field(
         description="labeller: a person who labels. teacher: a program that labels and may read true returns. "
-        "researcher: also starts experiments. admin: also adds users."
+        "researcher: also runs experiments. admin: also adds users."
     )
 
 
@@ -71,14 +71,14 @@ def _add_settings(schema: dict[str, Any]) -> None:
 
 
 class NewExperiment(Schema):
-    """An experiment to start; every setting but the task has a default."""
+    """An experiment to start. Every setting except the task has a default."""
 
     # The settings are validated by ExperimentConfig itself: read them with `settings`.
     model_config = ConfigDict(extra="allow", json_schema_extra=_add_settings)
 
     name: str = Field(min_length=1, max_length=200, description="Must be unique, and one line.")
     instructions: str | None = Field(
-        default=None, max_length=4000, description="Shown to labellers; the task's own if left out."
+        default=None, max_length=4000, description="Shown to labellers; by default, those of the task."
     )
 
     @property
@@ -91,7 +91,7 @@ class LabelCounts(Schema):
     """Progress of an experiment's labelling."""
 
     budget: int = Field(description="Labels to collect in total.")
-    labels: int = Field(description="Labels 1, 0 or 0.5; no skips.")
+    labels: int = Field(description="Labels 1, 0 or 0.5, without skips.")
     skips: int = Field(description="Skipped queries.")
     due: int = Field(description="Labels due at the policy's current step.")
     open_queries: int = Field(description="Queries ready to label.")
@@ -152,7 +152,7 @@ class RewardVersion(Schema):
     id: str = Field(description="rwv_...")
     number: int = Field(description="1, 2, 3, ... within the experiment.")
     parent_id: str | None = Field(description="The version before it.")
-    label_watermark: int = Field(description="It was trained on the labels up to this revision.")
+    label_watermark: int = Field(description="Label revision up to which it was trained.")
     label_count: int = Field(description="Number of labels it was trained on.")
     policy_steps: int = Field(description="Environment steps of the policy when it was published.")
     metrics: dict[str, Any] = Field(description="Loss, accuracy and so on, on training and held-out labels.")
@@ -194,7 +194,7 @@ class SegmentView(Schema):
     seconds: float = Field(description="Duration of the clip.")
     frames: int = Field(description="Frames of the clip, one per step.")
     true_return: float | None = Field(
-        default=None, description="With `returns=true`, for teachers and researchers; else null."
+        default=None, description="With `returns=true`, for teachers, researchers and admins; otherwise null."
     )
     true_rewards: list[float] | None = Field(default=None, description="Per step; as `true_return`.")
 
@@ -207,7 +207,9 @@ class Query(Schema):
     number: int = Field(description="1, 2, 3, ... within the experiment.")
     left: SegmentView = Field(description="What to show on the left.")
     right: SegmentView = Field(description="What to show on the right.")
-    lease_seconds: float = Field(description="The lease ends after so long without a heartbeat or a label.")
+    lease_seconds: float = Field(
+        description="The lease expires after this many seconds without a heartbeat or a label."
+    )
 
 
 class Queries(Schema):
@@ -220,7 +222,7 @@ class Queries(Schema):
 
 
 class NewLabel(Schema):
-    """A label for a query. Sending the same again changes nothing."""
+    """A label for a query. Sending the same label again changes nothing."""
 
     label: float | None = Field(
         strict=True, description="1, 0 or 0.5 (see `order`); null skips the query. Skips are stored but not trained on."
@@ -231,7 +233,7 @@ class NewLabel(Schema):
         "server converts it to segment order.",
     )
     response_seconds: float | None = Field(
-        default=None, ge=0, le=86_400, description="From both clips playing to the label."
+        default=None, ge=0, le=86_400, description="Seconds from the start of both clips to the label."
     )
     teacher: dict[str, Any] = Field(
         default_factory=dict[str, Any], description="A scripted teacher's name and parameters."
@@ -248,7 +250,7 @@ class Label(Schema):
     revision: int = Field(
         description="Label revision of the experiment: one more with every label written, changed or undone."
     )
-    created: bool = Field(description="False if the same label was stored already.")
+    created: bool = Field(description="False if the same label was already stored.")
 
 
 class BatchLabel(NewLabel):
@@ -261,7 +263,7 @@ class LabelBatch(Schema):
     """Labels to write in one transaction."""
 
     labels: list[BatchLabel] = Field(
-        min_length=1, max_length=1000, description="Each is accepted or refused by itself."
+        min_length=1, max_length=1000, description="Each is accepted or rejected on its own."
     )
 
 
@@ -285,7 +287,7 @@ class Lease(Schema):
     """A renewed lease."""
 
     query_id: str = Field(description="qry_...")
-    lease_seconds: float = Field(description="The lease ends after so long without another heartbeat.")
+    lease_seconds: float = Field(description="The lease expires after this many seconds without another heartbeat.")
 
 
 # Errors

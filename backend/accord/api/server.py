@@ -1,4 +1,4 @@
-"""python -m accord.api.server: the HTTP service alone, as a process. `accord up` starts it beside the workers."""
+"""The HTTP server: `python -m accord.api.server` runs it alone, `accord.cli.serve` for `accord up`."""
 
 import errno
 import logging
@@ -80,7 +80,7 @@ def serve_on(listener: socket.socket, settings: Settings) -> None:
             timeout_graceful_shutdown=GRACE_SECONDS,
             proxy_headers=bool(settings.public_url),
         )
-        log.info("[%d] serves at %s", os.getpid(), address_of(listener))
+        log.info("Process %d serves %s", os.getpid(), address_of(listener))
         uvicorn.Server(config).run([listener])
     finally:
         database.close()

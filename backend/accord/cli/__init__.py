@@ -1,4 +1,4 @@
-"""The one command: accord."""
+"""The command `accord`."""
 
 from accord.cli.main import main
 

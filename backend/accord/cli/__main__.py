@@ -1,4 +1,4 @@
-"""`python -m accord.cli`, for where the script is not on the path."""
+"""`python -m accord.cli`, where the script `accord` is not on the path."""
 
 from accord.cli.main import main
 

@@ -1,4 +1,4 @@
-"""accord link and accord user: who may sign in."""
+"""The subcommands `accord link` and `accord user`."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -16,12 +16,12 @@ from mapt.cli.output import out, print_json, print_line
 
 Name = Annotated[str, typer.Argument(help="Name of a user; `accord user list` shows them.")]
 
-user = typer.Typer(help="People and programs that may sign in.", no_args_is_help=True)
+user = typer.Typer(help="Manage users and their sign-in links.", no_args_is_help=True)
 
 
 @user.callback()
 def users() -> None:
-    """People and programs that may sign in."""
+    """Manage users and their sign-in links."""
 
 
 def link(home: Home = None) -> None:
@@ -37,17 +37,17 @@ def link(home: Home = None) -> None:
 
 @user.command("add")
 def add(
-    name: Annotated[str, typer.Argument(help="A name that nobody here has yet.")],
+    name: Annotated[str, typer.Argument(help="Name of the new user; must be unique.")],
     role: Annotated[
         Role,
         typer.Option(
-            help="A labeller sees clips alone, a teacher (a program) returns too, a researcher runs experiments, "
-            "an admin adds users."
+            help="labeller: sees clips only. teacher: a program; also sees true returns. researcher: also runs "
+            "experiments. admin: also adds users."
         ),
     ] = Role.LABELLER,
     home: Home = None,
 ) -> None:
-    """Add a user. Prints the bearer token, for programs, and a sign-in link, for a browser."""
+    """Add a user. Prints a bearer token for programs and a sign-in link for a browser."""
     settings = load_settings(home)
     with migrated(settings) as database, database.transaction() as session:
         row, token = accounts.create_user(session, name, role)
@@ -68,7 +68,7 @@ def user_link(name: Name, home: Home = None) -> None:
 
 @user.command("list")
 def list_users(*, home: Home = None, as_json: Json = False) -> None:
-    """List every user: role, labels, browsers that are signed in, bearer tokens, and the day they were added."""
+    """List the users with their roles, labels, signed-in browsers, bearer tokens and the day they were added."""
     with migrated(load_settings(home)) as database, database.reading() as session:
         found = accounts.summaries(session)
     if as_json:
@@ -105,7 +105,7 @@ def list_users(*, home: Home = None, as_json: Json = False) -> None:
 
 @user.command("remove")
 def remove(name: Name, home: Home = None) -> None:
-    """Take a user's access away: sign their browsers out, and make their tokens and links invalid. Labels are kept."""
+    """Revoke a user's access: their browser sessions, tokens and links become invalid. Their labels are kept."""
     with migrated(load_settings(home)) as database, database.transaction() as session:
         deleted = accounts.remove(session, accounts.by_name(session, name))
     if deleted:

@@ -12,7 +12,7 @@ from accord.workers.runner import Backoff
 
 _OWN_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
 _BUSY = frozenset({429, 502, 503, 504})
-#: A restarting service answers again within this time.
+#: A restarting service responds again within this time.
 _RETRY_SECONDS = 60.0
 
 
@@ -27,7 +27,7 @@ class Refused(AccordError):
 
 
 class Api:
-    """Requests to /api/v1. Requests without an answer are retried: every write is idempotent."""
+    """Requests to /api/v1. A request without a response is retried, since every write is idempotent."""
 
     def __init__(
         self, url: str, token: str, *, retry_seconds: float = _RETRY_SECONDS, stopped: Callable[[], bool] = bool
@@ -36,7 +36,7 @@ class Api:
         Args:
             url: address of the service, without /api/v1.
             token: bearer token.
-            retry_seconds: how long to retry while the service is busy or does not answer.
+            retry_seconds: how long to retry while the service is busy or does not respond.
             stopped: true stops retrying.
 
         Raises:
@@ -65,7 +65,7 @@ class Api:
         return self._request("GET", path).content
 
     def post(self, path: str, body: Any = None, **query: Any) -> Any:
-        """The JSON answer. Raises Refused, Unavailable."""
+        """The JSON of the response. Raises Refused, Unavailable."""
         return _json(self._request("POST", path, json=body, params=query))
 
     def close(self) -> None:
@@ -81,12 +81,14 @@ class Api:
                 response = self._client.request(method, path, **request)
             except httpx.TransportError as error:
                 problem = (
-                    f"{self._url} does not answer ({error}). Is `accord up` running there? Set its address with --url."
+                    f"{self._url} does not respond ({error}). Is `accord up` running there? Set its address with --url."
                 )
             else:
                 if response.status_code not in _BUSY:
                     return _accepted(response)
-                problem = f"{self._url} is busy: it answered {response.status_code} for {self._retry_seconds:.0f} s."
+                problem = (
+                    f"{self._url} is busy: it responded with {response.status_code} for {self._retry_seconds:.0f} s."
+                )
                 pause = max(pause, _retry_after(response))
             if time.monotonic() + pause > deadline or self._stopped():
                 raise Unavailable(problem)
@@ -104,7 +106,10 @@ def _accepted(response: httpx.Response) -> httpx.Response:
         error = response.json()["error"]
         code, message = str(error["code"]), str(error["message"])
     except (ValueError, KeyError, TypeError):
-        code, message = "unknown", f"{response.request.url} answered {response.status_code}; is it an Accord service?"
+        code, message = (
+            "unknown",
+            f"{response.request.url} responded with {response.status_code}. Is it an Accord service?",
+        )
     raise Refused(response.status_code, code, message)
 
 

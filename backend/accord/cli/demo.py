@@ -168,7 +168,7 @@ def _updater(bars: ProgressBars, plan: RunPlan) -> Callable[[RunState], None]:
 
 
 def describe(plan: RunPlan, state: RunState) -> str:
-    """The words beside a run's bar."""
+    """The text beside a run's progress bar."""
     parts = [] if state.true_return is None else [f"return {state.true_return:,.0f}"]
     if plan.reward_source == PREFERENCES:
         parts = [f"labels {state.labels}/{plan.label_budget}", f"version {state.version}", *parts]

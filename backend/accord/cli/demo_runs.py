@@ -28,7 +28,7 @@ PREFERENCES = "preferences"
 MAX_INITIAL_LABELS = 100
 _POLL_SECONDS = 0.5
 _SHOW_SECONDS = 1.0
-#: The service's curves of one point, and how a line of metrics.jsonl names the same measurements.
+#: Names of the service's single-point curves, and of the same measurements in metrics.jsonl.
 _EVALUATIONS = {
     "true_return_untrained": "evaluation_mean",
     "true_return_untrained_std": "evaluation_std",
@@ -283,7 +283,7 @@ def _state(api: Api, experiment_id: str) -> RunState:
         labels=experiment["labels"]["labels"],
         version=experiment["reward_version"] or 0,
         true_return=list(curve.values())[-1] if curve else None,
-        detail=experiment["phase_detail"] or experiment["phase"],
+        detail=experiment["phase_detail"] or experiment["phase"].replace("_", " "),
     )
 
 

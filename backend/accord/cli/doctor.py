@@ -75,7 +75,7 @@ def _check_package(name: str) -> Check:
         return Check(name, False, "not installed", _REINSTALL)
 
 
-def check_drawing(settings: Settings) -> list[Check]:
+def check_video(settings: Settings) -> list[Check]:
     return [check_rendering(), check_encoder()]
 
 
@@ -100,7 +100,7 @@ def check_machine(settings: Settings) -> list[Check]:
 
 
 def check_database(settings: Settings) -> list[Check]:
-    """Whether the database can be opened and is not newer than this version. A missing one passes."""
+    """Whether the database can be opened and migrated to this version. A missing one passes."""
     if not settings.database_url and not (settings.home / "accord.db").exists():
         return [Check("database", True, "none yet; `accord up` creates it")]
     try:
@@ -157,7 +157,7 @@ def existing_parent(path: Path) -> Path:
 CHECKS: tuple[Callable[[Settings], list[Check]], ...] = (
     check_python,
     check_packages,
-    check_drawing,
+    check_video,
     check_machine,
     check_database,
     check_blobs,

@@ -15,7 +15,7 @@ app = make_app(
     {
         "up": LazyCommand("accord.cli.up", "up", "Start the service: web page, API and workers."),
         "link": LazyCommand("accord.cli.accounts", "link", "Print a new sign-in link for the admin."),
-        "user": LazyCommand("accord.cli.accounts", "user", "People and programs that may sign in."),
+        "user": LazyCommand("accord.cli.accounts", "user", "Manage users and their sign-in links."),
         "teach": LazyCommand("accord.cli.teach", "teach", "Label an experiment with a scripted teacher."),
         "demo": LazyCommand("accord.cli.demo", "demo", "Train policies from a scripted teacher's labels."),
         "tasks": LazyCommand("mapt.cli.tasks", "tasks", "List the tasks."),

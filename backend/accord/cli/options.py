@@ -1,4 +1,4 @@
-"""Options of several `accord` commands, and the settings they override. See also `mapt.cli.options`."""
+"""Options shared by several `accord` commands, and the settings they override. See also `mapt.cli.options`."""
 
 from pathlib import Path
 from typing import Annotated

@@ -8,7 +8,7 @@ import argparse
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import typer
 
@@ -17,6 +17,7 @@ from accord.services.experiment_config import ExperimentConfig
 from accord.settings import Settings as ServiceSettings
 from mapt.cli.main import app as mapt
 from mapt.policies.config import ALGORITHM_DEFAULTS, PolicyConfig
+from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
 from mapt.settings import SettingDescription, Settings, accepted_values, describe
 
 DEFAULT_FILE = Path("docs/reference.md")
@@ -47,13 +48,21 @@ def experiment_settings() -> str:
 
 def policy_settings() -> str:
     """Settings of a policy, with the defaults of each algorithm."""
-    own = {
-        name: ", ".join(f"`{key}={value}`" for key, value in defaults.items())
-        for name, defaults in ALGORITHM_DEFAULTS.items()
-        if defaults
-    }
-    notes = "; ".join(f"`{name}`: {values}" for name, values in own.items())
-    return f"{_settings(PolicyConfig)}\n\nDefaults that differ by algorithm: {notes}."
+    return f"{_settings(PolicyConfig)}\n\nDefaults that differ by algorithm: {_differences(ALGORITHM_DEFAULTS)}."
+
+
+def network_settings() -> str:
+    """Settings of a reward network, with the values of each preset."""
+    dimensions = {"observation_dim": 1, "action_dim": 1, "n_agents": 1}
+    default = RewardConfig(**dimensions)
+    presets = {name: _changed(RewardConfig.preset(name, **dimensions), default) for name in get_args(PresetName)}
+    return f"{_settings(RewardConfig)}\n\nThe presets differ: {_differences(presets)}."
+
+
+def training_settings() -> str:
+    """Settings of a reward network's training, with the values of each preset."""
+    presets = {name: _changed(TrainConfig.preset(name), TrainConfig()) for name in get_args(PresetName)}
+    return f"{_settings(TrainConfig)}\n\nThe presets differ: {_differences(presets)}."
 
 
 _NUMBER = re.compile("^a (whole )?number(,| from) ")
@@ -62,6 +71,8 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "service settings": service_settings,
     "experiment settings": experiment_settings,
     "policy settings": policy_settings,
+    "reward network settings": network_settings,
+    "reward training settings": training_settings,
 }
 
 
@@ -81,7 +92,7 @@ def fill(page: str) -> str:
 
 
 def commands() -> dict[str, Any]:
-    """Every click command of `accord` and `mapt` by its words, such as `accord user add`."""
+    """Every click command of `accord` and `mapt` by its full name, such as `accord user add`."""
     groups = {"accord": accord, "mapt": mapt}
     return {
         words: command for name, app in groups.items() for words, command in _leaves(typer.main.get_command(app), name)
@@ -159,9 +170,24 @@ def _values(row: SettingDescription) -> str:
     """The choices or the range of a setting, as short as a table needs."""
     if row.range.startswith("one of "):
         return ", ".join(f"`{choice}`" for choice in row.range.removeprefix("one of ").split(", "))
-    # a unit within the name is known already, as in `total_steps`
+    # The name may contain the unit, as in `total_steps`.
     unit = "" if not row.unit or row.unit in row.name else f" {row.unit}"
     return _NUMBER.sub("", row.range) + unit
+
+
+def _changed(settings: Settings, default: Settings) -> dict[str, object]:
+    """The settings that differ from their defaults."""
+    defaults = default.to_dict()
+    return {name: value for name, value in settings.to_dict().items() if value != defaults[name]}
+
+
+def _differences(values: Mapping[str, Mapping[str, object]]) -> str:
+    """The settings of each name as text; names without settings are left out."""
+    return "; ".join(
+        f"`{name}`: " + ", ".join(f"`{key}={value}`" for key, value in own.items())
+        for name, own in values.items()
+        if own
+    )
 
 
 def _code(text: str) -> str:

@@ -19,7 +19,7 @@ def main() -> int:
     parser.add_argument("--fd", type=int, required=True, help="descriptor of the listening socket")
     parser.add_argument("--parent", type=int, default=0, help="exit when the process with this id exits; 0 for none")
     arguments = parser.parse_args()
-    # uvicorn raises the signal that stopped it again; without this the database would not be closed.
+    # uvicorn raises again the signal that stopped it; without a handler, the database would not be closed.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, end_by_exception)
     follow_parent(arguments.parent)

@@ -30,6 +30,13 @@ _RETURN_POINTS = 10
 _IDLE_SECONDS = 0.25
 #: Reasons of the API after which no further query comes.
 _FINAL_REASONS = frozenset({"all_labelled", "experiment_over"})
+#: Why a teacher stopped, for people.
+_ENDINGS = {
+    "done": "all that were requested",
+    "stopped": "the command was stopped",
+    "all_labelled": "the experiment needs no more",
+    "experiment_over": "the experiment has ended",
+}
 
 
 def teach(
@@ -48,7 +55,7 @@ def teach(
 ) -> None:
     """Label an experiment with a scripted teacher.
 
-    The teacher reads true rewards and labels through the same REST API as people do.
+    The teacher reads true rewards, and labels through the same REST API as people.
     """
     choice = TeacherChoice.parse(teacher)
     stop = Stop()
@@ -70,7 +77,7 @@ def teach(
     if as_json:
         print_json({"labels": outcome.labels, "reason": outcome.reason})
     else:
-        print_line(f"{outcome.labels} labels given ({outcome.reason}).")
+        print_line(f"{outcome.labels} labels given: {_ENDINGS[outcome.reason]}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +142,7 @@ def teach_experiment(
         stopped: checked between requests; true ends the loop.
 
     Raises:
-        Refused, Unavailable: if the API refuses a request, or does not answer.
+        Refused, Unavailable: if the API refuses a request, or does not respond.
         PreferenceError: if the segments lack what the teacher judges by.
     """
     reader, given = SegmentReader(api, teacher), 0

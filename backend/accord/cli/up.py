@@ -1,4 +1,4 @@
-"""The subcommand `accord up`: one parent process that keeps the API and the workers running."""
+"""The subcommand `accord up`: a parent process that keeps the API and the workers running."""
 
 import os
 import socket
@@ -34,7 +34,7 @@ _RENDER_NICE = 5
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """What the processes are started with."""
+    """The settings, database and socket that the processes are started with."""
 
     #: with the actual port
     settings: Settings
@@ -242,7 +242,7 @@ class WorkerStatus:
                     restarts=death.restarts,
                 )
         except (AccordError, SQLAlchemyError) as error:
-            log_line(f"The death of {death.name} could not be recorded: {error}", "accord")
+            log_line(f"The restart of {death.name} could not be recorded: {error}", "accord")
 
     def poll(self) -> str | None:
         """One line about all workers, once a second; None in between. Prints new failures."""
@@ -256,14 +256,17 @@ class WorkerStatus:
             return f"The database is unreachable: {error}"
         for id, state, detail in rows:
             self._print_failure(id, state, detail)
-        return " · ".join(f"{id}: {detail if state == 'working' and detail else state}" for id, state, detail in rows)
+        return " · ".join(
+            f"{id}: {detail if state == 'working' and detail else state.replace('_', ' ')}"
+            for id, state, detail in rows
+        )
 
     def _print_failure(self, id: str, state: str, detail: str) -> None:
         if state == "working":
             self._printed.pop(id, None)
         if state != "backing_off":
             return
-        # Without the words about the next attempt, repeated failures are equal.
+        # Without the time of the next attempt, repeated failures are equal.
         failure = detail.partition(RETRY_TEXT)[0].strip()
         if failure and self._printed.get(id) != failure:
             self._printed[id] = failure

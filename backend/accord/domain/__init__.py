@@ -1,1 +1,1 @@
-"""Words, rules and errors of Accord. Imports the standard library alone."""
+"""Enumerations, permissions, identifiers and errors. Imports only the standard library."""

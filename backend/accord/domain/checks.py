@@ -1,16 +1,16 @@
-"""What `accord doctor` and the start of `accord up` find out about a machine."""
+"""The result of a check by `accord doctor`."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One finding."""
+    """Whether one thing works on this machine, and what to do if it does not."""
 
-    #: what was looked at, in two or three words
+    #: what was checked, in a few words
     name: str
     ok: bool
-    #: what was found: a version, a path, the error's own words
+    #: what was found: a version, a path or an error message
     detail: str
-    #: what to do about it; None where all is well
+    #: how to fix it; None if the check passed
     fix: str | None = None

@@ -35,7 +35,7 @@ class Phase(StrEnum):
 
 
 class QueryStatus(StrEnum):
-    """State of a query: waiting for its clips, open to label, labelled, or without clips."""
+    """State of a query: waiting for its clips, ready to label, labelled, or failed."""
 
     RENDERING = "rendering"
     OPEN = "open"

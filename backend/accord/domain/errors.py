@@ -5,17 +5,17 @@
     ├── Forbidden                     the caller's role does not allow it
     │   └── ReturnsHidden
     ├── NotFound                      the object does not exist
-    │   ├── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound,
-    │   └── UserNotFound
+    │   └── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound, UserNotFound
     ├── WrongState                    the object is in a state that does not allow it
-    │   ├── ExperimentNotActive, QueryClosed, LabelConflict, NameTaken
+    │   └── ExperimentNotActive, QueryClosed, LabelConflict, NameTaken
     ├── LeaseLost                     the caller holds no lease on the query
     ├── Invalid                       a value is not valid
-    │   ├── InvalidLabel, InvalidId, InvalidExperiment, UnknownTask, BodyTooLarge
+    │   └── InvalidLabel, InvalidId, InvalidExperiment, UnknownTask
+    ├── BodyTooLarge                  the request is too large
     ├── TooManyRequests
     └── Unavailable                   this machine cannot do it now; the message says what to do
-        ├── DatabaseTooNew, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, BlobMissing,
-            PortInUse, TaskUnavailable
+        └── DatabaseTooNew, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, BlobMissing, TaskUnavailable,
+            PortInUse
 
 `accord.api.errors` maps each class to an HTTP status. `code` is stable and part of the public API; the message says
 what is wrong and what to do.
@@ -115,7 +115,7 @@ class QueryClosed(WrongState):
     code = "query_closed"
 
     def __init__(self, id: str) -> None:
-        super().__init__(f"Query {id!r} is labelled already. Ask for the next query.")
+        super().__init__(f"Query {id!r} is already labelled. Ask for the next query.")
 
 
 class LabelConflict(WrongState):
@@ -228,7 +228,7 @@ class BlobMissing(Unavailable):
 
 
 class TaskUnavailable(Unavailable):
-    """A task cannot be loaded: its file fails, or MAPT_TASKS of this server does not name it."""
+    """A task cannot be loaded: its file fails, or this server's MAPT_TASKS does not name it."""
 
     code = "task_unavailable"
 

@@ -29,7 +29,7 @@ _clock = _Clock()
 
 
 def new_id(prefix: str) -> str:
-    """A new identifier; it sorts after all that this process created before."""
+    """A new identifier; it sorts after all identifiers that this process created before it."""
     return f"{prefix}_{_clock.tick():024x}"
 
 

@@ -24,7 +24,7 @@ def may_label_in_batches(role: Role) -> bool:
 
 
 def may_manage_users(role: Role) -> bool:
-    """Whether a role may add users."""
+    """Whether a role may manage users."""
     return role is Role.ADMIN
 
 

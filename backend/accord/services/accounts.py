@@ -37,13 +37,13 @@ def create_user(session: Session, name: str, role: Role) -> tuple[UserRow, str]:
     """Creates a user; returns it with its bearer token, which cannot be read again.
 
     Raises:
-        Invalid: if the name is empty or holds characters that cannot be shown.
+        Invalid: if the name is empty or contains characters that are not printable.
         NameTaken: if another user has this name.
     """
     line = check_line(name, "name", 100)
     if accounts.user_by_name(session, line) is not None:
         raise NameTaken(
-            f"A user {line!r} exists already. Choose another name; or, for a new sign-in link for {line!r}, run "
+            f"A user named {line!r} already exists. Choose another name; or, for a new sign-in link for {line!r}, run "
             f"`accord user link {shlex.quote(line)}` where Accord runs."
         )
     user = UserRow(id=new_id("usr"), name=line, role=role.value)

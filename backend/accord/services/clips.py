@@ -1,4 +1,4 @@
-"""Clips to render: render workers claim them one at a time, under a lease."""
+"""Clips: render workers claim them one at a time, under a lease, and report the result."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ class ClipJob:
 
 
 @dataclass(frozen=True, slots=True)
-class MadeClip:
+class StoredClip:
     """A clip whose video is stored."""
 
     #: hash of states, model, camera and render settings
@@ -56,12 +56,12 @@ def claim_pending(session: Session, holder: str, lease_seconds: float) -> ClipJo
             row.claimed_until = until
             session.flush()
             return ClipJob(row.id, row.experiment_id, row.segment_id, found.task, found.segment_blob_key, row.attempts)
-        _give_up(session, row, row.detail or f"{MAX_ATTEMPTS} workers ended while rendering it.")
+        _give_up(session, row, row.detail or f"{MAX_ATTEMPTS} workers died while rendering it.")
         session.flush()
     return None
 
 
-def finish(session: Session, clip_id: str, made: MadeClip) -> None:
+def finish(session: Session, clip_id: str, made: StoredClip) -> None:
     """Marks a clip as ready and opens the queries that now have both clips.
 
     Also accepted from a worker whose lease has expired: every worker renders the same clip.
@@ -88,7 +88,7 @@ def finish(session: Session, clip_id: str, made: MadeClip) -> None:
 
 
 def fail(session: Session, clip_id: str, detail: str, retry: bool) -> None:
-    """Records a failure. The clip is tried again if `retry` and an attempt is left; else its queries fail too.
+    """Records a failure. The clip is retried if `retry` and an attempt is left; otherwise its queries fail too.
 
     Raises:
         ClipNotFound: if there is no such clip.

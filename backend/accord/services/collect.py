@@ -113,8 +113,8 @@ def blob_key(session: Session, segment_id: str) -> str:
     return found
 
 
-def drawn_blob_key(segment_blob_key: str) -> str:
-    """Key of the clip that a task rendered itself while the segment was collected."""
+def replayed_clip_key(segment_blob_key: str) -> str:
+    """Key of the clip of a segment whose task renders itself; see `accord.workers.replayed_clips`."""
     return segment_blob_key.removesuffix(".safetensors") + ".mp4"
 
 

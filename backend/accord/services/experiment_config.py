@@ -80,13 +80,13 @@ class ExperimentConfig(Settings):
         QuerySelection,
         setting(
             "How pairs are chosen after the first round, which is uniform. disagreement, entropy: pairs on which an "
-            "ensemble of reward models is least certain. k_center: pairs least like those already asked about. "
-            "disagreement_k_center, entropy_k_center: both criteria, in turn."
+            "ensemble of reward models is least certain. k_center: pairs that differ most from earlier ones. "
+            "disagreement_k_center, entropy_k_center: first the one criterion, then the other."
         ),
     ] = "uniform"
     control_share: Annotated[
         float,
-        setting("Share of queries chosen uniformly whatever query_selection is, for comparison.", ge=0, le=1),
+        setting("Share of queries chosen uniformly, for comparison, whatever query_selection is.", ge=0, le=1),
     ] = 0.2
     ensemble_members: Annotated[
         int, setting("Reward models in the ensemble, where query_selection needs one.", ge=2, le=16, unit="models")
@@ -102,7 +102,7 @@ class ExperimentConfig(Settings):
         RewardSource,
         setting(
             "preferences: the policy learns from the reward model. true: it learns from the task's own reward, as a "
-            "baseline, and no labels are asked for."
+            "baseline, and needs no labels."
         ),
     ] = "preferences"
     reward_model: Annotated[
@@ -120,8 +120,9 @@ class ExperimentConfig(Settings):
     policy_reward: Annotated[
         PolicyReward,
         setting(
-            "What the policy is rewarded with. value: the reward of the step. attended: the mean of its window's "
-            "rewards, weighted by the step's temporal attention. weighted: its reward times its temporal weight."
+            "The learned reward that the policy receives. value: the reward of the step. attended: the mean of its "
+            "window's rewards, weighted by the step's temporal attention. weighted: its reward times its temporal "
+            "weight."
         ),
     ] = "value"
     credit: Annotated[

@@ -1,4 +1,4 @@
-"""The life of an experiment: create, read, pause, resume and cancel it; progress that the policy worker reports."""
+"""Experiments: create, read, pause, resume and cancel them, and store the progress that the policy worker reports."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from accord.services.experiment_config import ExperimentConfig
 from accord.services.validation import check_line, check_lines
 from accord.store import experiments
 from accord.store.tables import ExperimentRow, utc_now
-from mapt.errors import UnknownTask as TaskIsUnknown
+from mapt.errors import UnknownTask as UnknownMaptTask
 from mapt.tasks import task_names, task_spec
 
 _OVER = frozenset({ExperimentStatus.CANCELLED, ExperimentStatus.FINISHED, ExperimentStatus.FAILED})
@@ -24,7 +24,7 @@ class LabelCounts:
     """Progress of an experiment's labelling."""
 
     budget: int
-    #: labels 1, 0 or 0.5; no skips
+    #: labels 1, 0 or 0.5, without skips
     labels: int
     skips: int
     #: labels the schedule asks for at the policy's current step
@@ -56,12 +56,12 @@ def create(
         UnknownTask: if no task has this name.
         InvalidExperiment: if a segment is longer than an episode.
         NameTaken: if another experiment has this name.
-        Invalid: if a text is empty, too long, or holds characters that cannot be shown.
+        Invalid: if a text is empty, too long, or contains characters that are not printable.
     """
     line = check_line(name, "name", 200)
     try:
         spec = task_spec(config.task)
-    except TaskIsUnknown as error:
+    except UnknownMaptTask as error:
         raise UnknownTask(config.task, task_names()) from error
     if config.segment_steps > spec.horizon_steps:
         raise InvalidExperiment(
@@ -71,7 +71,7 @@ def create(
         )
     shown = check_lines(instructions or "", "instructions", 4000) or spec.instructions
     if experiments.by_name(session, line) is not None:
-        raise NameTaken(f"An experiment named {line!r} exists already. Choose another name.")
+        raise NameTaken(f"An experiment named {line!r} already exists. Choose another name.")
     row = ExperimentRow(id=new_id("exp"), name=line, config=config.to_dict(), instructions=shown, owner_id=owner_id)
     session.add(row)
     session.flush()
@@ -87,7 +87,7 @@ def get(session: Session, experiment_id: str) -> ExperimentRow:
 
 
 def config_of(row: ExperimentRow) -> ExperimentConfig:
-    """The settings as stored, without validation: an experiment of another version of Accord can still be shown."""
+    """The settings as stored, without validation, so that experiments of other versions of Accord can still be read."""
     return ExperimentConfig.from_stored(row.config)
 
 

@@ -76,7 +76,7 @@ def write(
     try:
         _write(blobs, found, folder, on_segments)
     except AlreadyExists as error:
-        raise Invalid(f"{folder} exists already. Choose another folder with --output.") from error
+        raise Invalid(f"{folder} already exists. Choose another folder with --output.") from error
     except PreferenceError as error:
         raise Invalid(f"The segments of the experiment differ in their dimensions: {error}.") from error
     except OSError as error:

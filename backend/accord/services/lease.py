@@ -1,6 +1,6 @@
 """Leases of queries: each query is reserved for one labeller at a time, who sees its segments on random sides.
 
-`now_and_end` serves every other lease too.
+Other leases share `now_and_end`.
 """
 
 import secrets
@@ -112,7 +112,7 @@ def release(session: Session, user: Caller, query_id: str) -> None:
 
 def _with_sides(session: Session, user_id: str, ids: Sequence[str]) -> list[LeasedQuery]:
     rows = queries.with_sides(session, ids, user_id)
-    # From the system, not from a seed: nobody can predict a side.
+    # The system's random source, not a seeded one, so that nobody can predict a side.
     drawn = {row.query_id: secrets.randbelow(2) for row in rows if row.left_segment is None}
     if drawn:
         now, _ = now_and_end(0.0)

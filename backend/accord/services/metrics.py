@@ -15,8 +15,8 @@ from accord.store.tables import ExperimentRow, MetricRow
 #: hidden from labellers, as is every name that begins with `true_`
 TRUE_SERIES = frozenset({"true_return"})
 _TRUE_PREFIX = "true_"
-#: hidden from labellers where the policy learns from the true reward, which these would reveal
-_TRUE_WHEN_TAUGHT_BY_IT = frozenset({"learned_return", "value_loss"})
+#: also hidden from labellers if the policy learns from the true reward, which these would reveal
+_TRUE_IF_LEARNED_FROM = frozenset({"learned_return", "value_loss"})
 #: metrics of a reward version that labellers may see; rank correlation, for example, reveals true returns
 _OPEN_VERSION_METRICS = frozenset({"loss", "accuracy", "holdout_loss", "holdout_accuracy", "ece", "seconds", "epochs"})
 
@@ -57,13 +57,13 @@ def visible(found: Sequence[Series], experiment: ExperimentRow, role: Role) -> l
     """The curves that a role may see."""
     if may_see_returns(role):
         return list(found)
-    taught_by_truth = config_of(experiment).reward_source == "true"
+    learns_true_reward = config_of(experiment).reward_source == "true"
     return [
         curve
         for curve in found
         if curve.name not in TRUE_SERIES
         and not curve.name.startswith(_TRUE_PREFIX)
-        and not (taught_by_truth and curve.name in _TRUE_WHEN_TAUGHT_BY_IT)
+        and not (learns_true_reward and curve.name in _TRUE_IF_LEARNED_FROM)
     ]
 
 

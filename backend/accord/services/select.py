@@ -25,7 +25,7 @@ def queries_to_add(session: Session, row: ExperimentRow) -> int:
 
 
 def queries_within_budget(session: Session, row: ExperimentRow) -> int:
-    """Number of queries that the label budget still allows; failed and skipped ones are replaced, as above."""
+    """Number of queries that the label budget still allows. Failed and skipped ones do not count."""
     config = config_of(row)
     if config.reward_source == "true":
         return 0
@@ -33,7 +33,7 @@ def queries_within_budget(session: Session, row: ExperimentRow) -> int:
 
 
 def exhausted(session: Session, row: ExperimentRow) -> bool:
-    """Whether every pair of segments has a query and every query is answered: labels need new segments first."""
+    """Whether every pair of segments has a query and none still needs a label: more labels need new segments."""
     if queries.count_unanswered(session, row.id):
         return False
     ids = set(selectable_segments(session, row.id))
@@ -70,12 +70,12 @@ def add_queries(
 ) -> list[str]:
     """Adds a query for each pair of segment ids; returns the new queries' ids.
 
+    Skips pairs that already have a query in either order, pairs of a segment with itself, and segments whose clip
+    failed. If the experiment renders clips, a query waits for them; otherwise it is open at once.
+
     Args:
         selector: name of the selector that chose the pairs.
         reward_version_id: the version whose ensemble scored them; None for pairs chosen without one.
-
-    Skips a pair that exists already in either order, a segment paired with itself, and a segment whose clip failed. If
-    the experiment renders clips, a query waits for them; else it is open at once.
 
     Raises:
         SegmentNotFound: if a segment does not belong to this experiment.
@@ -91,13 +91,13 @@ def add_queries(
     number = queries.last_number(session, row.id)
     added: list[str] = []
     for pair in pairs:
-        either_way = frozenset(pair)
-        if len(either_way) != len(pair) or either_way in known:
+        unordered = frozenset(pair)
+        if len(unordered) != len(pair) or unordered in known:
             continue
         status = QueryStatus.OPEN if clip_of is None else _with_clips(session, row.id, pair, clip_of)
         if status is QueryStatus.FAILED:
             continue
-        known.add(either_way)
+        known.add(unordered)
         number += 1
         query = QueryRow(
             id=new_id("qry"),

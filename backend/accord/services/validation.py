@@ -1,4 +1,4 @@
-"""Checks of texts that clients send."""
+"""Checks of names, texts and descriptions of teachers that clients send."""
 
 import json
 from typing import Any

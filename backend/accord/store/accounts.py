@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 
 from accord.store.tables import ExperimentRow, LabelRow, PresentationRow, QueryRow, TokenRow, UserRow
 
-#: built once: it is run with every request
+#: built once, because every request runs it
 _SIGNED_IN = (
     select(UserRow.id, UserRow.name, UserRow.role)
     .join(TokenRow, TokenRow.user_id == UserRow.id)

@@ -59,7 +59,7 @@ def open_blobs(url: str) -> BlobStore:
     """The store behind an fsspec URL: file:///folder, s3://bucket/prefix, memory://name.
 
     Raises:
-        BlobsNotWritable: if the URL's kind is unknown, its driver is missing, or its folder cannot be made.
+        BlobsNotWritable: if the URL's protocol is unknown, its driver is missing, or its folder cannot be created.
     """
     try:
         filesystem, root = cast("tuple[Any, str]", url_to_fs(url))
@@ -86,7 +86,7 @@ class FolderBlobs:
             return
         try:
             self._make_folder(path.parent)
-            # The temporary name starts with a dot, so it is no key and nobody reads a half-written blob.
+            # The temporary file's name starts with a dot, so it is not a key and nobody reads a partial blob.
             atomic_write(path, content)
         except OSError as error:
             raise _not_writable(str(self._root), error) from error
@@ -127,7 +127,7 @@ class FolderBlobs:
         return self._root / _checked(key)
 
     def _make_folder(self, folder: Path) -> None:
-        """Like mkdir -p, and the new folders' names survive a crash."""
+        """Like mkdir -p, but the new folders survive a crash."""
         missing = [each for each in (folder, *folder.parents) if not each.exists()]
         for each in reversed(missing):
             each.mkdir(exist_ok=True)
@@ -135,7 +135,7 @@ class FolderBlobs:
 
 
 class RemoteBlobs:
-    """Blobs in an object store, which itself makes a blob appear whole or not at all."""
+    """Blobs in an object store, which writes each blob atomically."""
 
     def __init__(self, filesystem: Any, root: str) -> None:
         self._filesystem = filesystem

@@ -72,16 +72,16 @@ class Database:
             DatabaseFull: if its disk is full.
             DatabaseUnreachable: if it cannot be reached or written, or stays locked.
         """
-        with self._errors_named(), self._writing() as session:
+        with self._translated_errors(), self._writing() as session:
             yield session
 
     def _writing(self) -> AbstractContextManager[Session]:
         if self._group_commit is not None:
             return self._group_commit.session()
-        return self._alone()
+        return self._single_transaction()
 
     @contextmanager
-    def _alone(self) -> Generator[Session]:
+    def _single_transaction(self) -> Generator[Session]:
         with Session(self._writer, expire_on_commit=False) as session:
             yield session
             try:
@@ -98,7 +98,7 @@ class Database:
         Raises:
             DatabaseUnreachable: if the database cannot be reached.
         """
-        with self._errors_named(), Session(self._reader, expire_on_commit=False) as session:
+        with self._translated_errors(), Session(self._reader, expire_on_commit=False) as session:
             yield session
 
     def migrate(self) -> None:
@@ -108,14 +108,14 @@ class Database:
             DatabaseTooNew: if a newer version of Accord has migrated it.
             DatabaseUnreachable: if it cannot be reached or written.
         """
-        with self._errors_named(), self._writer.begin() as connection:
+        with self._translated_errors(), self._writer.begin() as connection:
             upgrade(connection)
 
     def close(self) -> None:
         self.engine.dispose()
 
     @contextmanager
-    def _errors_named(self) -> Generator[None]:
+    def _translated_errors(self) -> Generator[None]:
         try:
             yield
         except (DatabaseError, CommitFailed) as failure:
@@ -129,7 +129,8 @@ class Database:
             # The other subclasses of DatabaseError report a mistake in a statement, not a fault of the machine.
             if type(error) not in (OperationalError, DatabaseError, MemoryError):
                 raise
-            reason = error.orig if isinstance(error, DatabaseError) else "out of memory"
+            # drivers add hints on further lines
+            reason = str(error.orig).partition("\n")[0] if isinstance(error, DatabaseError) else "out of memory"
             raise DatabaseUnreachable(
                 f"The database {url} failed: {reason}. Check that it exists, runs, is writable and has space left."
             ) from failure

@@ -61,7 +61,7 @@ def advance_revision(session: Session, experiment_id: str, label_delta: int) -> 
 
 
 def write(session: Session, label: StoredLabel, response: Response, now: datetime, *, new: bool) -> None:
-    """Inserts a label if it is `new`, else changes it; adds what it says to the history."""
+    """Inserts a `new` label or updates an existing one, and adds it to the history."""
     connection = session.connection()
     content = {
         "value": response.value,

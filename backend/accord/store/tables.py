@@ -189,7 +189,7 @@ class QueryRow(Base):
 
 
 class PresentationRow(Base):
-    """The sides on which a query is shown to one user, chosen once, so that a reload shows the same."""
+    """The sides on which a query is shown to one user, chosen once, so that a reload keeps them."""
 
     __tablename__ = "presentations"
     query_id: Mapped[str] = mapped_column(ForeignKey("queries.id"), primary_key=True)
@@ -200,7 +200,7 @@ class PresentationRow(Base):
 
 
 class LabelRow(Base):
-    """The current label, skip or undo of one teacher on one query. label_revisions has the earlier ones."""
+    """The current label, skip or undo of one teacher on one query. `LabelRevisionRow` has the earlier ones."""
 
     __tablename__ = "labels"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -215,7 +215,7 @@ class LabelRow(Base):
     revision: Mapped[int]
     #: the segment shown on the left; None for a program
     left_segment: Mapped[int | None] = mapped_column(default=None)
-    #: measured by the page, from both clips playing to the answer
+    #: measured by the page, from the start of both clips to the label
     response_seconds: Mapped[float | None] = mapped_column(default=None)
     #: a scripted teacher's name and parameters
     teacher: Mapped[dict[str, Any]] = mapped_column(default_factory=dict[str, Any])
@@ -263,7 +263,7 @@ class RewardVersionRow(Base):
 
 
 class MetricRow(Base):
-    """One point of one curve. Written again for its step, it replaces the point: a resumed run repeats itself."""
+    """One point of one curve. A new point replaces that of the same step, because a resumed run repeats steps."""
 
     __tablename__ = "metrics"
     id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True, init=False)

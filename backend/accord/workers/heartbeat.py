@@ -32,7 +32,9 @@ class ClaimLost(AccordError):
     code = "claim_lost"
 
     def __init__(self, subject: str) -> None:
-        super().__init__(f"The claim on {subject} expired, so another worker may hold it. This worker stops its work.")
+        super().__init__(
+            f"The claim on {subject} expired, so another worker may hold it. This worker stops working on it."
+        )
         self.subject = subject
 
 
@@ -120,7 +122,7 @@ class Heartbeat:
             self._wake.set()
 
     def set_background_failure(self, failure: str) -> None:
-        """Report the worker as backing off with this sentence, whatever its main thread does; "" ends that."""
+        """Report the worker as backing off for this reason, whatever its main thread does; "" ends that."""
         if failure != self._background_failure:
             self._background_failure = failure
             self._wake.set()

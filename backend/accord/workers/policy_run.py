@@ -48,7 +48,7 @@ class Interrupted(Exception):
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """What the rows say before a step, read in one transaction."""
+    """The rows that decide about the next step, read in one transaction."""
 
     status: str
     labels: int
@@ -76,7 +76,7 @@ class PolicyRun:
         self._claim = claim
         self._trainer = self._start_or_restore()
         shows_clips = config.reward_source == "preferences" and config.render_clips
-        #: whether clips can only be drawn by playing the rollout again, which this worker does
+        #: whether this worker must make the clips, because the task only renders itself
         self._replays = shows_clips and needs_replay(self._trainer.learner.task)
         #: collected, but not learned from yet
         self._rollout: Rollout | None = None
@@ -86,7 +86,7 @@ class PolicyRun:
         self._reported: tuple[Phase, str, int] | None = None
 
     def step(self) -> bool:
-        """Do what comes next. Returns False when there is nothing to do but wait.
+        """Do the next step. Returns False if there is nothing to do but wait.
 
         Raises:
             InvalidExperiment: if the first rollout holds too few pairs for the first labels.
@@ -220,7 +220,7 @@ class PolicyRun:
 
     def _wait(self, reason: str) -> None:
         self.save_progress()
-        self._context.heartbeat.set_state("working", f"Waiting: {reason}")
+        self._context.heartbeat.set_state("working", reason)
         self._report(Phase.WAITING_FOR_LABELS, reason)
 
     def _update(self, rollout: Rollout, rows: _Rows) -> None:
@@ -246,7 +246,9 @@ class PolicyRun:
             experiments.report(session, self._id, phase=Phase.TRAINING, steps=trainer.steps)
         self._reported = Phase.TRAINING, "", trainer.steps
         share = min(1.0, trainer.steps / self._config.total_steps)
-        self._context.heartbeat.set_state("working", f"Training {self._config.task}: {share:.0%} of the steps.")
+        self._context.heartbeat.set_state(
+            "working", f"Training on {self._config.task}: {share:.0%} of the steps are done."
+        )
 
     def _report(self, phase: Phase, detail: str = "") -> None:
         """Write phase and detail to the experiment's row, if they changed."""
@@ -285,7 +287,7 @@ class PolicyRun:
 
     def _evaluate(self, name: str) -> None:
         """Record the true return of whole episodes of the current policy under this name."""
-        self._report(Phase.EVALUATING, f"{EPISODES} episodes.")
+        self._report(Phase.EVALUATING, f"Playing {EPISODES} episodes.")
         values = evaluation_metrics(
             self._trainer.learner, self._config.task, self._config.seed, name, lambda: self._context.stop.requested
         )
@@ -303,8 +305,8 @@ class PolicyRun:
     def _too_few_pairs(self, labels: int) -> str:
         config = self._config
         return (
-            f"The first rollout's segments form too few pairs: every pair is labelled, which gave {labels} labels, but "
-            f"initial_labels is {config.initial_labels}. Lower initial_labels, or raise policy.n_envs or "
+            f"The first rollout's segments form too few pairs: all of them are labelled, which makes {labels} labels, "
+            f"but initial_labels is {config.initial_labels}. Lower initial_labels, or raise policy.n_envs or "
             f"policy.rollout_steps; if episodes end within segment_steps ({config.segment_steps}), lower segment_steps."
         )
 

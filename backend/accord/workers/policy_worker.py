@@ -17,12 +17,12 @@ log = logging.getLogger(__name__)
 
 #: while its experiment waits for labels, the worker checks this often whether another one can train
 _CHECK_OTHERS_SECONDS = 2.0
-#: errors that would come again: the experiment fails with their message
+#: errors that a retry would raise again: the experiment fails with their message
 _PERMANENT = (Invalid, InvalidAction, InvalidConfig, TaskError, ClipNotWritten, TrainingDiverged)
 
 
 class PolicyWorker:
-    """Claims running experiments, those first that need not wait for labels."""
+    """Claims running experiments; those that need not wait for labels come first."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -54,7 +54,7 @@ class PolicyWorker:
         return sorted(found, key=lambda each: each[2])
 
     def _train(self, experiment_id: str, config: ExperimentConfig, claim: Claim) -> None:
-        self._context.heartbeat.set_state("working", f"Training {config.task}.")
+        self._context.heartbeat.set_state("working", f"Training on {config.task}.")
         log.info("Experiment %s claimed", experiment_id)
         try:
             run = PolicyRun(self._context, experiment_id, config, claim)

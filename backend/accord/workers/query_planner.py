@@ -1,4 +1,4 @@
-"""Creates queries: how many are wanted, what is known of the segments, which pairs, their rows.
+"""Creates queries: reads how many are needed, scores segments if necessary, chooses pairs and writes their rows.
 
 Runs in a thread of the reward worker's process, under its own claim on each experiment, so that labellers never wait
 for a training to end.
@@ -42,19 +42,19 @@ _KEPT_ENSEMBLES = 4
 
 @dataclass(frozen=True, slots=True)
 class _Candidates:
-    """What the rows say before a choice, read in one transaction."""
+    """The rows that a choice of pairs depends on, read in one transaction."""
 
     config: ExperimentConfig
     wanted: int
-    #: from new to old
+    #: newest first
     segment_ids: list[str]
     #: pairs that have a query
     paired: set[frozenset[str]]
-    #: from new to old, at most two
+    #: the newest first, at most two
     versions: list[RewardVersionRow]
-    #: the newest of them, where features are needed
+    #: the newest of these pairs, if the selector needs features
     newest_pairs: Sequence[tuple[str, str]]
-    #: segment id -> blob key, of the segments whose arrays are needed
+    #: segment id -> blob key, for segments whose arrays are needed
     blob_keys: dict[str, str]
 
 
@@ -94,7 +94,7 @@ class QueryPlanner:
             try:
                 return self._add_queries(experiment_id, claim)
             except UnknownSelector as error:
-                # A setting of another version of Accord: trying again would fail again.
+                # Another version of Accord stored this setting; a retry would fail again.
                 log.exception("Experiment %s failed", experiment_id)
                 with self._context.database.transaction() as session:
                     claim.check_within(session)
@@ -186,7 +186,7 @@ class PlannerThread:
             self._planner,
             self._context.stop,
             self._context.settings.poll_seconds,
-            on_failure=lambda failure: heartbeat.set_background_failure(f"Creating queries: {failure}"),
+            on_failure=lambda failure: heartbeat.set_background_failure(f"Queries cannot be created. {failure}"),
             on_success=lambda _: heartbeat.set_background_failure(""),
         )
 

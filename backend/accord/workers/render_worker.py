@@ -16,11 +16,11 @@ from accord.domain.enums import WorkerRole
 from accord.domain.errors import BlobMissing
 from accord.rendering.checks import probe_backend
 from accord.rendering.clip_key import clip_key
-from accord.rendering.process import ClipJob as DrawJob
+from accord.rendering.process import ClipJob as RenderJob
 from accord.rendering.process import RenderFailed, RenderProcess
 from accord.services import clips
-from accord.services.clips import ClipJob, MadeClip
-from accord.services.collect import drawn_blob_key, load_arrays
+from accord.services.clips import ClipJob, StoredClip
+from accord.services.collect import load_arrays, replayed_clip_key
 from accord.workers.runner import Context, run_worker
 from mapt.rendering.encode import ClipFile
 from mapt.rendering.settings import RenderSettings
@@ -83,14 +83,14 @@ class RenderWorker:
         try:
             made = self._render_and_store(process, job)
         except RenderFailed as error:
-            # Probably the segment's own fault: other clips are rendered before it is tried again.
+            # The segment is probably the cause, so other clips are rendered before it is retried.
             with self._context.database.transaction() as session:
                 clips.fail(session, job.clip_id, str(error), retry=True)
             return
         with self._context.database.transaction() as session:
             clips.finish(session, job.clip_id, made)
 
-    def _render_and_store(self, process: RenderProcess, job: ClipJob) -> MadeClip:
+    def _render_and_store(self, process: RenderProcess, job: ClipJob) -> StoredClip:
         if task_spec(job.task).nq == 0:
             return self._replayed_clip(job)
         arrays = load_arrays(self._context.blobs, job.segment_blob_key)
@@ -98,14 +98,14 @@ class RenderWorker:
         qpos, qvel = (arrays[name].astype(np.float64, copy=False) for name in ("qpos", "qvel"))
         key = clip_key(qpos, qvel, task.model, task.agents, task.settings)
         path = Path(self._folder.name) / f"{job.clip_id}.mp4"
-        clip: ClipFile = process.render(DrawJob(job.task, qpos, qvel, task.settings, path))
+        clip: ClipFile = process.render(RenderJob(job.task, qpos, qvel, task.settings, path))
         blob_key = f"clips/{key[:2]}/{key}.mp4"
         try:
             content = path.read_bytes()
         finally:
             path.unlink()
         self._context.blobs.put(blob_key, content)
-        return MadeClip(
+        return StoredClip(
             cache_key=key,
             blob_key=blob_key,
             # The size of the stored blob: encoding varies from run to run, and an existing blob is not replaced.
@@ -116,13 +116,13 @@ class RenderWorker:
             height=clip.height,
         )
 
-    def _replayed_clip(self, job: ClipJob) -> MadeClip:
+    def _replayed_clip(self, job: ClipJob) -> StoredClip:
         """The clip that `accord.workers.replayed_clips` stored with the segment.
 
         Raises:
             RenderFailed: if it is missing or not a video.
         """
-        key = drawn_blob_key(job.segment_blob_key)
+        key = replayed_clip_key(job.segment_blob_key)
         try:
             content = self._context.blobs.read(key)
             with av.open(io.BytesIO(content)) as container:
@@ -130,7 +130,7 @@ class RenderWorker:
                 frames, width, height = video.frames, video.width, video.height
         except (BlobMissing, FFmpegError) as error:
             raise RenderFailed(f"{job.task} renders itself, but stored no clip with this segment: {error}") from error
-        return MadeClip(
+        return StoredClip(
             cache_key=hashlib.sha256(content).hexdigest(),
             blob_key=key,
             size_bytes=len(content),

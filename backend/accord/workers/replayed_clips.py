@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from accord.services.collect import drawn_blob_key
+from accord.services.collect import replayed_clip_key
 from accord.store.blobs import BlobStore
 from mapt.errors import NoSimulator, UnusableEnvironment
 from mapt.policies import Rollout
@@ -50,7 +50,7 @@ class RolloutReplay:
         """Store a clip beside the blob of each segment.
 
         Args:
-            places: of the segments, in the order of their keys.
+            places: the segments' steps, in the order of their keys.
 
         Raises:
             NotRenderable: if the task renders nothing.
@@ -68,7 +68,7 @@ class RolloutReplay:
             finally:
                 task.close()
             for place, key in zip(places, segment_blob_keys, strict=True):
-                blobs.put(drawn_blob_key(key), paths[place].read_bytes())
+                blobs.put(replayed_clip_key(key), paths[place].read_bytes())
 
     def _record(self, task: RenderableTask, paths: Mapping[StepRange, Path]) -> None:
         settings = self._settings(even_size(task.render(0)))

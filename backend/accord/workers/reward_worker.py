@@ -110,12 +110,12 @@ class RewardWorker:
             if claim is None:
                 return False
             try:
-                # A version first: the policy may wait for it, and the parent's ensemble serves meanwhile.
+                # The version comes first: the policy may wait for it, and until then the parent's ensemble is used.
                 if due:
                     return self._train_version(row, newest, claim)
                 return without_ensemble is not None and self._train_ensemble(row, without_ensemble, claim)
             except (InvalidConfig, ModelMismatch) as error:
-                # Trying again would fail again.
+                # A retry would fail again.
                 log.exception("Experiment %s failed", row.id)
                 with self._context.database.transaction() as session:
                     claim.check_within(session)
@@ -125,7 +125,7 @@ class RewardWorker:
     def _train_version(self, row: ExperimentRow, newest: RewardVersionRow | None, claim: Claim) -> bool:
         """Train the next version on all labels, starting from the newest one, and publish it."""
         context, number = self._context, (newest.number if newest else 0) + 1
-        context.heartbeat.set_state("working", f"Reward version {number}: reading the labels.")
+        context.heartbeat.set_state("working", f"Reading the labels for reward version {number}.")
         with context.database.reading() as session:
             labels = publish.training_labels(session, row.id)
         if len(labels.items) < 2:
@@ -168,7 +168,7 @@ class RewardWorker:
             config,
             training,
             initial=self._parent(newest, config),
-            progress=self._reporter(f"Reward version {number}", len(dataset)),
+            progress=self._reporter(f"reward version {number}", len(dataset)),
             stop=lambda: self._context.stop.requested or claim.lost,
         )
 
@@ -190,7 +190,7 @@ class RewardWorker:
             training,
             settings.ensemble_members,
             initial=parent if fits else None,
-            progress=self._reporter(f"Ensemble of reward version {version.number}", len(dataset)),
+            progress=self._reporter(f"the ensemble of reward version {version.number}", len(dataset)),
             stop=lambda: self._context.stop.requested or claim.lost,
         )
         claim.check()
@@ -201,7 +201,9 @@ class RewardWorker:
 
     def _reporter(self, what: str, n_labels: int) -> Callable[[TrainProgress], None]:
         """Shows the progress of a training in the worker's row."""
-        return lambda at: self._context.heartbeat.set_state("working", f"{what}: epoch {at.epoch}, {n_labels} labels.")
+        return lambda at: self._context.heartbeat.set_state(
+            "working", f"Training {what} on {n_labels} labels, epoch {at.epoch}."
+        )
 
     def _parent(self, newest: RewardVersionRow | None, config: RewardConfig) -> RewardModel | None:
         """The newest model, if it has the settings of the next one."""

@@ -1,4 +1,4 @@
-"""The process of a worker: signals, the work loop with backoff, and what every worker is given."""
+"""The process of a worker: signals, the work loop with backoff, and the context that every worker gets."""
 
 import argparse
 import logging
@@ -19,11 +19,12 @@ from accord.settings import Settings
 from accord.store.blobs import BlobStore, open_blobs
 from accord.store.database import Database
 from accord.workers.heartbeat import Heartbeat
+from mapt.errors import MaptError
 from mapt.processes import follow_parent
 
 log = logging.getLogger(__name__)
 
-#: stands after the failure in the detail of a worker that backs off
+#: follows the failure in the detail of a worker that backs off
 RETRY_TEXT = "Retrying in"
 _LONGEST_ERROR = 400
 
@@ -89,7 +90,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What every worker is given."""
+    """What every worker works with."""
 
     settings: Settings
     database: Database
@@ -111,7 +112,7 @@ class Worker(Protocol):
         ...
 
     def close(self) -> None:
-        """Free what the end of the process does not, within a second or two."""
+        """Release what would outlive the process. Takes at most a second or two."""
         ...
 
 
@@ -191,10 +192,10 @@ def run_worker(role: WorkerRole, make_worker: Callable[[Context], Worker], argv:
 
 
 def error_sentence(error: BaseException) -> str:
-    """An error as one sentence for people: its first line, after its class name unless it is an error of Accord."""
+    """An error as one sentence for people: its first line. The class name precedes errors of other libraries."""
     lines = str(error).strip().splitlines()
     text = lines[0] if lines else ""
-    if not isinstance(error, AccordError):
+    if not isinstance(error, AccordError | MaptError):
         text = f"{type(error).__name__}: {text}" if text else type(error).__name__
     if text and text[-1] not in ".!?":
         text += "."

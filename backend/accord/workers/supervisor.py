@@ -75,7 +75,7 @@ class Child:
             self._process.terminate()
 
     def wait(self, seconds: float) -> bool:
-        """Wait for its end, at most `seconds`. Returns whether it has ended."""
+        """Wait at most `seconds` for it to end. Returns whether it has ended."""
         try:
             self._process.wait(max(0.0, seconds))
         except subprocess.TimeoutExpired:
@@ -169,7 +169,7 @@ class Supervisor:
         child.kill_group()
         failures = 1 if now - slot.started_at > _RECOVERED_SECONDS else slot.failures + 1
         pause = self._backoff.seconds(failures, self._rng)
-        description = f"The process ended ({describe_exit(status)}); it restarts in {pause:.1f} s."
+        description = f"The process ended ({describe_exit(status)}) and restarts in {pause:.1f} s."
         if last := child.last_log_line():
             description += f" Last line of its log: {last}"
         self._on_death(Death(slot.spec.name, slot.spec.role, description, slot.restarts + 1))
@@ -179,7 +179,7 @@ class Supervisor:
         """Stop all children: SIGTERM, wait, then kill those that still run; kill at once if `stop` is immediate.
 
         Returns:
-            names of the children that had to be killed.
+            Names of the children that had to be killed.
         """
         children = [slot.child for slot in self._slots if slot.child]
         self._slots = [replace(slot, child=None, due_at=float("inf")) for slot in self._slots]

@@ -46,9 +46,9 @@ class RewardConfig(Settings):
     action_dim: Annotated[int, setting("Values in one agent's action, or number of discrete actions, A.", ge=1)]
     n_agents: Annotated[int, setting("Agents, N.", ge=1)]
     architecture: Annotated[Architecture, setting("MAPT, or the baseline MA-MLP, MA-LSTM or MA-Transformer.")] = "mapt"
-    discrete_actions: Annotated[bool, setting("Actions are one-hot and are not normalised.")] = False
+    discrete_actions: Annotated[bool, setting("Whether actions are one-hot; these are not normalised.")] = False
     hidden_dim: Annotated[int, setting("Width d; a multiple of twice `heads`.", ge=1)] = 64
-    temporal: Annotated[TemporalEncoder, setting("What encodes the past into each step.")] = "attention"
+    temporal: Annotated[TemporalEncoder, setting("How each step's features depend on the past.")] = "attention"
     layers: Annotated[int, setting("Layers of the temporal encoder.", ge=1)] = 1
     heads: Annotated[int, setting("Heads of the self-attentions; the two preference attentions have one.", ge=1)] = 2
     dropout: Annotated[
@@ -66,12 +66,13 @@ class RewardConfig(Settings):
     tpa_key: Annotated[
         TpaKey,
         setting(
-            "Keys of that attention: the individual rewards (eq. 5), or the team's features as in Preference "
+            "Keys of the temporal attention: the individual rewards (eq. 5), or the team's features as in Preference "
             "Transformer."
         ),
     ] = "rewards"
     markov_path: Annotated[
-        bool, setting("A Markov reward per agent, added to that of the past, which then starts at zero.")
+        bool,
+        setting("Adds a Markov reward per agent to the reward that depends on the past, which then starts at zero."),
     ] = True
     markov_dim: Annotated[int, setting("Width of the Markov path; 0 for `hidden_dim`.", ge=0)] = 0
 
@@ -148,7 +149,12 @@ class TrainConfig(Settings):
     ] = 10
     patience: Annotated[
         int,
-        setting("The same for the whole network; 20 or more while accuracy is not above chance.", ge=1, unit="epochs"),
+        setting(
+            "Epochs without a lower hold-out loss that end the training of the whole network; at least 20 while its "
+            "accuracy is not above chance.",
+            ge=1,
+            unit="epochs",
+        ),
     ] = 5
     markov_visits: Annotated[int, setting("Most pairs times epochs of the Markov stage.", ge=1, unit="pairs")] = 160_000
     visits: Annotated[int, setting("Most pairs times epochs of the whole network.", ge=1, unit="pairs")] = 96_000
@@ -159,9 +165,14 @@ class TrainConfig(Settings):
         int, setting("Most epochs of the whole network when training continues from a model.", ge=1, unit="epochs")
     ] = 1
     warm_share: Annotated[
-        float, setting("Fraction of the Markov path's weights that such a training keeps; the rest is new.", ge=0, le=1)
+        float,
+        setting(
+            "Fraction of a model's Markov weights kept when training continues from it; the rest is new.", ge=0, le=1
+        ),
     ] = 0.5
-    hold_out_fraction: Annotated[float, setting("Fraction of the pairs that is held out.", ge=0.01, le=0.5)] = 0.2
+    hold_out_fraction: Annotated[float, setting("Fraction of the pairs held out for validation.", ge=0.01, le=0.5)] = (
+        0.2
+    )
     label_noise: Annotated[
         float, setting("Fraction of the labels that the loss assumes to be wrong.", ge=0, le=0.49)
     ] = 0.0

@@ -113,13 +113,13 @@ class LabelSchedule:
             # No label can come before the next rollout brings segments.
             due = min(due, progress.labels)
         if progress.trained_on is None:
-            return _missing(progress.labels, self.initial, "the first reward version")
+            return _missing(progress.labels, self.initial, "The first reward version is trained")
         if not self.wait:
             return None
         if progress.labels < due:
-            return _missing(progress.labels, due, "training to continue")
+            return _missing(progress.labels, due, "Training continues")
         if self.version_labels(progress.trained_on) < self.version_labels(due):
-            return f"The labels are in; the reward model trains on {progress.labels} of them."
+            return _training(progress.labels)
         return None
 
     def cannot_start(self, progress: Progress) -> bool:
@@ -144,7 +144,9 @@ class LabelSchedule:
         return min(available, max(2, ceil((4 * self.budget - first) / later_rollouts)))
 
 
-def _missing(labels: int, wanted: int, purpose: str) -> str:
-    if labels >= wanted:
-        return "The labels are in; the reward model trains on them."
-    return f"{labels} of {wanted} labels for {purpose}."
+def _missing(labels: int, wanted: int, event: str) -> str:
+    return f"{event} after {wanted} labels; {labels} are in." if labels < wanted else _training(labels)
+
+
+def _training(labels: int) -> str:
+    return f"The reward model is being trained on {labels} labels."

@@ -7,12 +7,12 @@ import pytest
 from accord.domain.errors import ClipNotFound
 from accord.domain.ids import new_id
 from accord.services import clips, experiments
-from accord.services.clips import ClipJob, MadeClip
+from accord.services.clips import ClipJob, StoredClip
 from accord.store.tables import ClipRow, QueryRow
 from support.sample_experiments import CLIP_BYTES, create_sample
 from support.stores import Stores
 
-MADE = MadeClip("0" * 64, "clips/x.mp4", len(CLIP_BYTES), 5, 0.25, 320, 240)
+MADE = StoredClip("0" * 64, "clips/x.mp4", len(CLIP_BYTES), 5, 0.25, 320, 240)
 
 
 def claim(stores: Stores, holder: str = "worker", lease_seconds: float = 60.0) -> ClipJob | None:

@@ -10,7 +10,7 @@ import pytest
 from safetensors.numpy import load
 
 from accord.services import experiments
-from accord.services.collect import drawn_blob_key
+from accord.services.collect import replayed_clip_key
 from accord.workers.policy_worker import PolicyWorker
 from accord.workers.replayed_clips import RolloutReplay, even_size
 from integration.workers.workplace import SingleThreadedRewardWorker, Workplace
@@ -53,7 +53,7 @@ def test_a_clip_shows_each_state_in_which_an_action_was_taken(place: Workplace) 
     for (key,) in segments:
         arrays = load(place.context.blobs.read(key))
         levels = np.round(arrays["observations"][:, 0, 0] * light_tasks.LEVELS).astype(int)
-        assert_shows(place.context.blobs.read(drawn_blob_key(key)), levels)
+        assert_shows(place.context.blobs.read(replayed_clip_key(key)), levels)
         shown_levels |= set(levels.tolist())
     assert len(shown_levels) > 4
 
@@ -81,13 +81,13 @@ def test_a_later_rollout_is_drawn_from_the_middle_of_its_episodes(place: Workpla
     RolloutReplay(task, before, rollout).store_clips(place.context.blobs, [StepRange(*each) for each in places], keys)
     for (env, first, end), key in zip(places, keys, strict=True):
         levels = np.round(rollout.observations[first:end, env, 0, 0] * light_tasks.LEVELS).astype(int)
-        assert_shows(place.context.blobs.read(drawn_blob_key(key)), levels)
+        assert_shows(place.context.blobs.read(replayed_clip_key(key)), levels)
 
 
 def test_nothing_is_drawn_where_programs_alone_label(place: Workplace) -> None:
     collect(place, "Buttons-2", render_clips=False)
     [(key,), *_] = place.rows("SELECT blob_key FROM segments")
-    assert not (place.home / "blobs" / drawn_blob_key(key)).exists()
+    assert not (place.home / "blobs" / replayed_clip_key(key)).exists()
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_a_clip_that_was_lost_fails_its_query_and_no_other(place: Workplace) -> 
     [(lost, key), *_] = place.rows(
         "SELECT s.id, s.blob_key FROM segments s JOIN clips c ON c.segment_id = s.id ORDER BY s.id"
     )
-    Path(place.home / "blobs" / drawn_blob_key(key)).unlink()
+    Path(place.home / "blobs" / replayed_clip_key(key)).unlink()
     place.make_clips()
     assert place.rows("SELECT status FROM clips WHERE segment_id = ?", lost) == [("failed",)]
     [(detail,)] = place.rows("SELECT detail FROM clips WHERE segment_id = ?", lost)

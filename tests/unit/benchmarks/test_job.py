@@ -154,7 +154,7 @@ def test_a_failed_cell_does_not_affect_the_others(tmp_path, replay):
         each.job.settings.key: each.failure
         for each in run_jobs(partial(make_cell, tmp_path / "cells"), [bad, good, other], 1)
     }
-    assert "no teacher is called 'nobody'" in done[bad.settings.key]
+    assert "No teacher is called 'nobody'" in done[bad.settings.key]
     assert done[good.settings.key] is None
     assert done[other.settings.key] is None
 

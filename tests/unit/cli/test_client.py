@@ -83,15 +83,15 @@ def test_a_refusal_is_told_in_the_services_words(server, api):
     assert (caught.value.status, caught.value.reason) == (409, "query_closed")
 
 
-def test_what_is_no_accord_is_said_to_be_none(server, api):
+def test_response_of_another_server_is_refused(server, api):
     server.answers = [(404, {}, b"<html>")]
-    with pytest.raises(Refused, match="is it an Accord service"):
+    with pytest.raises(Refused, match="Is it an Accord service"):
         api.get("/me")
 
 
-def test_nobody_there_is_a_sentence():
+def test_unreachable_service_is_unavailable():
     api = Api("http://127.0.0.1:1", "secret", retry_seconds=0.1)
-    with pytest.raises(Unavailable, match="does not answer"):
+    with pytest.raises(Unavailable, match="does not respond"):
         api.get("/me")
     api.close()
 

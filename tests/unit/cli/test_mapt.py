@@ -79,8 +79,8 @@ def test_missing_results_exit_with_status_1(tmp_path, replays, mapt):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--models", "Nobody"], "no reward model is called 'Nobody'"),
-        (["--teachers", "nobody"], "no teacher is called 'nobody'"),
+        (["--models", "Nobody"], "No reward model is called 'Nobody'"),
+        (["--teachers", "nobody"], "No teacher is called 'nobody'"),
         (["--labels", "many"], "--labels"),
         (["--baseline", "MAPT*"], "baseline"),
         (["--task", "HalfCheetah-6x1"], "is of Tiny"),

@@ -78,7 +78,8 @@ def test_policy_continues_once_a_version_has_all_due_labels(plan, steps):
 
 
 def test_waiting_says_how_many_labels_are_missing():
-    assert paced().waiting_reason(Progress(0, 12, None)) == "12 of 20 labels for the first reward version."
+    reason = paced().waiting_reason(Progress(0, 12, None))
+    assert reason == "The first reward version is trained after 20 labels; 12 are in."
 
 
 def test_free_pacing_waits_for_the_first_version_alone():

@@ -1,4 +1,4 @@
-"""The signed-in user, adding users, signing in and out."""
+"""Get the signed-in user, add users, sign in and out."""
 
 from html import escape
 

@@ -22,16 +22,16 @@ from accord.services import experiments, metrics, workers
 
 router = APIRouter(tags=["experiments"])
 POLL_SECONDS = 0.5
-#: a client that accepts no data for so long is disconnected
+#: a client that accepts no data for this long is disconnected
 _SEND_TIMEOUT_SECONDS = 30.0
-#: a worker without a heartbeat for so long is shown as silent
+#: a worker without a heartbeat for this long counts as silent
 _SILENT_SECONDS = 20.0
 _WORKERS = TypeAdapter(list[schemas.Worker])
 
 
 @dataclass(slots=True)
 class Watch:
-    """The events of one client, and what it was sent already."""
+    """The events of one client, and what it has already received."""
 
     auth: Auth
     experiment_id: str

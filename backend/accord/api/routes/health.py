@@ -11,7 +11,7 @@ router = APIRouter(tags=["service"])
 
 @router.get("/health", summary="Check the service")
 def health(request: Request) -> schemas.Health:
-    """Queries the database. Needs no authentication. Returns 503 if the database does not answer."""
+    """Queries the database. Needs no authentication. Returns 503 if the database does not respond."""
     with app_state(request).database.reading() as session:
         session.execute(text("SELECT 1"))
     return schemas.Health(status="ok")

@@ -24,7 +24,7 @@ def next_queries(
     count: Annotated[int, Query(ge=1, le=16, description="Queries to lease.")] = 1,
     returns: Annotated[bool, Query(description="Include true returns and rewards; not for labellers.")] = False,
 ) -> Response:
-    """Leases queries to the caller. Those the caller holds already come first, on the same sides as before.
+    """Leases queries to the caller. Those that the caller already holds come first, on the same sides as before.
 
     If there are fewer than `count`, `reason` says why.
     """
@@ -63,7 +63,7 @@ def release(query_id: QueryId, auth: AuthDep) -> Response:
     summary="Label or skip a query",
 )
 def put_label(query_id: QueryId, body: schemas.NewLabel, auth: AuthDep) -> Response:
-    """Creates or changes the caller's label. 201 if something changed, 200 if the same label was stored already."""
+    """Creates or changes the caller's label. 201 if something changed, 200 if the same label was already stored."""
     with auth.writing() as caller:
         outcome = _put(caller, query_id, body, None)
         return json_response(responses.label_response(outcome), 201 if outcome.created else 200)

@@ -14,7 +14,7 @@ interface Result<Data> {
 /**
  * Returns the data of a call.
  *
- * @throws ApiError when the server answers with an error, ServerUnreachable when it does not answer.
+ * @throws ApiError when the server responds with an error, ServerUnreachable when it does not respond.
  */
 export async function unwrap<Data>(call: Promise<Result<Data>>): Promise<Data> {
   let result: Result<Data>;

@@ -15,7 +15,7 @@ export interface paths {
         put?: never;
         /**
          * Get the next queries
-         * @description Leases queries to the caller. Those the caller holds already come first, on the same sides as before.
+         * @description Leases queries to the caller. Those that the caller already holds come first, on the same sides as before.
          *
          *     If there are fewer than `count`, `reason` says why.
          */
@@ -60,7 +60,7 @@ export interface paths {
         get?: never;
         /**
          * Label or skip a query
-         * @description Creates or changes the caller's label. 201 if something changed, 200 if the same label was stored already.
+         * @description Creates or changes the caller's label. 201 if something changed, 200 if the same label was already stored.
          */
         put: operations["put_label"];
         post?: never;
@@ -414,7 +414,7 @@ export interface paths {
         };
         /**
          * Check the service
-         * @description Queries the database. Needs no authentication. Returns 503 if the database does not answer.
+         * @description Queries the database. Needs no authentication. Returns 503 if the database does not respond.
          */
         get: operations["health"];
         put?: never;
@@ -448,7 +448,7 @@ export interface components {
             order: "segments" | "shown";
             /**
              * Response Seconds
-             * @description From both clips playing to the label.
+             * @description Seconds from the start of both clips to the label.
              */
             response_seconds?: number | null;
             /**
@@ -680,7 +680,7 @@ export interface components {
             revision: number;
             /**
              * Created
-             * @description False if the same label was stored already.
+             * @description False if the same label was already stored.
              */
             created: boolean;
         };
@@ -691,7 +691,7 @@ export interface components {
         LabelBatch: {
             /**
              * Labels
-             * @description Each is accepted or refused by itself.
+             * @description Each is accepted or rejected on its own.
              */
             labels: components["schemas"]["BatchLabel"][];
         };
@@ -718,7 +718,7 @@ export interface components {
             budget: number;
             /**
              * Labels
-             * @description Labels 1, 0 or 0.5; no skips.
+             * @description Labels 1, 0 or 0.5, without skips.
              */
             labels: number;
             /**
@@ -754,7 +754,7 @@ export interface components {
             query_id: string;
             /**
              * Lease Seconds
-             * @description The lease ends after so long without another heartbeat.
+             * @description The lease expires after this many seconds without another heartbeat.
              */
             lease_seconds: number;
         };
@@ -826,7 +826,7 @@ export interface components {
         };
         /**
          * NewExperiment
-         * @description An experiment to start; every setting but the task has a default.
+         * @description An experiment to start. Every setting except the task has a default.
          */
         NewExperiment: {
             /**
@@ -836,7 +836,7 @@ export interface components {
             name: string;
             /**
              * Instructions
-             * @description Shown to labellers; the task's own if left out.
+             * @description Shown to labellers; by default, those of the task.
              */
             instructions?: string | null;
             /** @description Name of a task, from GET /tasks; for example HalfCheetah-6x1. */
@@ -878,13 +878,13 @@ export interface components {
              */
             label_schedule: "power" | "constant" | "decaying";
             /**
-             * @description How pairs are chosen after the first round, which is uniform. disagreement, entropy: pairs on which an ensemble of reward models is least certain. k_center: pairs least like those already asked about. disagreement_k_center, entropy_k_center: both criteria, in turn.
+             * @description How pairs are chosen after the first round, which is uniform. disagreement, entropy: pairs on which an ensemble of reward models is least certain. k_center: pairs that differ most from earlier ones. disagreement_k_center, entropy_k_center: first the one criterion, then the other.
              * @default uniform
              * @enum {string}
              */
             query_selection: "uniform" | "disagreement" | "entropy" | "k_center" | "disagreement_k_center" | "entropy_k_center";
             /**
-             * @description Share of queries chosen uniformly whatever query_selection is, for comparison.
+             * @description Share of queries chosen uniformly, for comparison, whatever query_selection is.
              * @default 0.2
              */
             control_share: number;
@@ -900,7 +900,7 @@ export interface components {
              */
             pacing: "wait" | "free";
             /**
-             * @description preferences: the policy learns from the reward model. true: it learns from the task's own reward, as a baseline, and no labels are asked for.
+             * @description preferences: the policy learns from the reward model. true: it learns from the task's own reward, as a baseline, and needs no labels.
              * @default preferences
              * @enum {string}
              */
@@ -923,7 +923,7 @@ export interface components {
              */
             label_noise: number;
             /**
-             * @description What the policy is rewarded with. value: the reward of the step. attended: the mean of its window's rewards, weighted by the step's temporal attention. weighted: its reward times its temporal weight.
+             * @description The learned reward that the policy receives. value: the reward of the step. attended: the mean of its window's rewards, weighted by the step's temporal attention. weighted: its reward times its temporal weight.
              * @default value
              * @enum {string}
              */
@@ -1085,7 +1085,7 @@ export interface components {
         };
         /**
          * NewLabel
-         * @description A label for a query. Sending the same again changes nothing.
+         * @description A label for a query. Sending the same label again changes nothing.
          */
         NewLabel: {
             /**
@@ -1102,7 +1102,7 @@ export interface components {
             order: "segments" | "shown";
             /**
              * Response Seconds
-             * @description From both clips playing to the label.
+             * @description Seconds from the start of both clips to the label.
              */
             response_seconds?: number | null;
             /**
@@ -1123,7 +1123,7 @@ export interface components {
              * @description Must be unique, and one line.
              */
             name: string;
-            /** @description labeller: a person who labels. teacher: a program that labels and may read true returns. researcher: also starts experiments. admin: also adds users. */
+            /** @description labeller: a person who labels. teacher: a program that labels and may read true returns. researcher: also runs experiments. admin: also adds users. */
             role: components["schemas"]["Role"];
         };
         /**
@@ -1176,7 +1176,7 @@ export interface components {
             right: components["schemas"]["SegmentView"];
             /**
              * Lease Seconds
-             * @description The lease ends after so long without a heartbeat or a label.
+             * @description The lease expires after this many seconds without a heartbeat or a label.
              */
             lease_seconds: number;
         };
@@ -1202,7 +1202,7 @@ export interface components {
             parent_id: string | null;
             /**
              * Label Watermark
-             * @description It was trained on the labels up to this revision.
+             * @description Label revision up to which it was trained.
              */
             label_watermark: number;
             /**
@@ -1279,7 +1279,7 @@ export interface components {
             frames: number;
             /**
              * True Return
-             * @description With `returns=true`, for teachers and researchers; else null.
+             * @description With `returns=true`, for teachers, researchers and admins; otherwise null.
              */
             true_return?: number | null;
             /**
