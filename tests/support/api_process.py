@@ -63,7 +63,7 @@ def _address(process: subprocess.Popen[bytes], log: Path) -> str:
     deadline = time.monotonic() + PATIENCE_SECONDS
     while time.monotonic() < deadline:
         # the last match: the log may contain an earlier server's line
-        lines = [line for line in log.read_text().splitlines() if f"[{process.pid}] serves at " in line]
+        lines = [line for line in log.read_text().splitlines() if f"Process {process.pid} serves " in line]
         if lines:
             return lines[-1].rpartition(" ")[2]
         if process.poll() is not None:
@@ -79,4 +79,4 @@ def _until_answers(process: subprocess.Popen[bytes], url: str, log: Path) -> Non
             if httpx.get(f"{url}/api/v1/health", trust_env=False).is_success:
                 return
         time.sleep(0.01)
-    raise AssertionError(f"the server does not answer:\n{log.read_text()}")
+    raise AssertionError(f"the server does not respond:\n{log.read_text()}")
