@@ -34,7 +34,7 @@ def test_first_rollout_gives_segments_and_then_waits_for_labels(place: Workplace
         assert status_of(place, id) == (
             "running",
             "waiting_for_labels",
-            "0 of 8 labels for the first reward version.",
+            "The first reward version is trained after 8 labels; 0 are in.",
             0,
         )
         [(count, length, iteration)] = place.rows(
@@ -75,7 +75,7 @@ def test_policy_waits_until_due_labels_are_in_and_trained_on(place: Workplace):
         reward.work()
         place.label(id, 8)
         drain(run)
-        assert "the reward model trains" in status_of(place, id)[2]
+        assert "The reward model is being trained" in status_of(place, id)[2]
         assert reward.work()
         drain(run)
     assert status_of(place, id)[0] == "finished"
