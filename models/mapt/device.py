@@ -1,4 +1,4 @@
-"""Where torch computes, with how many threads, and from which seed."""
+"""Torch's device, its number of threads and its random seed."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,7 +9,7 @@ from mapt.errors import InvalidConfig
 
 
 def resolve_device(name: str) -> torch.device:
-    """The device called `name`; "auto" is CUDA where there is one, else the CPU.
+    """The device called `name`; "auto" is CUDA if it is available, else the CPU.
 
     Raises:
         InvalidConfig: if the device does not exist or is not available.
@@ -35,7 +35,7 @@ def seeded(seed: int, device: torch.device) -> Iterator[None]:
 
 @contextmanager
 def torch_threads(n_threads: int) -> Iterator[None]:
-    """Let torch use `n_threads` threads, and then as many as before; 0 leaves the number unchanged."""
+    """Limit torch to `n_threads` threads within the context; 0 leaves the number unchanged."""
     before = torch.get_num_threads()
     torch.set_num_threads(n_threads or before)
     try:

@@ -50,8 +50,8 @@ MaptError
 │   ├── RunNotFound
 │   └── DamagedRun
 └── BenchmarkError
-    ├── ReplayError
-    │   ├── ReplayNotFound
+    ├── DatasetError
+    │   ├── DatasetNotFound
     │   └── NoTrueRewards
     ├── DamagedCell
     ├── RecordingStopped
@@ -99,7 +99,7 @@ class ModelMismatch(MaptError, ValueError):
     """A model was built for other dimensions or settings than those of the data or model that it is used with."""
 
     def __init__(self, what: str, expected: object, found: object) -> None:
-        super().__init__(f"{what}: the model was built for {expected}, not {found}")
+        super().__init__(f"The {what} do not match: the model was built for {expected}, not for {found}.")
         self.what = what
         self.expected = expected
         self.found = found
@@ -113,7 +113,7 @@ class MemberTrainingFailed(MaptError):
     """The process that trains a member of an ensemble failed."""
 
     def __init__(self, member: int, reason: str) -> None:
-        super().__init__(f"The training of member {member} failed: {reason}")
+        super().__init__(f"The training of member {member} failed ({reason}).")
         self.member = member
         self.reason = reason
 
@@ -126,7 +126,7 @@ class DamagedCheckpoint(CheckpointError):
     """The file is not a checkpoint, or it is incomplete or altered."""
 
     def __init__(self, reason: str) -> None:
-        super().__init__(f"The checkpoint is damaged, or the file is not a checkpoint: {reason}")
+        super().__init__(f"The file is damaged or is not a checkpoint ({reason}).")
         self.reason = reason
 
 
@@ -215,7 +215,7 @@ class ShapeError(PreferenceError):
     """An array has the wrong shape."""
 
     def __init__(self, name: str, shape: tuple[int, ...], expected: str) -> None:
-        super().__init__(f"{name} has shape {shape}, expected {expected}")
+        super().__init__(f"The shape of {name} is {shape}, expected {expected}.")
         self.name = name
         self.shape = shape
         self.expected = expected
@@ -225,7 +225,7 @@ class NotFinite(PreferenceError):
     """An array holds NaN or infinity in a step that is not padding."""
 
     def __init__(self, name: str, segment: int) -> None:
-        super().__init__(f"{name} of segment {segment} holds NaN or infinity")
+        super().__init__(f"Segment {segment} holds NaN or infinity in {name}.")
         self.name = name
         self.segment = segment
 
@@ -234,7 +234,7 @@ class InvalidMask(PreferenceError):
     """The mask of a segment is not one or more ones followed by zeros."""
 
     def __init__(self, segment: int) -> None:
-        super().__init__(f"the mask of segment {segment} must be one or more ones, then zeros for the padding")
+        super().__init__(f"The mask of segment {segment} must be one or more ones, followed by zeros for the padding.")
         self.segment = segment
 
 
@@ -242,7 +242,7 @@ class InvalidLabel(PreferenceError):
     """A label is not a probability."""
 
     def __init__(self, index: int, label: float) -> None:
-        super().__init__(f"label {index} is {label}; it must lie in [0, 1] (1: segment 0 is preferred)")
+        super().__init__(f"Label {index} is {label}; it must lie in [0, 1], where 1 means that segment 0 is preferred.")
         self.index = index
         self.label = label
 
@@ -251,7 +251,7 @@ class InvalidPair(PreferenceError):
     """A pair refers to a segment that does not exist, or to the same segment twice."""
 
     def __init__(self, index: int, pair: tuple[int, int], n_segments: int) -> None:
-        super().__init__(f"pair {index} is {pair}; it must hold the indices of two different segments of {n_segments}")
+        super().__init__(f"Pair {index} is {pair}; it must be two different indices below {n_segments}.")
         self.index = index
         self.pair = pair
         self.n_segments = n_segments
@@ -261,7 +261,7 @@ class NotEnoughPairs(PreferenceError):
     """There are fewer labelled pairs than needed."""
 
     def __init__(self, n_pairs: int, needed: int) -> None:
-        super().__init__(f"{n_pairs} labelled pairs, at least {needed} are needed")
+        super().__init__(f"There are {n_pairs} labelled pairs; at least {needed} are needed.")
         self.n_pairs = n_pairs
         self.needed = needed
 
@@ -270,7 +270,7 @@ class NotOneHot(PreferenceError):
     """A discrete action is not a single 1 among zeros."""
 
     def __init__(self, segment: int) -> None:
-        super().__init__(f"discrete actions must be one-hot; those of segment {segment} are not")
+        super().__init__(f"The discrete actions of segment {segment} are not one-hot.")
         self.segment = segment
 
 
@@ -284,10 +284,10 @@ class UnknownSelector(PreferenceError):
 
 
 class MissingView(PreferenceError):
-    """A selector or teacher was not given an array of the segments that it chooses or judges by."""
+    """A selector or teacher was not given an array that it reads."""
 
     def __init__(self, what: str) -> None:
-        super().__init__(f"{what} of the segments is needed, but was not given")
+        super().__init__(f"The segments were given without {what}, which the selector or teacher needs.")
         self.what = what
 
 
@@ -307,10 +307,13 @@ class UnknownTeacher(InvalidTeacher):
 
 
 class FileError(PreferenceError):
-    """A file or folder cannot be read or written. Nothing on disk was changed."""
+    """A file or folder cannot be read or written. Nothing on disk was changed.
+
+    `problem` is a clause without a period, usually with the path as its subject: "is not a complete HDF5 file".
+    """
 
     def __init__(self, path: Path | str, problem: str) -> None:
-        super().__init__(f"{path}: {problem}")
+        super().__init__(f"{path}: {problem}.")
         self.path = path
         self.problem = problem
 
@@ -319,7 +322,7 @@ class AlreadyExists(FileError):
     """Writing would overwrite an existing file or folder."""
 
     def __init__(self, path: Path | str) -> None:
-        super().__init__(path, "already exists; choose another name or remove it first")
+        super().__init__(path, "already exists. Choose another name, or remove it first")
 
 
 class InvalidFile(FileError):
@@ -330,7 +333,7 @@ class TruncatedFile(InvalidFile):
     """A file ends before its content does."""
 
     def __init__(self, path: Path | str, problem: str = "ends before its content does") -> None:
-        super().__init__(path, f"{problem}; was it copied completely?")
+        super().__init__(path, f"{problem}. Check that it was copied completely")
 
 
 class MissingPart(InvalidFile):
@@ -355,7 +358,7 @@ class FileTooLarge(InvalidFile):
 
     def __init__(self, path: Path | str, what: str, limit: int) -> None:
         super().__init__(
-            path, f"declares {what}, more than the limit of {limit}; raise the limit if you trust the file"
+            path, f"declares {what}, more than the limit of {limit}. Raise the limit if you trust the file"
         )
         self.what = what
         self.limit = limit
@@ -365,7 +368,7 @@ class UnsafePickle(InvalidFile):
     """A pickle refers to something other than arrays and containers, and so could run code when loaded."""
 
     def __init__(self, path: Path | str, name: str) -> None:
-        super().__init__(path, f"refers to {name}, which data does not need; it was not loaded. Do not trust this file")
+        super().__init__(path, f"refers to {name}, which data does not need. It was not loaded. Do not trust this file")
         self.name = name
 
 
@@ -416,7 +419,7 @@ class DamagedRun(RunError):
     """A file of a run is incomplete or altered."""
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"{path} cannot be read: {reason}")
+        super().__init__(f"{path} cannot be read ({reason}).")
         self.path = path
         self.reason = reason
 
@@ -425,23 +428,26 @@ class BenchmarkError(MaptError, ValueError):
     """A benchmark cannot be run or read."""
 
 
-class ReplayError(BenchmarkError):
-    """A recorded replay cannot be used."""
+class DatasetError(BenchmarkError):
+    """A recorded dataset cannot be used."""
 
 
-class ReplayNotFound(ReplayError):
-    """The folder holds no recorded replay."""
+class DatasetNotFound(DatasetError):
+    """The folder holds no recorded dataset."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(f"{folder} holds no replay; `mapt dataset` records one")
+        super().__init__(f"{folder} holds no recorded dataset. Record one with `mapt dataset`.")
         self.folder = folder
 
 
-class NoTrueRewards(ReplayError):
-    """The segments of a replay lack the true rewards that scripted teachers judge by."""
+class NoTrueRewards(DatasetError):
+    """The segments of a recorded dataset lack the true rewards that scripted teachers judge by."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(f"The segments in {folder} have no true rewards, which scripted teachers need")
+        super().__init__(
+            f"The segments in {folder} have no true rewards, which scripted teachers need. "
+            "Record a dataset with `mapt dataset`."
+        )
         self.folder = folder
 
 
@@ -449,24 +455,24 @@ class DamagedCell(BenchmarkError):
     """The stored result of one cell of a table is incomplete or altered."""
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"The cell {path} cannot be read ({reason}); delete it to compute it again")
+        super().__init__(f"The cell {path} cannot be read ({reason}). Delete it to compute it again.")
         self.path = path
         self.reason = reason
 
 
 class RecordingStopped(BenchmarkError):
-    """The recording of a replay was stopped before its end. Its folder was removed."""
+    """The recording of a dataset was stopped before its end. Its folder was removed."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(f"The recording in {folder} was stopped; nothing was kept")
+        super().__init__(f"The recording in {folder} was stopped. Nothing was kept.")
         self.folder = folder
 
 
 class TooFewLabels(BenchmarkError):
-    """A teacher skips so many queries that it cannot reach the number of labels wanted."""
+    """A teacher skips so many pairs that it cannot give the requested number of labels."""
 
     def __init__(self, teacher: str, labels: int, given: int) -> None:
-        super().__init__(f"The teacher {teacher} gave {given} of {labels} labels and skipped all other queries")
+        super().__init__(f"The teacher {teacher} gave {given} of {labels} labels and skipped all other pairs.")
         self.teacher = teacher
         self.labels = labels
         self.given = given

@@ -1,4 +1,4 @@
-"""Writing files so that a crash leaves the old file or the new one, never half of one."""
+"""Atomic file writes: after a crash, a file holds its old content or its new content, never part of it."""
 
 import glob
 import os
@@ -9,10 +9,10 @@ from pathlib import Path
 
 
 def atomic_write(path: Path, content: bytes) -> None:
-    """Write a file that appears whole and survives a crash of the machine; an existing file is replaced.
+    """Write a file atomically and flush it to disk; an existing file is replaced.
 
     Raises:
-        OSError: if the disk is full or the folder cannot be written to; `path` is then as it was.
+        OSError: if the disk is full or the folder cannot be written to. `path` is then unchanged.
     """
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
@@ -22,8 +22,8 @@ def atomic_write(path: Path, content: bytes) -> None:
 def atomic_path(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """Yield a temporary path beside `path` for the block to write; rename it to `path` when the block ends.
 
-    If the block raises, the temporary file is deleted and `path` is as it was. The temporary name starts with a dot
-    and differs between processes and threads, so several writers of one path never mix their content.
+    If the block raises, the temporary file is deleted and `path` is unchanged. The temporary name starts with a dot
+    and differs between processes and threads, so that concurrent writers of one path do not mix their content.
 
     Args:
         path: the file to create or replace; its folder exists.
@@ -49,7 +49,7 @@ def delete_partial(path: Path, pid: int) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Flush the names in a folder to disk; does nothing on Windows, which cannot open folders."""
+    """Flush a folder's entries to disk. Does nothing on Windows, which cannot open folders."""
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)

@@ -1,4 +1,4 @@
-"""What all figures share: colours and markers, panels, curves averaged over seeds, axis labels."""
+"""Plotting helpers for all figures: colours and markers, panels, curves averaged over seeds, axis labels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 #: Okabe and Ito's palette, which is readable with any colour vision.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8D99A6")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-#: Reference lines and other marks of secondary importance.
+#: For reference lines and other secondary marks.
 GREY = "#8D99A6"
-#: A curve is averaged in this many bins; more could not be seen.
+#: Maximum number of bins in which a curve is averaged; more would not be visible.
 MAX_BINS = 150
 _DPI = 130
 
@@ -30,7 +30,7 @@ class LineStyle:
 
 
 def line_style(index: int) -> LineStyle:
-    """The style of line number `index` of a figure. Lines differ in grey as well, by their markers."""
+    """The style of line number `index` of a figure. Markers distinguish the lines in print without colour."""
     return LineStyle(
         COLOURS[index % len(COLOURS)], MARKERS[index % len(MARKERS)], "solid" if index < len(COLOURS) else "dashed"
     )
@@ -59,7 +59,7 @@ def outside_legend(figure: Figure, axes: Axes) -> None:
 
 
 def short_number(value: float) -> str:
-    """1500000 as 1.5M, 400000 as 400k."""
+    """Abbreviate a number: 1500000 as 1.5M, 400000 as 400k."""
     for size, letter in ((1e6, "M"), (1e3, "k")):
         if value >= size:
             return f"{value / size:g}{letter}"

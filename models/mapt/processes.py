@@ -1,4 +1,4 @@
-"""Child processes: jobs in parallel workers, sharing of cores, requests to stop.
+"""Child processes: parallel jobs, the division of cores among them, and requests to stop.
 
 Imports neither torch nor anything else of this library, so that every package and command can use it.
 """
@@ -21,19 +21,19 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Generic, TypeVar
 
-#: Environment of processes that share cores with others. By default OpenMP threads spin for milliseconds while they
-#: wait for each other: where other programs use the same cores, that made a training of two threads ten times slower
-#: (127 s beside 12 s with sleeping threads, 8 processes on 2 cores). Threads that sleep at once are slow where cores
-#: are idle: two train on 98 pairs a second, one on 104, two that spin on 167. With this setting they spin for tenths of
-#: a millisecond (148 pairs a second), and lose nothing beside other programs (37 to 41; sleeping 34 to 37).
+#: Environment of processes that share cores with others. By default, OpenMP threads that wait for each other spin for
+#: milliseconds. When other programs used the same cores (8 processes on 2 cores), a training with two spinning threads
+#: took 127 s, with two sleeping threads 12 s. On idle cores, sleeping is slow: two sleeping threads train on 98
+#: pairs/s, one thread on 104, two spinning threads on 167. With this setting, threads spin for tenths of a millisecond:
+#: 148 pairs/s on idle cores, and 37 to 41 on shared cores, where sleeping threads reach 34 to 37.
 SHARED_CORES_ENVIRONMENT = {"GOMP_SPINCOUNT": "10000"}
 
 _WORKER_ENVIRONMENT = SHARED_CORES_ENVIRONMENT | {"OMP_NUM_THREADS": "1"}
 # Forked processes cannot use CUDA, nor the torch threads of their parent.
 _SPAWN = multiprocessing.get_context("spawn")
-#: how long a process that was asked to end may take before it is killed
+#: time that a process has to end before it is killed
 _END_SECONDS = 10.0
-#: how often `run_jobs` calls `should_stop`
+#: interval at which `run_jobs` calls `should_stop`
 _POLL_SECONDS = 0.2
 _PR_SET_PDEATHSIG = 1
 
@@ -42,7 +42,7 @@ R = TypeVar("R")
 
 
 def parallel_jobs(requested: int, n_jobs: int) -> int:
-    """How many of `n_jobs` jobs to run at the same time; a request of 0 means one per core."""
+    """Number of jobs to run in parallel, at most `n_jobs`; a request of 0 means one per core."""
     return max(1, min(requested or os.cpu_count() or 1, n_jobs))
 
 
@@ -53,7 +53,7 @@ def cores_per_job(n_parallel: int) -> int:
 
 @contextmanager
 def stop_requests() -> Iterator[Callable[[], bool]]:
-    """Turn Ctrl-C and SIGTERM into a flag, so that work can end at a good place. Main thread only.
+    """Turn Ctrl-C and SIGTERM into a flag, so that work can end at a checkpoint. Main thread only.
 
     Yields:
         A function that returns whether a stop was requested. The second request raises KeyboardInterrupt.
@@ -75,15 +75,15 @@ def stop_requests() -> Iterator[Callable[[], bool]]:
 
 
 def follow_parent(parent_pid: int, *, grace_seconds: float = 8.0, check_seconds: float = 0.5) -> None:
-    """End this process when its parent ends, even if the parent was killed: SIGTERM, then a hard exit after the grace.
+    """End this process when its parent ends, even if the parent is killed: by SIGTERM, then by a hard exit.
 
-    Linux signals the child at once. Elsewhere, and if the parent ended before this call, a thread notices that the
-    parent's process id changed.
+    Linux signals the child at once. On other systems, and if the parent ended before this call, a thread notices that
+    the parent's process id changed.
 
     Args:
-        parent_pid: the process that started this one; 0 to follow nobody.
-        grace_seconds: how long this process may take to end after SIGTERM.
-        check_seconds: how often the thread checks.
+        parent_pid: the process that started this one; 0 does nothing.
+        grace_seconds: time from SIGTERM to the hard exit.
+        check_seconds: interval at which the thread checks the parent.
     """
     if not parent_pid:
         return
@@ -118,14 +118,14 @@ def _watch_parent(parent_pid: int, grace_seconds: float, check_seconds: float) -
 
 
 def describe_exit(status: int | None) -> str:
-    """How a process ended, from its exit status: "exit status 1", "killed by SIGKILL"."""
+    """Describe an exit status: "exit status 1", "killed by SIGKILL"."""
     if status is not None and status < 0:
         return f"killed by {signal.Signals(-status).name}"
     return f"exit status {status}"
 
 
 def end_process(process: "subprocess.Popen[Any]", seconds: float) -> int:
-    """Wait for a process that was asked to end, and kill it if that takes too long. Returns its exit status."""
+    """Wait up to `seconds` for a process that was asked to end, then kill it. Returns its exit status."""
     try:
         return process.wait(max(0.0, seconds))
     except subprocess.TimeoutExpired:
@@ -140,24 +140,24 @@ class ParentConnection:
         self._connection = connection
 
     def send(self, message: object) -> None:
-        """Send the parent an object that can be pickled. Does nothing if the parent is gone; see `cancelled`."""
+        """Send the parent a picklable object. Does nothing if the parent has ended; see `cancelled`."""
         with suppress(BrokenPipeError, ConnectionResetError):
             self._connection.send(_Message(message))
 
     def cancelled(self) -> bool:
-        """Whether the job should end, because the parent requests it or is gone."""
-        # While a job runs, the parent sends nothing but this request; a closed connection counts as one too.
+        """Whether the job should end, because the parent requests it or has ended."""
+        # While a job runs, the parent sends nothing but this request. `poll` is also true for a closed connection.
         return self._connection.poll()
 
 
 @dataclass(frozen=True, slots=True)
 class JobResult(Generic[J, R]):
-    """The end of a job."""
+    """The outcome of a job."""
 
     job: J
     #: what the job function returned; None if it failed
     result: R | None
-    #: why it failed; None if it did not
+    #: why the job failed; None if it did not
     failure: str | None = None
 
 
@@ -188,16 +188,17 @@ def run_jobs(
     on_message: Callable[[J, Any], None] = lambda job, message: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[JobResult[J, R]]:
-    """Run jobs in order, `n_workers` at the same time, in processes of one thread each; yield each when it ends.
+    """Run jobs in order in `n_workers` single-threaded processes; yield each result when its job ends.
 
-    A worker that dies fails its own job only, and is replaced. Workers end soon after their parent, however that ends.
+    A worker that dies fails its own job only, and is replaced. Workers end soon after their parent, even if it is
+    killed.
 
     Args:
-        do_job: a function of a module, or a partial of one; it, the jobs and the results can be pickled.
-        on_start: called when a worker takes a job.
-        on_message: called with each job and message that the job gives to `ParentConnection.send`.
-        should_stop: when it becomes true, no further job starts and the running ones are asked to end; those are
-            yielded too.
+        do_job: a module-level function, or a partial of one. The function, jobs and results must be picklable.
+        on_start: called with each job when it starts.
+        on_message: called with the job and each object that it passes to `ParentConnection.send`.
+        should_stop: once it returns true, no further job starts and the running jobs are asked to end; their results
+            are still yielded.
 
     Raises:
         ValueError: if `n_workers` is below 1.
@@ -247,7 +248,7 @@ def _start(do_job: Callable[[J, ParentConnection], Any]) -> _Worker[J]:
 
 
 def _end(workers: Sequence[_Worker[Any]]) -> None:
-    """Ask all workers to end, and kill those that are still busy after a while."""
+    """Ask all workers to end, and kill those that still run after `_END_SECONDS`."""
     for worker in workers:
         worker.connection.close()
     for worker in workers:
@@ -302,7 +303,7 @@ def _outcome(do_job: Callable[[Any, ParentConnection], object], job: object, par
 
 
 def _describe_error(error: Exception) -> str:
-    """The error in a line, with its place in the code unless it is one of this library, whose text says enough."""
+    """The error in one line. Errors of other libraries include their type and their place in the code."""
     if type(error).__module__.startswith("mapt."):
         return str(error)
     where = traceback.extract_tb(error.__traceback__)[-1]

@@ -1,15 +1,14 @@
-"""The one way to declare settings.
+"""Declare settings as frozen dataclasses derived from `Settings`.
 
-A group of settings is a frozen dataclass derived from `Settings`. Each field is declared once, with its type, default,
-range, unit and one sentence:
+Each field is declared once, with its type, default, range, unit and a description:
 
     @dataclass(frozen=True, slots=True)
     class PolicyConfig(Settings):
         n_envs: Annotated[int, setting("Environments stepped in parallel, E.", ge=1, le=4096)] = 32
         activation: Annotated[Literal["tanh", "relu"], setting("Nonlinearity of the hidden layers.")] = "tanh"
 
-From this declaration come validation (`PolicyConfig(...)`, `from_dict`), JSON Schema with ranges (`json_schema`), the
-options of the command line (`parse_assignments`) and the tables of the documentation (`describe`).
+Validation (`PolicyConfig(...)`, `from_dict`), JSON Schema (`json_schema`), assignments on the command line
+(`parse_assignments`) and the tables of the documentation (`describe`) all derive from this declaration.
 """
 
 import json
@@ -26,7 +25,7 @@ from mapt.errors import InvalidConfig
 
 # Strict: "3" and true are not numbers. JSON writes 1.0 as 1, so that a float also accepts an integer.
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
-#: longest representation of a refused value within a message
+#: maximum length of a rejected value in an error message
 _LONGEST_VALUE = 60
 
 
@@ -42,14 +41,14 @@ def setting(
     unit: str | None = None,
     overrides: "type[Settings] | None" = None,
 ) -> Any:
-    """Metadata of a field, to stand in `Annotated`.
+    """Metadata of a field, for use in `Annotated`.
 
     Args:
-        description: one sentence on what the setting does.
+        description: one sentence that says what the setting does.
         ge, gt, le, lt: range of a number.
         min_length, max_length: of a text or a tuple.
         unit: of a number, for example "steps" or "seconds"; None for a pure number.
-        overrides: for a field of type `dict`: it holds settings of this class that differ from their defaults.
+        overrides: for a field of type `dict` that overrides defaults of this class of settings.
     """
     extra = partial(_extend_schema, unit=unit, overrides=overrides)
     return Field(
@@ -86,7 +85,7 @@ class Settings:
         self.check()
 
     def check(self) -> None:
-        """Checks rules that concern several settings; a subclass overrides it.
+        """Check rules that involve several settings. Subclasses override it.
 
         Raises:
             InvalidConfig: if settings contradict each other.
@@ -275,7 +274,7 @@ def _settings_class(hint: Any) -> type[Settings] | None:
 
 @cache
 def _adapters(settings: type[Settings]) -> dict[str, TypeAdapter[Any]]:
-    """What validates each field. Nested settings validate themselves."""
+    """The validator of each field. Nested settings validate themselves."""
     nested = _nested(settings)
     return {
         name: TypeAdapter(_list_or_tuple(hint), config=_STRICT)
@@ -285,7 +284,7 @@ def _adapters(settings: type[Settings]) -> dict[str, TypeAdapter[Any]]:
 
 
 def _list_or_tuple(hint: Any) -> Any:
-    """Lets a tuple accept a list, as JSON has it; its items stay strict."""
+    """Let a tuple accept a list, as in JSON; its items stay strict."""
     plain = hint.__origin__ if hasattr(hint, "__metadata__") else hint
     return cast(Any, Annotated)[hint, Field(strict=False)] if get_origin(plain) is tuple else hint
 
@@ -310,7 +309,7 @@ def _nested_value(name: str, value: object, settings: type[Settings] | None) -> 
 
 @contextmanager
 def within(name: str) -> Generator[None]:
-    """Prefixes the `field` of an InvalidConfig with the setting that holds it: `n_envs` becomes `policy.n_envs`."""
+    """Prefix the `field` of an InvalidConfig with the outer setting: `n_envs` becomes `policy.n_envs`."""
     try:
         yield
     except InvalidConfig as error:

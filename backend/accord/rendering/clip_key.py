@@ -30,7 +30,7 @@ def clip_key(
     The key does not depend on the encoded bytes, which can differ between runs.
 
     Args:
-        qpos, qvel: simulator states, float64 (T,nq) and (T,nv).
+        qpos, qvel: simulator states, float64 (T, nq) and (T, nv).
         model: the task's model.
         agent_geoms: ids of the geoms that each of the N agents moves.
         settings: size, frame rate, quality, camera and codec.

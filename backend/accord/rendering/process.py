@@ -68,7 +68,7 @@ class ClipJob:
 
     #: a task's name in `mapt.tasks`
     task: str
-    #: simulator states, float64 (T,nq) and (T,nv)
+    #: simulator states, float64 (T, nq) and (T, nv)
     qpos: NDArray[np.float64]
     qvel: NDArray[np.float64]
     settings: RenderSettings

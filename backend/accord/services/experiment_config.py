@@ -133,7 +133,7 @@ class ExperimentConfig(Settings):
         dict[str, object],
         setting("Settings of the policy that differ from the algorithm's defaults.", overrides=PolicyConfig),
     ] = field(default_factory=dict[str, object])
-    device: Annotated[Device, setting("Where policy and reward model run; auto takes a GPU if there is one.")] = "auto"
+    device: Annotated[Device, setting("Where policy and reward model run; auto uses a GPU if there is one.")] = "auto"
     seed: Annotated[int, setting("Seed of all random numbers of the run.", ge=0, le=2**31 - 1)] = 0
 
     def check(self) -> None:

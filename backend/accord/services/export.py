@@ -78,7 +78,7 @@ def write(
     except AlreadyExists as error:
         raise Invalid(f"{folder} already exists. Choose another folder with --output.") from error
     except PreferenceError as error:
-        raise Invalid(f"The segments of the experiment differ in their dimensions: {error}.") from error
+        raise Invalid(f"The segments of the experiment differ in their dimensions: {error}") from error
     except OSError as error:
         raise Unavailable(f"{folder} cannot be written: {error.strerror}. Choose another folder.") from error
 

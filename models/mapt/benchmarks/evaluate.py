@@ -53,7 +53,10 @@ def split_dataset(n_segments: int, seed: int) -> Split:
 
 
 def random_pairs(pool: IntArray, n_pairs: int, rng: np.random.Generator) -> IntArray:
-    """Pairs (P, 2) of different segments of `pool`, drawn uniformly. A longer draw starts with the shorter one."""
+    """Draw pairs (P, 2) of different segments of `pool` uniformly.
+
+    With equal generators, the first pairs of a longer draw are those of a shorter draw.
+    """
     first, second = rng.random((n_pairs, 2)).T
     first = (first * len(pool)).astype(np.int64)
     second = (second * (len(pool) - 1)).astype(np.int64)
@@ -75,8 +78,8 @@ class DatasetTeacher:
     """A scripted teacher that labels pairs of a recorded dataset.
 
     Args:
-        teacher: a name of `teacher_names`, with parameters if wanted: `phase+mistake:mistake=0.05`.
-        seed: of its random draws.
+        teacher: a name of `teacher_names`, optionally with parameters: `phase+mistake:mistake=0.05`.
+        seed: seed of its random draws.
 
     Raises:
         UnknownTeacher, InvalidTeacher: if there is no such teacher or parameter.
@@ -89,7 +92,7 @@ class DatasetTeacher:
         self._dataset = dataset
 
     def parameters(self) -> Mapping[str, object]:
-        """Everything that determines its labels, for JSON."""
+        """The parameters that determine its labels, for JSON."""
         return self._teacher.parameters()
 
     def labels(self, pairs: IntArray) -> NDArray[np.float32]:
@@ -203,9 +206,9 @@ def _centred(steps: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[np
 class ModelEvaluation:
     """A model's predictions for P test pairs, and its metrics."""
 
-    #: `accuracy` is against the better segment by the teacher's own scores; `label_accuracy`, `loss` and `ece` are
-    #: against the teacher's labels, mistakes included; `rank_correlation_teacher` is of the model's scores with the
-    #: teacher's; and those of `reward_metrics`. Metrics that are not finite are left out
+    #: `accuracy` compares with the teacher's own scores; `label_accuracy`, `loss` and `ece` with its labels, including
+    #: its mistakes; `rank_correlation_teacher` correlates the model's scores with the teacher's. Contains the metrics
+    #: of `reward_metrics`, too. Metrics that are not finite are left out
     metrics: Mapping[str, float]
     #: score_0 - score_1, float32 (P,)
     logits: NDArray[np.float32]

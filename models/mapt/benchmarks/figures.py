@@ -25,7 +25,7 @@ from mapt.rewards.metrics import correlation
 _BINS: list[float] = np.linspace(-4, 4, 81).tolist()
 _PANEL_WIDTH, _PANEL_HEIGHT = 3.6, 2.9
 _IMAGE_SIZE = 3.3
-#: Points of a scatter plot; more only darken it.
+#: Maximum number of points of a scatter plot; more would hide each other.
 _MAX_POINTS = 20_000
 _PERCENTILES = (5, 25, 50, 75, 95)
 #: Colours span at least this fraction of a uniform attention weight, so that noise looks like noise.

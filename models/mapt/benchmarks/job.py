@@ -1,6 +1,6 @@
-"""Results of `mapt table`: their settings, how one is computed in a worker process, and how they are stored.
+"""The cells of `mapt table`: their settings, their computation in worker processes, and their storage.
 
-A cell is a model trained on a number of labels of one teacher with one seed, and its evaluation.
+A cell is the evaluation of one model, trained on a number of labels of one teacher with one seed.
 """
 
 import hashlib
@@ -52,7 +52,7 @@ class CellSettings:
     teacher: str
     teacher_parameters: Mapping[str, object]
     labels: int
-    #: of the hold-out split, the pairs, the teacher, the network's initial weights and the training
+    #: seed of the hold-out split, the pairs, the teacher, the initial weights and the training
     seed: int
     #: number of test pairs
     test_pairs: int
@@ -80,8 +80,8 @@ def run_cell(
     `parameters`, `seconds` and `cpu_seconds`.
 
     Args:
-        stop: true stops the training.
-        keep: called with the trained model.
+        stop: called during the training; true stops it.
+        keep: called with the trained model, for example to save it.
 
     Returns:
         None if the training was stopped.
@@ -98,9 +98,9 @@ def run_cell(
         keep(trained)
     evaluation = evaluate_model(trained.model, dataset, settings.teacher, settings.test_pairs, settings.seed)
     copied = ("holdout_accuracy", "holdout_loss", "epochs")
-    of_training = {f"train_{name}": trained.metrics[name] for name in copied if name in trained.metrics}
+    training_metrics = {f"train_{name}": trained.metrics[name] for name in copied if name in trained.metrics}
     cost = {"parameters": float(count_parameters(trained.model)), "seconds": seconds, "cpu_seconds": cpu_seconds}
-    return replace(evaluation, metrics={**evaluation.metrics, **of_training, **cost})
+    return replace(evaluation, metrics={**evaluation.metrics, **training_metrics, **cost})
 
 
 def count_parameters(model: RewardModel) -> int:
@@ -163,10 +163,10 @@ class CellFolder:
 
 @cache
 def code_fingerprint() -> str:
-    """A short hash of the code that trains and labels, as loaded by this process.
+    """A short hash of the source files that train and label.
 
-    It is stored with a cell but is not part of its key, so that an edited docstring does not invalidate a night's
-    results. The table says if its cells were computed by several versions of the code.
+    It is stored with a cell but is not part of its key, so that an edited docstring does not invalidate hours of
+    results. The table reports when several versions of the code computed its cells.
     """
     digest = hashlib.sha256()
     for package in (mapt.preferences, mapt.rewards):
@@ -249,7 +249,7 @@ class TablePlan:
     test_pairs: int
     #: as in `TrainConfig`
     device: str
-    #: the model that the others are compared with
+    #: model that the other models are compared with
     baseline: str
 
     def __post_init__(self) -> None:
@@ -277,7 +277,7 @@ def model_folder(root: Path, settings: CellSettings) -> Path:
 
 
 def table_jobs(plan: TablePlan, datasets: Mapping[int, RecordedDataset], models: Path | None = None) -> list[CellJob]:
-    """The cells of `plan`, few labels first, so that an unfinished table is useful.
+    """The cells of `plan`, in ascending order of labels, so that an unfinished table is useful.
 
     Args:
         datasets: recorded datasets of the task by seed.
@@ -292,6 +292,7 @@ def table_jobs(plan: TablePlan, datasets: Mapping[int, RecordedDataset], models:
             raise InvalidConfig(
                 f"The dataset in {dataset.path} is of {dataset.origin.get('task')}, not of {plan.task}.", "task"
             )
+        # Raises InvalidConfig before any training if the dataset is too small to split.
         split_dataset(len(dataset), 0)
     fingerprints = {seed: dataset.fingerprint() for seed, dataset in datasets.items()}
     cells = [
@@ -319,5 +320,5 @@ def table_jobs(plan: TablePlan, datasets: Mapping[int, RecordedDataset], models:
 
 
 def _without_warm_start(training: TrainConfig) -> dict[str, object]:
-    # Every cell is trained from scratch, so that settings of warm starts do not affect it.
+    # Every cell is trained from scratch: settings of warm starts do not affect it, and must not change its key.
     return {name: value for name, value in training.to_dict().items() if not name.startswith("warm_")}

@@ -1,6 +1,6 @@
 """Recorded datasets: segments of a policy's training, with true rewards and simulator states, for benchmarks.
 
-Written by `mapt dataset`.
+`mapt dataset` records them.
 """
 
 import hashlib
@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.errors import InvalidConfig, NoTrueRewards, RecordingStopped, ReplayNotFound
+from mapt.errors import DatasetNotFound, InvalidConfig, NoTrueRewards, RecordingStopped
 from mapt.policies import Learner, Policy, PolicyConfig, Rollout
 from mapt.policies.rollout import Collector
 from mapt.preferences.dataset import SegmentArrays, SegmentSource
@@ -23,7 +23,11 @@ from mapt.processes import ParentConnection
 from mapt.tasks import TaskSpec, make_task
 from mapt.training.policy_trainer import PolicyTrainer
 
+#: Number of whole episodes recorded with each trained policy.
+EPISODES = 4
 _BYTES_AT_ONCE = 1 << 20
+
+Number = TypeVar("Number", bound=np.floating)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,12 +46,12 @@ class RecordedDataset:
         """Open the dataset in a folder, in the format of `SegmentFolder`.
 
         Raises:
-            ReplayNotFound: if there is none.
+            DatasetNotFound: if the folder holds none.
             NoTrueRewards: if its segments have no true rewards.
             FileError: if it is incomplete.
         """
         if not (path / MANIFEST).is_file():
-            raise ReplayNotFound(path)
+            raise DatasetNotFound(path)
         source = SegmentFolder.open(path)
         if not source.layout.rewards:
             raise NoTrueRewards(path)
@@ -59,7 +63,7 @@ class RecordedDataset:
 
     @property
     def origin(self) -> Mapping[str, Any]:
-        """How it was recorded, see `Recording`."""
+        """The settings of its recording; see `Recording`."""
         return self.source.about
 
     @property
@@ -76,7 +80,7 @@ class RecordedDataset:
         return SegmentView(self.source, np.asarray(indices, dtype=np.int64))
 
     def fingerprint(self) -> str:
-        """SHA-256 of all its arrays. Reads all its files."""
+        """SHA-256 of all arrays. Reads every file."""
         digest = hashlib.sha256()
         for name, column in sorted(self.source.layout.columns.items()):
             digest.update(f"{name} {column} {len(self)}\n".encode())
@@ -124,12 +128,6 @@ class SegmentView:
         return self.source.take(self.indices[np.asarray(indices)])
 
 
-#: whole episodes kept of each trained team
-EPISODES = 4
-
-Number = TypeVar("Number", bound=np.floating)
-
-
 @dataclass(frozen=True, slots=True)
 class Recording:
     """Settings of a recording."""
@@ -151,10 +149,10 @@ def record_dataset(
     *,
     physics_threads: int = 0,
 ) -> RecordedDataset:
-    """Train a policy on the true reward and record segments of every rollout, cut as the service cuts them.
+    """Train a policy on the true reward and record segments of every rollout, cut by `cut_rollout`.
 
-    Segments are written to disk immediately: memory does not grow with their number. At the end, `EPISODES` whole
-    episodes of the trained policy are recorded in `episodes_path`.
+    Segments are written to disk immediately, so that memory does not grow with their number. At the end, `EPISODES`
+    whole episodes of the trained policy are recorded in `episodes_path`.
 
     Args:
         path: the folder to create.
@@ -164,7 +162,7 @@ def record_dataset(
     Raises:
         InvalidConfig: if a number is out of its range.
         UnknownTask: if no task has this name.
-        AlreadyExists: if the folder holds anything.
+        AlreadyExists: if the folder is not empty.
     """
     config = PolicyConfig(seed=recording.seed, device="cpu")
     if not 1 <= recording.segment_steps <= config.rollout_steps:
@@ -195,9 +193,9 @@ def record_dataset(
     return RecordedDataset.open(path)
 
 
-def episodes_path(replay: Path) -> Path:
-    """The folder of whole episodes of the trained policy: segments as long as the task's horizon."""
-    return replay / "episodes"
+def episodes_path(dataset: Path) -> Path:
+    """The folder of the trained policy's whole episodes, stored as segments as long as the task's horizon."""
+    return dataset / "episodes"
 
 
 def record_episodes(task_name: str, policy: Policy, path: Path, seed: int) -> None:
@@ -212,16 +210,16 @@ def record_episodes(task_name: str, policy: Policy, path: Path, seed: int) -> No
     n_steps = np.where(starts.any(axis=0), starts.argmax(axis=0) + 1, length)
     mask = np.arange(length) < n_steps[:, None]
 
-    def of_envs(values: NDArray[Number]) -> NDArray[Number]:
+    def env_first(values: NDArray[Number]) -> NDArray[Number]:
         return np.ascontiguousarray(values.swapaxes(0, 1))
 
     with SegmentWriter.create(path, layout_of(task.spec, length), about={"task": task_name, "seed": seed}) as writer:
         states = {
-            name: of_envs(getattr(rollout, name))
+            name: env_first(getattr(rollout, name))
             for name in ("rewards", "qpos", "qvel")
             if name in writer.layout.columns
         }
-        writer.append(SegmentArrays(of_envs(rollout.observations), of_envs(rollout.actions), mask), **states)
+        writer.append(SegmentArrays(env_first(rollout.observations), env_first(rollout.actions), mask), **states)
 
 
 def layout_of(spec: TaskSpec, n_steps: int) -> SegmentLayout:
@@ -245,7 +243,7 @@ def draw_places(rollout: Rollout, n_steps: int, count: int, rng: np.random.Gener
 
 
 def append(writer: SegmentWriter, rollout: Rollout, chosen: Sequence[StepRange]) -> None:
-    """Write these parts of a rollout as segments; short ones are padded with zeros."""
+    """Write the chosen parts of a rollout as segments, padded with zeros to the layout's T."""
     if not chosen:
         return
     lead = len(chosen), writer.layout.n_steps
@@ -285,16 +283,16 @@ class RecordingProgress:
 
 
 def run_recording(job: RecordingJob, parent: ParentConnection) -> None:
-    """`record_dataset` in a worker of `run_jobs`; sends a `RecordingProgress` after each rollout.
+    """Run `record_dataset` in a worker of `run_jobs`; sends a `RecordingProgress` after each rollout.
 
     Raises:
         RecordingStopped: if the parent cancels the job, or has ended.
         See `record_dataset` for other errors.
     """
 
-    def tell(steps: int, reward: float) -> None:
+    def report(steps: int, reward: float) -> None:
         parent.send(RecordingProgress(steps, reward))
         if parent.cancelled():
             raise RecordingStopped(job.folder)
 
-    record_dataset(job.recording, job.folder, tell, physics_threads=job.physics_threads)
+    record_dataset(job.recording, job.folder, report, physics_threads=job.physics_threads)

@@ -1,4 +1,4 @@
-"""The report of `mapt report`: metrics and figures of trained reward models as HTML and JSON."""
+"""The output of `mapt report`: metrics and figures of trained reward models as HTML and JSON."""
 
 import base64
 import json
@@ -21,6 +21,7 @@ from mapt.benchmarks.figures import (
 from mapt.benchmarks.recorded_dataset import RecordedDataset
 from mapt.benchmarks.reward_analysis import RewardAnalysis, Sample, analyse, draw_sample, rollout_series
 from mapt.errors import UnknownTask
+from mapt.io import atomic_write
 from mapt.plotting import save_figure
 from mapt.rewards.data import check_fit
 from mapt.rewards.model import RewardModel
@@ -64,7 +65,7 @@ class ReportFigure:
 
     path: Path
     title: str
-    #: how to read it
+    #: how to read the figure
     caption: str
 
 
@@ -81,7 +82,7 @@ class ReportPlan:
 
 
 def make_report(models: dict[str, RewardModel], dataset: RecordedDataset, plan: ReportPlan, folder: Path) -> list[Path]:
-    """Measure models on the CPU and write report.html, report.json and the figures into `folder`; returns the paths.
+    """Evaluate models on the CPU and write report.html, report.json and the figures to `folder`; return the paths.
 
     Raises:
         ModelMismatch: if a model is for segments of other dimensions.
@@ -106,7 +107,7 @@ def make_report(models: dict[str, RewardModel], dataset: RecordedDataset, plan: 
     )
     facts = [
         f"{len(sample.indices):,} segments of {dataset.source.n_steps} steps, {source}.",
-        f"{plan.n_pairs:,} pairs of them, labelled by the teacher {plan.teacher}.",
+        f"{plan.n_pairs:,} pairs of these segments, labelled by the teacher {plan.teacher}.",
         f"Dataset {about['replay'][:12]}.",
     ]
     page, numbers = folder / "report.html", folder / "report.json"
@@ -141,13 +142,13 @@ def _draw(
             "ranks",
             draw_ranks(analyses, sample),
             "Segments and steps",
-            "Top: each dot is a segment, coloured by when it was recorded. Bottom: steps; darker is more.",
+            "Top: each dot is a segment, coloured by when it was recorded. Bottom: density of steps.",
         ),
         (
             "calibration",
             draw_calibration(analyses),
             "Calibration",
-            "Of the pairs predicted with probability 80%, 80% should be labelled so. Each pair counts in both orders.",
+            "80% of the pairs predicted with probability 80% should be labelled that way. Each pair counts twice.",
         ),
         (
             "agents",
@@ -160,8 +161,8 @@ def _draw(
             "step-attention",
             draw_step_attention(analyses, sample),
             "Temporal attention",
-            "Top: step weights times T (1 is uniform), with the true reward in grey. Bottom: the attention matrix that "
-            "they are the mean of. Segments of low, medium and high return.",
+            "Top: step weights times T (1 is uniform), with the true reward in grey. Bottom: the attention matrix; the "
+            "step weights are its mean over query steps. Segments of low, medium and high return.",
         ),
         (
             "agent-attention",
@@ -206,7 +207,7 @@ def write_page(
             f"<h2>{escape(figure.title)}</h2><p>{escape(figure.caption)}</p>"
             f"<img alt='{escape(figure.title, quote=True)}' src='data:image/png;base64,{encoded}'>"
         )
-    path.write_text("\n".join(parts) + "\n")
+    atomic_write(path, ("\n".join(parts) + "\n").encode())
 
 
 def write_numbers(path: Path, about: Mapping[str, object], analyses: Sequence[RewardAnalysis]) -> None:
@@ -224,7 +225,7 @@ def write_numbers(path: Path, about: Mapping[str, object], analyses: Sequence[Re
             for analysis in analyses
         ],
     }
-    path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    atomic_write(path, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
 
 
 def _table(analyses: Sequence[RewardAnalysis]) -> str:

@@ -36,9 +36,9 @@ STATE_ACTIONS = 100_000
 SHOWN_RANKS = (0.1, 0.5, 0.95)
 #: Segments over which the attention between agents is averaged.
 _AVERAGED_SEGMENTS = 100
-#: Steps of an episode that are drawn; more could not be told apart.
+#: Maximum number of steps of an episode that are drawn; more would not be distinguishable.
 _MAX_STEPS = 300
-#: Segments drawn where no episode was recorded, by their position in the dataset.
+#: Segments drawn if no episode was recorded, as fractions of the dataset in the order of recording.
 _POSITIONS = (0.02, 0.25, 0.5, 0.75, 0.98)
 
 
@@ -164,7 +164,7 @@ def analyse(name: str, model: RewardModel, sample: Sample) -> RewardAnalysis:
     `rank_correlation_teacher`: Spearman correlation of scores with the teacher's scores.
     `parameters`: number of trainable parameters.
     `spread_across_agents`: standard deviation between agents, mean over steps, divided by that of all rewards.
-    `past_share`: variance of the rewards without the Markov path's, divided by their variance; 0 to about 1.
+    `past_share`: variance of the rewards minus the Markov path's part, divided by their variance; 0 to about 1.
     `weight_concentration`: see `weight_concentration`.
     `breadth`, `true_breadth`: see `breadth`, of learned and of true rewards.
     """
@@ -211,6 +211,7 @@ def breadth(rewards: NDArray[np.floating]) -> float:
 
 @torch.inference_mode()
 def _past_share(model: RewardModel, segments: SegmentArrays, predictions: Predictions) -> float:
+    """`past_share` of `analyse`; 1 for a model without a Markov path."""
     if model.markov is None:
         return 1.0
     arrays = (torch.as_tensor(array) for array in (segments.observations, segments.actions))
@@ -243,7 +244,7 @@ class RolloutSeries:
 
 
 def rollout_series(dataset: RecordedDataset, models: dict[str, RewardModel]) -> RolloutSeries:
-    """Team rewards, as a policy gets them, along a recorded episode; along some segments if there is no episode."""
+    """Team rewards as a policy receives them: along a recorded episode, or along a few segments if there is none."""
     path = episodes_path(dataset.path)
     if path.exists():
         return _episode(RecordedDataset.open(path), dataset.source.n_steps, models)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mapt.benchmarks.job import Cell, TablePlan
 from mapt.benchmarks.statistics import McNemar, PairDifferences, PairedTest, difference_interval, mcnemar, paired_test
+from mapt.io import atomic_path
 
 #: Columns of the full tables: heading, metric, format of the mean, whether to show the standard deviation, factor.
 _COLUMNS: tuple[tuple[str, str, str, bool, float], ...] = (
@@ -84,10 +85,10 @@ class Summary:
 
     @property
     def missing(self) -> int:
-        """Number of results that are not there yet."""
+        """Number of results that are still missing."""
         plan = self.plan
-        wanted = len(plan.models) * len(plan.teachers) * len(plan.labels) * len(plan.seeds)
-        return wanted - len(self.cells)
+        planned = len(plan.models) * len(plan.teachers) * len(plan.labels) * len(plan.seeds)
+        return planned - len(self.cells)
 
     @property
     def codes(self) -> tuple[str, ...]:
@@ -150,14 +151,14 @@ def compare(cells: Sequence[Cell], baseline: Sequence[Cell]) -> Comparison | Non
 
 
 def correct_predictions(cell: Cell) -> NDArray[np.bool_]:
-    """For each test pair that is no tie: whether the model prefers the better segment."""
+    """Whether the model prefers the better segment, for each test pair that is not a tie, (P,)."""
     result = cell.result
     decided = result.clean_labels != 0.5
     return ((result.logits > 0) == (result.clean_labels > 0.5))[decided]
 
 
 def untied_pairs(cell: Cell) -> NDArray[np.int64]:
-    """The test pairs that are no ties, (P, 2)."""
+    """The test pairs that are not ties, (P, 2)."""
     return cell.result.pairs[cell.result.clean_labels != 0.5]
 
 
@@ -278,7 +279,7 @@ def _grid(headings: list[str], lines: list[list[str]]) -> str:
 def write_cells(summary: Summary, path: Path) -> None:
     """Write a CSV file with one line per result and a column per metric."""
     names = sorted({name for cell in summary.cells for name in cell.result.metrics})
-    with path.open("w", newline="") as file:
+    with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
         lines = csv.writer(file)
         lines.writerow([*_SETTINGS, *names, "code"])
         for cell in summary.cells:
@@ -290,7 +291,7 @@ def write_cells(summary: Summary, path: Path) -> None:
 
 def write_comparisons(summary: Summary, path: Path) -> None:
     """Write a CSV file with one line per comparison with the baseline."""
-    with path.open("w", newline="") as file:
+    with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
         lines = csv.writer(file)
         lines.writerow(_COMPARISON_COLUMNS)
         for line in summary.lines:

@@ -1,4 +1,4 @@
-"""The one command: mapt."""
+"""The `mapt` command."""
 
 from mapt.cli.main import main
 

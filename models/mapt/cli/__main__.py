@@ -1,4 +1,4 @@
-"""`python -m mapt.cli`, for where the script is not on the path."""
+"""Run the `mapt` command as `python -m mapt.cli`, where the script is not on the path."""
 
 from mapt.cli.main import main
 

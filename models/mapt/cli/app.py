@@ -1,4 +1,4 @@
-"""What the commands `mapt` and `accord` have in common: subcommands imported on use, --version, exit statuses."""
+"""Shared by the `mapt` and `accord` commands: subcommands imported on use, --version and exit statuses."""
 
 import sys
 from collections.abc import Callable, Mapping

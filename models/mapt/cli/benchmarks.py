@@ -33,6 +33,7 @@ from mapt.cli.options import (
 )
 from mapt.cli.output import ProgressBars, log_line, print_error, print_json, print_paths
 from mapt.errors import InvalidConfig
+from mapt.io import atomic_write
 from mapt.processes import cores_per_job, parallel_jobs, run_jobs
 from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model
 from mapt.rewards.config import MODEL_NAMES
@@ -65,7 +66,7 @@ def record_all(recordings: Sequence[Recording], root: Path, workers: int, *, qui
     """Record datasets in parallel, with a progress bar for each.
 
     Raises:
-        typer.Exit: if any of them failed; the others are recorded.
+        typer.Exit: if a recording failed; the others are completed first.
     """
     n_workers = parallel_jobs(workers, len(recordings))
     threads = cores_per_job(n_workers)
@@ -125,7 +126,7 @@ def table(
         bool, typer.Option("--same-code", help="Recompute results that another version of the code produced.")
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Train nothing; write the table of the results there are.")
+        bool, typer.Option("--dry-run", help="Train nothing; write the table from the existing results.")
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -169,7 +170,7 @@ def write(summary: Summary, output: Path) -> list[Path]:
     """Write table.md, cells.csv, comparisons.csv and table.png; returns their paths."""
     output.mkdir(parents=True, exist_ok=True)
     paths = [output / name for name in ("table.md", "cells.csv", "comparisons.csv", "table.png")]
-    paths[0].write_text(markdown(summary))
+    atomic_write(paths[0], markdown(summary).encode())
     write_cells(summary, paths[1])
     write_comparisons(summary, paths[2])
     draw_table(summary, paths[3])
@@ -183,14 +184,14 @@ def _default_datasets(output: Path) -> Path:
 
 
 def _datasets(recordings: Sequence[Recording], root: Path, workers: int, *, quiet: bool) -> dict[int, RecordedDataset]:
-    """Datasets by seed; those that do not exist are recorded."""
+    """Recorded datasets by seed; missing ones are recorded first."""
     absent = [recording for recording in recordings if not dataset_folder(root, recording.seed).exists()]
     record_all(absent, root, workers, quiet=quiet)
     return {recording.seed: RecordedDataset.open(dataset_folder(root, recording.seed)) for recording in recordings}
 
 
 def _train_all(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: bool, *, quiet: bool) -> None:
-    """Compute the results that are missing, in parallel."""
+    """Compute the missing results in parallel."""
     wanted = [job for job in jobs if not _finished(job, folder, same_code)]
     n_workers, n_done = parallel_jobs(workers, len(wanted)), len(jobs) - len(wanted)
     if not quiet:

@@ -1,4 +1,4 @@
-"""The command `mapt`: its subcommands, and how errors end it."""
+"""The `mapt` command and its subcommands."""
 
 from mapt.cli.app import LazyCommand, make_app, run_app
 from mapt.errors import MaptError

@@ -1,4 +1,4 @@
-"""Options of the commands `mapt` and `accord`: each is declared once, so that it has one name and one meaning."""
+"""Options that subcommands of `mapt` and `accord` share, so that each has one name and one meaning."""
 
 from enum import StrEnum
 from pathlib import Path

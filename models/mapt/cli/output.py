@@ -1,6 +1,6 @@
-"""What the commands `mapt` and `accord` print: lines, errors, JSON and progress bars.
+"""Output of the `mapt` and `accord` commands: lines, errors, JSON and progress bars.
 
-Where stdout is not a terminal, output is plain text and progress is logged as lines.
+If stdout is not a terminal, output is plain text and progress is logged as lines.
 """
 
 import json
@@ -55,8 +55,8 @@ class ProgressBars:
     """Progress bars of several jobs.
 
     Args:
-        log_every: where stdout is not a terminal, log a line whenever this fraction more of a job is done.
-        hidden: draw and log nothing, as under `--json`.
+        log_every: if stdout is not a terminal, log a line each time a job has progressed by this fraction.
+        hidden: draw and log nothing, for `--json`.
     """
 
     def __init__(self, log_every: float = 0.1, *, hidden: bool = False) -> None:
@@ -84,7 +84,7 @@ class ProgressBars:
         self._bars[job] = _Bar(name, total, bar, logged=done / total if total else 0.0)
 
     def update(self, job: Hashable, done: float, state: str = "") -> None:
-        """Set how much of a job is done, and the words beside its bar."""
+        """Set how much of a job is done, and the text beside its bar."""
         bar = self._bars[job]
         fraction = min(1.0, done / bar.total) if bar.total else 1.0
         self._progress.update(bar.id, completed=fraction * bar.total, state=state)

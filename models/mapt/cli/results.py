@@ -8,6 +8,7 @@ import typer
 from mapt.benchmarks.specification import parse_numbers
 from mapt.cli.options import Device, Json
 from mapt.cli.output import print_json, print_line, print_paths
+from mapt.io import atomic_write
 from mapt.training.curves import draw_curves
 from mapt.training.evaluation import EPISODES, evaluate_policy
 from mapt.training.results import RunResult, find_runs, grouped, markdown, returns_table
@@ -71,7 +72,7 @@ def curves(
     draw_curves(groups, output)
     if table is not None:
         table.parent.mkdir(parents=True, exist_ok=True)
-        table.write_text(markdown(groups, steps))
+        atomic_write(table, markdown(groups, steps).encode())
         written.append(table)
     if as_json:
         print_json(returns_table(groups, steps))

@@ -1,4 +1,4 @@
-"""The subcommand `tasks` of both `mapt` and `accord`."""
+"""The subcommands `mapt tasks` and `accord tasks`."""
 
 from mapt.cli.options import AgentObsk, Json
 from mapt.cli.output import out, print_json

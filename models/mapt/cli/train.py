@@ -95,7 +95,7 @@ def train(
 
 
 def _policy_settings(settings: Sequence[str]) -> dict[str, object]:
-    """Raises InvalidConfig, InvalidConfig."""
+    """The settings of `--set`. Raises InvalidConfig if one is malformed, or has an option of its own."""
     own = parse_assignments(settings)
     for name in _OPTIONS & own.keys():
         raise InvalidConfig(f"--set {name}: use --{'seeds' if name == 'seed' else name} instead.")
@@ -103,7 +103,12 @@ def _policy_settings(settings: Sequence[str]) -> dict[str, object]:
 
 
 def _learned_reward(path: Path, segment_steps: int | None, kind: str, credit: str) -> LearnedRewardSettings:
-    """Raises InvalidConfig, CheckpointError."""
+    """The settings of a reward model on disk.
+
+    Raises:
+        InvalidConfig: if the segment length is unknown, or a value is out of its range.
+        CheckpointError: if the model cannot be read.
+    """
     steps = segment_steps or load_reward_model(*reward_files(path)).segment_steps
     if steps is None:
         raise InvalidConfig(f"The reward.json of {path} has no segment_steps. Set --segment-steps.")
@@ -135,7 +140,7 @@ def _train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
 
 
 class _RunProgress:
-    """Progress bars of runs; a line with the evaluation when a run finishes."""
+    """Draws a progress bar for each run, and logs its evaluation when it finishes."""
 
     def __init__(self, bars: ProgressBars) -> None:
         self._bars = bars

@@ -1,4 +1,4 @@
-"""A learner as one safetensors file: tensors by dotted name, and a JSON description in its header. No pickle."""
+"""Checkpoints of a learner: one safetensors file of tensors by dotted name, with a JSON description in its header."""
 
 import json
 import re
@@ -40,7 +40,7 @@ def flatten(parts: Mapping[str, Mapping[str, Tensor]]) -> dict[str, Tensor]:
 
 
 def unflatten(tensors: Mapping[str, Tensor]) -> dict[str, dict[str, Tensor]]:
-    """The tensors of each part, from what `flatten` returned; names of earlier formats are replaced by today's."""
+    """The inverse of `flatten`; names of earlier formats are replaced by current ones."""
     parts: dict[str, dict[str, Tensor]] = defaultdict(dict)
     for key, tensor in tensors.items():
         part, _, name = _current_name(key).partition(".")
@@ -65,7 +65,7 @@ def optimiser_state(optimisers: Sequence[Adam]) -> dict[str, Tensor]:
 
 
 def load_optimiser_state(optimisers: Sequence[Adam], state: Mapping[str, Tensor]) -> None:
-    """Copy what `optimiser_state` returned; an empty mapping resets the optimisers."""
+    """Restore the result of `optimiser_state`; an empty mapping resets the optimisers."""
     first = 0
     for optimiser in optimisers:
         optimiser.load_state_dict(state, first)
@@ -124,7 +124,7 @@ def unpack(content: bytes, task_name: str) -> tuple[dict[str, Tensor], dict[str,
 
 @contextmanager
 def refusing_mismatch() -> Iterator[None]:
-    """Raise CheckpointMismatch for the errors of torch and tasks about tensors that do not fit.
+    """Convert errors of torch and of tasks about tensors that do not fit to CheckpointMismatch.
 
     Raises:
         CheckpointMismatch: if a tensor is missing, surplus or of another shape.
@@ -132,4 +132,4 @@ def refusing_mismatch() -> Iterator[None]:
     try:
         yield
     except (KeyError, RuntimeError, ValueError, TaskError, InvalidConfig) as error:
-        raise CheckpointMismatch(f"The checkpoint does not fit this learner: {error}") from error
+        raise CheckpointMismatch(f"The checkpoint does not fit this learner ({error}).") from error

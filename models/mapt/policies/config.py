@@ -99,7 +99,7 @@ class PolicyConfig(Settings):
             le=1024,
         ),
     ] = 1
-    device: Annotated[Device, setting("Where the networks run; auto takes a GPU if there is one.")] = "auto"
+    device: Annotated[Device, setting("Where the networks run; auto uses a GPU if there is one.")] = "auto"
 
     def check(self) -> None:
         """Check divisibility, and that happo's actors are separate. Raises InvalidConfig."""

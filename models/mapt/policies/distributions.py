@@ -1,7 +1,7 @@
 """Action distributions of N agents: a Gaussian with independent dimensions, or a masked categorical.
 
-Samples are a function of noise that is generated beforehand, so that one random call serves a whole rollout and the
-learner's own generator decides every sample.
+Samples are a function of noise that is generated beforehand: one call of the learner's generator serves a whole
+rollout and determines every sample.
 """
 
 import math

@@ -31,10 +31,10 @@ def play(
     Each environment plays the same number of episodes, so that short episodes do not count more often than long ones.
 
     Args:
-        policy: or a learner, whose policy is played.
-        task: of the same specification, with any number of environments; not the task the learner trains on.
+        policy: a policy, or a learner with a policy.
+        task: has the policy's `spec` and any number of environments; not the task that the learner trains on.
         deterministic: take the mean or the most likely action instead of sampling.
-        seed: of initial states and samples.
+        seed: seed of the initial states and of the samples.
     """
     acting = policy.policy if isinstance(policy, Learner) else policy
     generator = torch.Generator().manual_seed(seed)

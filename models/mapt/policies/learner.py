@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mapt.device import resolve_device, torch_threads
+from mapt.device import resolve_device, seeded, torch_threads
 from mapt.errors import InvalidConfig
 from mapt.io import atomic_write
 from mapt.policies import checkpoint
@@ -62,10 +62,8 @@ class Learner:
         #: Environment steps collected so far.
         self.steps = 0
         self._generator = torch.Generator().manual_seed(config.seed)
-        # The last bits of orthogonal weights depend on the number of threads, which must not make runs differ between
-        # machines.
-        with torch.random.fork_rng(devices=[]), torch_threads(1):
-            torch.manual_seed(config.seed)
+        # The last bits of orthogonal weights depend on the number of threads; with one thread, machines agree.
+        with seeded(config.seed, torch.device("cpu")), torch_threads(1):
             self.policy = make_policy(task.spec, config).to(self.device)
         self._update = make_update(self.policy, config)
         self._collector = Collector(task, config.seed)
@@ -79,10 +77,10 @@ class Learner:
         return rollout
 
     def reward_changed(self) -> None:
-        """Announce that the next update's rewards come from another function than the last one's.
+        """Announce that the next update's rewards come from another function than the last update's.
 
-        The critic's values are then rescaled (`ValueRescaler`). Without the call, PopArt adapts to the new rewards
-        within about 1 / value_statistics_rate rollouts, with noisy advantages until then.
+        The next update then rescales the critic's values (`ValueRescaler`). Without this call, PopArt adapts to the new
+        rewards within about 1 / value_statistics_rate rollouts, and advantages are noisy until then.
         """
         self._value_rescaler.reward_changed()
 
@@ -134,7 +132,7 @@ class Learner:
         )
 
     def load_state_dict(self, tensors: dict[str, Tensor]) -> None:
-        """Resume exactly, bit for bit on a CPU, from what `state_dict` returned.
+        """Restore the result of `state_dict`; on a CPU, training continues bit for bit.
 
         Raises:
             CheckpointMismatch: if it belongs to another task or configuration.

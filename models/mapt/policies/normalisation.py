@@ -1,4 +1,4 @@
-"""Running statistics that keep the networks' inputs and value targets near zero mean and unit variance."""
+"""Running statistics that normalise the networks' inputs and the critic's targets."""
 
 import numpy as np
 import torch
@@ -90,7 +90,7 @@ class PopArt(nn.Module):
         self.register_buffer("std", torch.ones(n_heads))
 
     def normalise(self, returns: Tensor) -> Tensor:
-        """Returns (B, N) in units of the statistics."""
+        """Normalised returns (B, N)."""
         return (returns - self.mean) / self.std
 
     def denormalise(self, values: Tensor) -> Tensor:
@@ -177,7 +177,7 @@ class ValueRescaler:
         }
 
     def load_state_dict(self, tensors: dict[str, Tensor]) -> None:
-        """Restore what `state_dict` returned."""
+        """Restore the result of `state_dict`."""
         moments = tensors["reward_moments"].tolist()
         self._moments = (moments[0], moments[1]) if moments else None
         self._reward_changed = bool(tensors["reward_is_new"])

@@ -1,4 +1,4 @@
-"""A rollout, L steps of E environments, and the collector that steps a task with a policy."""
+"""Rollouts (L steps of E environments), and the collector that steps a task with a policy."""
 
 from dataclasses import dataclass, replace
 
@@ -94,7 +94,7 @@ class Collector:
         }
 
     def load_state_dict(self, tensors: dict[str, Tensor]) -> None:
-        """Restore what `state_dict` returned."""
+        """Restore the result of `state_dict`."""
         arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
         self._episode_start = arrays.pop("episode_start").copy()
         self._returns = arrays.pop("returns").copy()

@@ -1,4 +1,4 @@
-"""Segments of trajectories, and labelled pairs of them."""
+"""Segments of trajectories, and datasets of labelled pairs of segments."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -164,7 +164,7 @@ def in_batches(segments: SegmentSource, size: int) -> Iterator[SegmentArrays]:
 
 @dataclass(frozen=True, slots=True)
 class PreferenceDataset:
-    """Labelled pairs of segments. Drop skipped pairs (label NaN) before.
+    """Labelled pairs of segments, without skipped pairs.
 
     Raises:
         ShapeError: if `pairs` or `labels` has the wrong shape.
@@ -207,9 +207,9 @@ class PreferenceDataset:
     def split(self, hold_out_fraction: float, seed: int) -> tuple["PreferenceDataset", "PreferenceDataset"]:
         """Split the pairs into (train, hold-out).
 
-        Of each 1 / `hold_out_fraction` consecutive pairs, one is held out at random. When pairs are appended
-        later, every earlier pair stays on its side of the split, so that a model warm-started from one trained on
-        fewer pairs has never seen its hold-out pairs.
+        One of every 1 / `hold_out_fraction` consecutive pairs is held out at random. When pairs are appended later,
+        every earlier pair stays on its side of the split, so that a warm-started model has never been trained on a
+        hold-out pair.
 
         Raises:
             NotEnoughPairs: if there are fewer than two pairs.
@@ -221,6 +221,7 @@ class PreferenceDataset:
 
 
 def _held_out(n_pairs: int, fraction: float, seed: int) -> BoolArray:
+    """Whether each pair is held out, bool (P,)."""
     stratum = np.floor(np.arange(n_pairs) * fraction + 1e-9).astype(np.int64)
     n_strata = int(stratum[-1]) + 1
     first = np.ceil((np.arange(n_strata) - 1e-9) / fraction).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Cutting rollouts into segments, and converting discrete actions to one-hot and back."""
+"""Cut rollouts into segments, and convert discrete actions to one-hot and back."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -74,9 +74,10 @@ _AXES = ("agent", "step", "segment")
 
 
 def one_hot_actions(actions: ArrayLike, n_actions: int, available: ArrayLike | None = None) -> NDArray[np.float32]:
-    """Convert discrete actions to one-hot, as `SegmentArrays` and reward models take them.
+    """Convert discrete actions to one-hot, the input of `SegmentArrays` and reward models.
 
-    Every step is checked, padding included: pad afterwards (`SegmentArrays.stack` does), or with an available action.
+    Every step is checked, including padding: pad afterwards, as `SegmentArrays.stack` does, or with an available
+    action.
 
     Args:
         actions: indices, int (..., N) in [0, A), or actions that are already one-hot, (..., N, A).
@@ -132,13 +133,13 @@ def _check_one_hot(given: NDArray[np.generic], n_actions: int) -> NDArray[np.flo
     one_hot = given.astype(np.float32)
     invalid = ~_is_one_hot(one_hot)
     if invalid.any():
-        raise InvalidAction(f"the action of {_position(invalid)} is not one-hot")
+        raise InvalidAction(f"The action of {_position(invalid)} is not one-hot.")
     return one_hot
 
 
 def _check_none(invalid: NDArray[np.bool_], chosen: NDArray[np.int64], wanted: str) -> None:
     if invalid.any():
-        raise InvalidAction(f"action {chosen[invalid][0]} of {_position(invalid)} is not {wanted}")
+        raise InvalidAction(f"Action {chosen[invalid][0]} of {_position(invalid)} is not {wanted}.")
 
 
 def _position(invalid: NDArray[np.bool_]) -> str:

@@ -5,8 +5,8 @@
     folder = SegmentFolder.open(path)
     dataset = PreferenceDataset(folder, pairs, labels)
 
-Reading takes the memory of the segments asked for, writing that of one batch. Rows count once the manifest does: a
-crash loses the rows appended since the last commit and nothing else.
+Reading takes the memory of the requested segments, writing that of one batch. The manifest holds the number of
+committed rows: a crash loses the rows appended since the last commit and nothing else.
 """
 
 import json
@@ -60,7 +60,7 @@ class SegmentLayout:
             if type(value) is not each.type:
                 raise ValueError(f"{each.name} is {value!r}")
             if each.type is int and value < minimum:
-                raise ValueError(f"{each.name} is {value}, it must be at least {minimum}")
+                raise ValueError(f"{each.name} is {value}; it must be {minimum} or more")
         if self.discrete and self.action_dim > MAX_DISCRETE_ACTIONS:
             raise ValueError(f"action_dim of discrete actions must be at most {MAX_DISCRETE_ACTIONS}")
 
@@ -260,11 +260,11 @@ class SegmentFolder:
     def _index(self, indices: ArrayLike) -> IntArray:
         index = np.asarray(indices)
         if index.ndim != 1 or (index.dtype.kind not in "iu" and index.size):
-            raise IndexError(f"indices must be integers (B,), not {index.dtype} {index.shape}")
+            raise IndexError(f"Indices must be integers (B,), not {index.dtype} {index.shape}.")
         index = index.astype(np.int64)
         outside = (index < 0) | (index >= len(self))
         if outside.any():
-            raise IndexError(f"segment {index[outside][0]} does not exist; there are {len(self)}")
+            raise IndexError(f"Segment {index[outside][0]} does not exist; there are {len(self)}.")
         return index
 
 
@@ -298,13 +298,13 @@ def _one_hot(codes: NDArray[np.uint16], n_actions: int, mask: NDArray[np.bool_])
 
 
 class SegmentWriter:
-    """Appends segments to a folder. Made by `create` or `resume`; ended by the `with` block or `close`.
+    """Appends segments to a folder. Create it with `create` or `resume`, and end it with a `with` block or `close`.
 
     If the block raises, the folder keeps the segments committed before; without a commit, the folder is removed.
     """
 
     def __init__(self, path: Path, manifest: Manifest) -> None:
-        """Call `create` or `resume` instead."""
+        """Use `create` or `resume` instead."""
         self.path, self.layout = path, manifest.layout
         self._about = manifest.about
         self._committed = self._count = manifest.n_segments

@@ -1,4 +1,4 @@
-"""How a clip looks: colours, the styled model, and the geoms that are added to each frame.
+"""The appearance of clips: colours, the styled model, and the geoms that are added to each frame.
 
 Agents have the colours of Okabe and Ito's palette, which people with any of the common colour-vision deficiencies can
 distinguish. They are ordered so that neighbours in a leg differ in lightness as well as in hue. The page's legend shows
@@ -138,7 +138,7 @@ def _colour_floor(model: mujoco.MjModel, floor: int, square_metres: float) -> No
 
 
 def _texels(model: mujoco.MjModel, texture: int) -> np.ndarray:
-    """The pixels of a texture (height,width,channels), writable in place."""
+    """The pixels of a texture (height, width, channels), writable in place."""
     height, width = model.tex_height[texture], model.tex_width[texture]
     channels, start = model.tex_nchannel[texture], model.tex_adr[texture]
     return model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
@@ -226,7 +226,7 @@ def add_shadows(
     """Add a contact shadow under each part that is near the floor.
 
     Args:
-        boxes: centres and half sizes of the parts' bounding boxes in metres (parts,3).
+        boxes: centres and half sizes of the parts' bounding boxes in metres (parts, 3).
         floor: its height in metres.
     """
     centre, half = boxes

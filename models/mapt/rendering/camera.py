@@ -1,9 +1,9 @@
-"""Where the camera looks: its direction and distance per task, and its path per clip.
+"""The camera: its direction and distance for each task, and its path for each clip.
 
-The framing follows from the model's joints and reach, so it suits tasks that users register, and it is the same in all
-clips of a task. A labeller judges a gait by the body's motion against the frame, and speed by the floor's motion. So
-the camera keeps its height, distance and direction, and follows the smoothed path of the body instead of each jolt. It
-deviates from that path, smoothly, only where the body would leave the view.
+The framing is computed from the model's joints and reach, so that it also suits tasks that users register. It is the
+same in all clips of a task. A labeller judges a gait by the body's motion within the frame, and speed by the floor's
+motion. The camera therefore keeps its height, distance and direction, and follows the body's smoothed path. It deviates
+from that path, smoothly, only where the body would leave the view.
 """
 
 # mujoco is compiled and ships no stubs.
@@ -55,10 +55,10 @@ class BodyKinematics:
         mujoco.mj_camlight(self.model, self.data)
 
     def boxes(self, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Centres and half sizes (G,3) in metres of the geoms' bounding boxes in the current pose.
+        """Centres and half sizes (G, 3) in metres of the geoms' bounding boxes in the current pose.
 
         Args:
-            axes: (3,3), rows are the directions of the boxes' edges.
+            axes: (3, 3), rows are the directions of the boxes' edges.
         """
         rotation = axes @ self.data.geom_xmat[self._geoms].reshape(-1, 3, 3)
         centre, half = np.split(self.model.geom_aabb[self._geoms], 2, axis=1)
@@ -66,7 +66,7 @@ class BodyKinematics:
         return centre, np.einsum("gij,gj->gi", np.abs(rotation), half)
 
     def extents(self, qpos: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest corners (T,3) in metres of the box around all geoms in each pose (T,nq)."""
+        """Lowest and highest corners (T, 3) in metres of the box around all geoms in each pose (T, nq)."""
         corners = np.empty((2, len(qpos), 3))
         for step, state in enumerate(qpos):
             self.set_pose(state)
@@ -76,7 +76,7 @@ class BodyKinematics:
         return corners[0], corners[1]
 
     def sample_poses(self) -> FloatArray:
-        """(P,nq): the model's default pose, and random poses of all driven hinges. The same in every call."""
+        """(P, nq): the model's default pose, and random poses of all driven hinges. The same in every call."""
         model, rng = self.model, np.random.default_rng(0)
         poses = np.tile(model.qpos0, (1 + SAMPLED_POSES, 1))
         joints = model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, 0]
@@ -110,13 +110,13 @@ def camera_path(
     """The points that the camera looks at: near the desired path, and such that the body stays in view.
 
     Args:
-        lowest, highest: corners (T,2) of the body's bounding box in the image plane in metres: right, up.
-        desired: (T,2), a smooth path, which is taken where the body fits.
+        lowest, highest: corners (T, 2) of the body's bounding box in the image plane in metres: right, up.
+        desired: (T, 2), a smooth path, which is taken where the body fits.
         view: size of the visible region.
         window: half width in frames of the smoothing of deviations.
 
     Returns:
-        (T,2) float64: right, up. The bounding box is within the view in every frame in which it fits.
+        (T, 2) float64: right, up. The bounding box is within the view in every frame in which it fits.
     """
     half = np.array([view.half_width, view.half_height]) * FILLED_SHARE
     middle = (lowest + highest) / 2
@@ -124,7 +124,7 @@ def camera_path(
     ahead = envelope(np.maximum(highest - half - desired, 0.0), window)
     behind = envelope(np.maximum(desired - (lowest + half), 0.0), window)
     path = desired + ahead - behind
-    # Where deviations to both sides overlap, the sum may be wrong, so clip it. Centre a body larger than the view.
+    # If deviations to both sides overlap, their sum may be wrong, so clip it. Centre a body larger than the view.
     least, most = highest - half, lowest + half
     return np.where(least > most, middle, np.clip(path, np.minimum(least, most), np.maximum(least, most)))
 
@@ -139,7 +139,7 @@ def smooth(path: NDArray[np.float64], window: int) -> NDArray[np.float64]:
 
 
 def envelope(need: NDArray[np.float64], window: int) -> NDArray[np.float64]:
-    """A smooth curve (T,2) that is at least `need` everywhere: the moving average of the running maximum."""
+    """A smooth curve (T, 2) that is at least `need` everywhere: the moving average of the running maximum."""
     if window == 0 or not need.any():
         return need
     padded = np.pad(need, ((2 * window, 2 * window), (0, 0)), mode="edge")
@@ -153,7 +153,7 @@ class Framing:
 
     kind: ViewKind
     view: View
-    #: (3,3): rows are the directions right, up and away from the camera, in world coordinates
+    #: (3, 3): rows are the directions right, up and away from the camera, in world coordinates
     axes: FloatArray
     #: (3,) metres: the camera's target in the model's default pose
     centre: FloatArray
@@ -170,7 +170,7 @@ class Framing:
         return self.view.half_height / float(np.tan(np.radians(VIEW_ANGLE_DEGREES / 2)))
 
     def zoomed_out_for(self, lowest: FloatArray, highest: FloatArray) -> "Framing":
-        """This framing, from farther away if the body (corners (T,2)) is ever larger than the view."""
+        """This framing, from farther away if the body (corners (T, 2)) is ever larger than the view."""
         available = 2 * FILLED_SHARE * np.array([self.view.half_width, self.view.half_height])
         excess = float(((highest - lowest) / available).max())
         if excess <= 1:
@@ -178,10 +178,10 @@ class Framing:
         return replace(self, view=View(self.view.half_width * excess, self.view.half_height * excess))
 
     def desired_path(self, lowest: FloatArray, highest: FloatArray, window: int) -> FloatArray:
-        """(T,3) along the axes: the targets of the camera if the body always fits.
+        """(T, 3) along the axes: the targets of the camera if the body always fits.
 
         Args:
-            lowest, highest: (T,3), corners of the body's bounding box along the axes.
+            lowest, highest: (T, 3), corners of the body's bounding box along the axes.
             window: half width of the smoothing in frames.
         """
         desired = np.tile(self.centre, (len(lowest), 1))
@@ -194,7 +194,7 @@ class Framing:
     def in_perspective(
         self, lowest: FloatArray, highest: FloatArray, desired: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Corners (T,2) projected onto the plane through the camera's target: right, up.
+        """Corners (T, 2) projected onto the plane through the camera's target: right, up.
 
         The whole body is magnified as much as its nearest part, so the result is never too small.
         """
@@ -235,7 +235,7 @@ def frame_body(body: BodyKinematics, aspect: float) -> Framing:
 
 
 def camera_axes(look_down_degrees: float) -> FloatArray:
-    """(3,3): the directions right, up and away of a camera with the world's x to its right."""
+    """(3, 3): the directions right, up and away of a camera with the world's x to its right."""
     down = np.radians(look_down_degrees)
     return np.array([[1, 0, 0], [0, np.sin(down), np.cos(down)], [0, np.cos(down), -np.sin(down)]])
 

@@ -40,10 +40,10 @@ class ClipFile:
 
 
 def write_clip(frames: Iterable[NDArray[np.uint8]], path: Path, settings: RenderSettings) -> ClipFile:
-    """Encode an iterable of frames. The file appears at `path` when it is complete, or not at all.
+    """Encode frames to a file, atomically: an incomplete file never appears at `path`.
 
     Args:
-        frames: at least one, uint8 (H,W,3), RGB, of the settings' size.
+        frames: at least one, uint8 (H, W, 3), RGB, of the settings' size.
         path: in an existing folder. An existing file is replaced.
         settings: size, rate and codec.
 
@@ -66,7 +66,7 @@ def open_clip(path: Path, settings: RenderSettings) -> Iterator[Callable[[NDArra
         with atomic_path(path, durable=False) as partial:
             yield from _encode(partial, settings)
     except (FFmpegError, OSError) as error:
-        raise ClipNotWritten(f"The clip {path.name} could not be written: {error}") from error
+        raise ClipNotWritten(f"The clip {path.name} could not be written ({error}).") from error
 
 
 def _encode(path: Path, settings: RenderSettings) -> Iterator[Callable[[NDArray[np.uint8]], None]]:

@@ -2,7 +2,7 @@
 
 `python -m mapt.rendering.episode_video TASK STATES HZ VIDEO`.
 
-Needs the environment of `render_environment`. STATES is a safetensors file of `qpos` (T,nq) and `qvel` (T,nv).
+Needs the environment of `render_environment`. STATES is a safetensors file of `qpos` (T, nq) and `qvel` (T, nv).
 """
 
 # mujoco is compiled and ships no stubs.
@@ -32,7 +32,7 @@ _STRIDE = 10
 
 
 def main() -> None:
-    """Render and encode. An error ends the process with a traceback, whose last line names it."""
+    """Render and encode the video. On an error, the process ends with a traceback."""
     task, states, frame_rate_hz, video = sys.argv[1:]
     settings = RenderSettings(frame_rate_hz=float(frame_rate_hz))
     arrays = load_file(states)
@@ -48,7 +48,7 @@ def widen_floors(model: mujoco.MjModel, qpos: NDArray[np.float64]) -> None:
 
     Args:
         model: the visible size of its planes is changed; physics treats planes as infinite.
-        qpos: (T,nq).
+        qpos: (T, nq).
     """
     data = mujoco.MjData(model)
     reach = 0.0

@@ -1,4 +1,4 @@
-"""Rendering without a display: OpenGL backends, the environment they need, and child processes that render.
+"""Rendering without a display: OpenGL backends, their environment variables, and child processes that render.
 
 Rendering runs in child processes, because a driver can be missing, crash or hang, and because EGL and CUDA in one
 process have hung.
@@ -33,8 +33,8 @@ def run_rendering_module(
     """Run a module that renders with this backend in a child process.
 
     Args:
-        success_text: what the module prints after it has rendered.
-        timeout_seconds: after this the process is killed.
+        success_text: text that the module prints after it has rendered.
+        timeout_seconds: time after which the process is killed.
 
     Returns:
         None if it succeeded, else one line that says why it failed.

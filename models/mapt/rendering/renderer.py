@@ -1,6 +1,6 @@
 """Render simulator states to frames, with one OpenGL context for all clips of a task.
 
-mujoco reads `MUJOCO_GL` when it is first imported, see `mapt.rendering.offscreen`.
+mujoco reads `MUJOCO_GL` when it is first imported; see `mapt.rendering.offscreen`.
 """
 
 # mujoco is compiled and ships no stubs.
@@ -75,10 +75,10 @@ class ClipRenderer:
         """Render one frame per state.
 
         Args:
-            qpos, qvel: simulator states, float64 (T,nq) and (T,nv).
+            qpos, qvel: simulator states, float64 (T, nq) and (T, nv).
 
         Yields:
-            uint8 (H,W,3), RGB, top row first. Each is a new array.
+            uint8 (H, W, 3), RGB, top row first. Each is a new array.
 
         Raises:
             ValueError: if there are no states, or they do not fit the model or are not finite.
@@ -96,7 +96,7 @@ class ClipRenderer:
             yield self._renderer.render()
 
     def _targets(self, lowest: FloatArray, highest: FloatArray) -> tuple[Framing, FloatArray]:
-        """The framing for these corners (T,3) along its axes, and the camera's targets (T,3) in the world."""
+        """The framing for these corners (T, 3) along its axes, and the camera's targets (T, 3) in the world."""
         window = round(SMOOTHING_SECONDS * self._settings.frame_rate_hz)
         targets = self._framing.desired_path(lowest, highest, window)
         framing = self._framing.zoomed_out_for(*self._framing.in_perspective(lowest, highest, targets))
@@ -136,7 +136,7 @@ class ClipRenderer:
         steps = len(qpos)
         if qpos.shape != (steps, self._model.nq) or qvel.shape != (steps, self._model.nv):
             raise ValueError(
-                f"States must have shapes (T,{self._model.nq}) and (T,{self._model.nv}), "
+                f"States must have shapes (T, {self._model.nq}) and (T, {self._model.nv}), "
                 f"got {qpos.shape} and {qvel.shape}."
             )
         if steps == 0:

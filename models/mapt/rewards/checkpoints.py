@@ -12,6 +12,7 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from mapt.errors import DamagedCheckpoint, InvalidConfig, NewerCheckpoint
+from mapt.io import atomic_write
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
@@ -36,8 +37,8 @@ class SavedRewardModel:
     def write(self, folder: Path) -> None:
         """Write both files into `folder`, which is created if missing; the card last, since it marks them complete."""
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / WEIGHTS_FILE).write_bytes(self.weights)
-        (folder / CARD_FILE).write_bytes(self.card)
+        atomic_write(folder / WEIGHTS_FILE, self.weights)
+        atomic_write(folder / CARD_FILE, self.card)
 
 
 @dataclass(frozen=True, slots=True)

@@ -141,9 +141,9 @@ class TrainConfig(Settings):
     markov_lr: Annotated[float, setting("AdamW's learning rate for the Markov path alone.", ge=1e-8, le=1)] = 3e-3
     batch_pairs: Annotated[int, setting("Largest batch; small datasets use smaller ones.", ge=1, unit="pairs")] = 32
     markov_epochs: Annotated[
-        int, setting("Most epochs of the Markov path alone; 0 skips this stage.", ge=0, unit="epochs")
+        int, setting("Maximum epochs of the Markov path alone; 0 skips this stage.", ge=0, unit="epochs")
     ] = 40
-    max_epochs: Annotated[int, setting("Most epochs of the whole network.", ge=1, unit="epochs")] = 60
+    max_epochs: Annotated[int, setting("Maximum epochs of the whole network.", ge=1, unit="epochs")] = 60
     markov_patience: Annotated[
         int, setting("Epochs without a lower hold-out loss that end the Markov stage.", ge=1, unit="epochs")
     ] = 10
@@ -156,13 +156,15 @@ class TrainConfig(Settings):
             unit="epochs",
         ),
     ] = 5
-    markov_visits: Annotated[int, setting("Most pairs times epochs of the Markov stage.", ge=1, unit="pairs")] = 160_000
-    visits: Annotated[int, setting("Most pairs times epochs of the whole network.", ge=1, unit="pairs")] = 96_000
+    markov_visits: Annotated[int, setting("Maximum pairs times epochs of the Markov stage.", ge=1, unit="pairs")] = (
+        160_000
+    )
+    visits: Annotated[int, setting("Maximum pairs times epochs of the whole network.", ge=1, unit="pairs")] = 96_000
     warm_markov_epochs: Annotated[
-        int, setting("Most epochs of the Markov stage when training continues from a model.", ge=0, unit="epochs")
+        int, setting("Maximum epochs of the Markov stage when training continues from a model.", ge=0, unit="epochs")
     ] = 8
     warm_epochs: Annotated[
-        int, setting("Most epochs of the whole network when training continues from a model.", ge=1, unit="epochs")
+        int, setting("Maximum epochs of the whole network when training continues from a model.", ge=1, unit="epochs")
     ] = 1
     warm_share: Annotated[
         float,

@@ -68,7 +68,7 @@ class SegmentReader(Protocol):
 
 
 class ResidentSegments:
-    """All segments on the device."""
+    """Segments that stay on the device."""
 
     def __init__(self, segments: SegmentArrays, device: torch.device) -> None:
         self._segments = SegmentTensors.of(segments, device)
@@ -116,7 +116,7 @@ class StreamedSegments:
 
 
 def segment_reader(source: SegmentSource, device: torch.device) -> SegmentReader:
-    """A reader that keeps the segments on the device if they fit."""
+    """A reader of `source` that keeps all segments on the device if they fit."""
     if isinstance(source, SegmentArrays):
         return ResidentSegments(source, device)
     n_values = len(source) * source.n_steps * source.n_agents * (source.observation_dim + source.action_dim)
@@ -126,9 +126,10 @@ def segment_reader(source: SegmentSource, device: torch.device) -> SegmentReader
 
 
 def check_fit(config: RewardConfig, source: SegmentSource) -> None:
-    """
+    """Check that a network and segments have equal dimensions.
+
     Raises:
-        ModelMismatch: if the dimensions of the config and of the segments differ.
+        ModelMismatch: if they differ.
     """
     found = (source.n_agents, source.observation_dim, source.action_dim)
     if found != config.dimensions:
@@ -179,7 +180,7 @@ class PairTensors:
 
 
 def network_scorer(segments: SegmentReader, dtype: torch.dtype = torch.float32) -> Scorer:
-    """Scores by the whole network, with products in `dtype`; the scores are float32."""
+    """A scorer that runs the whole network, with matrix products in `dtype`; scores are float32."""
 
     def score(model: RewardModel, index: Tensor) -> Tensor:
         inputs = segments.take(index).inputs
@@ -191,10 +192,12 @@ def network_scorer(segments: SegmentReader, dtype: torch.dtype = torch.float32) 
 
 @torch.no_grad()
 def markov_scorer(model: RewardModel, segments: SegmentReader, used: Tensor) -> Scorer:
-    """Scores in which only the Markov path changes during training.
+    """A scorer for training the Markov path alone.
 
-    The attention path's rewards and the weights of the steps are computed once, for the segments `used`, int64 (U,),
-    sorted and unique.
+    The attention path's rewards and the weights of the steps are computed once.
+
+    Args:
+        used: indices of the segments to score, int64 (U,), sorted and unique.
     """
 
     def markov_score(model: RewardModel, part: SegmentTensors, weights: Tensor) -> Tensor:
@@ -219,7 +222,7 @@ def markov_scorer(model: RewardModel, segments: SegmentReader, used: Tensor) -> 
 
 @torch.no_grad()
 def step_rewards(model: RewardModel, segments: SegmentReader, index: Tensor) -> NDArray[np.float32]:
-    """Shared rewards r-hat_t of every real step of the segments at `index`, one flat array."""
+    """Shared rewards r-hat_t of all real steps of the segments at `index`, as one flat array."""
     rewards = np.empty((len(index), segments.n_steps), dtype=np.float32)
     mask = np.empty(rewards.shape, dtype=np.bool_)
     for batch in torch.arange(len(index)).split(EVALUATION_SEGMENTS):

@@ -123,7 +123,7 @@ def train_reward_ensemble(
     progress: Callable[[TrainProgress], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> RewardEnsemble:
-    """Train M models, each on a bootstrap sample of the training pairs; the same arguments give the same ensemble.
+    """Train M models, each on a bootstrap sample of the training pairs. Equal arguments give equal ensembles.
 
     Members share the hold-out of `train_reward_model` and differ in their sample, initial weights and batch order,
     all drawn from `train_config.seed`.
@@ -192,7 +192,7 @@ def train_reward_ensemble(
 
 @dataclass(frozen=True, slots=True)
 class _Shared:
-    """What all members are trained with."""
+    """The data and settings that all members share."""
 
     train: PreferenceDataset
     hold_out: PreferenceDataset
@@ -248,7 +248,7 @@ def _train_in_processes(
         if done.result is None:
             raise MemberTrainingFailed(done.job.member, done.failure or "")
         trained[done.job.member] = done.result
-    # After a stop, members whose training never started keep the weights they would have started with.
+    # After a stop, members whose training never started have their initial weights.
     return [trained.get(job.member) or _train_member(shared, job, stop=lambda: True) for job in jobs]
 
 
@@ -306,7 +306,7 @@ def save_reward_ensemble(ensemble: RewardEnsemble) -> bytes:
 
 
 def load_reward_ensemble(source: bytes | Path) -> RewardEnsemble:
-    """Read an ensemble from its file, or the bytes of it.
+    """Read an ensemble from a file, or from its bytes.
 
     Raises:
         NewerCheckpoint: if a later version of this library wrote it.

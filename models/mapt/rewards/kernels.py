@@ -94,7 +94,7 @@ def drop_context(steps: Tensor, local: LocalAttention | None) -> Tensor:
 
 @dataclass(frozen=True, slots=True)
 class BandedAttention(LocalAttention):
-    """Attention of each step of a rollout over its own episode, at most `window` steps with itself.
+    """Attention of each step of a rollout over the last `window` steps of its episode, including itself.
 
     Queries are grouped in blocks of one window; the keys of a block are its own steps and the window - 1 before it, so
     that the cost is linear in T.

@@ -84,7 +84,7 @@ class ScalarLinear(nn.Linear):
 class RewardHead(nn.Module):
     """Individual rewards (S, T, N) from features h (S, T, N, 2d) that depend on the past."""
 
-    #: its last layer
+    #: the last layer
     reward: ScalarLinear
 
 

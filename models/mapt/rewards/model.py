@@ -14,7 +14,7 @@ from mapt.rewards.config import RewardConfig
 from mapt.rewards.kernels import LocalAttention, drop_context
 from mapt.rewards.layers import InputNormaliser, MarkovPath, RewardHead, equal_weights, mean_attention
 
-# Multiplies every reward. A score is a mean over steps and agents, so it starts near 0, and the logit of a clear
+# Factor of every reward. A score is a mean over steps and agents, so it starts near 0, while the logit of a clear
 # preference is about 5.
 REWARD_GAIN = 10.0
 # Smallest deviation by which rewards are divided, for models with a constant reward.
@@ -28,7 +28,7 @@ FirstLayers = Sequence[tuple[nn.Linear, int]]
 
 @dataclass(frozen=True, slots=True)
 class RewardOutput:
-    """What a reward model computes for S segments."""
+    """A reward model's outputs for S segments."""
 
     #: r-hat of each agent, float32 (S, T, N)
     agent_rewards: Tensor
@@ -62,8 +62,11 @@ class RewardModel(nn.Module, ABC):
 
     @abstractmethod
     def _encode(self, inputs: tuple[Tensor, Tensor], local: LocalAttention | None) -> tuple[Tensor, Tensor]:
-        """Normalised observations (S, T, N, C) and actions (S, T, N, A) -> features h and r-hat (S, T, N), both
-        without the context of `local`."""
+        """Features h and r-hat (S, T, N) of normalised inputs, both without the context of `local`.
+
+        Args:
+            inputs: observations (S, T, N, C) and actions (S, T, N, A).
+        """
 
     @abstractmethod
     def _first_layers(self) -> tuple[FirstLayers, FirstLayers]:
@@ -91,7 +94,7 @@ class RewardModel(nn.Module, ABC):
         return RewardOutput(agent_rewards, rewards, weights, (weights * rewards).sum(dim=1))
 
     def agent_rewards(self, observations: Tensor, actions: Tensor, local: LocalAttention | None = None) -> Tensor:
-        """r-hat of every step from its past, as far as `local` lets it see; (S, T, N), without its context.
+        """r-hat of every step from its past, or from the part of it that `local` allows: (S, T, N) without the context.
 
         Raises:
             ShapeError: if a shape does not fit the config.
@@ -150,7 +153,7 @@ class RewardModel(nn.Module, ABC):
             self.action_normaliser.fit(actions, mask, action_layers)
 
     def with_new_head(self) -> dict[str, Tensor]:
-        """A copy of its weights with a re-initialised output head, so that the zero-initialised path contributes."""
+        """A copy of the model's weights with a re-initialised head, so that the zero-initialised path contributes."""
         model = copy.deepcopy(self)
         for part in model.modules():
             if isinstance(part, RewardHead):
@@ -158,7 +161,10 @@ class RewardModel(nn.Module, ABC):
         return model.state_dict()
 
     def shrink_and_perturb(self, kept_fraction: float) -> dict[str, Tensor]:
-        """A copy of its weights in which the Markov path's are `kept_fraction` of these plus the rest of new ones.
+        """A copy of the model's weights with those of the Markov path interpolated towards new initial weights.
+
+        Args:
+            kept_fraction: weight of the trained weights; the new ones have 1 - `kept_fraction`.
 
         Source: Ash and Adams (2020), "On Warm-Starting Neural Network Training".
         """
@@ -187,8 +193,10 @@ class RewardModel(nn.Module, ABC):
 
     @property
     def supports_local_attention(self) -> bool:
-        """Whether a `LocalAttention` bounds what r-hat depends on: with a second layer or an LSTM, older steps
-        influence the window's."""
+        """Whether r-hat depends on the window of a `LocalAttention` alone.
+
+        With a second layer or an LSTM, older steps influence the steps in the window.
+        """
         config = self.config
         return self.is_markov or config.temporal == "none" or (config.temporal == "attention" and config.layers == 1)
 

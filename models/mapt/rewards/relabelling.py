@@ -23,17 +23,17 @@ Credit = Literal["shared", "individual"]
 # Agent-steps in one forward pass, few enough that activations stay in the CPU's cache and that memory does not grow
 # with the number of environments.
 AGENT_STEPS_PER_PASS = 1 << 13
-# Episode number of context steps that hold no step yet.
+# Episode number of context that is still empty.
 NO_EPISODE = -1
 
 
 class RolloutRelabeller:
     """Computes the rewards of successive rollouts of E environments.
 
-    It keeps the last T - 1 steps of each environment as context for the next rollout. No step sees past the start of
-    its episode. With one layer of temporal attention, or none, a rollout takes one forward pass with banded
-    attention. With more layers or an LSTM, older steps would influence the window; there, and for kinds of reward
-    other than "value", every window is a segment of its own, which takes T times as long.
+    It keeps the last T - 1 steps of each environment as context for the next rollout. The reward of a step never
+    depends on earlier episodes. With at most one layer of temporal attention, a rollout takes one forward pass with
+    banded attention. With more layers or an LSTM, older steps would influence the window. In that case, and for kinds
+    of reward other than "value", every window is a separate segment, which takes T times as long.
 
     Args:
         model: copied; its `reward_mean` and `reward_deviation` normalise the rewards.
@@ -146,7 +146,7 @@ class RolloutRelabeller:
         return torch.cat(rewards).view(len(episode), length, -1)
 
     def state_dict(self) -> dict[str, NDArray[np.generic]]:
-        """Copies of the context; with the same model, `load_state_dict` continues bit by bit."""
+        """Copies of the context; after `load_state_dict`, the same model continues bit for bit."""
         return self._context.state_dict()
 
     def load_state_dict(self, state: dict[str, NDArray[np.generic]]) -> None:
@@ -161,8 +161,8 @@ class RolloutRelabeller:
 class RewardStream:
     """Computes the rewards of E environments step by step.
 
-    With one layer of temporal attention, keys and values of the last T steps are cached, and a step takes one forward
-    pass of that step. Where `RolloutRelabeller` runs window by window, so does this class, at T times the cost.
+    With one layer of temporal attention, keys and values of the last T steps are cached, and a step takes a forward
+    pass of that step alone. In the cases in which `RolloutRelabeller` runs window by window, this class does, too.
 
     Args:
         model: copied; its `reward_mean` and `reward_deviation` normalise the rewards.
@@ -209,7 +209,7 @@ class RewardStream:
         acted = checked_array("actions", actions, (*self._shape, config.action_dim))
         start = np.asarray(episode_start, dtype=np.bool_)
         if start.shape != self._shape[:1]:
-            raise InvalidRollout(f"episode_start has shape {start.shape}, expected {self._shape[:1]}")
+            raise InvalidRollout(f"episode_start has shape {start.shape}, expected {self._shape[:1]}.")
         if self._cache is None:
             return self._relabeller.relabel(observed[None], acted[None], start[None])[0]
         if start.any():
@@ -222,7 +222,7 @@ class RewardStream:
 
 
 def uses_local_attention(model: RewardModel, kind: PolicyReward) -> bool:
-    """Whether the reward of a step follows from one pass with a `LocalAttention`."""
+    """Whether one pass with a `LocalAttention` computes the rewards of all steps."""
     return kind == "value" and model.supports_local_attention
 
 
@@ -258,12 +258,12 @@ class RolloutContext:
         """
         start = np.asarray(episode_start, dtype=np.bool_)
         if start.ndim != 2 or not len(start):
-            raise InvalidRollout(f"episode_start has shape {start.shape}, expected (L, E) with L >= 1")
+            raise InvalidRollout(f"episode_start has shape {start.shape}, expected (L, E) with L >= 1.")
         context = self._steps
         new_observations = checked_array("observations", observations, (len(start), *context.observations.shape[1:]))
         new_actions = checked_array("actions", actions, (len(start), *context.actions.shape[1:]))
         if start.shape[1] != len(self._episode):
-            raise InvalidRollout(f"episode_start is for {start.shape[1]} environments, not {len(self._episode)}")
+            raise InvalidRollout(f"episode_start is for {start.shape[1]} environments, not {len(self._episode)}.")
         # The very first step starts an episode, even if the caller's episode is already running.
         running = np.maximum(self._episode, 0)
         return RolloutSteps(
@@ -297,10 +297,10 @@ class RolloutContext:
         """
         own = self.state_dict()
         if set(state) != set(own):
-            raise InvalidRollout(f"the context holds {sorted(state)}, expected {sorted(own)}")
+            raise InvalidRollout(f"The context holds {sorted(state)}, expected {sorted(own)}.")
         for name, array in own.items():
             if state[name].shape != array.shape:
-                raise InvalidRollout(f"{name} has shape {state[name].shape}, expected {array.shape}")
+                raise InvalidRollout(f"{name} has shape {state[name].shape}, expected {array.shape}.")
         self._steps = RolloutSteps(
             state["observations"].astype(np.float32),
             state["actions"].astype(np.float32),
@@ -317,7 +317,7 @@ def checked_array(name: str, values: ArrayLike, expected: tuple[int, ...]) -> ND
     """
     array = np.asarray(values, dtype=np.float32)
     if array.shape != expected:
-        raise InvalidRollout(f"{name} has shape {array.shape}, expected {expected}")
+        raise InvalidRollout(f"{name} has shape {array.shape}, expected {expected}.")
     if not np.isfinite(array).all():
-        raise InvalidRollout(f"{name} holds NaN or infinity")
+        raise InvalidRollout(f"{name} holds NaN or infinity.")
     return array

@@ -1,16 +1,16 @@
 """The two stages of a reward model's training, and the tests on the hold-out that stop a stage or reject its result.
 
-1. The Markov path alone, with the rest of the network fixed. It takes a tenth of the time of the whole network and is
-   all there is to learn where the true reward is Markov.
-2. The whole network. Trained to the end, the Markov path overfits preferences that no Markov reward explains, so this
-   stage continues from an early state of it. The result is accepted only if the hold-out loss is significantly lower
-   than that of the best Markov path; a hold-out that is too small accepts nothing.
+1. The Markov path alone, with the rest of the network fixed. It takes a tenth of the time of the whole network, and is
+   sufficient if the true reward is Markov.
+2. The whole network. A fully trained Markov path overfits preferences that no Markov reward explains, so this stage
+   continues from an early state of it. The result is accepted only if the hold-out loss is significantly lower than
+   that of the best Markov path. With a hold-out that is too small, the stage is skipped.
 
 A model that continues from an earlier version shrinks the Markov path's weights and perturbs them with new ones
 (`RewardModel.shrink_and_perturb`).
 
-An LSTM learns nothing beside a trained Markov path: its gradient passes through layers that are still zero, while the
-Markov path explains what there is to explain. Stage 2 of a network with an LSTM starts from untrained weights with a
+An LSTM does not learn beside a trained Markov path: its gradient passes through layers that are still zero, and the
+Markov path leaves little loss to reduce. Stage 2 of a network with an LSTM starts from untrained weights with a
 re-initialised head.
 """
 
@@ -22,7 +22,7 @@ from torch import Tensor
 from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.model import RewardModel
 
-# Fewer held-out pairs than this are too few to compare weights by.
+# Minimum number of held-out pairs for comparing weights.
 MIN_HOLD_OUT_PAIRS = 10
 # Stage 2 continues from the best weights of this fraction of stage 1's epochs.
 EARLY_FRACTION = 0.3
@@ -113,7 +113,7 @@ def _markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSett
 
 
 def _epochs(limit: int, visits: int, n_pairs: int) -> int:
-    # The more labels, the fewer passes over them are needed.
+    # More labels need fewer passes.
     return min(limit, math.ceil(visits / n_pairs))
 
 

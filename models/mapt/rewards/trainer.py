@@ -47,7 +47,7 @@ from mapt.rewards.schedule import (
     start_weights,
 )
 
-# A small dataset still gets about this many steps per epoch, with batches of MIN_BATCH_PAIRS or more.
+# Batches of small datasets shrink, down to MIN_BATCH_PAIRS, so that an epoch has about this many steps.
 MIN_STEPS_PER_EPOCH = 8
 MIN_BATCH_PAIRS = 8
 GRADIENT_NORM_LIMIT = 1.0
@@ -132,7 +132,7 @@ class RewardTrainer:
     def training_step(
         self, stage: Stage, optimiser: torch.optim.Optimizer, average: AveragedModel, batch: Tensor
     ) -> Tensor:
-        """One gradient step on the pairs at the indices `batch` (B,); returns their mean loss before it, in nats."""
+        """Take one gradient step on the pairs at `batch`, int64 (B,); return their mean loss before it, in nats."""
         optimiser.zero_grad()
         loss = torch.zeros((), device=self._train.labels.device)
         for part in batch.split(stage.pairs_per_pass or len(batch)):
@@ -225,7 +225,7 @@ def train_reward_model(
     progress: Callable[[TrainProgress], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> TrainedReward:
-    """Train the model of `config` on labelled pairs; the same arguments give the same model on the same machine.
+    """Train the model of `config` on labelled pairs. On one machine, equal arguments give equal models.
 
     Args:
         dataset: at least two labelled pairs. Large sets of segments on disk are read batch by batch.
@@ -308,6 +308,7 @@ def _run_stages(
     used: Tensor,
     dtype: torch.dtype,
 ) -> None:
+    """Train the stages of `schedule`; `used` and `dtype` as in `markov_scorer` and `network_scorer`."""
     model.eval()
     markov_start, network_start = (start_weights(stage, model) for stage in (schedule.markov, schedule.network))
     if schedule.markov is not None and model.markov is not None:

@@ -1,4 +1,4 @@
-"""Batched multi-agent tasks behind one protocol; numpy and MuJoCo alone."""
+"""Batched multi-agent tasks behind one protocol. Needs numpy and MuJoCo only."""
 
 from mapt.tasks.mujoco_task import MujocoDefinition
 from mapt.tasks.pettingzoo_task import PettingZooDefinition

@@ -146,6 +146,6 @@ def uniform_start(
 
 
 def sum_of_squares(numbers: FloatArray) -> FloatArray:
-    """(E, ...) -> (E,)."""
+    """Sum of squares of each environment: (E, ...) -> (E,)."""
     flat = numbers.reshape(len(numbers), -1)
     return np.vecdot(flat, flat)

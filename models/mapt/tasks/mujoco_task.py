@@ -23,7 +23,7 @@ WHOLE_TEAM = "whole team"
 
 @dataclass(frozen=True, slots=True)
 class AgentIndices:
-    """A partition as index arrays."""
+    """Indices of the features that each agent observes and of the actuators that it drives."""
 
     #: (N, C): the column of the feature row behind each entry of each observation, see `FeatureLayout`.
     observed: NDArray[np.intp]

@@ -1,4 +1,4 @@
-"""Which joints each agent drives, and which features it observes.
+"""The partition of a robot among agents: which joints each agent drives, and which features it observes.
 
 The conventions are those of gymnasium-robotics' MaMuJoCo. An agent observes all features of its own joints, then fewer
 of the joints one, two, ... edges away, each group ordered by the joints' labels, then the features that all agents

@@ -1,4 +1,4 @@
-"""PettingZoo's parallel environments as a `Task`: E environments, stepped one after the other in this process.
+"""PettingZoo's parallel environments as a `Task`: E environments, stepped in turn in this process.
 
 This module does not import PettingZoo; it uses the methods of `ParallelEnv` only. Environments must be deterministic
 given their seed and actions: a snapshot stores both for the running episodes, and restoring replays them.
@@ -160,7 +160,7 @@ class PettingZooTask:
     def _step_env(self, index: int, actions: NDArray[np.floating]) -> tuple[float, bool, bool]:
         """Step one environment: (team reward, terminated, truncated)."""
         env, step = self._envs[index], self._elapsed_steps[index]
-        # Restoring replays the float32 history, so take the actions from it now too.
+        # `restore` replays the history, which is float32, so this step must read its actions from there, too.
         self._history[index, step] = actions
         self._elapsed_steps[index] += 1
         recorded = self._history[index, step]

@@ -31,7 +31,7 @@ from mapt.tasks.robots import (
 #: 1, true returns were higher in every pair of runs. HalfCheetah-6x1 after 300,000 steps of MAPPO, seeds 0 and 1: 5,199
 #: and 4,838 against 4,227 and 1,855 with separate actors, 1,855 and 1,964 against 1,636 and 1,321 with a shared actor.
 DEFAULT_AGENT_OBSK = 1
-#: Python files or modules that register tasks, separated as in PATH. Processes that are started inherit it.
+#: Python files or modules that register tasks, separated as in PATH. Child processes inherit it.
 TASK_FILES_VARIABLE = "MAPT_TASKS"
 
 _ROBOTS = (
@@ -64,7 +64,7 @@ def register_task(definition: TaskDefinition) -> None:
 
 
 def task_names() -> tuple[str, ...]:
-    """Names of all tasks, sorted. Of the many-segment robots, which exist in any size, only a few sizes are listed.
+    """Names of all tasks, sorted. Many-segment robots exist in any size; only a few sizes are listed.
 
     Raises:
         TaskImportFailed: if a file or module that MAPT_TASKS names cannot be imported.
@@ -168,7 +168,7 @@ def _import_file_or_module(name: str) -> None:
         return
     spec = spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
-        raise ImportError(f"{path} is not a Python file")
+        raise ImportError(f"{path} is not a Python file.")
     spec.loader.exec_module(module_from_spec(spec))
 
 

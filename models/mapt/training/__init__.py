@@ -1,1 +1,1 @@
-"""Training of policies: single runs, the preference loop, and the steps they share with the service."""
+"""Training of policies: single runs, the preference loop, and the steps that they share with the service."""

@@ -11,7 +11,7 @@ from mapt.tasks import make_task
 
 #: the standard error of the mean is then a sixth of the standard deviation
 EPISODES = 32
-#: most environments in parallel
+#: maximum number of parallel environments
 _MOST_ENVS = 32
 #: added to the seed, so that initial states differ from those of training
 SEED_OF_STARTS = 1_000_003
@@ -66,7 +66,7 @@ def evaluate_policy(
     """Play whole episodes with mean actions.
 
     Args:
-        seed: of the initial states.
+        seed: seed of the initial states.
         n_threads: as in `make_task`.
     """
     task = make_task(task_name, min(episodes, _MOST_ENVS), n_threads=n_threads, agent_obsk=agent_obsk)

@@ -1,4 +1,4 @@
-"""The metrics of each iteration: computed, written to metrics.jsonl, exported to TensorBoard."""
+"""Compute the metrics of each iteration, write them to metrics.jsonl and export them to TensorBoard."""
 
 import json
 import math
@@ -103,7 +103,7 @@ def iteration_metrics(
 
 #: pattern of TensorBoard's event files
 EVENTS = "events.out.tfevents.*"
-#: most seconds until a point is on disk
+#: maximum time until a point is on disk
 _FLUSH_SECONDS = 10
 #: TensorBoard group by prefix of the metric's name; other metrics are in the group `learner`
 _GROUPS = {

@@ -1,4 +1,4 @@
-"""Which pairs to ask about next, with an emphasis on the newest segments. Numpy alone."""
+"""Choose the next pairs to label, with an emphasis on recent segments. Needs numpy only."""
 
 from collections.abc import Callable, Collection, Hashable, Sequence
 from typing import Generic, TypeVar, cast
@@ -18,27 +18,29 @@ from mapt.preferences.selection import (
 )
 from mapt.preferences.selection.protocol import SegmentId
 
-#: newest segments that pairs are chosen from
+#: pairs are chosen from this many of the newest segments
 CANDIDATES = 2000
-#: newest segments that a selector other than uniform chooses among: each is read, and scored again for every version
+#: selectors other than uniform choose from this many, which are read once and scored for every reward version
 SCORED_SEGMENTS = 512
-#: newest pairs that have a query which k-center keeps a distance from
+#: number of the newest queries whose pairs are the initial centers of k-center
 PAIRED_FEATURES = 1000
 #: segments read at once
 _CHUNK = 64
 
-#: share of the segments that count as recent, and the fewest that do
+#: share of the segments that counts as recent, and the minimum number
 RECENT_SHARE = 0.25
 FEWEST_RECENT = 16
+#: draws per pair before `RecentPairs` gives up on pairs with a recent segment
+_DRAWS_PER_PAIR = 20
 
 Key = TypeVar("Key", bound=Hashable)
 _Vector = NDArray[np.float32]
 
 
 class RecentPairs:
-    """Uniform, but half of the pairs compare two recent segments, and half a recent one with any segment.
+    """Draws pairs with recent segments: half compare two recent ones, half a recent one with any segment.
 
-    Labels on what the policy does now matter most; pairs with older segments keep the scale of the reward.
+    Labels on the policy's current behaviour matter most; pairs with older segments keep the scale of the reward.
     """
 
     name: SelectorName = "uniform"
@@ -59,7 +61,7 @@ class RecentPairs:
         chosen = self._uniform.select(recent, paired, k // 2)
         taken = {frozenset(pair) for pair in [*paired, *chosen]}
         chosen += self._recent_with_any(recent, segment_ids, taken, k - len(chosen))
-        # Few segments may leave fewer such pairs than are wanted.
+        # With few segments there may be fewer such pairs than requested.
         rest = k - len(chosen)
         return chosen + self._uniform.select(segment_ids, [*paired, *chosen], rest) if rest else chosen
 
@@ -67,7 +69,7 @@ class RecentPairs:
         self, recent: Sequence[SegmentId], all_ids: Sequence[SegmentId], taken: set[frozenset[SegmentId]], k: int
     ) -> list[tuple[SegmentId, SegmentId]]:
         chosen: list[tuple[SegmentId, SegmentId]] = []
-        for _ in range(20 * k):
+        for _ in range(_DRAWS_PER_PAIR * k):
             if len(chosen) == k:
                 break
             new, other = recent[int(self._rng.integers(len(recent)))], all_ids[int(self._rng.integers(len(all_ids)))]
@@ -94,14 +96,15 @@ def choose_pairs(
     Args:
         segment_ids: the candidates, from new to old.
         paired: pairs that have a query, in either order.
-        selector: the selector of most pairs, once there is a view.
+        selector: chooses all pairs but the control pairs, once there is a view.
         control_share: share of the pairs that stays uniform, as a control.
-        view: scores and features of the first `view.n_segments` candidates; the selector chooses among those only.
-            None before there is a reward version, or an ensemble where the selector needs one: pairs are uniform.
-        first_round: draw from all segments alike; later rounds prefer recent ones.
+        view: scores and features of the first `view.n_segments` candidates, from which the selector chooses. None draws
+            all pairs uniformly: before the first reward version, or while an ensemble is missing that the selector
+            needs.
+        first_round: draw from all segments uniformly; later rounds prefer recent ones.
 
     Raises:
-        mapt.preferences.selection.UnknownSelector: if there is no selector of this name.
+        UnknownSelector: if no selector has this name.
     """
     known = [cast("tuple[SegmentId, SegmentId]", tuple(pair)) for pair in paired]
     control = UniformSelector(rng) if first_round else RecentPairs(rng)
@@ -115,10 +118,10 @@ def choose_pairs(
 
 
 class SegmentScorer(Generic[Key]):
-    """What selectors need to know of the segments of one experiment, computed once for each segment.
+    """Computes scores and features of segments for selectors, once for each segment.
 
     Args:
-        read: the arrays of some segments.
+        read: returns the arrays of segments.
     """
 
     def __init__(self, read: Callable[[Sequence[Key]], SegmentArrays]) -> None:
@@ -136,12 +139,12 @@ class SegmentScorer(Generic[Key]):
         score: Callable[[SegmentArrays], NDArray[np.float32]] | None,
         pairs: Sequence[tuple[Key, Key]] | None,
     ) -> SegmentView:
-        """What is known of S segments.
+        """Scores and features of S segments.
 
         Args:
             version: the reward version of `score`.
             score: the scores (M, S) of segments by each member of an ensemble; None if the selector needs none.
-            pairs: pairs that have a query; None if the selector needs no features.
+            pairs: pairs that already have a query; None if the selector needs no features.
         """
         scores = None if score is None else self.scores(segments, version, score)
         if pairs is None:
@@ -168,7 +171,7 @@ class SegmentScorer(Generic[Key]):
 
 
 def newest_pairs(paired: Collection[frozenset[SegmentId]]) -> list[tuple[SegmentId, SegmentId]]:
-    """The newest pairs that have a query, for features; ids sort by time."""
+    """The `PAIRED_FEATURES` newest pairs that have a query; ids must sort by time."""
     ordered = [cast("tuple[SegmentId, SegmentId]", tuple(sorted(pair))) for pair in paired]  # pyright: ignore[reportArgumentType]
     return sorted(ordered, key=lambda pair: (pair[1], pair[0]))[-PAIRED_FEATURES:]  # pyright: ignore[reportArgumentType, reportCallIssue]
 

@@ -16,7 +16,7 @@ from mapt.training.reward_source import RewardSource, TrueReward
 
 @dataclass(slots=True)
 class IterationSeconds:
-    """Where the time of one iteration goes."""
+    """Durations of the steps of one iteration."""
 
     collect: float = 0.0
     #: loading a new reward version and relabelling the rollout
@@ -33,8 +33,8 @@ class PolicyTrainer:
 
     Args:
         learner: new, or restored from a checkpoint between two iterations.
-        source: the rewards; the task's own when not given.
-        iteration: iterations that the learner has done.
+        source: of the rewards; default: the task's own.
+        iteration: number of iterations that the learner has completed.
     """
 
     def __init__(self, learner: Learner, source: RewardSource | None = None, iteration: int = 0) -> None:
@@ -47,17 +47,17 @@ class PolicyTrainer:
         self.seconds = IterationSeconds()
 
     def collect(self) -> Rollout:
-        """Play a rollout with the policy as it is."""
+        """Collect a rollout with the current policy."""
         started = time.perf_counter()
         rollout = self.learner.collect()
         self.seconds = IterationSeconds(collect=time.perf_counter() - started)
         return rollout
 
     def set_reward_version(self, version: str, load: Callable[[], RewardModel]) -> bool:
-        """Take the rewards of the next update from this version; arguments and errors as in `RewardSource.set_version`.
+        """Use a reward version from the next update on; see `RewardSource.set_version` for arguments and errors.
 
         Returns:
-            Whether it is another version than before.
+            Whether the version changed.
         """
         started = time.perf_counter()
         changed = self.source.set_version(version, load)
@@ -70,10 +70,10 @@ class PolicyTrainer:
         """Relabel the whole rollout with the current reward version and update the policy on it.
 
         Args:
-            rollout: the newest one of `collect`.
+            rollout: the newest one from `collect`.
 
         Returns:
-            `iteration_metrics`, and `steps_per_second` over all steps of the iteration.
+            The result of `iteration_metrics`, and `steps_per_second` over all steps of the iteration.
         """
         learner = self.learner
         started = time.perf_counter()

@@ -28,7 +28,7 @@ from mapt.training.policy_trainer import PolicyTrainer
 from mapt.training.reward_source import LearnedReward
 from mapt.training.schedule import QUERY_STREAM, SEGMENT_STREAM, LabelSchedule, Progress
 
-#: iterations whose true returns tell a teacher what an episode is worth
+#: number of recent iterations over which the mean return of episodes is computed for a teacher
 _RETURN_POINTS = 10
 
 SegmentKey = TypeVar("SegmentKey", bound=Hashable)
@@ -37,14 +37,14 @@ FloatArray = NDArray[np.floating]
 
 @dataclass(frozen=True, slots=True)
 class RewardSettings:
-    """The reward model, its training, and what the policy is given of it."""
+    """Settings of the reward model, of its training, and of the reward that the policy receives."""
 
     #: T, steps of a segment
     segment_steps: int = 50
     #: a name of `RewardConfig.named`
     model: str = "MAPT"
     preset: PresetName = "small"
-    #: share of the labels that the loss takes to be mistakes
+    #: share of the labels that the loss assumes to be mistakes
     label_noise: float = 0.0
     #: members of the ensemble, for selectors that need one
     ensemble_members: int = 3
@@ -52,12 +52,12 @@ class RewardSettings:
     kind: PolicyReward = "value"
     #: see `RolloutRelabeller`
     credit: Credit = "shared"
-    #: decides the training and the choice of segments and queries
+    #: seed of the reward model's training and of the choice of segments and queries
     seed: int = 0
     device: str = "auto"
 
     def training(self, dataset: PreferenceDataset) -> tuple[RewardConfig, TrainConfig]:
-        """The network for a dataset, and how to train it.
+        """The settings of the network and of its training for a dataset.
 
         Raises:
             InvalidConfig: if there is no such model or preset.
@@ -89,7 +89,7 @@ class Segment:
 
     @classmethod
     def of(cls, rollout: Rollout, place: StepRange) -> "Segment":
-        """The segment at a place of a rollout."""
+        """The segment at these steps of a rollout."""
         at = slice(place.first, place.end), place.env
         return cls(
             rollout.observations[at], rollout.actions[at], rollout.rewards[at], rollout.qpos[at], rollout.qvel[at]
@@ -175,7 +175,7 @@ class PreferenceLoop:
         Raises:
             RunError: if the first rollout holds too few pairs for the first reward version.
         """
-        # The first queries are about the first rollout, which waits for the first reward version.
+        # The first rollout provides the segments of the first queries, so it is collected before the first version.
         rollout = self.collect()
         self.learn_reward()
         self.train_policy(rollout)
@@ -185,13 +185,13 @@ class PreferenceLoop:
         return self.history
 
     def learn_reward(self) -> None:
-        """Ask the teacher what is due, and train the next reward version if it is due."""
+        """Create and label the queries that are due, then train the next reward version if it is due."""
         while self.ask():
             self.label()
         self.train_reward()
 
     def collect(self) -> Rollout:
-        """Play a rollout, and store some of its segments as candidates for queries."""
+        """Collect a rollout, and store some of its segments as candidates for queries."""
         trainer = self.trainer
         rollout = trainer.collect()
         rng = np.random.default_rng([self.reward.seed, SEGMENT_STREAM, trainer.iteration])
@@ -205,8 +205,8 @@ class PreferenceLoop:
         return rollout
 
     def ask(self) -> bool:
-        """Create the queries that are due, and a few more. Returns whether there are any."""
-        wanted = self.schedule.queries_wanted(self.trainer.steps, self._standing())
+        """Create the queries that are due and the lookahead. Returns whether it created any."""
+        wanted = self.schedule.queries_wanted(self.trainer.steps, self._counted_queries())
         newest_first = range(len(self.segments))[: -CANDIDATES - 1 : -1]
         if not wanted or len(newest_first) < 2:
             return False
@@ -225,9 +225,9 @@ class PreferenceLoop:
         return bool(chosen)
 
     def label(self) -> None:
-        """Let the teacher label the open queries."""
+        """Let the teacher label all queries without a label."""
         open_queries = [query for query in self.queries if query.label is None]
-        self._show_returns()
+        self._update_episode_return()
         first, second = (
             TeacherView.stack([_teacher_view(self.segments[index]) for index in side])
             for side in zip(*((query.segment_0, query.segment_1) for query in open_queries), strict=True)
@@ -252,7 +252,7 @@ class PreferenceLoop:
         config, train = self.reward.training(dataset)
         trained = train_reward_model(dataset, config, train, initial=newest.model if newest else None)
         ensemble = None
-        if needs_ensemble(self._selector) and self._standing() < self.schedule.budget:
+        if needs_ensemble(self._selector) and self._counted_queries() < self.schedule.budget:
             ensemble = train_reward_ensemble(
                 dataset, config, train, self.reward.ensemble_members, initial=newest.ensemble if newest else None
             )
@@ -284,12 +284,12 @@ class PreferenceLoop:
         labels = sum(query.counts for query in self.queries)
         return Progress(self.trainer.steps, labels, self.versions[-1].labels if self.versions else None)
 
-    def _standing(self) -> int:
-        """Queries that have a label or wait for one; skipped ones are replaced."""
+    def _counted_queries(self) -> int:
+        """Number of queries that have a label or wait for one; skipped queries are replaced."""
         return sum(query.label is None or query.counts for query in self.queries)
 
     def _view(self, newest_first: Sequence[int], paired: set[frozenset[int]]) -> SegmentView | None:
-        """What the selector needs of the newest segments; None for a uniform choice."""
+        """Scores and features of the newest segments for the selector; None for a uniform choice."""
         if not self.versions or self._selector == "uniform":
             return None
         newest, shown = self.versions[-1], newest_first[:SCORED_SEGMENTS]
@@ -306,8 +306,8 @@ class PreferenceLoop:
         segments = [self.segments[index] for index in indices]
         return SegmentArrays.stack([each.observations for each in segments], [each.actions for each in segments])
 
-    def _show_returns(self) -> None:
-        """Tell a teacher whose thresholds depend on it the mean return of the latest episodes."""
+    def _update_episode_return(self) -> None:
+        """Set the mean return of recent episodes for a teacher whose thresholds depend on it."""
         teacher = self._teacher
         returns = [metrics["true_return"] for metrics in self.history if "true_return" in metrics][-_RETURN_POINTS:]
         if isinstance(teacher, ScriptedTeacher) and teacher.uses_episode_return and returns:
@@ -319,7 +319,7 @@ def labelled_dataset(
     labels: Sequence[float],
     read: Callable[[SegmentKey], tuple[FloatArray, FloatArray]],
 ) -> PreferenceDataset:
-    """Labelled pairs as a dataset, which holds each segment once, in the order of its first pair.
+    """Make a dataset of labelled pairs. It holds each segment once, in the order of first use.
 
     Args:
         pairs: (segment 0, segment 1) of each label.
@@ -335,6 +335,6 @@ def labelled_dataset(
 
 
 def _teacher_view(segment: Segment) -> dict[str, FloatArray]:
-    """What a teacher sees of a segment."""
+    """A segment's arrays by field of `TeacherView`."""
     arrays = {"rewards": segment.rewards, "observations": segment.observations, "actions": segment.actions}
     return {**arrays, "qpos": segment.qpos, "qvel": segment.qvel}

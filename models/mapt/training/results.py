@@ -1,4 +1,4 @@
-"""Read runs back, group them by their settings and tabulate their returns."""
+"""Read runs from disk, group them by their settings and tabulate their returns."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from mapt.training.settings import TRUE, LearnedRewardSettings, PreferenceReward
 
 #: Runs that differ only in these settings belong to one group.
 _PER_RUN = frozenset({"policy.seed", "policy.device", "policy.n_threads", "steps", "evaluate_every_steps"})
-#: Parts of an iteration whose time is measured.
+#: Parts of an iteration that are timed.
 PARTS = ("physics", "inference", "reward", "update")
 _NONE = "-"
 
@@ -87,7 +87,7 @@ class Group:
     reward: str
     #: labels that the reward model was trained on during the run; None for other rewards
     labels: int | None
-    #: settings in which it differs from other groups with the same fields above
+    #: settings that distinguish it from other groups with the same fields above
     differs: str
     runs: tuple[RunResult, ...]
 

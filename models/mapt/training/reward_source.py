@@ -1,4 +1,4 @@
-"""Where a policy's rewards come from: the task itself, or a reward model that newer versions replace."""
+"""Sources of a policy's rewards: the task, or the newest version of a reward model."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +14,7 @@ from mapt.rewards.model import PolicyReward, RewardModel
 from mapt.rewards.relabelling import Credit, RolloutRelabeller
 from mapt.tasks import TaskSpec
 
-#: the steps before a rollout that its first rewards depend on: `RolloutRelabeller.state_dict`
+#: steps before a rollout on which its first rewards depend, from `RolloutRelabeller.state_dict`
 Context = dict[str, NDArray[np.generic]]
 
 
@@ -30,14 +30,14 @@ class RewardSource(Protocol):
         """Use this version from the next rollout on.
 
         Args:
-            version: identifier that never names another model.
-            load: reads the model; called only if it is not in use already.
+            version: identifier of the model; two models never share one.
+            load: reads the model; called only if the model is not in use already.
 
         Returns:
-            Whether it is another version than before.
+            Whether the version changed.
 
         Raises:
-            ModelMismatch: if its model is for other dimensions than the last one.
+            ModelMismatch: if the model has other dimensions than the previous one.
         """
         ...
 
@@ -107,15 +107,15 @@ class LearnedReward:
                 self._relabeller.load_state_dict(self._restored)
         else:
             self._relabeller.replace_model(model)
-        # After a restart, the version of the checkpoint is loaded again: that is no change.
+        # After a restart, the version of the checkpoint is loaded again, which is not a change.
         changed = version != self.version
         self.version = version
         return changed
 
     def rewards(self, rollout: Rollout) -> NDArray[np.floating]:
-        """Normalised rewards of the model. Call `set_version` before."""
+        """Normalised rewards of the model. Call `set_version` first."""
         if self._relabeller is None:
-            raise RuntimeError("There is no reward version yet.")
+            raise RuntimeError("There is no reward version yet. Call set_version first.")
         return self._relabeller.relabel(rollout.observations, rollout.actions, rollout.episode_start)
 
     def context(self) -> Context:
@@ -138,7 +138,7 @@ class RewardFiles:
         self._reported = False
 
     def newest(self) -> LoadedRewardModel | None:
-        """The model if the files changed since the last call; None if they did not, or are damaged or half written.
+        """The model if the files changed since the last call; None if they did not, or are damaged or incomplete.
 
         The first call always loads the model.
 
@@ -154,7 +154,7 @@ class RewardFiles:
             if self._loaded_stamp is None:
                 raise
             if not self._reported:
-                self._on_problem(f"The new reward model in {self._weights.parent} is not used: {error}.")
+                self._on_problem(f"The new reward model in {self._weights.parent} is not used: {error}")
             self._reported = True
             return None
         self._loaded_stamp, self._reported = stamp, False
@@ -174,7 +174,7 @@ class RewardFiles:
 
 
 def save_version(loaded: LoadedRewardModel, folder: Path) -> None:
-    """Copy a version of `RewardFiles` to a folder, since the files may be replaced later."""
+    """Save a version to a folder, since the files of `RewardFiles` may be replaced later."""
     save_reward_model(loaded.model, loaded.metrics, segment_steps=loaded.segment_steps).write(folder)
 
 

@@ -1,4 +1,4 @@
-"""One run: train, evaluate, record a video. Called again, it resumes from the last checkpoint."""
+"""A training run: train a policy, evaluate it and record a video. An interrupted run resumes from its checkpoint."""
 
 import time
 from collections.abc import Callable
@@ -30,11 +30,11 @@ _SHA_DIGITS = 12
 class RunCallbacks:
     """Functions that a run calls while it trains."""
 
-    #: after each iteration, with its metrics
+    #: called after each iteration with its metrics
     on_iteration: Callable[[Metrics], None] = lambda metrics: None
-    #: with a sentence about what the metrics do not show, such as a video that cannot be made
+    #: called with a sentence about an event outside the metrics, such as a video that cannot be made
     on_message: Callable[[str], None] = lambda message: None
-    #: asked after each iteration; true ends the training at a checkpoint
+    #: called before each iteration; true ends the training with a checkpoint
     should_stop: Callable[[], bool] = lambda: False
 
 
@@ -59,16 +59,17 @@ class TimedTask(WrappedTask):
 
 
 class Run:
-    """A run in memory, between two iterations. Hold `folder.locked()` while it exists.
+    """A run in memory. Hold `folder.locked()` while it exists.
 
     Args:
-        settings: equal to those of the run in the folder, but for `steps`; any in a new folder.
-        checkpoint_seconds: least time between two checkpoints.
+        settings: equal to those of the run in the folder except for `steps`; in a new folder, any.
+        checkpoint_seconds: minimum time between two checkpoints.
         physics_threads: as `n_threads` of `make_task`; it does not affect results.
 
     Raises:
         RunMismatch, DamagedRun: if the folder holds a run with other settings, or one that cannot be read.
-        UnknownTask, InvalidConfig, CheckpointError, ModelMismatch: if the settings cannot be met.
+        UnknownTask, InvalidConfig: if a setting is invalid.
+        CheckpointError, ModelMismatch: if the checkpoint or the reward model is damaged, or does not fit the task.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class Run:
         self._task = TimedTask(
             make_task(settings.task, settings.policy.n_envs, n_threads=physics_threads, agent_obsk=settings.agent_obsk)
         )
-        #: reward versions so far, and the files that newer ones are read from
+        #: number of reward versions so far, and the files with the newest
         self._reward_number = 0
         self._reward_files: RewardFiles | None = None
         try:
@@ -118,7 +119,7 @@ class Run:
         return self._trainer.iteration
 
     def train(self) -> bool:
-        """Iterate until the steps are done or `should_stop` asks to stop, and save a checkpoint of the last iteration.
+        """Iterate until the steps are done or `should_stop` returns true, then save a checkpoint.
 
         Returns:
             Whether the steps are done.
@@ -182,7 +183,7 @@ class Run:
             save_version(loaded, self._folder.rewards / f"version-{self._reward_number}")
 
     def _reward_progress(self) -> dict[str, int | str]:
-        """Which reward version is in use; empty for the true reward."""
+        """Number and hash of the reward version in use; empty for the true reward."""
         if self._reward_files is None:
             return {}
         return {"reward_version": self._reward_number, "reward_sha": self._trainer.source.version or ""}
@@ -219,7 +220,7 @@ class Run:
 
     def _save(self) -> None:
         progress: dict[str, object] = {"iteration": self.iteration, **self._reward_progress()}
-        # Lines first: a checkpoint promises that the lines before it are on disk.
+        # Flush the lines first: every line that a checkpoint counts must be on disk.
         self._metrics.sync()
         stored = PolicyCheckpoint(self.learner.to_bytes(), self._trainer.source.context(), progress)
         atomic_write(self._folder.checkpoint, stored.to_bytes())
@@ -235,7 +236,7 @@ def complete_run(
     video: bool = True,
     physics_threads: int = 0,
 ) -> Evaluation | None:
-    """Train, evaluate and record a video, skipping what is done already.
+    """Train, evaluate and record a video; completed steps are skipped.
 
     A video that cannot be made is reported to `callbacks.on_message`; the run is complete without it.
 
@@ -244,7 +245,7 @@ def complete_run(
 
     Raises:
         RunBusy: if another process trains in this folder.
-        And the errors of `Run`.
+        See `Run` for other errors.
     """
     with (
         folder.locked(),
@@ -280,7 +281,7 @@ class RunJob:
 
     settings: RunSettings
     folder: Path
-    #: least time between two checkpoints
+    #: minimum time between two checkpoints
     checkpoint_seconds: float
     #: whether to record a video of the final policy
     video: bool
@@ -301,6 +302,6 @@ def do_run(job: RunJob, on_report: Callable[[RunReport], None], should_stop: Cal
 
 
 def do_run_in_worker(job: RunJob, parent: ParentConnection) -> Evaluation | None:
-    """`do_run` in a worker of `run_jobs`; Ctrl-C and SIGTERM reach the worker as well as its parent."""
+    """Call `do_run` in a worker of `run_jobs`; Ctrl-C and SIGTERM reach the worker as well as its parent."""
     with stop_requests() as stop_requested:
         return do_run(job, parent.send, lambda: stop_requested() or parent.cancelled())

@@ -1,4 +1,4 @@
-"""The files of a run: settings, checkpoint, evaluation, video."""
+"""The folder of a run: settings, checkpoint, metrics, evaluation and video."""
 
 import fcntl
 import json
@@ -40,7 +40,7 @@ class PolicyCheckpoint:
     progress: dict[str, object] = field(default_factory=dict[str, object])
 
     def to_bytes(self) -> bytes:
-        """One safetensors file; equal checkpoints give equal bytes."""
+        """Encode as one safetensors file; equal checkpoints give equal bytes."""
         arrays = {_LEARNER: np.frombuffer(self.learner, dtype=np.uint8)}
         arrays |= {_CONTEXT + name: np.ascontiguousarray(array) for name, array in self.context.items()}
         if self.progress:
@@ -49,7 +49,7 @@ class PolicyCheckpoint:
 
     @classmethod
     def from_bytes(cls, content: bytes) -> "PolicyCheckpoint":
-        """Read what `to_bytes` wrote.
+        """Decode the result of `to_bytes`.
 
         Raises:
             DamagedCheckpoint: if it is damaged, or not a checkpoint.
@@ -86,7 +86,7 @@ class RunFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Lock the folder against other processes that train; the lock ends with the process, even when it is killed.
+        """Lock the folder against other training processes. The lock ends with the process, even if it is killed.
 
         Raises:
             RunBusy: if another process holds the lock.
@@ -206,7 +206,7 @@ def learner_bytes(file: Path) -> bytes:
 
 
 def policy_of(content: bytes, device: str, agent_obsk: int) -> SavedPolicy:
-    """The policy in the bytes of a learner."""
+    """The policy in the checkpoint of a learner."""
     description = describe(content)
     config = replace(PolicyConfig.from_dict(description.config), device=device)
     tensors, _ = unpack(content, description.task)

@@ -1,7 +1,7 @@
-"""When to ask for labels, when to train a reward version, and when the policy waits: rules over counts alone.
+"""The label schedule: when labels and reward versions are due, and when the policy waits. Depends on counts only.
 
-`PreferenceLoop` and the workers of the service apply the same rules. Labels are spread over the run: labels given only
-before training worked badly, since the policy leaves the states they were given on (Christiano et al. 2017).
+`PreferenceLoop` and the service's workers apply the same rules. Labels are spread over the run: labels given only
+before training work badly, since the policy leaves the labelled states (Christiano et al. 2017).
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ LabelScheduleName = Literal["power", "constant", "decaying"]
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far the policy, the labels and the reward model are."""
+    """Progress of the policy, of the labels and of the reward model."""
 
     #: environment steps trained
     steps: int
@@ -44,15 +44,15 @@ class LabelSchedule:
     per_version: int = 50
     #: queries created ahead of those due
     lookahead: int = 8
-    #: False: the policy waits for the first reward version only and then trains with the newest one
+    #: whether the policy waits for due labels; if False, it waits for the first reward version only
     wait: bool = True
     #: share of the run at which the last label is due: later labels could hardly change the policy
     last_at: float = 0.75
-    #: of `power`: below 1, early steps ask for more labels than late ones
+    #: exponent of `power`; below 1, more labels are due early than late
     exponent: float = 0.7
     #: see `LabelScheduleName`; any other name counts as `power`
     name: LabelScheduleName = "power"
-    #: of `decaying`: share of the run after which the rate is half its first value
+    #: for `decaying`: share of the run after which the rate is half its initial value
     halved_at: float = 0.1
 
     def due(self, steps: int) -> int:
@@ -61,7 +61,7 @@ class LabelSchedule:
         return self.initial + floor((self.budget - self.initial) * self._share(progress))
 
     def _share(self, progress: float) -> float:
-        """Share of the labels after the first ones that are due; 0 to 1 as progress goes from 0 to 1."""
+        """Share of the labels beyond `initial` that is due; rises from 0 to 1 with progress."""
         if self.name == "constant":
             return progress
         if self.name == "decaying":
@@ -81,9 +81,9 @@ class LabelSchedule:
     def version_labels(self, labels: int) -> int:
         """Labels on which the newest reward version should be trained; 0 before the first version is due.
 
-        Versions are due at `initial` labels, after every `per_version` more, and at the whole budget. Training and
-        waiting both use this number, so they never wait for each other: while the policy waits for a version although
-        the labels are in, `version_is_due` holds.
+        Versions are due at `initial` labels, after every `per_version` more, and at the whole budget. The reward worker
+        and the policy both use this number, so they cannot deadlock: whenever the policy waits for a version and has
+        its labels, `version_is_due` is true.
         """
         if labels < self.initial:
             return 0
@@ -107,7 +107,7 @@ class LabelSchedule:
         return changed >= self.per_version or labels >= self.budget
 
     def waiting_reason(self, progress: Progress) -> str | None:
-        """Why the policy must wait, as a sentence for people; None if it may train."""
+        """The reason why the policy must wait, as a sentence for users; None if it may train."""
         due = self.due(progress.steps)
         if progress.exhausted:
             # No label can come before the next rollout brings segments.
@@ -127,15 +127,15 @@ class LabelSchedule:
         return progress.trained_on is None and progress.exhausted and progress.labels < self.initial
 
     def segments_to_store(self, *, iteration: int, rollout_steps: int, available: int) -> int:
-        """Segments of a rollout to store, as candidates for queries.
+        """Number of segments of a rollout to store as candidates for queries.
 
-        Over a run about four segments a label are stored, twice what the pairs need, so that selectors have a choice.
-        The first rollout gives what the first queries need, at least 64.
+        Over a run, about four segments per label are stored, twice as many as the pairs need, so that selectors have a
+        choice. The first rollout provides the segments of the first queries, at least 64.
 
         Args:
             iteration: of the policy, from 0.
             rollout_steps: environment steps of one rollout.
-            available: segments without overlap in this rollout.
+            available: number of segments without overlap in this rollout.
         """
         first = max(64, 2 * (self.initial + self.lookahead))
         if iteration == 0:

@@ -33,13 +33,13 @@ class LearnedRewardSettings:
 
     def __post_init__(self) -> None:
         if self.segment_steps < 1:
-            raise InvalidConfig(f"segment_steps is {self.segment_steps}; it must be 1 or more", "segment_steps")
+            raise InvalidConfig(f"segment_steps is {self.segment_steps}; it must be 1 or more.", "segment_steps")
         for name, value, known in (
             ("policy_reward", self.kind, get_args(PolicyReward)),
             ("credit", self.credit, get_args(Credit)),
         ):
             if value not in known:
-                raise InvalidConfig(f"{name} is {value!r}; known: {', '.join(known)}", name)
+                raise InvalidConfig(f"{name} is {value!r}; it must be one of {', '.join(known)}.", name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class PreferenceRewardSettings:
     initial_labels: int
     #: new labels for each further version
     labels_per_version: int
-    #: who labels, such as `oracle` or `mistake (mistake=0.05)`
+    #: name of the teacher, such as `oracle` or `mistake (mistake=0.05)`
     teacher: str
 
 
@@ -80,10 +80,10 @@ class RunSettings:
 
     def __post_init__(self) -> None:
         if self.steps < 1:
-            raise InvalidConfig(f"steps is {self.steps}; it must be 1 or more", "steps")
+            raise InvalidConfig(f"steps is {self.steps}; it must be 1 or more.", "steps")
         if self.evaluate_every_steps < 0:
             raise InvalidConfig(
-                f"evaluate_every_steps is {self.evaluate_every_steps}; it must be 0 or more", "evaluate_every_steps"
+                f"evaluate_every_steps is {self.evaluate_every_steps}; it must be 0 or more.", "evaluate_every_steps"
             )
 
     def to_dict(self) -> dict[str, object]:
@@ -108,24 +108,24 @@ class RunSettings:
         try:
             policy, reward = values.pop("policy"), values.pop("reward")
             if not isinstance(policy, Mapping) or not isinstance(reward, Mapping | None):
-                raise InvalidConfig("policy and reward must be objects with settings")
+                raise InvalidConfig("policy and reward must be objects with settings.")
             return cls(policy=PolicyConfig.from_dict(policy), reward=_reward_of(reward), **values)  # pyright: ignore[reportArgumentType]
         except (KeyError, TypeError) as error:
-            raise InvalidConfig(f"These are not the settings of a run: {error}") from error
+            raise InvalidConfig(f"These are not the settings of a run ({error}).") from error
 
     def flat(self) -> dict[str, object]:
         """Every setting by name; nested ones as `outer.inner`."""
         return _flat(self.to_dict())
 
     def differences(self, other: "RunSettings") -> list[str]:
-        """Settings that differ, as `name: own value, not other value`, but for `steps`: a run can be extended."""
+        """Settings that differ, as `name: own value, not other value`. Ignores `steps`, since a run can be extended."""
         own, theirs = self.flat(), other.flat()
         names = [name for name in own | theirs if name != "steps" and own.get(name) != theirs.get(name)]
         return [f"{name}: {own.get(name)}, not {theirs.get(name)}" for name in names]
 
 
 def _reward_of(settings: Mapping[str, object] | None) -> LearnedRewardSettings | PreferenceRewardSettings | None:
-    """Raises InvalidConfig, TypeError."""
+    """The settings of a reward. Raises InvalidConfig for an invalid value, TypeError for an unknown or missing key."""
     if settings is None:
         return None
     kind = PreferenceRewardSettings if "model" in settings else LearnedRewardSettings

@@ -1,4 +1,4 @@
-"""A video of one episode, rendered in a separate process: EGL and CUDA in the same process can hang."""
+"""Record a video of one episode, in a separate process, because EGL and CUDA in one process can deadlock."""
 
 import tempfile
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ def record_video(policy: Policy, task_name: str, path: Path, *, agent_obsk: int,
         seed: of the initial state.
 
     Raises:
-        NoRenderer: if this task cannot be rendered here; the message says why and what helps.
+        NoRenderer: if the task cannot be rendered on this machine; the message says why and how to fix it.
         ClipNotWritten: if writing or encoding fails.
     """
     task = make_task(task_name, 1, agent_obsk=agent_obsk)
@@ -47,7 +47,7 @@ def record_video(policy: Policy, task_name: str, path: Path, *, agent_obsk: int,
 
 
 def _episode(policy: Policy, task: Task, seed: int) -> Iterator[None]:
-    """Play one episode; yields before each step, when the task is in its state."""
+    """Play one episode, and yield before each step."""
     observations, _ = task.reset(seed)
     while True:
         yield

@@ -14,7 +14,7 @@ from mapt.benchmarks.recorded_dataset import (
     record_dataset,
     run_recording,
 )
-from mapt.errors import AlreadyExists, FileError, InvalidConfig, NoTrueRewards, ReplayNotFound, UnknownTask
+from mapt.errors import AlreadyExists, DatasetNotFound, FileError, InvalidConfig, NoTrueRewards, UnknownTask
 from mapt.policies import Rollout
 from mapt.preferences.segments import MIN_EPISODE_FRACTION
 from mapt.preferences.storage import SegmentLayout, SegmentWriter
@@ -137,7 +137,7 @@ def test_one_changed_number_changes_the_fingerprint(replay):
 
 
 def test_an_empty_folder_is_refused(tmp_path):
-    with pytest.raises(ReplayNotFound):
+    with pytest.raises(DatasetNotFound):
         RecordedDataset.open(tmp_path)
 
 

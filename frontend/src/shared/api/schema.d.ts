@@ -1065,14 +1065,14 @@ export interface components {
                  */
                 n_threads: number;
                 /**
-                 * @description Where the networks run; auto takes a GPU if there is one.
+                 * @description Where the networks run; auto uses a GPU if there is one.
                  * @default auto
                  * @enum {string}
                  */
                 device: "auto" | "cpu" | "cuda";
             };
             /**
-             * @description Where policy and reward model run; auto takes a GPU if there is one.
+             * @description Where policy and reward model run; auto uses a GPU if there is one.
              * @default auto
              * @enum {string}
              */

@@ -71,7 +71,7 @@ def numbered_actions(path: Path | str, where: str, values: object, n_actions: in
     try:
         return one_hot_actions(chosen, n_actions)
     except InvalidAction as error:
-        raise InvalidFile(path, f"{where}: {error}") from error
+        raise InvalidFile(path, f"{where} is not valid ({error})") from error
 
 
 #: Limit on the total size that the arrays of an HDF5 file declare.

@@ -67,7 +67,7 @@ class LabelFiles:
             if not found:
                 raise MissingPart(folder, f"file of {what}")
             if len(found) > 1:
-                raise InvalidFile(folder, f"has several files of {what}: {', '.join(sorted(found))}. Pass one of them")
+                raise InvalidFile(folder, f"has several files of {what}: {', '.join(sorted(found))}. Choose one")
         return cls(folder / labels.pop(), folder / first.pop(), folder / second.pop())
 
 
@@ -89,8 +89,8 @@ def read_offline_labels(
 
     Raises:
         UnknownLabel: for a label that the format does not define.
-        InvalidFile: if a segment is not inside of the file or crosses the end of an episode, or if labels and indices
-            differ in number; see also `read_d4rl` and `load_pickle`.
+        InvalidFile: if a segment exceeds the file or crosses the end of an episode, or if labels and indices differ in
+            number; see also `read_d4rl` and `load_pickle`.
     """
     labels = _labels(files.labels)
     starts = [_indices(path, len(labels)) for path in (files.first, files.second)]
@@ -203,6 +203,6 @@ def _checked_rows(
     if crossing.any():
         index = int(crossing.argmax())
         raise InvalidFile(
-            path, f"pair {index} crosses the end of an episode; check the D4RL file and n_steps = {n_steps}"
+            path, f"pair {index} crosses the end of an episode. Check the D4RL file and n_steps = {n_steps}"
         )
     return first

@@ -1,4 +1,4 @@
-"""A pickle writer for other programs: arrays that any version of numpy loads, and instances of uninstalled classes.
+"""Write pickles for other programs: arrays that any version of numpy loads, and instances of uninstalled classes.
 
 Python's pickler writes arrays under module names that numpy before 1.26 lacks, and cannot write instances of classes
 that it cannot import. This writer streams, so that a list may be larger than memory.
@@ -81,13 +81,13 @@ def _atom(value: object) -> bytes:
         case bytes():
             return pickle.BINBYTES8 + struct.pack("<Q", len(value)) + value
         case _:
-            raise TypeError(f"cannot write {type(value).__name__} to a pickle for other programs")
+            raise TypeError(f"A value of type {type(value).__name__} cannot be written to a pickle for other programs.")
 
 
 def _array(array: NDArray[Any]) -> Iterator[bytes]:
     """The opcodes of `ndarray.__reduce__`: an empty array, then version, shape, dtype, order and bytes."""
     if array.dtype.kind not in "biuf":
-        raise TypeError(f"cannot write an array of {array.dtype} to a pickle for other programs")
+        raise TypeError(f"An array of {array.dtype} cannot be written to a pickle for other programs.")
     little = array.astype(array.dtype.newbyteorder("<"))
     # numpy 2 keeps this alias of numpy._core.multiarray for old pickles.
     yield _global("numpy.core.multiarray", "_reconstruct")

@@ -176,7 +176,7 @@ def _refuse(*_arguments: object) -> NoReturn:
 def _checked_bytes(content: object) -> bytes | bytearray:
     # An int would allocate that many bytes.
     if not isinstance(content, bytes | bytearray):
-        raise pickle.UnpicklingError("bytes from something else than bytes")
+        raise pickle.UnpicklingError("bytes from a value of another type")
     return content
 
 
@@ -202,8 +202,9 @@ _ALLOWED: dict[str, Any] = {
 }
 
 
-# Only globals from the table above, and classes named by the caller, are found.
 class _Unpickler(pickle.Unpickler):
+    """Finds only the globals in `_ALLOWED`, and the classes that the caller names."""
+
     def __init__(self, file: BinaryIO, path: Path, classes: tuple[str, ...]) -> None:
         super().__init__(file)
         self._path = path

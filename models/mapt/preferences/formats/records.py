@@ -1,4 +1,4 @@
-"""The common form of all formats: segments with rewards and simulator states, labelled pairs of them, and episodes."""
+"""Types that all formats convert to and from: segments with rewards and states, labelled pairs, and episodes."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -54,11 +54,11 @@ class SegmentRecords:
         return SegmentRecords(self.segments.take(index), **extras)
 
     def extras(self) -> dict[str, NDArray[np.float64]]:
-        """Those of rewards, qpos and qvel that are known."""
+        """The known arrays among rewards, qpos and qvel, by name."""
         return _known(self.rewards, self.qpos, self.qvel)
 
     def layout(self, *, discrete: bool = False) -> SegmentLayout:
-        """The layout in which these can be stored."""
+        """The storage layout of these segments."""
         segments = self.segments
         return SegmentLayout(
             segments.n_steps,
@@ -213,7 +213,7 @@ class Episode:
         return len(self.observations)
 
     def extras(self) -> dict[str, NDArray[np.float64]]:
-        """Those of rewards, qpos and qvel that are known."""
+        """The known arrays among rewards, qpos and qvel, by name."""
         return _known(self.rewards, self.qpos, self.qvel)
 
 

@@ -1,4 +1,4 @@
-"""Writing the Parquet tables of an export, in the memory of one row group, all or nothing."""
+"""Write the Parquet tables of an export atomically, with one row group in memory at a time."""
 
 import json
 import os

@@ -1,7 +1,7 @@
 """Query selection: which pairs of segments to label next.
 
 `make_selector(name, rng)` makes one of B-Pref's samplers; `ControlledSelector` mixes in uniformly drawn control pairs.
-Needs numpy only: the scores of the ensemble are passed in as an array.
+The package needs numpy only; callers pass in the ensemble's scores as an array.
 """
 
 from mapt.preferences.selection.criteria import segment_features

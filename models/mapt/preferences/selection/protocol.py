@@ -19,7 +19,7 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class SegmentView:
-    """What a selector knows of S candidate segments.
+    """Scores and features of S candidate segments, by which a selector chooses.
 
     Raises:
         ShapeError, NotFinite: for an array with the wrong shape, or with NaN or infinity.
@@ -85,9 +85,9 @@ class QuerySelector(Protocol):
 
         Args:
             segment_ids: the candidates, without repetition.
-            paired: pairs queried before, in either order; they are not chosen again.
+            paired: earlier queries, each in either order; they are not chosen again.
             k: number of pairs.
-            view: what is known of the candidates, in the order of `segment_ids`.
+            view: scores and features of the candidates, in the order of `segment_ids`.
 
         Returns:
             k different pairs, or all that are left.

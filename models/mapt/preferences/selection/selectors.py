@@ -125,7 +125,7 @@ def control_count(k: int, share: float, rng: np.random.Generator) -> int:
         InvalidConfig: if the share is not in [0, 1].
     """
     if not 0.0 <= share <= 1.0:
-        raise InvalidConfig(f"the control share is {share}; it must lie in [0, 1]", "share")
+        raise InvalidConfig(f"share is {share}; it must lie in [0, 1].", "share")
     return min(k, floor(k * share + rng.random()))
 
 
@@ -143,7 +143,8 @@ class ControlledSelector:
 
         Args:
             informed: chooses by the `SegmentView`.
-            control: chooses without a `SegmentView`; chooses all pairs while there is none, as in the first round.
+            control: chooses without a `SegmentView`. While there is no view, as in the first round, it chooses all
+                pairs.
             control_share: fraction of each batch that `control` chooses, in [0, 1].
         """
         self._informed = informed
@@ -158,7 +159,7 @@ class ControlledSelector:
         k: int,
         view: SegmentView | None = None,
     ) -> list[ChosenPair[SegmentId]]:
-        """Choose up to k pairs, with the arguments and errors of `QuerySelector.select`.
+        """Choose up to k pairs; see `QuerySelector.select` for the arguments and further errors.
 
         Returns:
             The control pairs, then the informed ones.

@@ -47,7 +47,7 @@ class RewardRule(Rule):
 def check_window(window_steps: int) -> None:
     """Raise InvalidTeacher if `window_steps` is below 1."""
     if window_steps < 1:
-        raise InvalidTeacher(f"window_steps is {window_steps}; it must be 1 or more")
+        raise InvalidTeacher(f"window_steps is {window_steps}; it must be 1 or more.")
 
 
 def window_means(values: Float64s, mask: BoolArray, window_steps: int) -> tuple[Float64s, BoolArray]:

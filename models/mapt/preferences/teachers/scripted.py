@@ -103,13 +103,13 @@ class BPrefParameters:
 
     def __post_init__(self) -> None:
         if self.beta is not None and not 0 < self.beta < np.inf:
-            raise InvalidTeacher(f"beta must be above 0 and finite, or None for no noise; got {self.beta}")
+            raise InvalidTeacher(f"beta is {self.beta}; it must be above 0 and finite, or None for no noise.")
         for name, value, highest in (("gamma", self.gamma, 1.0), ("mistake", self.mistake, 1.0)):
             if not 0 <= value <= highest:
-                raise InvalidTeacher(f"{name} must lie in [0, 1], got {value}")
+                raise InvalidTeacher(f"{name} is {value}; it must lie in [0, 1].")
         for name, value in (("skip", self.skip), ("equal", self.equal)):
             if not 0 <= value < np.inf:
-                raise InvalidTeacher(f"{name} must be 0 or more and finite, got {value}")
+                raise InvalidTeacher(f"{name} is {value}; it must be 0 or more and finite.")
 
 
 class ScriptedTeacher:
@@ -133,7 +133,7 @@ class ScriptedTeacher:
     def __init__(
         self, rule: Rule, bpref: BPrefParameters, rng: np.random.Generator, record: dict[str, Any] | None = None
     ) -> None:
-        """Make a teacher.
+        """Make a teacher from a rule; `make_teacher` makes one by name.
 
         Args:
             record: further entries of `parameters`, such as name and seed.
@@ -142,7 +142,7 @@ class ScriptedTeacher:
             InvalidTeacher: if gamma is below 1 and the rule does not read rewards.
         """
         if bpref.gamma < 1 and "rewards" not in rule.reads:
-            raise InvalidTeacher(f"gamma discounts rewards, but {type(rule).__name__} reads {', '.join(rule.reads)}")
+            raise InvalidTeacher(f"gamma discounts rewards, but {type(rule).__name__} reads {', '.join(rule.reads)}.")
         self.rule = rule
         self.bpref = bpref
         self._rng = rng
@@ -191,7 +191,7 @@ class ScriptedTeacher:
             InvalidTeacher: if the return is not finite, or the length is not positive and finite.
         """
         if not np.isfinite(mean_return) or not 0 < length_steps < np.inf:
-            raise InvalidTeacher(f"an episode cannot have return {mean_return} and {length_steps} steps")
+            raise InvalidTeacher(f"An episode cannot have return {mean_return} and {length_steps} steps.")
         self._episode_reward = mean_return / length_steps
 
     def parameters(self) -> dict[str, Any]:
@@ -236,8 +236,9 @@ class OracleTeacher(ScriptedTeacher):
         super().__init__(Return(), BPrefParameters(), np.random.default_rng(0), {"name": "oracle", "rule": "return"})
 
 
-def _fields(of: Any) -> dict[str, Any]:
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(of).items()}
+def _fields(settings: Any) -> dict[str, Any]:
+    """The fields of a dataclass, ready for JSON."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(settings).items()}
 
 
 Settings = TypeVar("Settings", BPrefParameters, Rule)
@@ -289,7 +290,7 @@ def make_teacher(name: str, /, *, seed: int = 0, **parameters: Any) -> ScriptedT
     rule_name, preset_name = _parts(name)
     seed = _typed(name, "seed", int, seed)
     if seed < 0:
-        raise InvalidTeacher(f"seed must be 0 or more, got {seed}")
+        raise InvalidTeacher(f"seed is {seed}; it must be 0 or more.")
     bpref, rule = PRESETS[preset_name], RULES[rule_name]
     bpref_names = {field.name for field in fields(BPrefParameters)}
     bpref = _changed(bpref, {key: value for key, value in parameters.items() if key in bpref_names}, name)
@@ -317,7 +318,9 @@ def _changed(settings: Settings, changes: dict[str, Any], name: str) -> Settings
     known = [field.name for field in fields(settings)]
     if unknown := changes.keys() - set(known):
         accepted = dict.fromkeys([*(field.name for field in fields(BPrefParameters)), *known])
-        raise InvalidTeacher(f"{name} has no parameter {', '.join(sorted(unknown))}; known: {', '.join(accepted)}")
+        raise InvalidTeacher(
+            f"{name} has no parameter {', '.join(sorted(unknown))}. Known parameters: {', '.join(accepted)}."
+        )
     return replace(settings, **{key: _typed(name, key, hints[key], value) for key, value in changes.items()})
 
 
@@ -336,4 +339,4 @@ def _typed(name: str, key: str, hint: Any, value: Any) -> Any:
     wanted = " or ".join(map(repr, choices)) or {int: "a whole number", tuple[int, ...]: "a list of whole numbers"}.get(
         hint, "a number"
     )
-    raise InvalidTeacher(f"{key} of {name} must be {wanted}, got {value!r}")
+    raise InvalidTeacher(f"{key} of {name} is {value!r}; it must be {wanted}.")

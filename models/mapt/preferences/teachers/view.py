@@ -1,4 +1,4 @@
-"""What a scripted teacher sees of segments."""
+"""The view of segments that scripted teachers judge by: true rewards, observations, actions and simulator states."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace

@@ -148,7 +148,7 @@ def action_rows(values: object, names: Sequence[str], config: RewardConfig) -> N
     numbers = _stacked("actions", values, names, axis=-1)
     known = np.arange(config.action_dim)
     if not np.isin(numbers, known).all():
-        raise InvalidRollout(f"an action is not an integer from 0 to {config.action_dim - 1}")
+        raise InvalidRollout(f"An action is not an integer from 0 to {config.action_dim - 1}.")
     one_hot = (numbers[..., None] == known).astype(np.float32)
     return _fitting("actions", one_hot, config.n_agents, config.action_dim)
 
@@ -156,13 +156,13 @@ def action_rows(values: object, names: Sequence[str], config: RewardConfig) -> N
 def _stacked(what: str, values: object, names: Sequence[str], axis: int) -> NDArray[np.float32]:
     if isinstance(values, Mapping):
         if missing := [name for name in names if name not in values]:
-            raise InvalidRollout(f"{what} of {missing[0]} are missing: every agent must be present in every step")
+            raise InvalidRollout(f"The {what} of {missing[0]} are missing. Every agent must be present in every step.")
         values = tuple(values[name] for name in names)
     if not isinstance(values, tuple):
         return _array(what, values)
     arrays = [_array(what, value) for value in values]
     if len({array.shape for array in arrays}) != 1:
-        raise InvalidRollout(f"{what} differ in shape between agents: {[array.shape for array in arrays]}")
+        raise InvalidRollout(f"The {what} differ in shape between agents: {[array.shape for array in arrays]}.")
     return np.stack(arrays, axis=axis)
 
 
@@ -171,10 +171,10 @@ def _array(what: str, values: object) -> NDArray[np.float32]:
     try:
         return np.asarray(taken, dtype=np.float32)
     except (TypeError, ValueError) as error:
-        raise InvalidRollout(f"{what} are not numeric: {type(values).__name__}") from error
+        raise InvalidRollout(f"The {what} are {type(values).__name__}, which is not numeric.") from error
 
 
 def _fitting(what: str, rows: NDArray[np.float32], n_agents: int, width: int) -> NDArray[np.float32]:
     if rows.shape[-2:] != (n_agents, width):
-        raise InvalidRollout(f"{what} of a step have shape {rows.shape[-2:]}, expected {(n_agents, width)}")
+        raise InvalidRollout(f"The {what} of a step have shape {rows.shape[-2:]}, expected {(n_agents, width)}.")
     return rows

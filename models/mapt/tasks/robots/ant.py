@@ -50,6 +50,7 @@ def healthy(features: Features) -> NDArray[np.bool_]:
 
 
 def terminated(features: Features) -> NDArray[np.bool_]:
+    """(E,) bool: the ant is not healthy."""
     return ~healthy(features)
 
 
@@ -63,6 +64,7 @@ def reward(before: Features, after: Features, controls: FloatArray) -> FloatArra
 
 
 def clip_contact_forces(features: Features) -> None:
+    """Write the clipped forces that agents observe."""
     np.clip(features["cfrc_ext"], -1.0, 1.0, out=features["contact_forces"])
 
 

@@ -38,6 +38,7 @@ def healthy(features: Features) -> NDArray[np.bool_]:
 
 
 def terminated(features: Features) -> NDArray[np.bool_]:
+    """(E,) bool: the hopper is not healthy."""
     return ~healthy(features)
 
 
@@ -48,6 +49,7 @@ def reward(before: Features, after: Features, controls: FloatArray) -> FloatArra
 
 
 def clip_speeds(features: Features) -> None:
+    """Write the clipped speeds that agents observe."""
     np.clip(features["qvel"], -SPEED_LIMIT, SPEED_LIMIT, out=features["clipped_qvel"])
 
 

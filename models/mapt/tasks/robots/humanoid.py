@@ -102,6 +102,7 @@ def fallen(features: Features) -> NDArray[np.bool_]:
 
 
 def contact_cost(features: Features) -> FloatArray:
+    """Weighted sum of squares of the contact forces, limited to `CONTACT_COST_LIMIT`: (E,)."""
     return np.minimum(CONTACT_COST_WEIGHT * sum_of_squares(features["cfrc_ext"]), CONTACT_COST_LIMIT)
 
 

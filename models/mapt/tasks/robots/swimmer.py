@@ -39,7 +39,7 @@ def mdp(n_joints: int) -> MujocoMdp:
     )
 
 
-#: With MaMuJoCo, each agent observes two velocities: the front tip's along one axis, and its joint's.
+#: As in MaMuJoCo, each agent observes two velocities: the front tip's along one axis, and its joint's.
 _FRONT = Joint("motor1_rot", 0, own=(("qpos", 3), ("qvel", 0), ("qvel", 3)), near=(("qpos", 3),))
 _BACK = Joint("motor2_rot", 1, own=(("qpos", 4), ("qvel", 1), ("qvel", 4)), near=(("qpos", 4),))
 _PARTITION = Partition(

@@ -51,6 +51,7 @@ def healthy(features: Features) -> NDArray[np.bool_]:
 
 
 def terminated(features: Features) -> NDArray[np.bool_]:
+    """(E,) bool: the walker is not healthy."""
     return ~healthy(features)
 
 
@@ -61,6 +62,7 @@ def reward(before: Features, after: Features, controls: FloatArray) -> FloatArra
 
 
 def clip_speeds(features: Features) -> None:
+    """Write the clipped speeds of the state."""
     np.clip(features["qvel"], -STATE_SPEED_LIMIT, STATE_SPEED_LIMIT, out=features["state_qvel"])
 
 

@@ -66,7 +66,7 @@ def test_file_of_one_agent_with_discrete_actions_is_read():
     assert found.records.segments.actions[0].argmax(axis=-1)[:, 0].tolist() == [0, 1, 2, 0]
     with pytest.raises(InvalidFile) as refused:
         read_imitation(FIXTURES / "imitation_numbered.pkl", n_actions=2)
-    assert "action" in refused.value.problem
+    assert "is not one of 0 to 1" in refused.value.problem
 
 
 @settings(max_examples=25)
