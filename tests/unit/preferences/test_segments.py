@@ -85,7 +85,7 @@ def test_available_actions_are_accepted():
 def test_message_gives_the_position_of_an_unavailable_action():
     available = np.ones((S, T, N, A), dtype=bool)
     available[1, 2, 0, indices()[1, 2, 0]] = False
-    message = f"action {indices()[1, 2, 0]} of agent 0 of step 2 of segment 1 is not available"
+    message = f"Action {indices()[1, 2, 0]} of agent 0 of step 2 of segment 1 is not available"
     for actions in (indices(), one_hot_actions(indices(), A)):
         with pytest.raises(InvalidAction) as refused:
             one_hot_actions(actions, A, available)
@@ -98,7 +98,7 @@ def test_message_gives_the_position_of_a_nonexistent_action(wrong):
     actions[0, 3, 1] = wrong
     with pytest.raises(InvalidAction) as refused:
         one_hot_actions(actions, A)
-    assert f"action {wrong} of agent 1 of step 3 of segment 0 is not one of 0 to 4" in str(refused.value)
+    assert f"Action {wrong} of agent 1 of step 3 of segment 0 is not one of 0 to 4" in str(refused.value)
 
 
 @pytest.mark.parametrize("row", [[0, 0, 0, 0, 0], [1, 0, 1, 0, 0], [0.5, 0.5, 0, 0, 0], [2, 0, 0, -1, 0], [np.nan] * 5])
