@@ -13,7 +13,7 @@ def replay(tmp_path: Path) -> RecordedDataset:
 
 
 @pytest.fixture(autouse=True)
-def one_thread():
+def use_one_torch_thread():
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield

@@ -1,4 +1,4 @@
-"""Hold-out split, scripted labels, and metrics of models whose quality is known."""
+"""Hold-out split, scripted labels, and metrics of models with known accuracy."""
 
 import numpy as np
 import pytest
@@ -16,33 +16,33 @@ from mapt.benchmarks.evaluate import (
     training_pairs,
 )
 from mapt.errors import InvalidConfig, InvalidTeacher, TooFewLabels, UnknownTeacher
-from unit.benchmarks.tiny_replay import KnowingModel, write_replay
+from unit.benchmarks.tiny_replay import TrueRewardModel, write_replay
 
 
 def test_a_model_of_the_true_reward_is_accurate(replay):
-    examined = evaluate_model(KnowingModel(), replay, "oracle", 500, seed=0)
-    metrics = examined.metrics
+    evaluation = evaluate_model(TrueRewardModel(), replay, "oracle", 500, seed=0)
+    metrics = evaluation.metrics
     for name in ("accuracy", "label_accuracy", "rank_correlation", "rank_correlation_teacher", "step_correlation"):
         assert metrics[name] == pytest.approx(1.0)
     assert metrics["step_correlation_within"] == pytest.approx(1.0)
-    assert set(examined.pairs.ravel()) <= set(split_dataset(len(replay), 0).test)
+    assert set(evaluation.pairs.ravel()) <= set(split_dataset(len(replay), 0).test)
 
 
 def test_a_model_of_the_negated_reward_has_no_accuracy(replay):
-    metrics = evaluate_model(KnowingModel(-1.0), replay, "oracle", 500, seed=0).metrics
+    metrics = evaluate_model(TrueRewardModel(-1.0), replay, "oracle", 500, seed=0).metrics
     assert metrics["accuracy"] == metrics["label_accuracy"] == 0
     assert metrics["rank_correlation"] == pytest.approx(-1.0)
     assert metrics["loss"] > np.log(2)
 
 
 def test_mistakes_lower_label_accuracy_but_not_accuracy(replay):
-    metrics = evaluate_model(KnowingModel(), replay, "mistake:mistake=0.2", 2000, seed=0).metrics
+    metrics = evaluate_model(TrueRewardModel(), replay, "mistake:mistake=0.2", 2000, seed=0).metrics
     assert metrics["accuracy"] == 1.0
     assert 0.77 < metrics["label_accuracy"] < 0.83
 
 
 def test_seeds_test_on_different_segments(replay):
-    first, second = (evaluate_model(KnowingModel(), replay, "oracle", 50, seed) for seed in (0, 1))
+    first, second = (evaluate_model(TrueRewardModel(), replay, "oracle", 50, seed) for seed in (0, 1))
     assert not np.array_equal(first.pairs, second.pairs)
 
 
@@ -68,8 +68,8 @@ def test_padding_does_not_change_reward_metrics():
 
 def test_correlation_within_segments_ignores_their_means():
     rng = np.random.default_rng(1)
-    course, level = rng.normal(size=(30, 8)), 100 * rng.normal(size=(30, 1))
-    true, learned = course + level, course - level
+    variation, offset = rng.normal(size=(30, 8)), 100 * rng.normal(size=(30, 1))
+    true, learned = variation + offset, variation - offset
     predictions = Predictions(learned.sum(axis=1).astype(np.float32), learned[..., None].astype(np.float32), learned)
     quality = reward_metrics(predictions, true, np.ones((30, 8), np.bool_))
     assert quality["step_correlation"] < -0.9
@@ -77,7 +77,10 @@ def test_correlation_within_segments_ignores_their_means():
 
 
 def test_predictions_do_not_depend_on_the_batch_size(replay):
-    whole, single = predict(KnowingModel(), replay.segments(range(80))), predict(KnowingModel(), replay.segments([79]))
+    whole, single = (
+        predict(TrueRewardModel(), replay.segments(range(80))),
+        predict(TrueRewardModel(), replay.segments([79])),
+    )
     np.testing.assert_array_equal(whole.scores[79:], single.scores)
     assert whole.agent_rewards.shape == (80, 6, 2)
 
@@ -85,30 +88,30 @@ def test_predictions_do_not_depend_on_the_batch_size(replay):
 def test_the_oracle_judges_by_the_true_return(replay):
     pairs = training_pairs(len(replay), 200, seed=0)
     better = np.subtract(*replay.returns[pairs].T) > 0
-    judge = DatasetTeacher("oracle", replay, seed=0)
-    np.testing.assert_array_equal(judge.labels(pairs) == 1, better)
-    np.testing.assert_allclose(judge.scores(np.arange(10)), replay.returns[:10])
+    teacher = DatasetTeacher("oracle", replay, seed=0)
+    np.testing.assert_array_equal(teacher.labels(pairs) == 1, better)
+    np.testing.assert_allclose(teacher.scores(np.arange(10)), replay.returns[:10])
 
 
 def test_a_myopic_teacher_scores_late_steps_higher(replay):
     scores = DatasetTeacher("myopic", replay, seed=0).scores(np.arange(5))
-    fading = 0.9 ** np.arange(replay.source.n_steps)[::-1]
-    np.testing.assert_allclose(scores, (replay.rewards[:5] * fading).sum(axis=1))
+    discounts = 0.9 ** np.arange(replay.source.n_steps)[::-1]
+    np.testing.assert_allclose(scores, (replay.rewards[:5] * discounts).sum(axis=1))
 
 
 def test_deterministic_labels_follow_the_scores(replay):
     pairs = training_pairs(len(replay), 200, seed=0)
     for name in ("oracle", "myopic", "smoothness"):
-        judge = DatasetTeacher(name, replay, seed=0)
-        scores = judge.scores(np.arange(len(replay)))
-        np.testing.assert_array_equal(judge.labels(pairs), 0.5 + 0.5 * np.sign(np.subtract(*scores[pairs].T)))
+        teacher = DatasetTeacher(name, replay, seed=0)
+        scores = teacher.scores(np.arange(len(replay)))
+        np.testing.assert_array_equal(teacher.labels(pairs), 0.5 + 0.5 * np.sign(np.subtract(*scores[pairs].T)))
 
 
 def test_parameters_in_the_name_configure_the_teacher(replay):
     pairs = training_pairs(len(replay), 400, seed=0)
-    usual, careless = (DatasetTeacher(name, replay, seed=0) for name in ("oracle", "mistake:mistake=0.4"))
-    assert careless.parameters()["mistake"] == 0.4
-    assert 0.3 < (usual.labels(pairs) != careless.labels(pairs)).mean() < 0.5
+    exact, noisy = (DatasetTeacher(name, replay, seed=0) for name in ("oracle", "mistake:mistake=0.4"))
+    assert noisy.parameters()["mistake"] == 0.4
+    assert 0.3 < (exact.labels(pairs) != noisy.labels(pairs)).mean() < 0.5
 
 
 def test_labels_do_not_depend_on_the_batch_size(replay):
@@ -125,8 +128,8 @@ def test_skipped_pairs_are_replaced(replay):
     dataset = labelled_dataset(DatasetTeacher(skipping, replay, seed=0), replay, 150, seed=0)
     assert len(dataset) == 150
     assert np.isfinite(dataset.labels).all()
-    asked = DatasetTeacher(skipping, replay, seed=0).labels(training_pairs(len(replay), 150, seed=0))
-    assert np.isnan(asked).any()
+    labels = DatasetTeacher(skipping, replay, seed=0).labels(training_pairs(len(replay), 150, seed=0))
+    assert np.isnan(labels).any()
 
 
 def test_labels_stay_with_their_segments(replay):
@@ -137,8 +140,9 @@ def test_labels_stay_with_their_segments(replay):
 
 def test_a_teacher_that_skips_every_pair_is_refused(tmp_path):
     replay = write_replay(tmp_path / "small")
-    with pytest.raises(TooFewLabels, match="skip:skip=1000"):
+    with pytest.raises(TooFewLabels) as caught:
         labelled_dataset(DatasetTeacher("skip:skip=1000", replay, seed=0), replay, 10, seed=0)
+    assert (caught.value.teacher, caught.value.labels, caught.value.given) == ("skip:skip=1000", 10, 0)
 
 
 @pytest.mark.parametrize(("name", "error"), [("nobody", UnknownTeacher), ("oracle:age=3", InvalidTeacher)])
@@ -155,18 +159,18 @@ def test_training_and_test_segments_are_disjoint():
     assert set(held_out_pairs(300, 2000, seed=4).ravel()) <= set(split.test)
 
 
-def test_pairs_have_two_different_segments_and_cover_all():
+def test_training_pairs_have_two_different_segments_and_cover_all_training_segments():
     pairs = training_pairs(50, 3000, seed=0)
     assert (pairs[:, 0] != pairs[:, 1]).all()
     for side in pairs.T:
         assert set(side) == set(split_dataset(50, seed=0).train)
 
 
-def test_a_longer_draw_starts_with_the_shorter_one():
+def test_a_longer_sequence_of_pairs_starts_with_the_shorter_one():
     np.testing.assert_array_equal(training_pairs(100, 40, seed=1), training_pairs(100, 400, seed=1)[:40])
 
 
-def test_seeds_split_and_draw_differently():
+def test_seeds_give_different_splits_and_pairs():
     assert not np.array_equal(split_dataset(100, 0).test, split_dataset(100, 1).test)
     assert not np.array_equal(training_pairs(100, 40, 0), training_pairs(100, 40, 1))
 

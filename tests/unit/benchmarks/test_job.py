@@ -1,4 +1,4 @@
-"""Cells are stored under exactly their settings, and computed equally in this process and in workers."""
+"""Cells of a benchmark table: computing them here and in worker processes, and storing them by their settings."""
 
 import json
 import os
@@ -69,14 +69,14 @@ def test_a_stopped_cell_has_no_result(replay, settings):
 
 
 def test_a_cell_reads_back_as_it_was_written(tmp_path, replay, settings):
-    folder, examined = CellFolder(tmp_path / "cells"), run_cell(settings, replay)
+    folder, evaluation = CellFolder(tmp_path / "cells"), run_cell(settings, replay)
     assert folder.read(settings) is None
-    folder.write(settings, examined, "abc")
+    folder.write(settings, evaluation, "abc")
     cell = folder.read(settings)
     assert cell.code == "abc"
-    assert cell.result.metrics == examined.metrics
+    assert cell.result.metrics == evaluation.metrics
     for name in ("logits", "labels", "clean_labels", "pairs"):
-        np.testing.assert_array_equal(getattr(cell.result, name), getattr(examined, name))
+        np.testing.assert_array_equal(getattr(cell.result, name), getattr(evaluation, name))
 
 
 @pytest.mark.parametrize(
@@ -95,13 +95,13 @@ def test_a_cell_reads_back_as_it_was_written(tmp_path, replay, settings):
     ],
     ids=lambda changes: next(iter(changes)),
 )
-def test_other_settings_find_no_cell(tmp_path, replay, settings, changes):
+def test_a_cell_is_not_found_under_other_settings(tmp_path, replay, settings, changes):
     folder = CellFolder(tmp_path / "cells")
     folder.write(settings, run_cell(settings, replay), "abc")
     assert folder.read(replace(settings, **changes)) is None
 
 
-def test_a_file_with_other_settings_than_its_name_is_refused(tmp_path, replay, settings):
+def test_a_file_whose_settings_do_not_match_its_name_is_refused(tmp_path, replay, settings):
     folder = CellFolder(tmp_path / "cells")
     folder.write(settings, run_cell(settings, replay), "abc")
     path = folder.path / f"{settings.key}.json"
@@ -122,7 +122,7 @@ def test_a_truncated_file_is_refused(tmp_path, replay, settings, suffix):
         folder.read(settings)
 
 
-def test_arrays_without_a_json_file_are_no_cell(tmp_path, replay, settings):
+def test_a_cell_without_its_json_file_is_not_found(tmp_path, replay, settings):
     folder = CellFolder(tmp_path / "cells")
     folder.write(settings, run_cell(settings, replay), "abc")
     (folder.path / f"{settings.key}.json").unlink()
@@ -162,20 +162,20 @@ def test_a_failed_cell_does_not_affect_the_others(tmp_path, replay):
 def test_a_killed_worker_fails_only_its_own_cell(tmp_path, replay):
     slow, quick = jobs_of(replay, SLOW + ":train.markov_patience=100000", QUICK)
 
-    def kill_the_slow(job: CellJob) -> None:
+    def kill_slow_worker(job: CellJob) -> None:
         if job is slow:
             (child,) = active_children()
             os.kill(child.pid, signal.SIGKILL)
 
     done = {
         each.job.settings.key: each.failure
-        for each in run_jobs(partial(make_cell, tmp_path / "cells"), [slow, quick], 1, on_start=kill_the_slow)
+        for each in run_jobs(partial(make_cell, tmp_path / "cells"), [slow, quick], 1, on_start=kill_slow_worker)
     }
     assert "died" in done[slow.settings.key]
     assert done[quick.settings.key] is None
 
 
-def test_leaving_early_ends_the_workers(tmp_path, replay):
+def test_closing_the_iterator_ends_the_workers(tmp_path, replay):
     quick, slow = jobs_of(replay, QUICK, SLOW + ":train.markov_patience=100000")
     running = run_jobs(partial(make_cell, tmp_path / "cells"), [quick, slow], 2)
     assert next(running).job == quick
@@ -188,9 +188,9 @@ LAYOUT = SegmentLayout(n_steps=6, n_agents=2, observation_dim=3, action_dim=1)
 
 
 def test_a_name_and_its_settings_are_parsed():
-    written = NamedSettings.parse(" MAPT:tpa=false:hidden_dim=128:train.lr=1e-3:device=cpu ")
-    assert written.name == "MAPT"
-    assert written.settings == {"tpa": False, "hidden_dim": 128, "train.lr": 1e-3, "device": "cpu"}
+    parsed = NamedSettings.parse(" MAPT:tpa=false:hidden_dim=128:train.lr=1e-3:device=cpu ")
+    assert parsed.name == "MAPT"
+    assert parsed.settings == {"tpa": False, "hidden_dim": 128, "train.lr": 1e-3, "device": "cpu"}
 
 
 @pytest.mark.parametrize("text", ["MAPT:", "MAPT:tpa", "MAPT:=1"])
@@ -200,7 +200,7 @@ def test_a_part_that_is_not_key_value_is_refused(text):
 
 
 @pytest.mark.parametrize("name", MODEL_NAMES)
-def test_every_model_gets_the_dimensions_of_the_segments(name):
+def test_the_network_of_every_model_has_the_dimensions_of_the_segments(name):
     config = network_of(name, "small", LAYOUT)
     assert (config.n_agents, config.observation_dim, config.action_dim) == (2, 3, 1)
 

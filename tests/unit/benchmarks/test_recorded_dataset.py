@@ -39,7 +39,7 @@ def test_segments_are_drawn_in_chronological_order():
     rollout = rollout_with_starts((3, 0), (10, 1), (0, 1))
     drawn = draw_places(rollout, 5, 3, np.random.default_rng(0))
     assert len(drawn) == 3
-    assert [place.first for place in drawn] == sorted(place.first for place in drawn)
+    assert [segment.first for segment in drawn] == sorted(segment.first for segment in drawn)
     for count, n_steps in ((0, 5), (-2, 5), (4, 21)):
         assert draw_places(rollout, n_steps, count, np.random.default_rng(0)) == []
 
@@ -56,16 +56,16 @@ def test_episodes_that_end_early_give_shorter_segments(tmp_path):
     for values in (replay.rewards[short], replay.source.qpos(short), arrays.observations, arrays.actions):
         assert not values[~replay.mask[short]].any()
         assert values[replay.mask[short]].any()
-    # It stood, and leans to the 0.2 radians at which a hopper is done.
-    leaning = np.abs(replay.source.qpos(short)[..., 2])
-    assert leaning[:, 0].max() < 0.01
-    assert leaning[np.arange(len(short)), n_steps[short] - 1].min() > 0.15
+    # The hopper starts upright. The episode ends when it leans by 0.2 radians.
+    lean = np.abs(replay.source.qpos(short)[..., 2])
+    assert lean[:, 0].max() < 0.01
+    assert lean[np.arange(len(short)), n_steps[short] - 1].min() > 0.15
 
 
-def test_segments_are_spread_over_the_training_and_have_simulator_states(tmp_path):
-    seen: list[int] = []
-    replay = record_dataset(SHORT, tmp_path / "replay", lambda steps, _reward: seen.append(steps))
-    assert seen == [4096, 8192]
+def test_a_recording_has_segments_with_simulator_states_and_whole_episodes(tmp_path):
+    reported_steps: list[int] = []
+    replay = record_dataset(SHORT, tmp_path / "replay", lambda steps, _reward: reported_steps.append(steps))
+    assert reported_steps == [4096, 8192]
     assert len(replay) == 30
     assert replay.mask.all()
     assert replay.origin["task"] == "HalfCheetah-2x3"
@@ -73,7 +73,7 @@ def test_segments_are_spread_over_the_training_and_have_simulator_states(tmp_pat
     spec = task.spec
     task.close()
     assert replay.source.qpos([0]).shape == (1, 40, spec.nq)
-    # Forward speed over a step of 0.05 s, less the cost of the actions: the reward of that very step.
+    # The reward of a step of 0.05 s is its forward speed minus the cost of the actions.
     x, actions = replay.source.qpos(np.arange(30))[..., 0], replay.segments(np.arange(30)).actions
     speed = np.diff(x, axis=1) / spec.step_seconds
     cost = 0.1 * (actions.astype(float) ** 2).sum(axis=(2, 3))[:, :-1]
@@ -95,7 +95,7 @@ def test_an_existing_dataset_is_never_overwritten(tmp_path, replay):
 
 
 @pytest.mark.parametrize("changes", [{"segment_steps": 129}, {"segment_steps": 0}, {"segments": 0}])
-def test_a_recording_out_of_range_is_refused(tmp_path, changes):
+def test_a_recording_with_a_setting_out_of_range_is_refused(tmp_path, changes):
     with pytest.raises(InvalidConfig):
         record_dataset(Recording(**{**{f: getattr(SHORT, f) for f in SHORT.__dataclass_fields__}, **changes}), tmp_path)
 
@@ -115,7 +115,7 @@ def test_a_dataset_reads_back_as_it_was_written(replay):
     np.testing.assert_allclose(replay.returns, replay.rewards.sum(axis=1))
 
 
-def test_a_view_has_the_chosen_segments_in_their_order(replay):
+def test_a_view_has_the_given_segments_in_the_given_order(replay):
     view = replay.view([7, 3, 11])
     assert len(view) == 3
     dimensions = (view.n_steps, view.n_agents, view.observation_dim, view.action_dim)
@@ -159,24 +159,27 @@ IN_WORKER = Recording("HalfCheetah-2x3", policy_steps=8192, segment_steps=30, se
 
 
 def test_a_worker_records_the_same_dataset_and_reports_progress(tmp_path):
-    told: list[RecordingProgress] = []
+    messages: list[RecordingProgress] = []
     (done,) = run_jobs(
-        run_recording, [RecordingJob(IN_WORKER, tmp_path / "there")], 1, on_message=lambda job, news: told.append(news)
+        run_recording,
+        [RecordingJob(IN_WORKER, tmp_path / "worker")],
+        1,
+        on_message=lambda job, progress: messages.append(progress),
     )
     assert done.failure is None
-    assert [news.steps for news in told] == [4096, 8192]
-    here = record_dataset(IN_WORKER, tmp_path / "here")
-    assert RecordedDataset.open(tmp_path / "there").fingerprint() == here.fingerprint()
+    assert [progress.steps for progress in messages] == [4096, 8192]
+    local = record_dataset(IN_WORKER, tmp_path / "local")
+    assert RecordedDataset.open(tmp_path / "worker").fingerprint() == local.fingerprint()
 
 
-def test_a_stopped_recording_leaves_nothing(tmp_path):
-    told: list[RecordingProgress] = []
+def test_a_stopped_recording_leaves_no_files(tmp_path):
+    messages: list[RecordingProgress] = []
     (done,) = run_jobs(
         run_recording,
         [RecordingJob(Recording("HalfCheetah-2x3", 10**9, 30, 12, 1), tmp_path / "replay")],
         1,
-        on_message=lambda job, news: told.append(news),
-        should_stop=lambda: bool(told),
+        on_message=lambda job, progress: messages.append(progress),
+        should_stop=lambda: bool(messages),
     )
     assert "was stopped" in (done.failure or "")
     assert not (tmp_path / "replay").exists()

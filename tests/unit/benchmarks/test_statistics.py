@@ -1,4 +1,4 @@
-"""Against values from printed tables and from counting by hand."""
+"""Statistical tests and intervals, compared with values computed by hand."""
 
 import math
 
@@ -13,21 +13,21 @@ from mapt.benchmarks.statistics import (
 )
 
 
-def test_differences_over_three_seeds():
+def test_paired_test_over_three_seeds():
     # mean 2, deviation 1, t = 2 / (1 / sqrt 3) = 3.4641; p = 1 - t / sqrt(2 + t^2) with two degrees.
-    found = paired_test([1.0, 2.0, 3.0])
-    assert (found.n, found.mean, found.deviation) == (3, 2.0, 1.0)
-    assert found.p == pytest.approx(1 - math.sqrt(12 / 14))
+    result = paired_test([1.0, 2.0, 3.0])
+    assert (result.n, result.mean, result.deviation) == (3, 2.0, 1.0)
+    assert result.p == pytest.approx(1 - math.sqrt(12 / 14))
 
 
-def test_one_difference_says_nothing_of_its_spread():
-    found = paired_test([0.5])
-    assert (found.n, found.mean) == (1, 0.5)
-    assert math.isnan(found.deviation)
-    assert math.isnan(found.p)
+def test_paired_test_of_one_difference_has_no_deviation_and_no_p():
+    result = paired_test([0.5])
+    assert (result.n, result.mean) == (1, 0.5)
+    assert math.isnan(result.deviation)
+    assert math.isnan(result.p)
 
 
-def test_equal_differences():
+def test_equal_differences_have_p_1_if_zero_and_p_0_otherwise():
     assert paired_test([0.0, 0.0, 0.0]).p == 1.0
     assert paired_test([0.25, 0.25, 0.25]).p == 0.0
 
@@ -35,13 +35,13 @@ def test_equal_differences():
 def test_mcnemar_counts_only_pairs_on_which_the_models_differ():
     right = [True] * 5 + [False] * 1 + [True] * 90 + [False] * 4
     baseline = [False] * 5 + [True] * 1 + [True] * 90 + [False] * 4
-    found = mcnemar(right, baseline)
-    assert (found.gained, found.lost) == (5, 1)
-    # (1 + 6) of 64 throws have at most one head; twice that.
-    assert found.p == pytest.approx(14 / 64)
+    result = mcnemar(right, baseline)
+    assert (result.gained, result.lost) == (5, 1)
+    # (1 + 6) of 64 sequences of 6 throws have at most one head; the test is two-sided.
+    assert result.p == pytest.approx(14 / 64)
 
 
-def test_models_that_agree_do_not_differ():
+def test_mcnemar_of_models_that_agree_has_p_1():
     assert mcnemar([True, False], [True, False]).p == 1.0
 
 
@@ -56,14 +56,15 @@ def test_pairs_without_a_common_segment_are_independent():
     assert standard_error(tested) == pytest.approx(math.sqrt(30 / 9) / 6)
 
 
-def test_pairs_with_a_common_segment_count_together():
-    # Two stars: the three pairs of each share a segment and agree. Residuals are 1, -1: (3^2 + 3 - 3) of each, / 6^2.
+def test_pairs_with_a_common_segment_are_correlated():
+    # Two groups of three pairs that share a segment. The residuals are 1 in one group and -1 in the other, so the
+    # variance of the mean is (3^2 + 3^2) / 6^2.
     pairs = np.array([[0, 1], [2, 0], [0, 3], [4, 5], [4, 6], [7, 4]])
     tested = PairDifferences(np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]), pairs)
     assert standard_error(tested) == pytest.approx(math.sqrt(18) / 6)
 
 
-def test_the_mean_over_seeds_is_surer_than_that_of_one():
+def test_the_interval_narrows_with_the_number_of_seeds():
     one = PairDifferences(np.array([1.0, 0.0, -1.0, 1.0]), np.arange(8).reshape(4, 2))
     low, high = difference_interval([one])
     both = difference_interval([one, one])
@@ -71,18 +72,18 @@ def test_the_mean_over_seeds_is_surer_than_that_of_one():
     assert (both[0] + both[1]) / 2 == pytest.approx(0.25)
 
 
-def test_the_interval_holds_the_truth_95_times_in_100():
+def test_the_interval_covers_the_true_difference_in_95_of_100_samples():
     rng = np.random.default_rng(0)
-    held = 0
+    n_covered = 0
     for _ in range(500):
-        # What a segment does to the difference, shared by all its pairs, and what a pair does by itself.
-        worth = 0.5 * rng.normal(size=150)
+        # A difference is the sum of effects of its two segments, which other pairs share, and of independent noise.
+        effects = 0.5 * rng.normal(size=150)
         pairs = np.argsort(rng.random((1500, 150)), axis=1)[:, :2]
-        difference = 0.2 + worth[pairs].sum(axis=1) + rng.normal(size=1500)
+        difference = 0.2 + effects[pairs].sum(axis=1) + rng.normal(size=1500)
         low, high = difference_interval([PairDifferences(difference, pairs)])
-        held += low < 0.2 < high
-    assert 0.91 < held / 500 < 0.98
+        n_covered += low < 0.2 < high
+    assert 0.91 < n_covered / 500 < 0.98
 
 
-def test_models_that_never_differ_have_an_interval_of_0():
+def test_models_that_never_differ_have_an_empty_interval_at_0():
     assert difference_interval([PairDifferences(np.zeros(4), np.arange(8).reshape(4, 2))]) == (0.0, 0.0)

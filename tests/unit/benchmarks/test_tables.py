@@ -1,4 +1,4 @@
-"""Tables of hand-made results."""
+"""Summaries and tables of results written by hand."""
 
 import csv
 import math
@@ -17,17 +17,17 @@ PLAN = TablePlan("Tiny", ("MA-MLP", "MAPT"), ("oracle", "phase"), (100, 500), (0
 PAIRS = np.arange(20).reshape(10, 2)
 
 
-def cell(model: str, seed: int, n_right: int, *, labels: int = 100, teacher: str = "oracle", code: str = "a") -> Cell:
-    """A cell whose first `n_right` of 10 fresh pairs are told rightly."""
+def cell(model: str, seed: int, n_correct: int, *, labels: int = 100, teacher: str = "oracle", code: str = "a") -> Cell:
+    """A cell that predicts the first `n_correct` of 10 test pairs correctly."""
     settings = CellSettings("Tiny", "f", model, {}, {}, teacher, {}, labels, seed, 10)
-    logits = np.where(np.arange(10) < n_right, 1.0, -1.0).astype(np.float32)
-    metrics = {"accuracy": n_right / 10, "loss": 0.5, "seconds": 60.0}
+    logits = np.where(np.arange(10) < n_correct, 1.0, -1.0).astype(np.float32)
+    metrics = {"accuracy": n_correct / 10, "loss": 0.5, "seconds": 60.0}
     return Cell(settings, ModelEvaluation(metrics, logits, np.ones(10), np.ones(10), PAIRS), code)
 
 
 THREE_SEEDS = [
-    *(cell("MA-MLP", seed, right) for seed, right in enumerate((5, 6, 7))),
-    *(cell("MAPT", seed, right) for seed, right in enumerate((6, 8, 10))),
+    *(cell("MA-MLP", seed, n_correct) for seed, n_correct in enumerate((5, 6, 7))),
+    *(cell("MAPT", seed, n_correct) for seed, n_correct in enumerate((6, 8, 10))),
 ]
 
 
@@ -62,7 +62,7 @@ def test_ties_are_not_compared():
     assert comparison.over_seeds.mean == 1.0
 
 
-def test_missing_results_are_empty():
+def test_missing_results_have_empty_cells():
     summary = summarise(PLAN, THREE_SEEDS)
     assert summary.missing == 2 * 2 * 2 * 3 - 6
     text = markdown(summary)
@@ -81,10 +81,10 @@ def test_the_markdown_shows_the_difference_and_its_tests():
 
 
 def test_an_arrow_shows_a_difference_beyond_chance():
-    cells = [cell(model, seed, right) for seed in (0, 1) for model, right in (("MA-MLP", 2), ("MAPT", 9))]
+    cells = [cell(model, seed, n_correct) for seed in (0, 1) for model, n_correct in (("MA-MLP", 2), ("MAPT", 9))]
     assert "| MAPT | 90.0 ± 0.0 ▲ |" in markdown(summarise(PLAN, cells))
-    turned = [cell(model, seed, right) for seed in (0, 1) for model, right in (("MA-MLP", 9), ("MAPT", 2))]
-    assert "| MAPT | 20.0 ± 0.0 ▼ |" in markdown(summarise(PLAN, turned))
+    swapped = [cell(model, seed, n_correct) for seed in (0, 1) for model, n_correct in (("MA-MLP", 9), ("MAPT", 2))]
+    assert "| MAPT | 20.0 ± 0.0 ▼ |" in markdown(summarise(PLAN, swapped))
     assert "| MAPT | 30.0 |" in markdown(summarise(PLAN, [cell("MA-MLP", 0, 2), cell("MAPT", 0, 3)]))
 
 
@@ -95,7 +95,7 @@ def test_the_markdown_warns_of_results_from_several_versions_of_the_code():
     )
 
 
-def test_csv_has_a_line_per_cell_and_per_comparison(tmp_path):
+def test_csv_files_have_a_line_per_cell_and_per_comparison(tmp_path):
     summary = summarise(PLAN, THREE_SEEDS)
     write_cells(summary, tmp_path / "cells.csv")
     write_comparisons(summary, tmp_path / "comparisons.csv")
@@ -109,7 +109,7 @@ def test_csv_has_a_line_per_cell_and_per_comparison(tmp_path):
     assert float(comparison["difference"]) == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("cells", [THREE_SEEDS, [], [cell("MAPT", 0, 10)]], ids=["some", "none", "one, all right"])
+@pytest.mark.parametrize("cells", [THREE_SEEDS, [], [cell("MAPT", 0, 10)]], ids=["six cells", "no cells", "one cell"])
 def test_an_incomplete_table_can_be_plotted(tmp_path, cells):
     draw_table(summarise(PLAN, cells), tmp_path / "table.png")
     assert (tmp_path / "table.png").read_bytes().startswith(b"\x89PNG")

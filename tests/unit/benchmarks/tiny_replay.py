@@ -1,4 +1,4 @@
-"""A tiny replay whose true reward can be read off the observations, and models that know it or its opposite."""
+"""A small replay whose true reward is a function of the observations, and a model that computes this function."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ TASK = "Tiny"
 
 
 def write_replay(path: Path, seed: int = 0, n_segments: int = N_SEGMENTS) -> RecordedDataset:
-    """Reward of a step: the mean over agents of their first number."""
+    """Record random segments. The reward of a step is the mean over agents of the first observed number."""
     rng = np.random.default_rng(seed)
     observations = rng.normal(size=(n_segments, N_STEPS, N_AGENTS, OBSERVATION_DIM)).astype(np.float32)
     actions = rng.normal(size=(n_segments, N_STEPS, N_AGENTS, 1)).astype(np.float32)
@@ -26,15 +26,15 @@ def write_replay(path: Path, seed: int = 0, n_segments: int = N_SEGMENTS) -> Rec
     return RecordedDataset.open(path)
 
 
-class KnowingModel(nn.Module):
-    """Gives each agent `sign` times the true reward, and each step the same weight."""
+class TrueRewardModel(nn.Module):
+    """A model whose reward is `sign` times the true reward, with equal weights for all steps."""
 
     def __init__(self, sign: float = 1.0) -> None:
         super().__init__()
         self.sign = sign
 
     def forward(self, observations: Tensor, actions: Tensor, mask: Tensor) -> RewardOutput:
-        each = self.sign * observations[..., 0]
+        agent_rewards = self.sign * observations[..., 0]
         weights = mask / mask.sum(dim=1, keepdim=True)
-        rewards = each.mean(dim=2)
-        return RewardOutput(each, rewards, weights, (weights * rewards).sum(dim=1))
+        rewards = agent_rewards.mean(dim=2)
+        return RewardOutput(agent_rewards, rewards, weights, (weights * rewards).sum(dim=1))

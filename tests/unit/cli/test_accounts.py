@@ -1,4 +1,4 @@
-"""`accord link` and `accord user`, over a database of their own."""
+"""`accord link` and `accord user`, each test with its own database."""
 
 import json
 import sys
@@ -12,11 +12,11 @@ from accord.cli.main import main
 from accord.services import accounts
 from accord.store.database import Database
 
-Accord = Callable[..., "Ended"]
+Accord = Callable[..., "Result"]
 
 
-class Ended(NamedTuple):
-    """How a command ended."""
+class Result(NamedTuple):
+    """Exit status and output of a command."""
 
     status: int
     lines: list[str]
@@ -25,41 +25,41 @@ class Ended(NamedTuple):
 
 @pytest.fixture
 def accord(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Accord:
-    """Runs the command in this process, in a home of its own."""
+    """A function that runs a command in this process, with a fresh home folder."""
     monkeypatch.setenv("ACCORD_HOME", str(tmp_path))
 
-    def run(*arguments: str) -> Ended:
+    def run(*arguments: str) -> Result:
         monkeypatch.setattr(sys, "argv", ["accord", *arguments])
-        with pytest.raises(SystemExit) as ended:
+        with pytest.raises(SystemExit) as caught:
             main()
         printed = capsys.readouterr()
-        return Ended(int(ended.value.code or 0), printed.out.splitlines(), printed.err)
+        return Result(int(caught.value.code or 0), printed.out.splitlines(), printed.err)
 
     return run
 
 
-def signed_in_by(link: str, home: Path) -> tuple[str, str]:
-    """Name and role of the user whom a sign-in link signs in."""
+def user_of_link(link: str, home: Path) -> tuple[str, str]:
+    """Redeem a sign-in link; return the name and role of its user."""
     database = Database.open(f"sqlite:///{home / 'accord.db'}")
     with database.transaction() as session:
         user, _ = accounts.redeem_link(session, link.rpartition("/")[2], 30)
-        found = (user.name, user.role)
+        name_and_role = (user.name, user.role)
     database.close()
-    return found
+    return name_and_role
 
 
-def test_a_link_without_a_name_is_the_admins(accord: Accord, tmp_path: Path) -> None:
+def test_a_link_without_a_name_signs_in_the_admin(accord: Accord, tmp_path: Path) -> None:
     [link] = accord("link").lines
-    assert signed_in_by(link, tmp_path) == ("admin", "admin")
+    assert user_of_link(link, tmp_path) == ("admin", "admin")
 
 
-def test_a_link_for_a_user_signs_in_that_user_with_their_role(accord: Accord, tmp_path: Path) -> None:
+def test_a_link_for_a_user_signs_in_that_user(accord: Accord, tmp_path: Path) -> None:
     assert accord("user", "add", "Lena").status == 0
     [link] = accord("user", "link", "Lena").lines
-    assert signed_in_by(link, tmp_path) == ("Lena", "labeller")
+    assert user_of_link(link, tmp_path) == ("Lena", "labeller")
 
 
-def test_adding_a_user_who_exists_names_the_command_for_a_link(accord: Accord) -> None:
+def test_adding_an_existing_user_suggests_the_link_command(accord: Accord) -> None:
     accord("user", "add", "Lena Maier")
     ended = accord("user", "add", "Lena Maier")
     assert ended.status == 2
@@ -83,7 +83,7 @@ def test_users_are_listed_as_json(accord: Accord) -> None:
     assert (user["name"], user["role"], user["tokens"]) == ("bot", "teacher", 1)
 
 
-def test_a_removed_user_is_gone_from_the_list(accord: Accord) -> None:
+def test_a_removed_user_is_not_listed(accord: Accord) -> None:
     accord("user", "add", "Lena")
     assert accord("user", "remove", "Lena").status == 0
     assert len(accord("user", "list").lines) == 1
@@ -91,7 +91,7 @@ def test_a_removed_user_is_gone_from_the_list(accord: Accord) -> None:
 
 
 @pytest.mark.parametrize("command", ["link", "remove"])
-def test_a_user_who_does_not_exist_is_named(accord: Accord, command: str) -> None:
+def test_an_unknown_user_is_named_in_the_error(accord: Accord, command: str) -> None:
     ended = accord("user", command, "Nobody")
     assert ended.status == 2
     assert "'Nobody'" in ended.errors

@@ -20,8 +20,8 @@ from mapt.cli.main import main as mapt_main
 
 @pytest.mark.parametrize("module", ["accord.cli.serve", "accord.cli.up"])
 def test_the_service_starts_without_torch_and_matplotlib(module):
-    # They take longer to import than the service takes to start. The import rules do not see what a package's
-    # __init__.py imports.
+    # They take longer to import than the service takes to start. The import rules do not cover imports by a package's
+    # __init__.py.
     program = f"import sys, {module}; print({{'torch', 'matplotlib'}} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout.strip() == "set()"
@@ -52,15 +52,15 @@ def test_help_shows_the_first_line_of_each_commands_docstring(name, app):
 
 
 @pytest.mark.parametrize("name", ["accord", "mapt"])
-def test_version_is_that_of_the_distribution(monkeypatch, capsys, name):
+def test_version_option_prints_the_version_of_the_distribution(monkeypatch, capsys, name):
     monkeypatch.setattr(sys, "argv", [name, "--version"])
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as caught:
         {"accord": main, "mapt": mapt_main}[name]()
-    assert not ended.value.code
+    assert not caught.value.code
     assert capsys.readouterr().out == f"{name} {version('accord')}\n"
 
 
-def test_names_of_commands_are_completed_without_importing_them():
+def test_shell_completion_lists_the_commands():
     program = "import sys; sys.argv = ['mapt']; from mapt.cli.main import main; main()"
     environment = os.environ | {"_MAPT_COMPLETE": "complete_bash", "COMP_WORDS": "mapt t", "COMP_CWORD": "1"}
     done = subprocess.run(
@@ -74,7 +74,7 @@ def test_names_of_commands_are_completed_without_importing_them():
     assert {"tasks", "train", "table"} <= set(done.stdout.split()), done.stderr
 
 
-def test_an_error_is_printed_in_one_line_with_status_2(monkeypatch, capsys):
+def test_an_error_is_printed_in_one_line_and_exits_with_status_2(monkeypatch, capsys):
     def fail() -> None:
         raise DatabaseTooNew("The database [x] is too new.")
 
@@ -85,25 +85,25 @@ def test_an_error_is_printed_in_one_line_with_status_2(monkeypatch, capsys):
     assert capsys.readouterr().err == "accord: The database [x] is too new.\n"
 
 
-def test_children_read_the_same_settings_from_their_environment(monkeypatch, tmp_path):
+def test_child_processes_read_the_same_settings_from_their_environment(monkeypatch, tmp_path):
     settings = Settings(home=tmp_path / "home", port=1234, poll_seconds=0.125, public_url="https://a.example")
     for name, value in environment_of(settings).items():
         monkeypatch.setenv(name, value)
     assert Settings() == settings
 
 
-def test_tasks_are_listed_in_lines_of_equal_columns(monkeypatch, capsys):
+def test_tasks_are_listed_in_aligned_columns(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["accord", "tasks"])
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as caught:
         main()
-    assert not ended.value.code
+    assert not caught.value.code
     heading, *lines = capsys.readouterr().out.splitlines()
     assert heading.split() == ["task", "N", "C", "A", "horizon", "state", "step,", "s"]
     assert {len(line) for line in lines} == {len(heading)}
     assert ["HalfCheetah-6x1", "6", "15", "1", "1000", "17", "0.05"] in [line.split() for line in lines]
 
 
-def test_options_go_before_the_environment(monkeypatch, tmp_path):
+def test_options_override_the_environment(monkeypatch, tmp_path):
     monkeypatch.setenv("ACCORD_PORT", "1111")
     monkeypatch.setenv("ACCORD_HOME", str(tmp_path))
     assert load_settings().port == 1111
@@ -111,7 +111,7 @@ def test_options_go_before_the_environment(monkeypatch, tmp_path):
     assert (settings.home, settings.port) == (Path("elsewhere"), 2222)
 
 
-def test_the_url_is_the_running_services_own(tmp_path):
+def test_the_default_url_is_that_of_the_running_service(tmp_path):
     settings = Settings(home=tmp_path)
     assert service_url(settings) == "http://127.0.0.1:8000"
     (tmp_path / "url").write_text("http://127.0.0.1:5555\n")
@@ -119,6 +119,6 @@ def test_the_url_is_the_running_services_own(tmp_path):
     assert service_url(settings.model_copy(update={"public_url": "https://a.example/"})) == "https://a.example"
 
 
-def test_a_service_on_all_addresses_is_reached_on_this_machine():
+def test_a_service_that_listens_on_all_addresses_has_a_loopback_url():
     assert url_of("0.0.0.0", 80) == "http://127.0.0.1:80"
     assert url_of("127.0.0.1", 81) == "http://127.0.0.1:81"

@@ -30,7 +30,7 @@ def run(seed: int, source: str, final: float, model: str = "MAPT", labels: int =
     )
 
 
-def test_each_seed_is_compared_with_its_own_baseline_and_the_means_come_last():
+def test_each_seed_is_compared_with_its_own_baseline_and_the_last_row_is_the_mean():
     runs = [run(0, "true", 100.0), run(0, "preferences", 80.0), run(1, "true", 300.0)]
     rows = rows_of([*runs, run(1, "preferences", 150.0)])
     assert [(row.seed, row.share) for row in rows] == [("0", 0.8), ("1", 0.5), ("mean", 115 / 200)]
@@ -44,8 +44,7 @@ def test_rows_are_grouped_by_labels_and_model():
         run(0, "preferences", 90.0, labels=99),
     ]
     rows = rows_of([*runs, run(1, "preferences", 60.0)])
-    found = [(row.reward_model, row.seed, row.learned_reward) for row in rows]
-    assert found == [
+    assert [(row.reward_model, row.seed, row.learned_reward) for row in rows] == [
         ("MA-MLP", "0", 70.0),
         ("MAPT", "0", 80.0),
         ("MAPT", "1", 60.0),
@@ -76,14 +75,14 @@ def test_at_most_100_labels_precede_the_first_reward_version():
     assert (plan.initial_labels, plan.labels_per_version) == (100, 300)
 
 
-def test_a_plan_names_how_an_experiment_differs():
+def test_a_plan_lists_the_settings_in_which_an_experiment_differs():
     [plan] = Grid("HalfCheetah-6x1", 1000, (0,), (50,), ("MAPT",), baseline=False).plans("oracle")
     config = {**asdict(plan), "pacing": "wait"}
     assert plan.differences(config) == []
     assert plan.differences(config | {"seed": 1, "pacing": "free"}) == ["seed is 1, not 0"]
 
 
-def test_models_with_a_star_have_folders_of_their_own():
+def test_models_with_a_star_have_separate_folders():
     names = {plan(0, "preferences", model).folder_name for model in ("MAPT", "MAPT*", "MAPT*-CPA", "MAPT-CPA")}
     assert len(names) == 4
     assert not any("*" in name or " " in name for name in names)
@@ -106,7 +105,7 @@ def write_run(root: Path, plan: RunPlan, final: float, *, episodes: bool = True)
     return folder
 
 
-def test_a_run_folder_of_a_demo_is_read_as_one_of_mapt_train(tmp_path):
+def test_a_run_folder_of_a_demo_reads_like_one_of_mapt_train(tmp_path):
     folder = write_run(tmp_path, plan(3, "preferences", labels=60), 80.0)
     result = RunResult.read(folder)
     assert (result.settings.policy.seed, result.settings.steps, result.steps) == (3, STEPS, STEPS)
@@ -125,17 +124,17 @@ def test_metrics_are_replaced_when_a_run_is_saved_again(tmp_path):
     assert len(folder.metrics.read_text().splitlines()) == 1 < len(before.splitlines())
 
 
-@pytest.mark.parametrize("learned", [1, 2])
-def test_the_figure_and_the_table_show_every_run_of_the_folder(tmp_path, learned):
+@pytest.mark.parametrize("n_budgets", [1, 2])
+def test_the_figure_and_the_table_show_every_run_of_the_folder(tmp_path, n_budgets):
     write_run(tmp_path, plan(0, "true"), 100.0)
-    for labels in (50, 99)[:learned]:
+    for labels in (50, 99)[:n_budgets]:
         for seed in (0, 1):
             write_run(tmp_path, plan(seed, "preferences", labels=labels), 80.0 + seed, episodes=seed == 0)
     write_results(tmp_path)
     text = (tmp_path / "returns.md").read_text()
     assert "| MAPT, 50 labels |" in text
     assert "| true |" in text
-    assert len(find_runs([tmp_path])) == 1 + 2 * learned
+    assert len(find_runs([tmp_path])) == 1 + 2 * n_budgets
     # With several numbers of labels, a second panel shows returns by labels.
     width = imread(tmp_path / "returns.png").shape[1]
-    assert (width > 1500) == (learned == 2)
+    assert (width > 1500) == (n_budgets == 2)

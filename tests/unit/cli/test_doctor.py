@@ -10,26 +10,26 @@ from accord.settings import Settings
 from accord.store.database import Database
 
 
-def test_this_machine_has_the_versions_it_was_installed_with(tmp_path: Path):
-    found = [*check_python(Settings(home=tmp_path)), *check_packages(Settings(home=tmp_path))]
-    assert [check.name for check in found] == ["Python", "torch", "mujoco", "numpy"]
-    assert all(check.ok and check.fix is None for check in found)
+def test_installed_versions_pass_on_this_machine(tmp_path: Path):
+    checks = [*check_python(Settings(home=tmp_path)), *check_packages(Settings(home=tmp_path))]
+    assert [check.name for check in checks] == ["Python", "torch", "mujoco", "numpy"]
+    assert all(check.ok and check.fix is None for check in checks)
 
 
-def test_another_python_is_named_with_the_fix(monkeypatch, tmp_path: Path):
+def test_an_unsupported_python_fails_with_a_fix(monkeypatch, tmp_path: Path):
     monkeypatch.setattr(doctor, "_PYTHON", (3, 99))
-    [found] = check_python(Settings(home=tmp_path))
-    assert not found.ok
-    assert found.fix is not None
-    assert "3.99" in found.fix
+    [check] = check_python(Settings(home=tmp_path))
+    assert not check.ok
+    assert check.fix is not None
+    assert "3.99" in check.fix
 
 
-def test_a_missing_package_is_named_with_the_fix(monkeypatch):
-    found = doctor._check_package("no-such-package")
-    assert found == Check("no-such-package", False, "not installed", "pip install --force-reinstall accord")
+def test_a_missing_package_fails_with_a_fix(monkeypatch):
+    check = doctor._check_package("no-such-package")
+    assert check == Check("no-such-package", False, "not installed", "pip install --force-reinstall accord")
 
 
-def test_too_little_room_is_told_where_it_is_missing(monkeypatch, tmp_path: Path):
+def test_too_little_disk_space_fails_and_names_the_folder(monkeypatch, tmp_path: Path):
     monkeypatch.setattr(doctor, "_FREE_BYTES", 10**18)
     disk, memory = check_machine(Settings(home=tmp_path / "not" / "yet"))
     assert not disk.ok
@@ -38,13 +38,13 @@ def test_too_little_room_is_told_where_it_is_missing(monkeypatch, tmp_path: Path
     assert memory.ok
 
 
-def test_a_home_that_is_not_there_yet_is_no_fault(tmp_path: Path):
+def test_a_missing_home_folder_passes_and_is_not_created(tmp_path: Path):
     settings = Settings(home=tmp_path / "home")
     assert all(check.ok for check in [*check_database(settings), *check_blobs(settings)])
     assert not (tmp_path / "home").exists()
 
 
-def test_a_database_of_a_newer_version_is_a_fault(tmp_path: Path):
+def test_a_database_of_a_newer_version_fails(tmp_path: Path):
     settings = Settings(home=tmp_path)
     database = Database.open(settings.resolved_database_url)
     database.migrate()
@@ -52,24 +52,24 @@ def test_a_database_of_a_newer_version_is_a_fault(tmp_path: Path):
     assert check_database(settings)[0].ok
     with closing(sqlite3.connect(tmp_path / "accord.db")) as connection, connection:
         connection.execute("UPDATE alembic_version SET version_num = 'from_the_future'")
-    [found] = check_database(settings)
-    assert not found.ok
-    assert "from_the_future" in found.detail
+    [check] = check_database(settings)
+    assert not check.ok
+    assert "from_the_future" in check.detail
 
 
-def test_a_file_in_place_of_the_blob_folder_is_a_fault(tmp_path: Path):
+def test_a_file_in_place_of_the_blob_folder_fails(tmp_path: Path):
     (tmp_path / "blobs").write_text("no folder")
-    [found] = check_blobs(Settings(home=tmp_path))
-    assert not found.ok
+    [check] = check_blobs(Settings(home=tmp_path))
+    assert not check.ok
 
 
-def test_a_port_in_use_is_a_fault_with_another_to_try(tmp_path: Path):
+def test_a_port_in_use_fails_and_suggests_another(tmp_path: Path):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        [found] = check_port(Settings(home=tmp_path, port=port))
-    assert not found.ok
-    assert found.fix is not None
-    assert f"--port {port + 1}" in found.fix
+        [check] = check_port(Settings(home=tmp_path, port=port))
+    assert not check.ok
+    assert check.fix is not None
+    assert f"--port {port + 1}" in check.fix
     assert check_port(Settings(home=tmp_path, port=port))[0].ok

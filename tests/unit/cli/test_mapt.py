@@ -1,4 +1,4 @@
-"""The subcommands of `mapt`: their output files, their error messages, and resuming after a kill."""
+"""The `mapt` subcommands: output files, error messages, and resuming after a kill."""
 
 import json
 import subprocess
@@ -48,10 +48,10 @@ def test_a_killed_table_resumes_with_the_same_results(tmp_path, replays, mapt):
     assert process.poll() is None
     process.kill()
     process.wait()
-    made = {path: path.stat().st_mtime_ns for path in cells.glob("*.json")}
+    finished = {path: path.stat().st_mtime_ns for path in cells.glob("*.json")}
     resumed = mapt(*table_arguments(replays, tmp_path / "killed"))
     assert resumed.status == 0, resumed.errors
-    assert {path: path.stat().st_mtime_ns for path in made} == made
+    assert {path: path.stat().st_mtime_ns for path in finished} == finished
     whole = mapt(*table_arguments(replays, tmp_path / "whole"), "--workers", "2", "--keep-models")
     assert whole.status == 0, whole.errors
     assert len(arrays(tmp_path / "whole")) == 4
@@ -77,7 +77,7 @@ def test_missing_results_exit_with_status_1(tmp_path, replays, mapt):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "sentence"),
+    ("arguments", "message"),
     [
         (["--models", "Nobody"], "No reward model is called 'Nobody'"),
         (["--teachers", "nobody"], "No teacher is called 'nobody'"),
@@ -86,19 +86,19 @@ def test_missing_results_exit_with_status_1(tmp_path, replays, mapt):
         (["--task", "HalfCheetah-6x1"], "is of Tiny"),
     ],
 )
-def test_invalid_arguments_of_table_are_refused_in_one_line(tmp_path, replays, mapt, arguments, sentence):
+def test_invalid_arguments_of_table_are_refused_in_one_line(tmp_path, replays, mapt, arguments, message):
     refused = mapt(*table_arguments(replays, tmp_path), *arguments)
     assert refused.status == 2
     assert refused.errors.startswith("mapt: ")
-    assert sentence in refused.errors
+    assert message in refused.errors
 
 
 def test_dataset_records_a_dataset_per_seed(tmp_path, mapt):
     counts = ["--steps", "4096", "--segment-steps", "20", "--segments", "10"]
-    made = mapt("dataset", "--task", "HalfCheetah-2x3", "--seeds", "2", *counts, "--output", tmp_path)
-    assert made.status == 0, made.errors
-    about = json.loads((tmp_path / "seed-2" / "manifest.json").read_text())
-    assert (about["n_segments"], about["about"]["seed"]) == (10, 2)
+    recorded = mapt("dataset", "--task", "HalfCheetah-2x3", "--seeds", "2", *counts, "--output", tmp_path)
+    assert recorded.status == 0, recorded.errors
+    manifest = json.loads((tmp_path / "seed-2" / "manifest.json").read_text())
+    assert (manifest["n_segments"], manifest["about"]["seed"]) == (10, 2)
 
 
 def test_lists_are_comma_separated():
@@ -119,7 +119,7 @@ pytestmark = pytest.mark.usefixtures("short_episodes")
 
 
 def training(output: Path, *more: str | Path) -> list[str | Path]:
-    settings = [word for setting in TINY for word in ("--set", setting)]
+    settings = [argument for setting in TINY for argument in ("--set", setting)]
     steps = str(2 * STEPS_PER_ITERATION)
     return [
         *("train", "--task", SHORTEST_NAME, "--steps", steps, "--device", "cpu", "--no-video", "--output", output),
@@ -136,14 +136,16 @@ def test_runs_are_trained_evaluated_and_compared(mapt, tmp_path):
         settings = RunFolder(tmp_path / "runs" / f"seed-{seed}").settings()
         assert (settings.policy.seed, settings.policy.hidden, settings.reward) == (seed, (8,), None)
 
-    told = mapt("evaluate", tmp_path / "runs" / "seed-1", "--episodes", "3", "--json", "--device", "cpu")
-    found = json.loads(told.printed)
-    assert found["steps"] == 2 * STEPS_PER_ITERATION
-    assert len(found["returns"]) == found["episodes"] == 3
+    evaluated = mapt("evaluate", tmp_path / "runs" / "seed-1", "--episodes", "3", "--json", "--device", "cpu")
+    evaluation = json.loads(evaluated.printed)
+    assert evaluation["steps"] == 2 * STEPS_PER_ITERATION
+    assert len(evaluation["returns"]) == evaluation["episodes"] == 3
     assert "over 3 episodes of 20 steps" in mapt("evaluate", tmp_path / "runs" / "seed-1", "--episodes", "3").printed
 
-    drawn = mapt("curves", tmp_path / "runs", "--output", tmp_path / "a" / "c.png", "--table", tmp_path / "b" / "t.md")
-    assert drawn.status == 0, drawn.errors
+    plotted = mapt(
+        "curves", tmp_path / "runs", "--output", tmp_path / "a" / "c.png", "--table", tmp_path / "b" / "t.md"
+    )
+    assert plotted.status == 0, plotted.errors
     assert (tmp_path / "a" / "c.png").exists()
     assert f"| {SHORTEST_NAME} | mappo | true |" in (tmp_path / "b" / "t.md").read_text()
 
@@ -156,21 +158,21 @@ def test_a_finished_run_is_not_trained_again(mapt, tmp_path):
 
 
 def test_segment_steps_come_from_the_card_or_the_option(mapt, tmp_path):
-    write_reward(tmp_path / "told", reward_model(), segment_steps=7)
-    write_reward(tmp_path / "silent", reward_model(), segment_steps=None)
-    assert mapt(*training(tmp_path / "a", "--reward", tmp_path / "told")).status == 0
-    refused = mapt(*training(tmp_path / "b", "--reward", tmp_path / "silent"))
+    write_reward(tmp_path / "with-steps", reward_model(), segment_steps=7)
+    write_reward(tmp_path / "without-steps", reward_model(), segment_steps=None)
+    assert mapt(*training(tmp_path / "a", "--reward", tmp_path / "with-steps")).status == 0
+    refused = mapt(*training(tmp_path / "b", "--reward", tmp_path / "without-steps"))
     assert (refused.status, "--segment-steps" in refused.errors) == (2, True)
-    said = mapt(*training(tmp_path / "b", "--reward", tmp_path / "silent", "--segment-steps", "4"))
-    assert said.status == 0, said.errors
+    accepted = mapt(*training(tmp_path / "b", "--reward", tmp_path / "without-steps", "--segment-steps", "4"))
+    assert accepted.status == 0, accepted.errors
     steps = [RunFolder(tmp_path / name / "seed-0").settings().reward for name in "ab"]
     assert [reward.segment_steps for reward in steps if reward] == [7, 4]
 
 
-def test_a_reward_model_is_read_from_the_blobs_of_the_service(mapt, tmp_path):
+def test_a_reward_model_loads_from_the_blobs_of_the_service(mapt, tmp_path):
     write_reward(tmp_path, reward_model())
-    for name, kept in (("reward.safetensors", "rwb_1.safetensors"), ("reward.json", "rwb_1.json")):
-        (tmp_path / name).rename(tmp_path / kept)
+    for name, blob_name in (("reward.safetensors", "rwb_1.safetensors"), ("reward.json", "rwb_1.json")):
+        (tmp_path / name).rename(tmp_path / blob_name)
     trained = mapt(*training(tmp_path / "run", "--reward", tmp_path / "rwb_1.safetensors"))
     assert trained.status == 0, trained.errors
 
@@ -191,10 +193,10 @@ def test_a_reward_model_is_read_from_the_blobs_of_the_service(mapt, tmp_path):
     ],
 )
 def test_invalid_arguments_of_train_are_refused_in_one_line(mapt, tmp_path, arguments, message):
-    ended = mapt(*training(tmp_path / "run", *arguments))
-    assert ended.status == 2
-    assert message in ended.errors
-    assert ended.errors.count("\n") == 1
+    refused = mapt(*training(tmp_path / "run", *arguments))
+    assert refused.status == 2
+    assert message in refused.errors
+    assert refused.errors.count("\n") == 1
     assert not (tmp_path / "run" / "seed-0" / "run.json").exists()
 
 
@@ -205,13 +207,13 @@ def test_a_folder_with_another_run_is_refused(mapt, tmp_path):
         (("--set", "gamma=0.5"), "policy.gamma"),
         (("--task", "Ant-4x2"), f"task: {SHORTEST_NAME}, not Ant-4x2"),
     ):
-        ended = mapt(*training(tmp_path, *more))
-        assert ended.status == 2
-        assert message in ended.errors
+        refused = mapt(*training(tmp_path, *more))
+        assert refused.status == 2
+        assert message in refused.errors
 
 
 @pytest.mark.parametrize("command", [["evaluate"], ["curves", "--output", "c.png"]])
 def test_a_folder_without_a_run_is_refused(mapt, tmp_path, command):
-    ended = mapt(*command, tmp_path)
-    assert ended.status == 2
-    assert "is neither the folder of a run" in ended.errors
+    refused = mapt(*command, tmp_path)
+    assert refused.status == 2
+    assert "is neither the folder of a run" in refused.errors

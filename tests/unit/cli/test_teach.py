@@ -26,31 +26,32 @@ def labels_of(*queries: dict, name: str = "oracle", **parameters: object) -> lis
 
 
 @given(REWARDS, REWARDS, st.integers(0, 1))
-def test_oracle_prefers_the_larger_return_whatever_side_it_is_on(rewards_0, rewards_1, left):
-    here, there, turned = labels_of(
+def test_oracle_prefers_the_larger_return_on_either_side(rewards_0, rewards_1, left):
+    original, mirrored, swapped = labels_of(
         query(rewards_0, rewards_1, left), query(rewards_0, rewards_1, 1 - left), query(rewards_1, rewards_0, left)
     )
-    assert here == there
-    assert here + turned == 1.0
+    assert original == mirrored
+    assert original + swapped == 1.0
 
 
 def test_label_1_means_segment_0():
     assert labels_of(query([1, 1], [0, 0], left=1), query([1, 1], [2, 0], left=0)) == [1.0, 0.5]
 
 
-def test_rewards_alone_are_enough_for_rules_about_them():
-    # The API behind this is not there: nothing is asked of it.
+def test_rules_about_rewards_do_not_read_segments():
+    # No service runs at the address of this API, so any request would fail.
     assert labels_of(query([0, 0, 3], [1, 1, 1], left=1), name="recency", window_steps=1) == [1.0]
 
 
-def test_a_skip_is_none():
+def test_a_skipped_query_has_the_label_none():
     assert labels_of(query([0.0], [0.0], left=0), query([5.0], [9.0], left=0), name="skip", skip=0.1) == [None, 0.0]
 
 
-def test_parameters_are_json_or_strings():
+def test_parameters_are_parsed_as_json_or_as_strings():
     choice = TeacherChoice.parse("phase+stochastic:want=equal:column=0:beta=2.5:mistake=0.25")
-    found = choice.teacher(9).parameters()
-    assert (found["want"], found["column"], found["beta"], found["mistake"], found["seed"]) == (
+    parameters = choice.teacher(9).parameters()
+    names = ("want", "column", "beta", "mistake", "seed")
+    assert tuple(parameters[name] for name in names) == (
         "equal",
         0,
         2.5,
@@ -87,12 +88,12 @@ def test_an_unknown_teacher_is_refused():
 
 
 @pytest.mark.parametrize("text", ["oracle:mistake", "oracle:=1", "oracle:mistake=0:mistake=1"])
-def test_a_parameter_must_be_an_assignment(text):
+def test_a_parameter_that_is_not_an_assignment_is_refused(text):
     with pytest.raises(InvalidConfig):
         TeacherChoice.parse(text)
 
 
-def test_the_words_beside_the_bar_show_labels_version_and_return():
+def test_progress_text_shows_labels_version_and_return():
     plan = RunPlan("run", "HalfCheetah-6x1", "preferences", 0, 100, 50, 10, 5, False)
-    words = describe(plan, RunState(steps=10, labels=7, version=2, true_return=-12.3, detail="training"))
-    assert words == "labels 7/50 · version 2 · return -12 · training"
+    text = describe(plan, RunState(steps=10, labels=7, version=2, true_return=-12.3, detail="training"))
+    assert text == "labels 7/50 · version 2 · return -12 · training"

@@ -10,8 +10,8 @@ from support.tolerance import assert_float32_close
 pytestmark = pytest.mark.numerics
 
 
-def assert_close(found: torch.Tensor, expected: torch.Tensor) -> None:
-    assert_float32_close(found.detach(), expected.detach())
+def assert_close(actual: torch.Tensor, expected: torch.Tensor) -> None:
+    assert_float32_close(actual.detach(), expected.detach())
 
 
 def draw(*shape, seed=0):
@@ -19,7 +19,7 @@ def draw(*shape, seed=0):
 
 
 def slow_attention(query, key, value, band):
-    """Step by step, group by group, over the steps that the band names."""
+    """Attention computed in loops over steps and groups, each over the steps of its window and episode."""
     result = torch.zeros_like(query)
     n_segments, n_queries, n_groups, dim = query.shape
     for s in range(n_segments):
@@ -34,9 +34,9 @@ def slow_attention(query, key, value, band):
 
 @settings(max_examples=25)
 @given(st.integers(1, 45), st.integers(0, 30), st.integers(1, 20), st.floats(0, 0.4), st.integers(0, 99))
-def test_banded_attention_equals_the_slow_loop(n_queries, context, window, restarts, seed):
+def test_banded_attention_equals_the_slow_loop(n_queries, context, window, start_rate, seed):
     generator, n_steps = torch.Generator().manual_seed(seed), context + n_queries
-    starts = torch.rand(2, n_steps, generator=generator) < restarts
+    starts = torch.rand(2, n_steps, generator=generator) < start_rate
     band = BandedAttention(window, starts.cumsum(dim=1), context)
     query = draw(2, n_queries, 2, 4, seed=seed)
     key, value = (draw(2, n_steps, 2, 4, seed=seed + i) for i in (1, 2))
@@ -50,11 +50,11 @@ def test_rotary_products_depend_on_the_distance_only(position, distance, seed):
     query, key = draw(8, seed=seed), draw(8, seed=seed + 1)
 
     def product(at):
-        here, there = (
+        at_query, at_key = (
             (table[at : at + 1] for table in angles),
             (table[at + distance : at + distance + 1] for table in angles),
         )
-        return (rotate(query.view(1, 1, 1, 8), *here) * rotate(key.view(1, 1, 1, 8), *there)).sum()
+        return (rotate(query.view(1, 1, 1, 8), *at_query) * rotate(key.view(1, 1, 1, 8), *at_key)).sum()
 
     scale = (query.norm() * key.norm()).item()
     torch.testing.assert_close(product(position), product(0), rtol=0, atol=1e-4 * scale)
@@ -74,5 +74,5 @@ def test_context_serves_as_keys_only():
     attention = CausalAttention(8, 8, heads=2)
     torch.nn.init.normal_(attention.out.weight, generator=torch.Generator().manual_seed(0))
     x, episode = draw(2, 30, 3, 8), torch.zeros(2, 30, dtype=torch.int64)
-    whole, behind = (attention(x, BandedAttention(10, episode, context)) for context in (0, 9))
-    assert_close(behind, whole[:, 9:])
+    whole, with_context = (attention(x, BandedAttention(10, episode, context)) for context in (0, 9))
+    assert_close(with_context, whole[:, 9:])

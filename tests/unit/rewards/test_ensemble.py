@@ -48,16 +48,17 @@ def segments(n_segments: int, seed: int = 0, shift: float = 0.0) -> SegmentArray
     )
 
 
-def returns(of: SegmentArrays) -> np.ndarray:
-    reward = np.tanh(of.observations[..., 0] + of.actions[..., 0]).mean(axis=2)
-    return (reward * of.mask).sum(axis=1) / of.mask.sum(axis=1)
+def mean_rewards(arrays: SegmentArrays) -> np.ndarray:
+    """The mean true reward (S,) of each segment."""
+    reward = np.tanh(arrays.observations[..., 0] + arrays.actions[..., 0]).mean(axis=2)
+    return (reward * arrays.mask).sum(axis=1) / arrays.mask.sum(axis=1)
 
 
 def preferences(n_pairs: int = 60, seed: int = 0) -> PreferenceDataset:
-    both = segments(2 * n_pairs, seed)
+    arrays = segments(2 * n_pairs, seed)
     pairs = np.arange(2 * n_pairs).reshape(-1, 2)
-    true = returns(both)
-    return PreferenceDataset(both, pairs, (true[pairs[:, 0]] > true[pairs[:, 1]]).astype(np.float32))
+    true = mean_rewards(arrays)
+    return PreferenceDataset(arrays, pairs, (true[pairs[:, 0]] > true[pairs[:, 1]]).astype(np.float32))
 
 
 def random_models(members: int, settings: RewardConfig) -> list[RewardModel]:
@@ -82,10 +83,10 @@ def same_weights(first: RewardEnsemble, second: RewardEnsemble) -> bool:
 @pytest.mark.parametrize("name", MODEL_NAMES)
 def test_scores_are_those_of_each_member(name):
     models = [model.eval() for model in random_models(3, config(name))]
-    seen = segments(9)
-    scores = RewardEnsemble(models).scores(seen)
+    arrays = segments(9)
+    scores = RewardEnsemble(models).scores(arrays)
     assert (scores.shape, scores.dtype) == ((3, 9), np.float32)
-    inputs = [torch.as_tensor(array) for array in (seen.observations, seen.actions, seen.mask)]
+    inputs = [torch.as_tensor(array) for array in (arrays.observations, arrays.actions, arrays.mask)]
     for row, model in zip(scores, models, strict=True):
         assert_float32_close(row, model(*inputs).score.detach())
 
@@ -112,9 +113,9 @@ def test_same_seed_gives_the_same_ensemble():
 def test_training_in_processes_gives_the_same_ensemble():
     epochs = []
     networks, settings = config("MA-MLP"), replace(QUICK, markov_epochs=2)
-    alone = train_reward_ensemble(preferences(), networks, settings, 2)
-    apart = train_reward_ensemble(preferences(), networks, settings, 2, workers=2, progress=epochs.append)
-    for one, other in zip(alone.members, apart.members, strict=True):
+    in_process = train_reward_ensemble(preferences(), networks, settings, 2)
+    in_workers = train_reward_ensemble(preferences(), networks, settings, 2, workers=2, progress=epochs.append)
+    for one, other in zip(in_process.members, in_workers.members, strict=True):
         torch.testing.assert_close(dict(one.state_dict()), dict(other.state_dict()), rtol=1e-4, atol=1e-5)
     assert [at.epoch for at in epochs] == [1, 2, 3, 4]
     assert {at.max_epochs for at in epochs} == {4}
@@ -175,8 +176,8 @@ def test_training_keeps_the_global_random_state():
 
 def test_members_disagree_more_on_segments_unlike_the_labelled_ones():
     ensemble = train_reward_ensemble(preferences(200), config("MA-MLP"), replace(QUICK, markov_epochs=20), 5)
-    known, strange = ensemble.scores(segments(200, seed=5)), ensemble.scores(segments(200, seed=5, shift=4.0))
-    spread = [(1 / (1 + np.exp(scores[:, 1::2] - scores[:, ::2]))).std(axis=0).mean() for scores in (known, strange)]
+    similar, shifted = ensemble.scores(segments(200, seed=5)), ensemble.scores(segments(200, seed=5, shift=4.0))
+    spread = [(1 / (1 + np.exp(scores[:, 1::2] - scores[:, ::2]))).std(axis=0).mean() for scores in (similar, shifted)]
     assert 0 < spread[0] < spread[1]
 
 
@@ -185,7 +186,7 @@ def test_members_differ():
     assert not same_weights(RewardEnsemble(ensemble.members[:1]), RewardEnsemble(ensemble.members[1:]))
 
 
-def test_ensemble_of_one_scores_with_one_row():
+def test_ensemble_of_one_member_gives_one_row_of_scores():
     ensemble = train_reward_ensemble(preferences(), config(), QUICK, 1)
     assert len(ensemble) == 1
     assert ensemble.scores(segments(5)).shape == (1, 5)
@@ -204,11 +205,11 @@ def test_training_continues_from_an_ensemble_without_changing_it():
 
 
 def test_rewards_of_each_member_are_normalised_over_the_reference():
-    seen = segments(50, seed=9)
-    for member in train_reward_ensemble(preferences(), config(), QUICK, 2, reference=seen).members:
+    arrays = segments(50, seed=9)
+    for member in train_reward_ensemble(preferences(), config(), QUICK, 2, reference=arrays).members:
         with torch.no_grad():
-            rewards = member.agent_rewards(torch.as_tensor(seen.observations), torch.as_tensor(seen.actions))
-        normalised = member.normalised(rewards.mean(dim=2))[torch.as_tensor(seen.mask)]
+            rewards = member.agent_rewards(torch.as_tensor(arrays.observations), torch.as_tensor(arrays.actions))
+        normalised = member.normalised(rewards.mean(dim=2))[torch.as_tensor(arrays.mask)]
         assert normalised.mean().item() == pytest.approx(0, abs=1e-3)
         assert normalised.std(correction=0).item() == pytest.approx(1, abs=1e-3)
 
@@ -226,8 +227,8 @@ def test_progress_counts_epochs_over_members_and_stop_ends_all():
 
 
 def test_metrics_undefined_for_ties_are_left_out():
-    both = preferences(20)
-    tied = PreferenceDataset(both.segments, both.pairs, np.full(20, 0.5, dtype=np.float32))
+    arrays = preferences(20)
+    tied = PreferenceDataset(arrays.segments, arrays.pairs, np.full(20, 0.5, dtype=np.float32))
     metrics = train_reward_ensemble(tied, config(), QUICK, 2).metrics
     assert not {"accuracy", "ensemble_holdout_accuracy"} & set(metrics)
     assert metrics["holdout_reliable"] == 0
@@ -249,8 +250,8 @@ def test_invalid_arguments_are_refused():
 
 
 def test_segments_with_other_dimensions_are_refused():
-    ensemble, seen = RewardEnsemble(random_models(2, config())), segments(4)
-    narrow = SegmentArrays(seen.observations[..., 1:], seen.actions, seen.mask)
+    ensemble, arrays = RewardEnsemble(random_models(2, config())), segments(4)
+    narrow = SegmentArrays(arrays.observations[..., 1:], arrays.actions, arrays.mask)
     with pytest.raises(ModelMismatch):
         ensemble.scores(narrow)
 
@@ -324,7 +325,7 @@ def test_incomplete_or_altered_file_is_refused(damage):
 
 def test_missing_file_is_refused(tmp_path):
     with pytest.raises(DamagedCheckpoint):
-        load_reward_ensemble(tmp_path / "gone.safetensors")
+        load_reward_ensemble(tmp_path / "missing.safetensors")
 
 
 def test_file_names_its_format():

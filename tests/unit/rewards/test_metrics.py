@@ -22,7 +22,7 @@ def test_accuracy_ignores_ties():
 
 
 def test_true_probabilities_are_calibrated():
-    # Of four pairs at 0.75, three came out that way.
+    # Of four pairs with a predicted probability of 0.75, three are labelled 1.
     assert calibration_error([0.75] * 4, [1, 1, 1, 0]) == pytest.approx(0)
     assert calibration_error([1.0, 0.0], [1, 0]) == pytest.approx(0)
 

@@ -14,7 +14,7 @@ S, T, N, D = 4, 7, 3, 16
 
 
 @pytest.fixture(autouse=True)
-def _same_draws():
+def fix_the_torch_seed():
     torch.manual_seed(0)
 
 
@@ -28,18 +28,18 @@ def randomise(layer: nn.Module, seed: int = 0) -> nn.Module:
 
 def gradients(layer: nn.Module, output: torch.Tensor, x: torch.Tensor) -> dict[str, torch.Tensor]:
     parameters = dict(layer.named_parameters())
-    found = torch.autograd.grad(output.square().sum(), [x, *parameters.values()], allow_unused=True)
+    computed = torch.autograd.grad(output.square().sum(), [x, *parameters.values()], allow_unused=True)
     zeros = [torch.zeros_like(value) for value in (x, *parameters.values())]
     return {
         name: zero if gradient is None else gradient
-        for name, gradient, zero in zip(("x", *parameters), found, zeros, strict=True)
+        for name, gradient, zero in zip(("x", *parameters), computed, zeros, strict=True)
     }
 
 
-def assert_gradients_close(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
-    # One scale for all: a key's bias does not change the softmax, so that its gradient is a rounding error.
+def assert_gradients_close(actual: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
+    # One scale for all gradients, because that of a key's bias, which does not affect the softmax, is a rounding error.
     scale = max(gradient.abs().max().item() for gradient in expected.values())
-    for name, gradient in found.items():
+    for name, gradient in actual.items():
         torch.testing.assert_close(gradient, expected[name], rtol=0, atol=1e-4 * scale, msg=name)
 
 

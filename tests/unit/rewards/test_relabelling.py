@@ -15,10 +15,10 @@ N_ENVS, N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 3, 4, 2
 each_example = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
-def draw(n_steps, restarts=0.1, seed=0):
+def draw(n_steps, start_rate=0.1, seed=0):
     rng = np.random.default_rng(seed)
     shape = (n_steps, N_ENVS, N_AGENTS)
-    start = rng.random((n_steps, N_ENVS)) < restarts
+    start = rng.random((n_steps, N_ENVS)) < start_rate
     start[0] = True
     return (
         rng.normal(size=(*shape, OBSERVATION_DIM)).astype(np.float32),
@@ -28,7 +28,7 @@ def draw(n_steps, restarts=0.1, seed=0):
 
 
 def window_by_window(model, window, observations, actions, start):
-    """r-hat (L, E, N) of each step: the network run on that step's own window, cut at its episode's start."""
+    """Learned rewards (L, E, N): the network evaluated on the window of each step, which starts within its episode."""
     rewards = np.zeros(observations.shape[:3], dtype=np.float32)
     for e in range(N_ENVS):
         first = 0
@@ -42,7 +42,7 @@ def window_by_window(model, window, observations, actions, start):
     return rewards
 
 
-def in_pieces(relabeller, lengths, observations, actions, start):
+def relabel_in_pieces(relabeller, lengths, observations, actions, start):
     ends = np.cumsum(lengths)
     pieces = [slice(end - length, end) for end, length in zip(ends, lengths, strict=True)]
     return np.concatenate([relabeller.relabel(observations[p], actions[p], start[p]) for p in pieces])
@@ -50,11 +50,11 @@ def in_pieces(relabeller, lengths, observations, actions, start):
 
 @each_example
 @given(st.lists(st.integers(1, 23), min_size=1, max_size=4), st.integers(1, 9), st.floats(0, 0.3), st.integers(0, 99))
-def test_relabelled_rewards_equal_those_of_each_window(build, variant, lengths, window, restarts, seed):
+def test_relabelled_rewards_equal_those_of_each_window(build, variant, lengths, window, start_rate, seed):
     model = build(**variant)
     model.set_reward_scale(0.3, 1.7)
-    rollouts = draw(sum(lengths), restarts, seed)
-    relabelled = in_pieces(RolloutRelabeller(model, window, N_ENVS, "individual"), lengths, *rollouts)
+    rollouts = draw(sum(lengths), start_rate, seed)
+    relabelled = relabel_in_pieces(RolloutRelabeller(model, window, N_ENVS, "individual"), lengths, *rollouts)
     assert_float32_close(relabelled, window_by_window(model, window, *rollouts))
 
 
@@ -79,7 +79,7 @@ def test_bfloat16_rewards_are_close_to_float32_rewards(build, window):
 @pytest.mark.parametrize("kind", ["value", "attended", "weighted"])
 def test_each_kind_of_reward_equals_the_model_on_each_window(build, kind):
     model = build()
-    observations, actions, start = draw(9, restarts=0.2)
+    observations, actions, start = draw(9, start_rate=0.2)
     relabelled = RolloutRelabeller(model, 4, N_ENVS, "individual", kind=kind).relabel(observations, actions, start)
     for e in range(N_ENVS):
         first = 0
@@ -104,7 +104,7 @@ def test_shared_credit_is_the_mean_of_individual_credit(build):
 
 def test_episode_does_not_depend_on_the_previous_one(build):
     model = build()
-    observations, actions, start = draw(12, restarts=0)
+    observations, actions, start = draw(12, start_rate=0)
     start[7] = True
     altered = observations.copy()
     altered[:7] += 5
@@ -117,7 +117,7 @@ def test_episode_does_not_depend_on_the_previous_one(build):
 
 def test_rewards_depend_on_the_window_alone(build):
     model = build()
-    observations, actions, start = draw(300, restarts=0)
+    observations, actions, start = draw(300, start_rate=0)
     relabelled = RolloutRelabeller(model, 7, N_ENVS).relabel(observations, actions, start)
     start[:] = False
     start[280] = True
@@ -127,14 +127,14 @@ def test_rewards_depend_on_the_window_alone(build):
 
 def test_rollout_may_start_within_an_episode(build):
     model = build()
-    observations, actions, start = draw(5, restarts=0)
-    begun = RolloutRelabeller(model, 6, N_ENVS).relabel(observations, actions, np.zeros_like(start))
-    assert_float32_close(begun, RolloutRelabeller(model, 6, N_ENVS).relabel(observations, actions, start))
+    observations, actions, start = draw(5, start_rate=0)
+    without_start = RolloutRelabeller(model, 6, N_ENVS).relabel(observations, actions, np.zeros_like(start))
+    assert_float32_close(without_start, RolloutRelabeller(model, 6, N_ENVS).relabel(observations, actions, start))
 
 
-def test_restored_relabeller_continues_bit_by_bit(build):
+def test_restored_relabeller_gives_identical_rewards(build):
     model = build()
-    observations, actions, start = draw(30, restarts=0.05)
+    observations, actions, start = draw(30, start_rate=0.05)
     original = RolloutRelabeller(model, 9, N_ENVS)
     original.relabel(observations[:17], actions[:17], start[:17])
     restored = RolloutRelabeller(model, 9, N_ENVS)
@@ -158,14 +158,14 @@ def test_state_dict_is_a_copy(build):
 
 def test_replaced_model_uses_the_context(build):
     old, new = build(seed=0), build(seed=1)
-    observations, actions, start = draw(20, restarts=0)
+    observations, actions, start = draw(20, start_rate=0)
     replaced = RolloutRelabeller(old, 9, N_ENVS)
     replaced.relabel(observations[:11], actions[:11], start[:11])
     replaced.replace_model(new)
     always_new = RolloutRelabeller(new, 9, N_ENVS)
     np.testing.assert_array_equal(
         replaced.relabel(observations[11:], actions[11:], start[11:]),
-        in_pieces(always_new, [11, 9], observations, actions, start)[11:],
+        relabel_in_pieces(always_new, [11, 9], observations, actions, start)[11:],
     )
 
 

@@ -55,8 +55,8 @@ def test_model_of_format_1_loads(build):
     model = build()
     saved = save_reward_model(model, METRICS)
     config = json.loads(saved.card)["config"]
-    for later in ("architecture", "discrete_actions"):
-        del config[later]
+    for added_in_format_2 in ("architecture", "discrete_actions"):
+        del config[added_in_format_2]
     loaded = load_reward_model(saved.weights, edited(saved.card, format_version=1, config=config)).model
     assert loaded.config == model.config
 
@@ -110,9 +110,9 @@ def test_nan_metric_is_refused(build):
 
 
 def test_card_keeps_segment_steps(build):
-    saved, silent = save_reward_model(build(), {}, segment_steps=50), save_reward_model(build(), {})
+    saved, without_steps = save_reward_model(build(), {}, segment_steps=50), save_reward_model(build(), {})
     assert load_reward_model(saved.weights, saved.card).segment_steps == 50
-    assert load_reward_model(silent.weights, silent.card).segment_steps is None
+    assert load_reward_model(without_steps.weights, without_steps.card).segment_steps is None
     with pytest.raises(DamagedCheckpoint):
         load_reward_model(saved.weights, edited(saved.card, segment_steps="fifty"))
 

@@ -26,7 +26,7 @@ QUICK = TrainConfig(markov_epochs=8, max_epochs=3, device="cpu")
 
 
 def preferences(n_pairs, n_steps=8, seed=0, labels=None):
-    """Pairs labelled by the oracle, whose reward is the first number that each agent observes."""
+    """Random pairs. The oracle labels them by the mean over agents of the first observed number."""
     rng = np.random.default_rng(seed)
     shape = (2 * n_pairs, n_steps, N_AGENTS)
     observations = rng.normal(size=(*shape, OBSERVATION_DIM)).astype(np.float32)
@@ -148,27 +148,27 @@ def test_padding_does_not_affect_training():
 def test_warm_start_continues_from_the_model_without_changing_it():
     first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2)).model
     before = {name: tensor.clone() for name, tensor in first.state_dict().items()}
-    barely = TrainConfig(markov_epochs=1, max_epochs=1, lr=1e-8, markov_lr=1e-8, warm_share=1.0)
+    tiny_steps = TrainConfig(markov_epochs=1, max_epochs=1, lr=1e-8, markov_lr=1e-8, warm_share=1.0)
     dataset = preferences(80)
-    warm, cold = (train_reward_model(dataset, CONFIG, barely, initial=model) for model in (first, None))
+    warm, cold = (train_reward_model(dataset, CONFIG, tiny_steps, initial=model) for model in (first, None))
     assert warm.metrics["loss"] < 0.7 * cold.metrics["loss"]
     assert all(torch.equal(tensor, before[name]) for name, tensor in first.state_dict().items())
 
 
 def test_warm_start_keeps_warm_share_of_the_markov_path():
     first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2)).model
-    barely = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1e-8, warm_share=0.25)
-    warm = train_reward_model(preferences(80), CONFIG, barely, initial=first).model
+    tiny_steps = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1e-8, warm_share=0.25)
+    warm = train_reward_model(preferences(80), CONFIG, tiny_steps, initial=first).model
     before, after = (model.markov.second.weight.detach().flatten() for model in (first, warm))
-    # New weights are drawn from within 1 / sqrt(d): what is left of the old ones is the rest.
+    # The new weights are small and independent of the old ones, so the projection is about `warm_share`.
     share = (before @ after) / (before @ before)
     assert 0.15 < share < 0.35
 
 
 def test_result_below_chance_does_not_replace_the_initial_model():
     first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2))
-    wild = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1.0, warm_share=0.0)
-    second = train_reward_model(preferences(80), CONFIG, wild, initial=first.model)
+    divergent = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1.0, warm_share=0.0)
+    second = train_reward_model(preferences(80), CONFIG, divergent, initial=first.model)
     assert second.metrics["holdout_loss"] == pytest.approx(first.metrics["holdout_loss"], rel=1e-3)
 
 
@@ -235,13 +235,15 @@ def test_progress_is_reported_after_every_epoch():
 
 
 def test_stop_ends_training_with_the_best_weights():
-    asked = threading.Event()
+    stop_requested = threading.Event()
 
     def after_the_third_epoch(at):
         if at.epoch == 3:
-            asked.set()
+            stop_requested.set()
 
-    trained = train_reward_model(preferences(60), CONFIG, QUICK, progress=after_the_third_epoch, stop=asked.is_set)
+    trained = train_reward_model(
+        preferences(60), CONFIG, QUICK, progress=after_the_third_epoch, stop=stop_requested.is_set
+    )
     assert (len(trained.history), trained.metrics["stopped"]) == (3, 1)
     assert not trained.model.training
 

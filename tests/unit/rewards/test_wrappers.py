@@ -1,4 +1,4 @@
-"""Wrapped environments against the relabeller, on real environments."""
+"""Wrapped environments give the rewards of the relabeller."""
 
 import gymnasium
 import numpy as np
@@ -19,7 +19,7 @@ CHEETAH = {"n_agents": 6, "observation_dim": 7 + 6, "action_dim": 1}
 
 
 class Team(gymnasium.Env):
-    """Three agents who see four numbers each and count their steps in the first; episodes of `length` steps."""
+    """Three agents that observe four numbers each, the first of which is the step. Episodes have `length` steps."""
 
     def __init__(self, length: int = 5, form: str = "array", discrete: bool = False) -> None:
         self.length, self.form = length, form
@@ -43,7 +43,7 @@ class Team(gymnasium.Env):
 
     def step(self, action):
         self.n_steps += 1
-        return self._observation(), float(self.n_steps), False, self.n_steps == self.length, {"kept": 1}
+        return self._observation(), float(self.n_steps), False, self.n_steps == self.length, {"own": 1}
 
 
 def as_rows(observation):
@@ -57,7 +57,7 @@ def relabelled(model, observations, actions, start, credit="shared"):
 
 
 @pytest.mark.parametrize("form", ["array", "tuple", "dict"])
-def test_environment_gives_the_learned_reward_and_the_true_one_in_info(build, form):
+def test_environment_gives_the_learned_reward_and_keeps_the_true_one_in_info(build, form):
     model, env = build(), LearnedReward(Team(form=form), build(), WINDOW)
     env.action_space.seed(0)
     observations, actions, start, rewards = [], [], [], []
@@ -70,7 +70,7 @@ def test_environment_gives_the_learned_reward_and_the_true_one_in_info(build, fo
             start.append([step == 0])
             observation, reward, _, truncated, info = env.step(action)
             rewards.append(reward)
-            assert info == {"kept": 1, "true_reward": step + 1}
+            assert info == {"own": 1, "true_reward": step + 1}
             assert truncated == (step == 4)
     np.testing.assert_allclose(rewards, relabelled(model, observations, actions, start)[:, 0], **TOLERANCE)
 

@@ -1,4 +1,4 @@
-"""The invariants of the method, over every model of the tables."""
+"""Properties that hold for every model of the benchmark tables."""
 
 from dataclasses import replace
 from typing import get_args
@@ -20,13 +20,13 @@ from support.tolerance import assert_float32_close
 pytestmark = pytest.mark.numerics
 
 
-def assert_close(found: torch.Tensor, expected: torch.Tensor) -> None:
-    assert_float32_close(found.detach(), expected.detach())
+def assert_close(actual: torch.Tensor, expected: torch.Tensor) -> None:
+    assert_float32_close(actual.detach(), expected.detach())
 
 
 N, C, A = 3, 4, 2
 DIMENSIONS = {"observation_dim": C, "action_dim": A, "n_agents": N}
-ORDERS_AGENTS = {"MA-Transformer"}
+DEPENDS_ON_AGENT_ORDER = {"MA-Transformer"}
 DEPENDS_ON_PAST = set(MODEL_NAMES) - {"MA-MLP"}
 HAS_STEP_WEIGHTS = {"MAPT", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-Transformer"}
 each_example = settings(max_examples=8)
@@ -58,7 +58,7 @@ def inputs(n_segments: int, n_steps: int, seed: int = 0) -> tuple[torch.Tensor, 
     )
 
 
-def of_lengths(lengths: list[int], seed: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def inputs_of_lengths(lengths: list[int], seed: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     observations, actions, _ = inputs(len(lengths), 7, seed)
     return observations, actions, torch.arange(7) < torch.tensor(lengths)[:, None]
 
@@ -81,20 +81,20 @@ def test_swapped_segments_have_the_complementary_probability(name, n_steps, seed
 @each_example
 @given(lengths_of_segments, st.integers(0, 99))
 def test_padding_does_not_change_outputs(name, lengths, seed):
-    model, (observations, actions, mask) = random_model(name), of_lengths(lengths, seed)
-    found = model(observations, actions, mask)
+    model, (observations, actions, mask) = random_model(name), inputs_of_lengths(lengths, seed)
+    output = model(observations, actions, mask)
     for i, length in enumerate(lengths):
         bare = model(*(tensor[i : i + 1, :length] for tensor in (observations, actions, mask)))
-        assert_close(found.score[i], bare.score[0])
-        assert_close(found.weights[i, :length], bare.weights[0])
-        assert_close(found.agent_rewards[i, :length], bare.agent_rewards[0])
+        assert_close(output.score[i], bare.score[0])
+        assert_close(output.weights[i, :length], bare.weights[0])
+        assert_close(output.agent_rewards[i, :length], bare.agent_rewards[0])
 
 
 @names
 @each_example
 @given(lengths_of_segments, st.integers(0, 99))
 def test_weights_of_real_steps_sum_to_one(name, lengths, seed):
-    observations, actions, mask = of_lengths(lengths, seed)
+    observations, actions, mask = inputs_of_lengths(lengths, seed)
     weights = random_model(name)(observations, actions, mask).weights
     assert (weights >= 0).all()
     assert (weights[~mask] == 0).all()
@@ -108,7 +108,7 @@ def test_permuting_agents_permutes_rewards(name, order, n_steps, seed):
     model, (observations, actions, mask) = random_model(name), inputs(2, n_steps, seed)
     rewards = model(observations, actions, mask).agent_rewards
     permuted = model(observations[:, :, order], actions[:, :, order], mask).agent_rewards
-    if name in ORDERS_AGENTS:
+    if name in DEPENDS_ON_AGENT_ORDER:
         assert (rewards == rewards[:, :, :1]).all()
         assert order == list(range(N)) or not torch.allclose(permuted, rewards)
     else:
@@ -149,33 +149,33 @@ def test_weights_are_equal_without_preference_attention_over_steps(name):
 @each_example
 @given(lengths_of_segments, st.integers(0, 99))
 def test_policy_rewards_follow_their_equations(name, lengths, seed):
-    model, (observations, actions, mask) = random_model(name), of_lengths(lengths, seed)
-    found = model(observations, actions, mask)
+    model, (observations, actions, mask) = random_model(name), inputs_of_lengths(lengths, seed)
+    output = model(observations, actions, mask)
     last = torch.arange(len(lengths)), torch.tensor(lengths) - 1
     value, weighted, attended = (
         model.policy_rewards(observations, actions, mask, kind) for kind in ("value", "weighted", "attended")
     )
-    assert_close(value, found.agent_rewards[last])
-    times = torch.tensor(lengths) * found.weights[last]
+    assert_close(value, output.agent_rewards[last])
+    times = torch.tensor(lengths) * output.weights[last]
     assert_close(weighted, times[:, None] * value)
-    low, high = ((found.agent_rewards * mask[..., None] + (~mask * far)[..., None]) for far in (1e9, -1e9))
+    low, high = ((output.agent_rewards * mask[..., None] + (~mask * far)[..., None]) for far in (1e9, -1e9))
     assert (attended >= low.amin(dim=1) - 1e-4).all()
     assert (attended <= high.amax(dim=1) + 1e-4).all()
     if name not in HAS_STEP_WEIGHTS:
-        mean = (found.agent_rewards * mask[..., None]).sum(dim=1) / torch.tensor(lengths)[:, None]
+        mean = (output.agent_rewards * mask[..., None]).sum(dim=1) / torch.tensor(lengths)[:, None]
         assert_close(attended, mean)
         assert_close(weighted, value)
 
 
 @pytest.mark.parametrize("name", sorted(HAS_STEP_WEIGHTS))
 def test_score_is_the_mean_of_attended_rewards(name):
-    # Paper, eq. 6: with queries moved one by one to the last step, their attended rewards average to the score.
+    # Paper, eq. 6: the attended rewards of all queries average to the score.
     model, (observations, actions, mask) = random_model(name), inputs(1, 5)
     h, agent_rewards = model._encode(model._normalise_inputs(observations, actions), None)
     attended = model._step_attention(h, agent_rewards, mask) @ agent_rewards
     assert_close(attended.mean(dim=(1, 2)), model(observations, actions, mask).score)
-    given = model.policy_rewards(observations, actions, mask, "attended")
-    assert_close(given, attended[:, -1])
+    last = model.policy_rewards(observations, actions, mask, "attended")
+    assert_close(last, attended[:, -1])
 
 
 @names
@@ -185,17 +185,17 @@ def test_relabelled_rewards_are_those_of_each_window(name, kind):
     start = torch.zeros(2, 9, dtype=torch.bool)
     start[:, 0] = start[1, 5] = True
     relabeller = RolloutRelabeller(model, window=4, n_envs=2, credit="individual", kind=kind)
-    found = relabeller.relabel(*(tensor.transpose(0, 1).numpy() for tensor in (observations, actions, start)))
+    relabelled = relabeller.relabel(*(tensor.transpose(0, 1).numpy() for tensor in (observations, actions, start)))
     for env, step in ((0, 0), (0, 3), (0, 8), (1, 4), (1, 5), (1, 8)):
         first = max(step - 3, 5 if env == 1 and step >= 5 else 0)
         window = (tensor[env : env + 1, first : step + 1] for tensor in (observations, actions))
         own = model.policy_rewards(*window, torch.ones(1, step + 1 - first, dtype=torch.bool), kind)[0].detach()
-        assert_close(torch.as_tensor(found[step, env]), own)
+        assert_close(torch.as_tensor(relabelled[step, env]), own)
 
 
 @names
 def test_zero_initialised_path_is_skipped_without_gradients(name, monkeypatch):
-    """Such a model gives the rewards of its Markov path, without encoding the past."""
+    """An untrained model gives the rewards of its Markov path without encoding the past."""
     torch.manual_seed(0)
     model = build_reward_model(config(name)).eval()
     assert model.is_markov == config(name).markov_path
@@ -207,8 +207,8 @@ def test_zero_initialised_path_is_skipped_without_gradients(name, monkeypatch):
         monkeypatch.setattr(type(model), "_encode", None)
     relabelled = RolloutRelabeller(model, 9, 2, "individual").relabel(*rollout)
     stream = RewardStream(model, 9, 2, "individual")
-    for found in (relabelled, np.stack([stream.step(*step) for step in zip(*rollout, strict=True)])):
-        assert_close(torch.as_tensor(found).transpose(0, 1), own)
+    for rewards in (relabelled, np.stack([stream.step(*step) for step in zip(*rollout, strict=True)])):
+        assert_close(torch.as_tensor(rewards).transpose(0, 1), own)
 
 
 @names
@@ -277,17 +277,17 @@ def test_markov_rewards_are_zero_without_a_markov_path(name):
 def test_shrink_and_perturb_changes_only_the_markov_path(name):
     model = build_reward_model(config(name))
     weights = model.state_dict()
-    whole, gone = model.shrink_and_perturb(1.0), model.shrink_and_perturb(0.0)
-    assert all(torch.equal(whole[key], weights[key]) for key in weights)
-    changed = {key for key in weights if not torch.equal(gone[key], weights[key])}
+    unchanged, reset = model.shrink_and_perturb(1.0), model.shrink_and_perturb(0.0)
+    assert all(torch.equal(unchanged[key], weights[key]) for key in weights)
+    changed = {key for key in weights if not torch.equal(reset[key], weights[key])}
     assert changed == {key for key in weights if key.startswith("markov.")}
 
 
 @names
 def test_new_head_changes_only_the_head(name):
     model = build_reward_model(config(name))
-    weights, awake = model.state_dict(), model.with_new_head()
-    changed = {key for key, tensor in awake.items() if not torch.equal(tensor, weights[key])}
+    weights, renewed = model.state_dict(), model.with_new_head()
+    changed = {key for key, tensor in renewed.items() if not torch.equal(tensor, weights[key])}
     assert changed == ({"read_out.reward.weight", "read_out.reward.bias"} if name in DEPENDS_ON_PAST else set())
 
 
@@ -306,13 +306,13 @@ def test_model_names_have_the_order_of_the_tables():
 
 
 @names
-def test_named_model_has_the_size_of_the_preset(name):
+def test_named_model_has_the_size_of_its_preset(name):
     paper = RewardConfig.named(name, "paper", discrete_actions=True, **DIMENSIONS)
     assert (paper.hidden_dim, paper.heads, paper.discrete_actions) == (256, 4, True)
     assert RewardConfig.from_dict(paper.to_dict()) == paper
 
 
-def test_mapt_by_name_is_the_preset():
+def test_mapt_by_name_equals_the_small_preset():
     assert RewardConfig.named("MAPT", **DIMENSIONS) == RewardConfig.preset("small", **DIMENSIONS)
 
 

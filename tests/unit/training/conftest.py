@@ -1,4 +1,4 @@
-"""Runs small enough for a test."""
+"""Settings of runs that take less than a second."""
 
 from collections.abc import Callable
 
@@ -11,13 +11,16 @@ from support.training_runs import STEPS_PER_ITERATION
 
 
 @pytest.fixture(autouse=True)
-def every_test_has_short_episodes(short_episodes: None) -> None:
-    """Each plays whole episodes."""
+def use_short_episodes(short_episodes: None) -> None:
+    """Shorten the episodes in every test of this folder, since runs play whole episodes."""
 
 
 @pytest.fixture
 def settings() -> Callable[..., RunSettings]:
-    """Makes the settings of a tiny run; what is given goes to `RunSettings`, `policy_...` to the policy's."""
+    """A function that makes the settings of a tiny run.
+
+    Its arguments override fields of `RunSettings`; those that start with `policy_` override fields of `PolicyConfig`.
+    """
 
     def make(iterations: int = 3, **changes: object) -> RunSettings:
         policy = {name.removeprefix("policy_"): changes.pop(name) for name in list(changes) if name[:7] == "policy_"}

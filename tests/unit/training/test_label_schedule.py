@@ -16,34 +16,34 @@ def schedule(name: LabelScheduleName, budget: int = 1100, initial: int = 100) ->
 
 @pytest.mark.parametrize("name", NAMES)
 @given(st.integers(2, 500), st.data(), st.integers(0, 2 * TOTAL), st.integers(0, 2 * TOTAL))
-def test_due_goes_from_the_first_labels_to_the_budget_and_never_back(name, budget, data, one, other):
-    asked = schedule(name, budget, data.draw(st.integers(2, budget)))
-    assert asked.due(0) == asked.initial
-    assert asked.due(min(one, other)) <= asked.due(max(one, other))
-    assert asked.due(750) == asked.due(2 * TOTAL) == budget
+def test_due_labels_grow_from_the_initial_labels_to_the_budget(name, budget, data, one, other):
+    labels = schedule(name, budget, data.draw(st.integers(2, budget)))
+    assert labels.due(0) == labels.initial
+    assert labels.due(min(one, other)) <= labels.due(max(one, other))
+    assert labels.due(750) == labels.due(2 * TOTAL) == budget
 
 
-def test_a_constant_rate_asks_for_as_many_in_every_part():
+def test_a_constant_rate_requests_labels_evenly():
     due = [schedule("constant").due(steps) for steps in (0, 150, 300, 450, 600, 750)]
     assert due == [100, 300, 500, 700, 900, 1100]
 
 
-def test_a_decaying_rate_has_fallen_to_half_after_a_tenth_of_the_run():
-    asked = LabelSchedule(10**7, 2, 10**6, name="decaying")
+def test_a_decaying_rate_halves_after_a_tenth_of_the_run():
+    labels = LabelSchedule(10**7, 2, 10**6, name="decaying")
 
     def rate(steps: int) -> float:
-        return (asked.due(steps + 1000) - asked.due(steps)) / 1000
+        return (labels.due(steps + 1000) - labels.due(steps)) / 1000
 
     assert rate(100_000) / rate(0) == pytest.approx(1 / 2, rel=0.01)
     assert rate(400_000) / rate(0) == pytest.approx(1 / 5, rel=0.01)
 
 
-def test_the_default_grows_as_progress_to_the_power_of_0_7():
+def test_due_labels_grow_by_default_with_progress_to_the_power_of_0_7():
     due = [LabelSchedule(500, 100, TOTAL).due(steps) for steps in (0, 100, 375, 700)]
     assert due == [100 + int(400 * (steps / 750) ** 0.7) for steps in (0, 100, 375, 700)]
 
 
-def test_early_steps_ask_for_the_most_where_the_rate_decays():
+def test_a_decaying_rate_requests_the_most_labels_early():
     assert schedule("constant").due(200) < schedule("power").due(200) < schedule("decaying").due(200)
 
 
@@ -57,13 +57,13 @@ def schedules(draw) -> LabelSchedule:
     return paced(budget=budget, initial=draw(st.integers(2, budget)), per_version=draw(st.integers(1, 80)))
 
 
-def test_versions_are_due_at_the_first_labels_then_every_few_then_at_the_whole_budget():
+def test_versions_are_due_at_the_initial_labels_then_at_intervals_then_at_the_budget():
     thresholds = [paced().version_labels(labels) for labels in (0, 19, 20, 49, 50, 99, 100, 130)]
     assert thresholds == [0, 0, 20, 20, 50, 80, 100, 100]
 
 
 @given(schedules(), st.integers(0, 2000), st.integers(0, 320), st.integers(0, 320))
-def test_policy_and_reward_model_never_wait_for_each_other(plan, steps, labels, trained_on):
+def test_a_version_is_due_when_the_policy_waits_with_all_due_labels(plan, steps, labels, trained_on):
     trained_on = min(trained_on, labels)
     progress = Progress(steps, labels, trained_on or None)
     due = plan.version_is_due(labels=labels, trained_on=trained_on, changed=labels - trained_on)
@@ -77,34 +77,32 @@ def test_policy_continues_once_a_version_has_all_due_labels(plan, steps):
     assert plan.waiting_reason(Progress(steps, due, due)) is None
 
 
-def test_waiting_says_how_many_labels_are_missing():
+def test_waiting_reason_names_the_number_of_labels():
     reason = paced().waiting_reason(Progress(0, 12, None))
     assert reason == "The first reward version is trained after 20 labels; 12 are in."
 
 
-def test_free_pacing_waits_for_the_first_version_alone():
+def test_free_pacing_waits_only_for_the_first_version():
     free = paced(wait=False)
     assert free.waiting_reason(Progress(0, 0, None))
     assert free.waiting_reason(Progress(900, 20, 20)) is None
     assert paced().waiting_reason(Progress(900, 20, 20))
 
 
-def test_missing_labels_that_cannot_come_are_not_waited_for():
+def test_policy_does_not_wait_for_labels_when_all_pairs_are_labelled():
     assert paced().waiting_reason(Progress(900, 50, 50))
     assert paced().waiting_reason(Progress(900, 50, 50, exhausted=True)) is None
-    assert paced().waiting_reason(Progress(900, 50, 20, exhausted=True)), (
-        "a version is due that knows those that are there"
-    )
+    assert paced().waiting_reason(Progress(900, 50, 20, exhausted=True)), "a version trained on all 50 labels is due"
 
 
-def test_a_first_rollout_with_too_few_pairs_cannot_start():
+def test_training_cannot_start_if_the_first_rollout_has_too_few_pairs():
     assert paced().cannot_start(Progress(0, 6, None, exhausted=True))
     assert not paced().cannot_start(Progress(0, 6, None))
     assert not paced().cannot_start(Progress(0, 20, None, exhausted=True))
     assert not paced().cannot_start(Progress(0, 6, 6, exhausted=True))
 
 
-def test_changed_labels_bring_a_version_when_there_are_enough_of_them():
+def test_enough_changed_labels_make_a_version_due():
     assert not paced().version_is_due(labels=50, trained_on=50, changed=29)
     assert paced().version_is_due(labels=50, trained_on=50, changed=30)
     assert paced().version_is_due(labels=100, trained_on=100, changed=1)
@@ -112,16 +110,16 @@ def test_changed_labels_bring_a_version_when_there_are_enough_of_them():
 
 
 @given(schedules(), st.integers(1, 400), st.integers(1, 200))
-def test_about_four_segments_a_label_are_stored(plan, rollout_steps, fitting):
+def test_about_four_segments_per_label_are_stored(plan, rollout_steps, available):
     n_rollouts = -(-plan.total_steps // rollout_steps)
     counts = [
-        plan.segments_to_store(iteration=i, rollout_steps=rollout_steps, available=fitting) for i in range(n_rollouts)
+        plan.segments_to_store(iteration=i, rollout_steps=rollout_steps, available=available) for i in range(n_rollouts)
     ]
-    assert max(counts) <= fitting
+    assert max(counts) <= available
     assert sum(counts) <= max(4 * plan.budget, counts[0]) + 3 * n_rollouts
 
 
-def test_first_rollout_gives_segments_for_the_first_queries():
+def test_first_rollout_stores_enough_segments_for_the_first_queries():
     assert paced().segments_to_store(iteration=0, rollout_steps=100, available=500) == 64
     assert paced(initial=90).segments_to_store(iteration=0, rollout_steps=100, available=500) == 196
     assert paced().segments_to_store(iteration=0, rollout_steps=100, available=10) == 10

@@ -1,4 +1,4 @@
-"""Lines of a run: none missing, none twice."""
+"""The metrics file and the TensorBoard events of a run: no iteration is missing or repeated."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ def test_lines_are_read_back_while_they_are_written(tmp_path):
     file.close()
 
 
-def test_lines_after_the_checkpoint_are_made_again(tmp_path):
+def test_lines_after_the_checkpoint_are_discarded(tmp_path):
     path = tmp_path / "metrics.jsonl"
     path.write_text('{"iteration": 1}\n{"iteration": 2}\n{"iteration": 3}\n{"iter')
     file = MetricsFile(path, 2)
@@ -35,14 +35,14 @@ def test_fewer_lines_than_the_checkpoint_counts_are_refused(tmp_path, content):
     assert path.read_text() == content
 
 
-def test_a_line_in_the_making_is_not_read(tmp_path):
+def test_an_incomplete_last_line_is_ignored(tmp_path):
     path = tmp_path / "metrics.jsonl"
     path.write_text('{"iteration": 1}\n{"itera')
     assert read_metrics(path) == [{"iteration": 1}]
 
 
 @pytest.mark.parametrize("content", ["no json\n", "[1]\n"])
-def test_what_is_no_line_is_refused(tmp_path, content):
+def test_a_line_that_is_not_a_json_object_is_refused(tmp_path, content):
     (tmp_path / "metrics.jsonl").write_text(content)
     with pytest.raises(DamagedRun):
         read_metrics(tmp_path / "metrics.jsonl")
@@ -53,7 +53,7 @@ def line(iteration: int, **values: float | str) -> Metrics:
 
 
 def scalars(folder: Path) -> dict[str, list[tuple[int, float, float]]]:
-    """(steps, value, time) of each curve."""
+    """(steps, value, time) of every point, by curve."""
     read = EventAccumulator(str(folder)).Reload()
     return {
         name: [(event.step, event.value, event.wall_time) for event in read.Scalars(name)]
@@ -61,7 +61,7 @@ def scalars(folder: Path) -> dict[str, list[tuple[int, float, float]]]:
     }
 
 
-def test_numbers_become_curves_over_steps(tmp_path):
+def test_numeric_metrics_become_scalar_events(tmp_path):
     events = EventFile(tmp_path, [])
     events.append(line(1, true_return=3.5, kl=0.25, reward_sha="abc"))
     events.append(line(2, kl=0.5))
@@ -72,19 +72,19 @@ def test_numbers_become_curves_over_steps(tmp_path):
     }
 
 
-def test_a_run_that_goes_on_has_every_point_once(tmp_path):
+def test_a_resumed_run_has_every_event_once(tmp_path):
     before = EventFile(tmp_path, [])
     for iteration in (1, 2, 3):
         before.append(line(iteration, kl=float(iteration)))
     before.close()
-    # The checkpoint was of iteration 2: the third is made again.
+    # The checkpoint is of iteration 2, so iteration 3 is repeated.
     after = EventFile(tmp_path, [line(1, kl=1.0), line(2, kl=2.0)])
     after.append(line(3, kl=4.0))
     after.close()
     assert [(step, value) for step, value, _ in scalars(tmp_path)["learner/kl"]] == [(100, 1.0), (200, 2.0), (300, 4.0)]
 
 
-def test_curves_are_grouped():
+def test_tags_group_the_curves():
     assert tag("evaluation_mean") == "evaluation/evaluation_mean"
     assert tag("seconds_physics") == "speed/seconds_physics"
     assert tag("entropy") == "learner/entropy"

@@ -1,4 +1,4 @@
-"""Runs beside each other: what the table and the picture are made of."""
+"""Reading runs, grouping them by settings, and the table and the figure that compare them."""
 
 import dataclasses
 import json
@@ -21,7 +21,7 @@ from support.training_runs import STEPS_PER_ITERATION
 def write_run(
     path: Path, settings: RunSettings, returns: list[float | None], final: list[float] | None = None, **extra: float
 ) -> RunFolder:
-    """A run whose iterations had these true returns; the last line gets `extra`."""
+    """Write the files of a run with these true returns. `extra` is added to the last line of metrics."""
     folder = RunFolder(path)
     path.mkdir(parents=True)
     folder.claim(settings)
@@ -42,13 +42,13 @@ def read(*folders: RunFolder) -> list[RunResult]:
     return [RunResult.read(folder) for folder in folders]
 
 
-def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end():
+def test_the_interquartile_mean_excludes_a_quarter_at_each_end():
     assert interquartile_mean([100.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, -100.0]) == pytest.approx(3.5)
     assert interquartile_mean([7.0]) == 7.0
-    assert interquartile_mean([1.0, 2.0, 9.0]) == 4.0  # a quarter of three is none
+    assert interquartile_mean([1.0, 2.0, 9.0]) == 4.0  # a quarter of three values rounds down to none
 
 
-def test_a_run_is_read_as_it_was_written(settings, tmp_path):
+def test_a_run_reads_back_as_it_was_written(settings, tmp_path):
     folder = write_run(tmp_path / "run", settings(3), [None, 5.0, 6.0], final=[1.0, 3.0])
     run = RunResult.read(folder)
     assert run.curve.steps.tolist() == [2 * STEPS_PER_ITERATION, 3 * STEPS_PER_ITERATION]
@@ -65,17 +65,18 @@ def test_an_evaluation_of_fewer_steps_is_not_the_final_one(settings, tmp_path):
     assert RunResult.read(folder).evaluations == ()
 
 
-def test_runs_are_found_below_a_folder_each_once(settings, tmp_path):
+def test_each_run_below_a_folder_is_found_once(settings, tmp_path):
     write_run(tmp_path / "mat" / "seed-0", settings(1), [1.0])
     write_run(tmp_path / "mat" / "seed-1", settings(1, policy_seed=1), [1.0])
     found = find_runs([tmp_path, tmp_path / "mat" / "seed-0"])
     assert [folder.path.name for folder in found] == ["seed-0", "seed-1"]
     (tmp_path / "empty").mkdir()
-    with pytest.raises(RunNotFound, match="empty"):
+    with pytest.raises(RunNotFound) as caught:
         find_runs([tmp_path / "empty"])
+    assert caught.value.path == tmp_path / "empty"
 
 
-def test_runs_go_together_that_differ_in_their_seeds_alone(settings, tmp_path):
+def test_runs_that_differ_only_in_their_seeds_are_grouped(settings, tmp_path):
     several = [
         settings(1, policy_seed=0),
         settings(2, policy_seed=1),
@@ -93,7 +94,7 @@ def test_runs_go_together_that_differ_in_their_seeds_alone(settings, tmp_path):
     ]
 
 
-def test_the_table_tells_mean_spread_and_each_seed(settings, tmp_path):
+def test_the_table_shows_mean_deviation_and_each_seed(settings, tmp_path):
     folders = [
         write_run(
             tmp_path / str(seed), settings(2, policy_seed=seed), [1.0, 2.0], final=[value - 1, value, value, value + 41]
@@ -102,12 +103,12 @@ def test_the_table_tells_mean_spread_and_each_seed(settings, tmp_path):
     ]
     text = markdown(grouped(read(*folders)))
     assert f"| mappo | true | {2 * STEPS_PER_ITERATION:,} | 2 | 210 | 141 | 200 | 0: 110, 1: 310 |" in text
-    # Ten seconds an iteration.
+    # Every iteration takes ten seconds.
     assert f"| mappo | true | {STEPS_PER_ITERATION / 10:,.0f} | 10% | 20% | 30% | 40% |" in text
     assert "Not finished" not in text
 
 
-def test_the_table_tells_of_steps_on_the_way_and_of_what_is_missing(settings, tmp_path):
+def test_the_table_shows_intermediate_steps_and_unfinished_runs(settings, tmp_path):
     done = write_run(tmp_path / "0", settings(2), [1.0, 2.0], final=[8.0], evaluation_mean=7.0, evaluation_iqm=7.0)
     short = write_run(tmp_path / "1", settings(2, policy_seed=1), [1.0], evaluation_mean=5.0, evaluation_iqm=5.0)
     first, second = STEPS_PER_ITERATION, 2 * STEPS_PER_ITERATION
@@ -118,23 +119,23 @@ def test_the_table_tells_of_steps_on_the_way_and_of_what_is_missing(settings, tm
     assert f"seed 1: {first} of {second} steps" in text
 
 
-def test_a_mean_is_drawn_where_every_seed_has_been(settings, tmp_path):
+def test_bins_are_complete_where_every_run_has_a_value(settings, tmp_path):
     long = write_run(tmp_path / "0", settings(4), [1.0, 2.0, None, 4.0, 5.0])
     short = write_run(tmp_path / "1", settings(4, policy_seed=1), [None, 7.0, 9.0])
     curves = bin_curves([run.curve for run in read(long, short)])
-    # Five iterations in four bins, as many as the longest run has points: ends at 1.25, 2.5, 3.75 and 5 iterations.
+    # Five iterations in four bins, the number of points of the longest run. Bins end at 1.25, 2.5, 3.75 and 5.
     np.testing.assert_array_equal(curves.values, [[1.0, 2.0, 3.25, 4.5], [np.nan, 7.0, 9.0, np.nan]])
     assert curves.complete().tolist() == [False, True, True, False]
 
 
-def test_many_points_are_averaged_by_bins(settings, tmp_path):
+def test_points_are_averaged_within_bins(settings, tmp_path):
     run = RunResult.read(write_run(tmp_path / "0", settings(100), [float(n) for n in range(100)]))
     curves = bin_curves([run.curve], max_bins=10)
     np.testing.assert_allclose(curves.values[0], 4.5 + 10 * np.arange(10))
     assert curves.steps[-1] == 100 * STEPS_PER_ITERATION
 
 
-def test_the_picture_has_a_panel_for_each_task_and_does_with_little(settings, tmp_path):
+def test_curves_of_several_tasks_and_of_empty_runs_can_be_plotted(settings, tmp_path):
     other = dataclasses.replace(settings(1, policy_seed=3), task="HalfCheetah-6x1")
     folders = [
         write_run(tmp_path / "0", settings(3), [1.0, 2.0, 3.0], final=[4.0]),
@@ -145,11 +146,13 @@ def test_the_picture_has_a_panel_for_each_task_and_does_with_little(settings, tm
     assert (tmp_path / "curves.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-def test_a_file_that_is_no_run_is_told_by_its_name(settings, tmp_path):
+def test_a_damaged_file_is_named_in_the_error(settings, tmp_path):
     folder = write_run(tmp_path / "0", settings(1), [1.0], final=[1.0])
     folder.evaluation.write_text('{"steps": 96}')
-    with pytest.raises(DamagedRun, match=r"evaluation\.json"):
+    with pytest.raises(DamagedRun) as caught:
         RunResult.read(folder)
+    assert caught.value.path == folder.evaluation
     (folder.path / "run.json").write_text("{}")
-    with pytest.raises(DamagedRun, match=r"run\.json"):
+    with pytest.raises(DamagedRun) as caught:
         RunResult.read(folder)
+    assert caught.value.path == folder.path / "run.json"

@@ -17,7 +17,7 @@ from support.training_runs import STEPS_PER_ITERATION, reward_model, write_rewar
 
 
 def lines(folder: RunFolder) -> list[dict[str, float | str]]:
-    """What is decided by the settings of each line."""
+    """The metrics of a run without its timings, which differ from run to run."""
     return [
         {name: value for name, value in line.items() if name not in TIMINGS} for line in read_metrics(folder.metrics)
     ]
@@ -29,12 +29,12 @@ def train(settings, path, checkpoint_seconds=0.0, callbacks=None) -> RunFolder:
     return folder
 
 
-def test_a_run_leaves_its_curves_and_its_evaluation(settings, tmp_path):
+def test_a_run_writes_its_metrics_and_its_evaluation(settings, tmp_path):
     folder = train(settings(iterations=3), tmp_path / "run")
-    found = read_metrics(folder.metrics)
-    assert [line["iteration"] for line in found] == [1, 2, 3]
-    assert [line["steps"] for line in found] == [STEPS_PER_ITERATION * n for n in (1, 2, 3)]
-    for line in found:
+    metrics = read_metrics(folder.metrics)
+    assert [line["iteration"] for line in metrics] == [1, 2, 3]
+    assert [line["steps"] for line in metrics] == [STEPS_PER_ITERATION * n for n in (1, 2, 3)]
+    for line in metrics:
         assert line["true_reward_correlation"] == pytest.approx(1.0)
         parts = [line[f"seconds_{part}"] for part in ("physics", "inference", "reward", "update")]
         assert all(float(part) >= 0 for part in parts)
@@ -61,12 +61,12 @@ def test_a_stopped_run_resumes_exactly(settings, tmp_path):
 
 
 def test_an_extended_run_equals_a_run_of_that_length(settings, tmp_path):
-    grown = train(settings(iterations=2), tmp_path / "grown")
-    short = grown.evaluation.read_bytes()
-    train(settings(iterations=4), tmp_path / "grown")
+    extended = train(settings(iterations=2), tmp_path / "extended")
+    short = extended.evaluation.read_bytes()
+    train(settings(iterations=4), tmp_path / "extended")
     whole = train(settings(iterations=4), tmp_path / "whole")
-    assert grown.checkpoint.read_bytes() == whole.checkpoint.read_bytes()
-    assert grown.evaluation.read_bytes() == whole.evaluation.read_bytes() != short
+    assert extended.checkpoint.read_bytes() == whole.checkpoint.read_bytes()
+    assert extended.evaluation.read_bytes() == whole.evaluation.read_bytes() != short
 
 
 def test_physics_threads_do_not_affect_results(settings, tmp_path):
@@ -96,16 +96,19 @@ def test_a_learned_reward_replaces_the_true_one(settings, tmp_path):
     ).read_bytes()
 
 
-def value_units(checkpoint: bytes) -> tuple[float, float]:
-    """Mean and spread in which the critic predicts, over agents."""
+def value_statistics(checkpoint: bytes) -> tuple[float, float]:
+    """Mean and standard deviation of the critic's PopArt statistics, averaged over agents."""
     tensors, _ = unpack(PolicyCheckpoint.from_bytes(checkpoint).learner, SHORTEST_NAME)
     return float(tensors["critic.statistics.mean"].mean()), float(tensors["critic.statistics.std"].mean())
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_a_version_of_another_scale_does_not_corrupt_the_values(settings, tmp_path, told, monkeypatch):
-    """The new version is 50 r - 8, so values v are to become 50 v - 8 / (1 - gamma); untold, they lag behind."""
-    if not told:
+@pytest.mark.parametrize("announced", [True, False])
+def test_value_statistics_follow_the_scale_of_a_new_version(settings, tmp_path, announced, monkeypatch):
+    """The new version is 50 r - 8, so values v become 50 v - 8 / (1 - gamma).
+
+    Without `Learner.reward_changed`, the statistics adapt more slowly.
+    """
+    if not announced:
         monkeypatch.setattr(Learner, "reward_changed", lambda self: None)
     run = settings(iterations=21, policy_gamma=0.9, reward=write_reward(tmp_path / "reward", reward_model()))
     folder, before = RunFolder(tmp_path / "run"), b""
@@ -115,36 +118,38 @@ def test_a_version_of_another_scale_does_not_corrupt_the_values(settings, tmp_pa
         if metrics["iteration"] == 20:
             write_reward(tmp_path / "reward", reward_model(mean=8 / 50, deviation=1 / 50))
         if metrics["iteration"] == 21:
-            before = folder.checkpoint.read_bytes()  # of the iteration before
+            before = folder.checkpoint.read_bytes()  # checkpoint of the previous iteration
 
     train(run, folder.path, callbacks=RunCallbacks(on_iteration=replace))
-    found = lines(folder)
-    assert [line["reward_version"] for line in found] == [1] * 20 + [2]
-    assert len({line["reward_sha"] for line in found}) == 2
-    (mean, std), (new_mean, new_std) = value_units(before), value_units(folder.checkpoint.read_bytes())
-    moved = new_std == pytest.approx(50 * std, rel=0.25), new_mean == pytest.approx(50 * mean - 80, abs=50 * std)
-    assert moved == ((True, True) if told else (False, False))
+    metrics = lines(folder)
+    assert [line["reward_version"] for line in metrics] == [1] * 20 + [2]
+    assert len({line["reward_sha"] for line in metrics}) == 2
+    (mean, std), (new_mean, new_std) = value_statistics(before), value_statistics(folder.checkpoint.read_bytes())
+    followed = new_std == pytest.approx(50 * std, rel=0.25), new_mean == pytest.approx(50 * mean - 80, abs=50 * std)
+    assert followed == ((True, True) if announced else (False, False))
 
 
-def test_an_unusable_version_is_reported_once_and_the_old_one_stays(settings, tmp_path):
+def test_an_unusable_version_is_reported_once_and_not_used(settings, tmp_path):
     reward = tmp_path / "reward"
     run = settings(iterations=6, reward=write_reward(reward, reward_model()))
     whole = (reward / "reward.safetensors").read_bytes()
-    said: list[str] = []
+    messages: list[str] = []
 
-    def spoil(metrics) -> None:
+    def damage_then_repair(metrics) -> None:
         if metrics["iteration"] == 2:
             (reward / "reward.safetensors").write_bytes(whole[:-4])
         if metrics["iteration"] == 4:
             write_reward(reward, reward_model(seed=1))
 
-    folder = train(run, tmp_path / "run", callbacks=RunCallbacks(on_iteration=spoil, on_message=said.append))
+    folder = train(
+        run, tmp_path / "run", callbacks=RunCallbacks(on_iteration=damage_then_repair, on_message=messages.append)
+    )
     assert [line["reward_version"] for line in lines(folder)] == [1, 1, 1, 1, 2, 2]
-    assert len(said) == 1
-    assert str(reward) in said[0]
+    assert len(messages) == 1
+    assert str(reward) in messages[0]
 
 
-def test_a_version_written_while_no_process_ran_is_used(settings, tmp_path):
+def test_a_version_written_between_two_processes_is_used(settings, tmp_path):
     reward = write_reward(tmp_path / "reward", reward_model())
     train(settings(iterations=2, reward=reward), tmp_path / "run")
     write_reward(tmp_path / "reward", reward_model(seed=1))
@@ -152,7 +157,7 @@ def test_a_version_written_while_no_process_ran_is_used(settings, tmp_path):
     assert [line["reward_version"] for line in lines(folder)] == [1, 1, 2, 2]
 
 
-def test_a_reward_that_is_missing_or_for_another_task_is_refused(settings, tmp_path):
+def test_a_missing_reward_and_one_of_other_dimensions_are_refused(settings, tmp_path):
     run = settings(reward=write_reward(tmp_path / "reward", reward_model()), agent_obsk=0)
     with pytest.raises(ModelMismatch):
         train(run, tmp_path / "run")
@@ -162,7 +167,7 @@ def test_a_reward_that_is_missing_or_for_another_task_is_refused(settings, tmp_p
 
 
 @pytest.mark.parametrize("algorithm", ["happo", "mat", "mat_dec"])
-def test_the_policy_that_is_loaded_is_the_one_that_was_evaluated(settings, tmp_path, algorithm):
+def test_a_loaded_policy_repeats_the_stored_evaluation(settings, tmp_path, algorithm):
     run = settings(iterations=1, policy_algorithm=algorithm, policy_width=8, agent_obsk=0)
     folder = train(run, tmp_path / "run")
     saved = load_policy(folder.path, "cpu")
@@ -171,13 +176,13 @@ def test_the_policy_that_is_loaded_is_the_one_that_was_evaluated(settings, tmp_p
     assert again == folder.read_evaluation(STEPS_PER_ITERATION)
 
 
-def test_a_run_that_fails_at_its_start_leaves_no_settings_behind(settings, tmp_path):
+def test_a_run_that_fails_to_start_stores_no_settings(settings, tmp_path):
     with pytest.raises(DamagedCheckpoint):
         train(settings(reward=LearnedRewardSettings(str(tmp_path / "nowhere"), 5)), tmp_path / "run")
     train(settings(iterations=1), tmp_path / "run")
 
 
-def test_a_run_can_be_closed_in_the_middle(settings, tmp_path):
+def test_a_run_can_be_closed_before_its_first_iteration(settings, tmp_path):
     folder = RunFolder(tmp_path)
     with folder.locked(), Run(settings(), folder, 0.0, RunCallbacks()) as run:
         assert run.iteration == 0

@@ -1,4 +1,4 @@
-"""Policies from files, whoever wrote them."""
+"""Loading policies from the files of a learner, of `mapt train` and of the service."""
 
 import pytest
 import torch
@@ -21,25 +21,25 @@ def learner(settings):
     task.close()
 
 
-def same(learner: Learner, other) -> bool:
-    own, its = learner.policy.state_dict(), other.policy.state_dict()
-    return own.keys() == its.keys() and all(torch.equal(own[name], its[name]) for name in own)
+def same_weights(learner: Learner, other) -> bool:
+    first, second = learner.policy.state_dict(), other.policy.state_dict()
+    return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
 
 
-def test_a_learners_own_file_is_read(learner, tmp_path):
+def test_a_policy_loads_from_a_learners_file(learner, tmp_path):
     learner.save(tmp_path / "policy.safetensors")
     saved = load_policy(tmp_path / "policy.safetensors", "cpu")
-    assert same(learner, saved)
+    assert same_weights(learner, saved)
     assert (saved.task, saved.algorithm, saved.steps) == (SHORTEST_NAME, "mappo", STEPS_PER_ITERATION)
 
 
-def test_a_checkpoint_of_the_service_is_read(learner, tmp_path):
+def test_a_policy_loads_from_a_checkpoint_of_the_service(learner, tmp_path):
     context = {"episode": torch.zeros(3).numpy()}
     (tmp_path / "000-ab.safetensors").write_bytes(PolicyCheckpoint(learner.to_bytes(), context).to_bytes())
-    assert same(learner, load_policy(tmp_path / "000-ab.safetensors", "cpu"))
+    assert same_weights(learner, load_policy(tmp_path / "000-ab.safetensors", "cpu"))
 
 
-def test_a_checkpoint_is_read_as_it_was_written(learner):
+def test_a_checkpoint_reads_back_as_it_was_written(learner):
     context = {"episode": torch.arange(3).numpy()}
     stored = PolicyCheckpoint.from_bytes(PolicyCheckpoint(learner.to_bytes(), context, {"iteration": 7}).to_bytes())
     assert stored.learner == learner.to_bytes()
@@ -47,13 +47,13 @@ def test_a_checkpoint_is_read_as_it_was_written(learner):
     assert stored.progress == {"iteration": 7}
 
 
-def test_other_observations_than_the_policys_are_refused(learner, tmp_path):
+def test_observations_of_other_dimensions_are_refused(learner, tmp_path):
     learner.save(tmp_path / "policy.safetensors")
     with pytest.raises(CheckpointMismatch):
         load_policy(tmp_path / "policy.safetensors", "cpu", agent_obsk=0)
 
 
-def test_what_is_no_policy_is_refused(learner, tmp_path):
+def test_a_damaged_or_missing_policy_is_refused(learner, tmp_path):
     learner.save(tmp_path / "policy.safetensors")
     whole = (tmp_path / "policy.safetensors").read_bytes()
     for content in (b"", b"nothing", whole[:-8], whole[:100]):

@@ -1,4 +1,4 @@
-"""Which settings make a run, and when two are the same."""
+"""Validation, storage and comparison of the settings of a run."""
 
 import dataclasses
 
@@ -9,7 +9,7 @@ from mapt.training.run_folder import RunFolder
 from mapt.training.settings import LearnedRewardSettings, RunSettings
 
 
-def test_settings_survive_storage(settings, tmp_path):
+def test_settings_read_back_as_they_were_written(settings, tmp_path):
     for reward in (None, LearnedRewardSettings("/somewhere", 5, "weighted", "individual")):
         run = settings(reward=reward, policy_learning_rate=1e-3)
         folder = RunFolder(tmp_path / str(reward is None))
@@ -60,13 +60,13 @@ def test_invalid_settings_are_refused(settings, changes, field):
     assert caught.value.field == field
 
 
-def test_the_policys_settings_are_checked_as_its_own(settings):
+def test_unknown_settings_of_the_policy_are_refused(settings):
     values = settings().to_dict()
     with pytest.raises(InvalidConfig):
         RunSettings.from_dict({**values, "policy": {"learning_rte": 1.0}})
 
 
-def test_only_the_steps_may_differ(settings):
+def test_differences_ignore_the_number_of_steps(settings):
     run = settings()
     assert run.differences(dataclasses.replace(run, steps=10**9)) == []
     assert run.differences(dataclasses.replace(run, agent_obsk=0)) == ["agent_obsk: 1, not 0"]

@@ -14,17 +14,17 @@ from accord.workers.runner import Backoff, Stop, error_sentence
 
 @pytest.fixture
 def stop():
-    kept = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
+    previous = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
     stop = Stop()
     stop.install()
     yield stop
-    signal.signal(signal.SIGTERM, kept[0])
-    signal.signal(signal.SIGINT, kept[1])
+    signal.signal(signal.SIGTERM, previous[0])
+    signal.signal(signal.SIGINT, previous[1])
     stop.close()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_asks_to_stop(stop, number):
+def test_a_signal_requests_a_stop(stop, number):
     assert not stop.requested
     os.kill(os.getpid(), number)
     assert stop.wait(0)
@@ -32,13 +32,13 @@ def test_a_signal_asks_to_stop(stop, number):
     assert not stop.immediate
 
 
-def test_the_second_signal_insists(stop):
+def test_a_second_signal_requests_an_immediate_stop(stop):
     for _ in range(2):
         os.kill(os.getpid(), signal.SIGINT)
     assert stop.immediate
 
 
-def test_a_signal_ends_a_wait_that_has_begun(stop):
+def test_a_signal_ends_a_wait(stop):
     def send() -> None:
         while not waiting.is_set():
             time.sleep(0.001)
@@ -52,7 +52,7 @@ def test_a_signal_ends_a_wait_that_has_begun(stop):
     thread.join()
 
 
-def test_nothing_asked_nothing_stopped(stop):
+def test_a_wait_times_out_without_a_signal(stop):
     assert not stop.wait(0.001)
 
 
@@ -63,7 +63,7 @@ def test_pauses_double_with_jitter_up_to_the_longest(failures, seed):
     assert step / 2 <= pause <= step
 
 
-def test_our_own_errors_speak_for_themselves_and_others_name_their_kind():
+def test_error_sentences_name_the_class_of_foreign_errors_only():
     assert error_sentence(BlobMissing("a/b")).startswith("The blob 'a/b'")
     assert error_sentence(ValueError("bad\nsecond line")) == "ValueError: bad."
     assert error_sentence(KeyError()) == "KeyError."
