@@ -3,15 +3,15 @@ from pathlib import Path
 
 import pytest
 
-from integration.workers.workplace import Workplace, workplace
+from integration.workers.worker_harness import WorkerHarness, open_harness
 
 
 @pytest.fixture(autouse=True)
-def every_test_has_short_episodes(short_episodes: None) -> None:
-    """Each plays whole episodes."""
+def use_short_episodes(short_episodes: None) -> None:
+    """Shorten the episodes in every test of this folder, since runs play whole episodes."""
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Iterator[Workplace]:
-    with workplace(tmp_path) as made:
-        yield made
+def harness(tmp_path: Path) -> Iterator[WorkerHarness]:
+    with open_harness(tmp_path) as opened:
+        yield opened

@@ -1,8 +1,8 @@
-"""Whether a process runs."""
+"""The status of a process."""
 
 import psutil
 
 
 def alive(pid: int) -> bool:
-    """Whether this process runs; one that nobody has waited for yet does not."""
+    """Whether the process is running. A zombie is not."""
     return psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE

@@ -1,4 +1,4 @@
-"""A supervisor in a process of its own, to be killed: `python -m supervisor_parent <folder> <character>...`."""
+"""A supervisor in a separate process that tests can kill: `python -m supervisor_parent FOLDER BEHAVIOUR...`."""
 
 import sys
 from pathlib import Path
@@ -11,11 +11,11 @@ stop = Stop()
 stop.install()
 specs = [
     ChildSpec(
-        f"{character}-0",
-        ("tiny_process", character, str(folder)),
+        f"{behaviour}-0",
+        ("tiny_process", behaviour, str(folder)),
         environment={"PYTHONPATH": str(Path(__file__).parent)},
     )
-    for character in sys.argv[2:]
+    for behaviour in sys.argv[2:]
 ]
 supervisor = Supervisor(specs, folder, lambda death: None)
 while not stop.wait(0.02):

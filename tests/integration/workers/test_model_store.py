@@ -24,15 +24,15 @@ def blobs(tmp_path: Path) -> FolderBlobs:
 
 
 def store(blobs: FolderBlobs, n_segments: int) -> tuple[list[str], SegmentArrays]:
-    """Random segments: their blob keys, and themselves."""
+    """Store random segments; return their blob keys and arrays."""
     rng = np.random.default_rng(0)
     observations = rng.normal(size=(n_segments, STEPS, AGENTS, OBSERVATION)).astype(np.float32)
     actions = rng.normal(size=(n_segments, STEPS, AGENTS, ACTION)).astype(np.float32)
     keys: list[str] = []
     for observed, acted in zip(observations, actions, strict=True):
-        made = segment()
-        whole = collect.NewSegment(observed, acted, made.rewards, made.qpos, made.qvel, 0, 0)
-        keys.append(collect.store_arrays(blobs, "exp_1", whole).blob_key)
+        example = segment()
+        stored = collect.NewSegment(observed, acted, example.rewards, example.qpos, example.qvel, 0, 0)
+        keys.append(collect.store_arrays(blobs, "exp_1", stored).blob_key)
     return keys, SegmentArrays(observations, actions, np.ones((n_segments, STEPS), dtype=np.bool_))
 
 
@@ -47,7 +47,7 @@ def make_ensemble(seed: int = 0, members: int = 2) -> RewardEnsemble:
 
 
 @pytest.fixture(autouse=True)
-def torch_draws_as_before() -> Iterator[None]:
+def restore_the_torch_random_state() -> Iterator[None]:
     with torch.random.fork_rng():
         yield
 
@@ -66,7 +66,7 @@ def version(number: int) -> RewardVersionRow:
     )
 
 
-def test_an_ensemble_is_written_once_and_then_only_read(blobs: FolderBlobs):
+def test_a_stored_ensemble_is_never_overwritten(blobs: FolderBlobs):
     _, segments = store(blobs, 3)
     first, second = make_ensemble(0), make_ensemble(1)
     ensembles = EnsembleStore(blobs)
@@ -74,9 +74,9 @@ def test_an_ensemble_is_written_once_and_then_only_read(blobs: FolderBlobs):
     assert ensembles.load(version(1)) is None
     ensembles.store(version(1), first)
     ensembles.store(version(1), second)
-    for each in (ensembles, EnsembleStore(blobs)):
-        assert each.has(version(1))
-        kept = each.load(version(1))
-        assert kept is not None
-        assert np.array_equal(kept.scores(segments), first.scores(segments))
+    for opened_store in (ensembles, EnsembleStore(blobs)):
+        assert opened_store.has(version(1))
+        loaded = opened_store.load(version(1))
+        assert loaded is not None
+        assert np.array_equal(loaded.scores(segments), first.scores(segments))
     assert ensembles.load(version(2)) is None

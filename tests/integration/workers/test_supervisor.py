@@ -29,17 +29,17 @@ def deaths() -> list[Death]:
 
 @pytest.fixture
 def make(tmp_path: Path, deaths: list[Death]) -> Iterator[Callable[[str], Supervisor]]:
-    made: list[Supervisor] = []
+    supervisors: list[Supervisor] = []
 
-    def build(character: str) -> Supervisor:
-        spec = ChildSpec(f"{character}-0", ("tiny_process", character, str(tmp_path)), "policy", ENVIRONMENT)
+    def build(behaviour: str) -> Supervisor:
+        spec = ChildSpec(f"{behaviour}-0", ("tiny_process", behaviour, str(tmp_path)), "policy", ENVIRONMENT)
         backoff = Backoff(first_seconds=0.01, longest_seconds=0.05)
         supervisor = Supervisor([spec], tmp_path, deaths.append, backoff=backoff, rng=random.Random(0))
-        made.append(supervisor)
+        supervisors.append(supervisor)
         return supervisor
 
     yield build
-    for supervisor in made:
+    for supervisor in supervisors:
         supervisor.shutdown(Stop(), grace_seconds=0.0)
 
 
@@ -52,58 +52,58 @@ def tick_until(supervisor: Supervisor, condition: Callable[[], object]) -> None:
 
 
 def test_a_killed_child_restarts_and_its_death_is_reported(make, deaths, tmp_path):
-    supervisor = make("calm")
+    supervisor = make("sleep")
     tick_until(supervisor, lambda: len(starts(tmp_path)) == 1)
-    os.kill(supervisor.pids()["calm-0"], signal.SIGKILL)
+    os.kill(supervisor.pids()["sleep-0"], signal.SIGKILL)
     tick_until(supervisor, lambda: len(starts(tmp_path)) == 2)
-    assert [(death.name, death.role, death.restarts) for death in deaths] == [("calm-0", "policy", 1)]
+    assert [(death.name, death.role, death.restarts) for death in deaths] == [("sleep-0", "policy", 1)]
     assert "killed by SIGKILL" in deaths[0].description
 
 
-def test_a_child_that_fails_at_once_restarts_and_the_last_log_line_is_reported(make, deaths, tmp_path):
-    supervisor = make("broken")
+def test_a_child_that_fails_restarts_and_its_last_log_line_is_reported(make, deaths, tmp_path):
+    supervisor = make("fail")
     tick_until(supervisor, lambda: len(deaths) == 3)
     assert [death.restarts for death in deaths] == [1, 2, 3]
     assert "exit status 3" in deaths[0].description
-    assert deaths[0].description.endswith("the cable is loose")
+    assert deaths[0].description.endswith("simulated failure")
 
 
 def test_shutdown_ends_children_that_handle_sigterm(make, tmp_path):
-    supervisor = make("calm")
+    supervisor = make("sleep")
     tick_until(supervisor, lambda: starts(tmp_path))
-    pid = supervisor.pids()["calm-0"]
+    pid = supervisor.pids()["sleep-0"]
     assert supervisor.shutdown(Stop()) == []
     assert not alive(pid)
 
 
 def test_shutdown_kills_a_child_that_ignores_sigterm(make, tmp_path):
-    supervisor = make("deaf")
+    supervisor = make("ignore-sigterm")
     tick_until(supervisor, lambda: starts(tmp_path))
-    pid = supervisor.pids()["deaf-0"]
-    assert supervisor.shutdown(Stop(), grace_seconds=0.2) == ["deaf-0"]
+    pid = supervisor.pids()["ignore-sigterm-0"]
+    assert supervisor.shutdown(Stop(), grace_seconds=0.2) == ["ignore-sigterm-0"]
     assert not alive(pid)
 
 
 def test_a_second_request_to_stop_kills_at_once(make, tmp_path):
-    supervisor, stop = make("deaf"), Stop()
+    supervisor, stop = make("ignore-sigterm"), Stop()
     tick_until(supervisor, lambda: starts(tmp_path))
     stop.request()
     stop.request()
-    assert supervisor.shutdown(stop, grace_seconds=3600.0) == ["deaf-0"]
+    assert supervisor.shutdown(stop, grace_seconds=3600.0) == ["ignore-sigterm-0"]
 
 
 def test_processes_started_by_a_killed_child_end_with_it(make, tmp_path):
-    supervisor = make("parent")
+    supervisor = make("spawn")
     tick_until(supervisor, lambda: starts(tmp_path))
     grandchild = int((tmp_path / "grandchild").read_text())
-    os.kill(supervisor.pids()["parent-0"], signal.SIGKILL)
+    os.kill(supervisor.pids()["spawn-0"], signal.SIGKILL)
     tick_until(supervisor, lambda: len(starts(tmp_path)) == 2)
     until(lambda: not alive(grandchild))
 
 
-@pytest.mark.parametrize("character", ["calm", "deaf"])
-def test_no_child_outlives_a_killed_supervisor(tmp_path, character):
-    command = [sys.executable, "-m", "supervisor_parent", str(tmp_path), character]
+@pytest.mark.parametrize("behaviour", ["sleep", "ignore-sigterm"])
+def test_no_child_outlives_a_killed_supervisor(tmp_path, behaviour):
+    command = [sys.executable, "-m", "supervisor_parent", str(tmp_path), behaviour]
     parent = subprocess.Popen(command, env=os.environ | ENVIRONMENT)
     until(lambda: starts(tmp_path))
     parent.kill()
@@ -112,11 +112,11 @@ def test_no_child_outlives_a_killed_supervisor(tmp_path, character):
 
 
 def test_sigterm_to_the_supervisor_leaves_no_process(tmp_path):
-    command = [sys.executable, "-m", "supervisor_parent", str(tmp_path), "calm", "parent"]
+    command = [sys.executable, "-m", "supervisor_parent", str(tmp_path), "sleep", "spawn"]
     parent = subprocess.Popen(command, env=os.environ | ENVIRONMENT)
     until(lambda: len(starts(tmp_path)) == 2)
     grandchild = int((tmp_path / "grandchild").read_text())
     parent.terminate()
     assert parent.wait(PATIENCE_SECONDS) == 0
-    # A grandchild that was killed is gone a moment later: nobody waits for it.
+    # The supervisor does not wait for the grandchild, which ends shortly afterwards.
     until(lambda: not any(alive(pid) for pid in [*starts(tmp_path), grandchild]))

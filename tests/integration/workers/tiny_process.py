@@ -1,6 +1,9 @@
-"""A child process in one of a few characters, started by the tests of the supervisor.
+"""A child process with one of several behaviours, started by the tests of the supervisor.
 
-`python -m tiny_process <character> <folder> --parent <pid>`; each start adds a line with its pid to <folder>/starts.
+`python -m tiny_process BEHAVIOUR FOLDER --parent PID`. Every start appends a line with the pid to FOLDER/starts.
+
+Behaviours: `sleep` ends at SIGTERM, `ignore-sigterm` does not, `fail` exits with status 3, and `spawn` starts a process
+of its own. All but `fail` sleep for ten minutes.
 """
 
 import os
@@ -14,17 +17,17 @@ from mapt.processes import follow_parent
 
 
 def main() -> None:
-    character, folder, parent = sys.argv[1], Path(sys.argv[2]), int(sys.argv[4])
-    if character == "deaf":
+    behaviour, folder, parent = sys.argv[1], Path(sys.argv[2]), int(sys.argv[4])
+    if behaviour == "ignore-sigterm":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
     follow_parent(parent, grace_seconds=0.2, check_seconds=0.05)
-    if character == "parent":
+    if behaviour == "spawn":
         child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
         (folder / "grandchild").write_text(str(child.pid))
     with (folder / "starts").open("a") as starts:
         starts.write(f"{os.getpid()}\n")
-    if character == "broken":
-        print("the cable is loose", file=sys.stderr)
+    if behaviour == "fail":
+        print("simulated failure", file=sys.stderr)
         sys.exit(3)
     time.sleep(600)
 

@@ -1,4 +1,4 @@
-"""The surroundings of a worker in the test's own process: a migrated database, blobs, a heartbeat."""
+"""What a worker needs to run in the process of the test: a migrated database, blobs and a heartbeat."""
 
 import sqlite3
 from collections.abc import Iterator
@@ -35,7 +35,7 @@ TINY: dict[str, Any] = {
 
 
 class SingleThreadedRewardWorker(RewardWorker):
-    """The reward worker without its planner's thread: each call of `work` creates queries, then trains."""
+    """A reward worker without the thread of its query planner: `work` creates queries, then trains."""
 
     def work(self) -> bool:
         planned = self.planner.work()
@@ -43,8 +43,8 @@ class SingleThreadedRewardWorker(RewardWorker):
 
 
 @dataclass(slots=True)
-class Workplace:
-    """One home and one worker's context."""
+class WorkerHarness:
+    """A home folder, the context of a worker, and a teacher."""
 
     home: Path
     context: Context
@@ -54,15 +54,15 @@ class Workplace:
     def database(self) -> Database:
         return self.context.database
 
-    def begin(self, name: str = "tiny", **changes: Any) -> str:
-        """A new experiment; returns its id."""
+    def create_experiment(self, name: str = "tiny", **changes: Any) -> str:
+        """Create a tiny experiment; `changes` override fields of its configuration. Returns its id."""
         config = ExperimentConfig(**{**TINY, **changes})
         with self.database.transaction() as session:
             return experiments.create(session, self.teacher.id, name, config, None).id
 
     @contextmanager
     def training(self, id: str) -> Iterator[PolicyRun]:
-        """A policy's run under its claim, as after the start of a process."""
+        """The run of the experiment's policy, opened under a claim as a policy worker does."""
         with self.database.reading() as session:
             config = experiments.config_of(experiments.get(session, id))
         with self.context.heartbeat.claim(f"policy:{id}") as claim:
@@ -74,13 +74,13 @@ class Workplace:
                 run.close()
 
     def train(self, id: str) -> None:
-        """Let the policy go on as far as labels allow."""
+        """Train the policy until it finishes or waits for labels."""
         with self.training(id) as run:
             while run.step():
                 pass
 
-    def make_clips(self) -> None:
-        """Make every clip that is asked for."""
+    def render_clips(self) -> None:
+        """Render every requested clip."""
         worker = RenderWorker(self.context)
         try:
             while worker.work():
@@ -89,19 +89,19 @@ class Workplace:
             worker.close()
 
     def label(self, id: str, count: int, value: float | None = None) -> list[str]:
-        """Label the first `count` open queries, by true return or all alike; returns their ids."""
-        found = self.rows(
+        """Label the first `count` open queries with `value`, or by true return if it is None. Returns their ids."""
+        queries = self.rows(
             "SELECT q.id, a.true_return > b.true_return FROM queries q"
             " JOIN segments a ON a.id = q.segment_0_id JOIN segments b ON b.id = q.segment_1_id"
             " WHERE q.experiment_id = ? AND q.status = 'open' ORDER BY q.number LIMIT ?",
             id,
             count,
         )
-        assert len(found) == count
+        assert len(queries) == count
         with self.database.transaction() as session:
-            for query_id, better in found:
+            for query_id, better in queries:
                 label.put_label(session, self.teacher, query_id, float(better) if value is None else value)
-        return [query_id for query_id, _ in found]
+        return [query_id for query_id, _ in queries]
 
     def relabel(self, query_ids: list[str], value: float) -> None:
         with self.database.transaction() as session:
@@ -109,18 +109,20 @@ class Workplace:
                 label.put_label(session, self.teacher, query_id, value)
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
+        """Rows of the database, read over a separate connection."""
         with closing(sqlite3.connect(self.home / "accord.db", timeout=20)) as connection:
             return connection.execute(statement, values).fetchall()
 
     def curve(self, id: str, name: str) -> dict[int, float]:
+        """The values of a metric by step."""
         return dict(
             self.rows("SELECT step, value FROM metrics WHERE experiment_id = ? AND name = ? ORDER BY step", id, name)
         )
 
 
 @contextmanager
-def workplace(home: Path, role: WorkerRole = WorkerRole.POLICY) -> Iterator[Workplace]:
-    """Opened over a fresh home, closed at the end of the block."""
+def open_harness(home: Path, role: WorkerRole = WorkerRole.POLICY) -> Iterator[WorkerHarness]:
+    """A harness with a new home folder, closed at the end of the block."""
     settings = Settings(home=home, torch_threads=1, poll_seconds=0.01, worker_lease_seconds=30.0)
     database = Database.open(settings.resolved_database_url)
     database.migrate()
@@ -130,7 +132,7 @@ def workplace(home: Path, role: WorkerRole = WorkerRole.POLICY) -> Iterator[Work
     heartbeat.start()
     context = Context(settings, database, open_blobs(settings.resolved_blob_url), heartbeat, Stop(), "holder")
     try:
-        yield Workplace(home, context, teacher)
+        yield WorkerHarness(home, context, teacher)
     finally:
         heartbeat.close()
         context.stop.close()
