@@ -54,9 +54,9 @@ class Accord:
             self._supervisor = psutil.Popen(
                 command, env=os.environ | ENVIRONMENT | dict(environment or {}), stdout=log, stderr=log
             )
-        until(self._answers, "the API responds")
+        until(self._responds, "the API responds")
 
-    def _answers(self) -> bool:
+    def _responds(self) -> bool:
         assert self.supervisor.is_running(), self.log.read_text()
         assert self.supervisor.status() != psutil.STATUS_ZOMBIE, self.log.read_text()
         with suppress(httpx.TransportError, FileNotFoundError):
@@ -74,28 +74,29 @@ class Accord:
 
     def processes(self) -> dict[str, psutil.Process]:
         """The service's processes by role: api, policy, reward, render, and child, the render process."""
-        found: dict[str, psutil.Process] = {}
+        running: dict[str, psutil.Process] = {}
         with suppress(psutil.NoSuchProcess):
             for process in self.supervisor.children(recursive=True):
                 with suppress(psutil.NoSuchProcess):
-                    words = process.cmdline()
+                    arguments = process.cmdline()
                     for module, role in _ROLES.items():
-                        if module in words and alive(process):
-                            found[role] = process
+                        if module in arguments and alive(process):
+                            running[role] = process
                             self._seen[process.pid] = process
-        return found
+        return running
 
-    def all_up(self) -> dict[str, psutil.Process] | None:
-        found = self.processes()
-        return found if found.keys() >= set(_ROLES.values()) else None
+    def all_running(self) -> dict[str, psutil.Process] | None:
+        """All processes, once there is one of each role; else None."""
+        running = self.processes()
+        return running if running.keys() >= set(_ROLES.values()) else None
 
-    def all_listening(self) -> dict[str, psutil.Process] | None:
+    def all_ready(self) -> dict[str, psutil.Process] | None:
         """All processes, once every worker has finished its imports and handles signals; else None."""
-        found = self.all_up()
-        states = [state for (state,) in self.rows("SELECT state FROM workers")] if found else []
-        return found if len(states) == 3 and "starting" not in states else None
+        running = self.all_running()
+        states = [state for (state,) in self.rows("SELECT state FROM workers")] if running else []
+        return running if len(states) == 3 and "starting" not in states else None
 
-    def ask_to_end(self, number: signal.Signals = signal.SIGTERM) -> None:
+    def send_signal(self, number: signal.Signals = signal.SIGTERM) -> None:
         self.supervisor.send_signal(number)
 
     def kill_everything(self) -> None:
@@ -118,6 +119,7 @@ class Accord:
         )
 
     def token(self, name: str, role: str) -> str:
+        """Add a user; return their API token."""
         done = self.run("user", "add", name, "--role", role)
         assert done.returncode == 0, done.stderr
         return dict(line.split() for line in done.stdout.splitlines())["token"]
@@ -138,25 +140,25 @@ _ROLES = {
 
 
 def alive(process: psutil.Process) -> bool:
-    """Whether it still runs. One that nobody has waited for yet does not."""
+    """Whether the process is running. A zombie is not."""
     with suppress(psutil.NoSuchProcess):
         return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
     return False
 
 
-class Person:
-    """A client of the REST API that tries again when a process was killed under it, as the page does."""
+class Client:
+    """A client of the REST API that retries while the service restarts, as the page does."""
 
     def __init__(self, accord: Accord, token: str) -> None:
         self._accord = accord
         self._headers = {"Authorization": f"Bearer {token}"}
 
-    def ask(self, method: str, path: str, body: Any = None, **query: Any) -> Any:
-        """The JSON of a successful answer."""
+    def request(self, method: str, path: str, body: Any = None, **query: Any) -> Any:
+        """Send a request until the service responds; return the JSON of a successful response."""
 
         def attempt() -> httpx.Response | None:
             with suppress(httpx.TransportError, FileNotFoundError):
-                answer = httpx.request(
+                response = httpx.request(
                     method,
                     f"{self._accord.url}/api/v1{path}",
                     json=body,
@@ -165,31 +167,31 @@ class Person:
                     trust_env=False,
                     timeout=60.0,
                 )
-                return None if answer.status_code == 503 else answer
+                return None if response.status_code == 503 else response
             return None
 
-        answer = until(attempt, f"{method} {path} is answered")
-        assert answer.is_success, f"{method} {path}: {answer.status_code} {answer.text}"
-        return answer.json()
+        response = until(attempt, f"a response to {method} {path}")
+        assert response.is_success, f"{method} {path}: {response.status_code} {response.text}"
+        return response.json()
 
-    def begin(self, **changes: Any) -> str:
-        """Start a tiny experiment; returns its id."""
-        return self.ask("POST", "/experiments", {"name": "tiny", **TINY, **changes})["id"]
+    def create_experiment(self, **changes: Any) -> str:
+        """Create a tiny experiment; return its id."""
+        return self.request("POST", "/experiments", {"name": "tiny", **TINY, **changes})["id"]
 
     def experiment(self, id: str) -> dict[str, Any]:
-        return self.ask("GET", f"/experiments/{id}")
+        return self.request("GET", f"/experiments/{id}")
 
     def label_some(self, id: str, most: int = 4) -> dict[str, float]:
-        """Label what is open by true return, a few queries at most. Returns what the service acknowledged."""
-        queries = self.ask("POST", f"/experiments/{id}/queries/next", count=most, returns=True)["items"]
-        labels = {query["id"]: _better(query) for query in queries}
+        """Label at most `most` open queries by true return. Return the labels that the service acknowledged."""
+        queries = self.request("POST", f"/experiments/{id}/queries/next", count=most, returns=True)["items"]
+        labels = {query["id"]: _oracle_label(query) for query in queries}
         if not labels:
             return {}
         batch = [{"query_id": query_id, "label": label} for query_id, label in labels.items()]
-        outcomes = self.ask("POST", f"/experiments/{id}/labels", {"labels": batch})["items"]
+        outcomes = self.request("POST", f"/experiments/{id}/labels", {"labels": batch})["items"]
         return {outcome["query_id"]: labels[outcome["query_id"]] for outcome in outcomes if outcome["ok"]}
 
 
-def _better(query: dict[str, Any]) -> float:
+def _oracle_label(query: dict[str, Any]) -> float:
     first, second = sorted((query["left"], query["right"]), key=lambda side: side["index"])
     return 1.0 if first["true_return"] > second["true_return"] else 0.0

@@ -1,4 +1,4 @@
-"""A real service per test: its supervisor and all its processes, on a free port, over a fresh home."""
+"""A service per test: a supervisor and its processes, with a new home folder and a free port."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +10,7 @@ from acceptance.accord_service import Accord
 
 @pytest.fixture
 def accord(tmp_path: Path) -> Iterator[Accord]:
-    """Not started yet. Whatever of it still runs at the end is killed."""
+    """A service that is not started yet. Its remaining processes are killed at the end of the test."""
     service = Accord(tmp_path / "home")
     yield service
     service.kill_everything()

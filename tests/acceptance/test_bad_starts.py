@@ -1,4 +1,4 @@
-"""A start that cannot be: one sentence with the fix, status 2, no traceback."""
+"""`accord up` when it cannot start: one line with the fix, exit status 2, no traceback."""
 
 import os
 import socket
@@ -23,15 +23,15 @@ def up(home: Path, *options: str, **environment: str) -> subprocess.CompletedPro
     )
 
 
-def assert_refused(done: subprocess.CompletedProcess[str], *words: str) -> None:
+def assert_refused(done: subprocess.CompletedProcess[str], *fragments: str) -> None:
     assert done.returncode == 2, done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
-    for word in words:
-        assert word in done.stderr
+    for fragment in fragments:
+        assert fragment in done.stderr
 
 
-def test_a_port_in_use_is_named_with_another_to_try(tmp_path: Path) -> None:
+def test_a_port_in_use_is_refused_and_another_suggested(tmp_path: Path) -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -44,22 +44,23 @@ def test_an_address_of_another_machine_is_refused(tmp_path: Path) -> None:
     assert_refused(up(tmp_path, "--host", "203.0.113.7", "--port", "0"), "203.0.113.7", "--host")
 
 
-def test_a_file_where_the_blobs_should_be_is_named(tmp_path: Path) -> None:
+def test_a_file_in_place_of_the_blob_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "blobs").write_text("not a folder")
     assert_refused(up(tmp_path, "--port", "0"), str(tmp_path / "blobs"))
 
 
-def test_a_file_where_the_home_should_be_is_named(tmp_path: Path) -> None:
+def test_a_file_in_place_of_the_home_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "home").write_text("not a folder")
     assert_refused(up(tmp_path / "home", "--port", "0"), str(tmp_path / "home"), "--home")
 
 
 def mounted(folder: Path, options: str) -> Iterator[Path]:
+    """Mount a temporary file system; skip the test without permission to."""
     folder.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        pytest.skip(f"no right to mount a file system here: {done.stderr.strip()}")
+        pytest.skip(f"no permission to mount a file system: {done.stderr.strip()}")
     yield folder
     subprocess.run(["umount", str(folder)], check=True)
 
@@ -101,18 +102,18 @@ def test_a_database_of_a_newer_version_is_refused(tmp_path: Path) -> None:
     assert_refused(up(tmp_path, "--port", "0"), "from_the_future", "Use that version")
 
 
-def test_a_setting_that_makes_no_sense_is_named(tmp_path: Path) -> None:
+def test_an_invalid_setting_is_named(tmp_path: Path) -> None:
     assert_refused(up(tmp_path, "--port", "0", ACCORD_POLL_SECONDS="soon"), "ACCORD_POLL_SECONDS")
 
 
-def test_without_egl_the_start_says_what_to_install_and_the_api_stays_up(accord: Accord) -> None:
+def test_without_egl_the_service_runs_and_names_the_package_to_install(accord: Accord) -> None:
     accord.start({"__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent", "LD_LIBRARY_PATH": "/nonexistent"})
-    until(lambda: "apt-get install" in accord.log.read_text(), "the terminal says what to install")
+    until(lambda: "apt-get install" in accord.log.read_text(), "the terminal names the package to install")
     assert "OpenGL does not render" in accord.log.read_text()
 
     def backing_off() -> bool:
         [(state, detail)] = accord.rows("SELECT state, detail FROM workers WHERE id = 'render-0'")
         return state == "backing_off" and "apt-get install" in detail
 
-    until(backing_off, "the worker's row says so too")
+    until(backing_off, "the worker's row names the package too")
     assert accord.processes().keys() >= {"api", "policy", "reward"}

@@ -1,4 +1,4 @@
-"""The whole loop without a person, by the commands that people use."""
+"""The whole training loop without human labellers, by `accord demo` and `accord teach`."""
 
 import json
 import os
@@ -8,7 +8,7 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
-from acceptance.accord_service import ENVIRONMENT, TINY, TINY_POLICY, Accord, Person
+from acceptance.accord_service import ENVIRONMENT, TINY, TINY_POLICY, Accord, Client
 from mapt.training.metrics import read_metrics
 from mapt.training.results import RunResult, find_runs
 from mapt.training.settings import PreferenceRewardSettings
@@ -38,7 +38,7 @@ def test_demo_runs_the_whole_loop_and_writes_runs_figure_and_table(tmp_path: Pat
         assert run.settings.policy.seed == 3
         assert run.steps >= 10_000
         assert [one.steps for one in run.evaluations] == [0, run.steps]
-    assert baseline.evaluations[0].mean == learned.evaluations[0].mean, "one seed, one untrained policy"
+    assert baseline.evaluations[0].mean == learned.evaluations[0].mean, "the same seed gives the same untrained policy"
     [folder] = [folder for folder in folders if "MAPT" in folder.path.name]
     last = read_metrics(folder.metrics)[-1]
     assert last["labels"] == 24
@@ -60,7 +60,7 @@ def test_demo_runs_the_whole_loop_and_writes_runs_figure_and_table(tmp_path: Pat
 
 def test_a_killed_demo_resumes_with_every_label(tmp_path: Path) -> None:
     output = tmp_path / "out"
-    policy = [word for name, value in TINY_POLICY.items() for word in ("--set", f"{name}={value}")]
+    policy = [argument for name, value in TINY_POLICY.items() for argument in ("--set", f"{name}={value}")]
     command = [
         *(sys.executable, "-m", "accord.cli", "demo", "--task", TINY["task"], "--no-baseline", "--steps", "4000"),
         *("--labels", "12,24", "--models", "MA-MLP", "--workers", "2", "--json", "--output", str(output), *policy),
@@ -87,7 +87,7 @@ def test_a_killed_demo_resumes_with_every_label(tmp_path: Path) -> None:
 
 
 def labels_in(database: Path) -> set[str]:
-    """Ids of the labels; none before the table is made."""
+    """Ids of the stored labels. Empty before the table exists."""
     if not database.exists():
         return set()
     with closing(sqlite3.connect(database)) as connection:
@@ -96,15 +96,15 @@ def labels_in(database: Path) -> set[str]:
         return {id for (id,) in connection.execute("SELECT id FROM labels")}
 
 
-def test_teach_labels_until_the_budget_is_met_through_rest_alone(accord: Accord) -> None:
+def test_teach_labels_over_the_rest_api_until_the_budget_is_spent(accord: Accord) -> None:
     accord.start()
-    person = Person(accord, accord.token("ada", "researcher"))
-    id = person.begin(total_steps=1000, render_clips=False)
+    client = Client(accord, accord.token("ada", "researcher"))
+    id = client.create_experiment(total_steps=1000, render_clips=False)
     token = accord.token("oracle", "teacher")
     done = accord.run("teach", "--experiment", id, "--token", token)
     assert done.returncode == 0, done.stderr
     assert f"{TINY['label_budget']} labels given" in done.stdout
-    until(lambda: person.experiment(id)["status"] == "finished", "the experiment finishes")
+    until(lambda: client.experiment(id)["status"] == "finished", "the experiment finishes")
     wrong = """
         SELECT count(*) FROM labels JOIN queries ON queries.id = query_id
         JOIN segments a ON a.id = segment_0_id JOIN segments b ON b.id = segment_1_id
@@ -113,12 +113,12 @@ def test_teach_labels_until_the_budget_is_met_through_rest_alone(accord: Accord)
     assert accord.rows(wrong) == [(0,)]
 
 
-def test_teach_prints_what_is_wrong_in_one_line(accord: Accord) -> None:
+def test_teach_prints_errors_in_one_line(accord: Accord) -> None:
     accord.start()
     token = accord.token("grace", "labeller")
-    person = Person(accord, accord.token("ada", "researcher"))
-    id = person.begin()
-    for arguments, words in (
+    client = Client(accord, accord.token("ada", "researcher"))
+    id = client.create_experiment()
+    for arguments, message in (
         (("--experiment", id, "--token", "wrong"), "token is wrong"),
         (("--experiment", id, "--token", token), "never for labellers"),
         (("--experiment", "exp_" + "0" * 24, "--token", token), "There is no experiment"),
@@ -127,5 +127,5 @@ def test_teach_prints_what_is_wrong_in_one_line(accord: Accord) -> None:
     ):
         done = accord.run("teach", *arguments)
         assert done.returncode == 2
-        assert words in done.stderr
+        assert message in done.stderr
         assert len(done.stderr.strip().splitlines()) == 1

@@ -1,28 +1,28 @@
-"""kill -9 each process in turn during a run, and go on."""
+"""Kill each process of the service in turn during an experiment, which continues without loss."""
 
 import io
 
 import av
 
-from acceptance.accord_service import STEPS_PER_ITERATION, TINY, Accord, Person, alive
+from acceptance.accord_service import STEPS_PER_ITERATION, TINY, Accord, Client, alive
 from accord.workers.policy_run import CHECKPOINT_ITERATIONS
 from support.waiting import PATIENCE_SECONDS, until
 
-#: who is killed once so many labels are acknowledged
+#: the processes to kill, each with the number of acknowledged labels at which it is killed
 VICTIMS = {"render": 2, "reward": 10, "policy": 16, "api": 20, "child": 24, "supervisor": 30}
 
 
-def test_no_process_is_missed_when_it_is_killed(accord: Accord) -> None:
+def test_an_experiment_finishes_although_each_process_is_killed_once(accord: Accord) -> None:
     accord.start()
-    person = Person(accord, accord.token("ada", "researcher"))
-    id = person.begin()
+    client = Client(accord, accord.token("ada", "researcher"))
+    id = client.create_experiment()
     acknowledged: dict[str, float] = {}
     steps = [0]
 
     def label_until(count: int) -> None:
         def enough() -> bool:
-            acknowledged.update(person.label_some(id))
-            steps.append(person.experiment(id)["steps"])
+            acknowledged.update(client.label_some(id))
+            steps.append(client.experiment(id)["steps"])
             return len(acknowledged) >= count
 
         until(enough, f"{count} labels, after {list(VICTIMS)}")
@@ -36,51 +36,52 @@ def test_no_process_is_missed_when_it_is_killed(accord: Accord) -> None:
     label_until(TINY["label_budget"])
 
     def finished() -> bool:
-        experiment = person.experiment(id)
+        experiment = client.experiment(id)
         steps.append(experiment["steps"])
         assert experiment["status"] in {"running", "finished"}, experiment["phase_detail"]
         return experiment["status"] == "finished"
 
     until(finished, "the experiment finishes")
-    assert_page_is_told(accord)
+    assert_restarts_are_reset(accord)
     assert_labels_kept(accord, id, acknowledged)
-    assert_training_went_on(accord, id, steps)
-    assert_clips_whole(accord)
+    assert_training_continued(accord, id, steps)
+    assert_clips_complete(accord)
 
 
-def assert_page_is_told(accord: Accord) -> None:
-    """Deaths are counted anew by each supervisor: the last one killed none of its own."""
+def assert_restarts_are_reset(accord: Accord) -> None:
+    """Each supervisor counts restarts from zero, and no child of the last one was killed."""
     assert dict(accord.rows("SELECT id, restarts FROM workers")) == {"policy-0": 0, "render-0": 0, "reward-0": 0}
 
 
 def kill(accord: Accord, role: str) -> None:
-    """kill -9 one process; the supervisor, or its parent, brings another."""
-    victim = until(lambda: accord.processes().get(role), f"{role} runs")
+    """Kill one process and wait until its parent has started another."""
+    victim = until(lambda: accord.processes().get(role), f"the {role} process runs")
     victim.kill()
-    until(lambda: (found := accord.processes().get(role)) and found.pid != victim.pid, f"another {role} runs")
+    until(lambda: (found := accord.processes().get(role)) and found.pid != victim.pid, f"another {role} process runs")
     if role in {"render", "reward", "policy"}:
         row = "SELECT 1 FROM workers WHERE role = ? AND restarts = 1"
-        until(lambda: accord.rows(row, role), f"the page is told that {role} was started again")
+        until(lambda: accord.rows(row, role), f"the restart of the {role} worker is stored")
 
 
 def kill_supervisor(accord: Accord) -> None:
-    """kill -9 the parent: nothing of it may go on. Then start again."""
-    family = list(until(accord.all_up, "all processes run").values())
+    """Kill the supervisor, wait until all its processes have ended, and start the service again."""
+    processes = list(until(accord.all_running, "all processes run").values())
     accord.supervisor.kill()
     accord.supervisor.wait(PATIENCE_SECONDS)
-    until(lambda: not any(alive(process) for process in family), "nothing outlives the supervisor")
+    until(lambda: not any(alive(process) for process in processes), "all processes end with the supervisor")
     accord.start()
 
 
 def assert_labels_kept(accord: Accord, id: str, acknowledged: dict[str, float]) -> None:
+    """Every acknowledged label is stored, and the last reward version used the whole budget."""
     stored = dict(accord.rows("SELECT query_id, value FROM labels WHERE experiment_id = ? AND state = 'label'", id))
     assert acknowledged.items() <= stored.items()
     used = accord.rows("SELECT max(label_count) FROM reward_versions WHERE experiment_id = ?", id)
     assert used == [(TINY["label_budget"],)]
 
 
-def assert_training_went_on(accord: Accord, id: str, steps: list[int]) -> None:
-    """Never back by more than a checkpoint's distance, and a curve without holes."""
+def assert_training_continued(accord: Accord, id: str, steps: list[int]) -> None:
+    """Training loses at most the iterations between two checkpoints, and every iteration has its metrics."""
     highest = 0
     for step in steps:
         highest = max(highest, step)
@@ -94,7 +95,7 @@ def assert_training_went_on(accord: Accord, id: str, steps: list[int]) -> None:
     assert [number for (number,) in versions] == list(range(1, len(versions) + 1))
 
 
-def assert_clips_whole(accord: Accord) -> None:
+def assert_clips_complete(accord: Accord) -> None:
     ready = accord.rows("SELECT blob_key, frames FROM clips WHERE status = 'ready'")
     assert ready
     for blob_key, frames in ready:

@@ -1,4 +1,4 @@
-"""mapt train, killed on purpose: real processes, SIGKILL, and bytes to compare."""
+"""`mapt train` as a process that is killed or stopped: its files equal those of an uninterrupted run."""
 
 import os
 import signal
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("short_episodes")
 STEPS_PER_ITERATION = 4 * 24
 ITERATIONS = 40
 ENVIRONMENT = os.environ | short_tasks.ENVIRONMENT | {"OMP_NUM_THREADS": "1"}
-#: less than the time between two iterations at times, more at others: lines without a checkpoint do occur
+#: close to the duration of an iteration, so that only some iterations have a checkpoint
 CHECKPOINT_MINUTES = "0.003"
 
 
@@ -31,13 +31,13 @@ def command(output: Path, reward: Path, *more: str) -> list[str]:
         *("--reward", str(reward), "--credit", "individual", "--steps", str(ITERATIONS * STEPS_PER_ITERATION)),
         *("--output", str(output), "--seed", "3", "--evaluate-every", "1500", "--device", "cpu", "--no-video"),
         *("--checkpoint-minutes", CHECKPOINT_MINUTES),
-        *(word for setting in tiny for word in ("--set", setting)),
+        *(argument for setting in tiny for argument in ("--set", setting)),
         *more,
     ]
 
 
 def kill_after(lines: int, output: Path, reward: Path, number: int = signal.SIGKILL) -> int:
-    """Start the run, send the signal once it has so many lines, and give its status."""
+    """Start the run, send the signal once it has written `lines` metrics lines, and return its exit status."""
     folder = RunFolder(output / "seed-3")
     process = subprocess.Popen(
         command(output, reward), env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -47,7 +47,7 @@ def kill_after(lines: int, output: Path, reward: Path, number: int = signal.SIGK
             lambda: (
                 process.poll() is not None or (folder.metrics.exists() and len(read_metrics(folder.metrics)) >= lines)
             ),
-            f"{lines} lines",
+            f"{lines} lines of metrics",
         )
         assert process.poll() is None
         process.send_signal(number)
@@ -63,14 +63,14 @@ def finish(output: Path, reward: Path) -> RunFolder:
     return RunFolder(output / "seed-3")
 
 
-def decided(folder: RunFolder) -> list[Metrics]:
-    """The lines without what differs from run to run."""
+def metrics_without_timings(folder: RunFolder) -> list[Metrics]:
+    """The metrics of a run without its timings, which differ from run to run."""
     return [
         {name: value for name, value in line.items() if name not in TIMINGS} for line in read_metrics(folder.metrics)
     ]
 
 
-def test_a_run_that_was_killed_ends_with_the_bytes_of_one_that_was_not(tmp_path):
+def test_a_killed_run_resumes_and_ends_with_the_files_of_an_uninterrupted_run(tmp_path):
     reward = tmp_path / "reward"
     write_reward(reward, reward_model())
     for lines in (4, 15):
@@ -80,9 +80,9 @@ def test_a_run_that_was_killed_ends_with_the_bytes_of_one_that_was_not(tmp_path)
 
     assert killed.checkpoint.read_bytes() == whole.checkpoint.read_bytes()
     assert killed.evaluation.read_bytes() == whole.evaluation.read_bytes()
-    lines = decided(killed)
+    lines = metrics_without_timings(killed)
     assert [line["iteration"] for line in lines] == list(range(1, ITERATIONS + 1))
-    assert lines == decided(whole)
+    assert lines == metrics_without_timings(whole)
     assert any("evaluation_mean" in line for line in lines)
 
     events = EventAccumulator(str(killed.path), size_guidance={"scalars": 0}).Reload()
@@ -90,7 +90,7 @@ def test_a_run_that_was_killed_ends_with_the_bytes_of_one_that_was_not(tmp_path)
     assert [event.step for event in events.Scalars("learner/kl")] == [line["steps"] for line in lines]
 
 
-def test_a_run_that_is_asked_to_stop_saves_its_last_iteration_and_says_that_it_can_go_on(tmp_path):
+def test_a_stopped_run_saves_its_last_iteration(tmp_path):
     reward = tmp_path / "reward"
     write_reward(reward, reward_model())
     assert kill_after(4, tmp_path / "stopped", reward, signal.SIGTERM) == 130

@@ -1,4 +1,4 @@
-"""mapt train with several seeds at once: real processes, killed and stopped on purpose."""
+"""`mapt train` with several seeds in parallel worker processes, which are killed and stopped."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ from support.waiting import until
 SEEDS = (3, 4)
 
 
-def at_once(tmp_path: Path, name: str) -> list[str]:
+def parallel_command(tmp_path: Path, name: str) -> list[str]:
     return command(tmp_path / name, tmp_path / "reward", "--seed", "3,4", "--workers", "2")
 
 
@@ -28,6 +28,7 @@ def folders(tmp_path: Path, name: str) -> list[RunFolder]:
 
 
 def lines(folder: RunFolder) -> int:
+    """The number of iterations in the metrics file."""
     return len(read_metrics(folder.metrics)) if folder.metrics.exists() else 0
 
 
@@ -36,15 +37,15 @@ def completed(arguments: list[str]) -> subprocess.CompletedProcess[str]:
 
 
 @contextmanager
-def under_way(tmp_path: Path, name: str) -> Iterator[subprocess.Popen[str]]:
-    """The command, once every run of it has a few lines."""
+def running_command(tmp_path: Path, name: str) -> Iterator[subprocess.Popen[str]]:
+    """The process of the command, once every run has three iterations. Killed at the end of the block."""
     with subprocess.Popen(
-        at_once(tmp_path, name), env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        parallel_command(tmp_path, name), env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     ) as process:
         try:
             until(
                 lambda: process.poll() is not None or min(map(lines, folders(tmp_path, name))) >= 3,
-                "three lines of each",
+                "three iterations of each run",
             )
             assert process.poll() is None
             yield process
@@ -53,7 +54,7 @@ def under_way(tmp_path: Path, name: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def worker_of(process: subprocess.Popen[str], folder: RunFolder) -> int:
-    """The child of a command that holds a run's lock."""
+    """The pid of the child process that holds the lock of a run."""
     lock = str((folder.path / "lock").resolve())
     for child in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split():
         if lock in {os.readlink(open_file) for open_file in Path(f"/proc/{child}/fd").iterdir()}:
@@ -61,7 +62,7 @@ def worker_of(process: subprocess.Popen[str], folder: RunFolder) -> int:
     raise AssertionError(f"No child of {process.pid} holds {lock}.")
 
 
-def is_free(folder: RunFolder) -> bool:
+def is_unlocked(folder: RunFolder) -> bool:
     try:
         with folder.locked():
             return True
@@ -70,29 +71,30 @@ def is_free(folder: RunFolder) -> bool:
 
 
 def last_saved(folder: RunFolder) -> object:
+    """The iteration of the last checkpoint, or None."""
     stored = folder.last_checkpoint()
     return stored.progress["iteration"] if stored else None
 
 
 @pytest.fixture(autouse=True)
-def reward(tmp_path: Path, short_episodes: None) -> None:
+def stored_reward(tmp_path: Path, short_episodes: None) -> None:
     write_reward(tmp_path / "reward", reward_model())
 
 
-def test_seeds_at_once_give_the_bytes_of_seeds_in_turn(tmp_path):
-    together = completed(at_once(tmp_path, "together"))
-    assert together.returncode == 0, together.stderr
-    assert together.stdout.count("over 32 episodes") == len(SEEDS)
-    in_turn = completed([*at_once(tmp_path, "turn"), "--workers", "1"])
-    assert in_turn.returncode == 0, in_turn.stderr
-    for ours, theirs in zip(folders(tmp_path, "together"), folders(tmp_path, "turn"), strict=True):
-        assert ours.checkpoint.read_bytes() == theirs.checkpoint.read_bytes()
-        assert ours.evaluation.read_bytes() == theirs.evaluation.read_bytes()
+def test_parallel_seeds_give_the_same_files_as_sequential_seeds(tmp_path):
+    parallel = completed(parallel_command(tmp_path, "parallel"))
+    assert parallel.returncode == 0, parallel.stderr
+    assert parallel.stdout.count("over 32 episodes") == len(SEEDS)
+    sequential = completed([*parallel_command(tmp_path, "sequential"), "--workers", "1"])
+    assert sequential.returncode == 0, sequential.stderr
+    for first, second in zip(folders(tmp_path, "parallel"), folders(tmp_path, "sequential"), strict=True):
+        assert first.checkpoint.read_bytes() == second.checkpoint.read_bytes()
+        assert first.evaluation.read_bytes() == second.evaluation.read_bytes()
 
 
-def test_a_killed_seed_leaves_the_others_be_and_goes_on(tmp_path):
+def test_a_killed_seed_does_not_affect_the_others_and_resumes(tmp_path):
     killed, other = folders(tmp_path, "runs")
-    with under_way(tmp_path, "runs") as process:
+    with running_command(tmp_path, "runs") as process:
         os.kill(worker_of(process, killed), signal.SIGKILL)
         _, errors = process.communicate()
     assert process.returncode == 2
@@ -100,36 +102,36 @@ def test_a_killed_seed_leaves_the_others_be_and_goes_on(tmp_path):
     assert other.evaluation.exists()
     assert not killed.evaluation.exists()
 
-    again = completed(at_once(tmp_path, "runs"))
-    assert again.returncode == 0, again.stderr
+    resumed = completed(parallel_command(tmp_path, "runs"))
+    assert resumed.returncode == 0, resumed.stderr
     assert [lines(folder) for folder in (killed, other)] == [ITERATIONS, ITERATIONS]
 
 
-def test_asked_to_stop_every_seed_saves_its_last_iteration(tmp_path):
-    with under_way(tmp_path, "runs") as process:
+def test_sigterm_stops_every_seed_after_saving_its_last_iteration(tmp_path):
+    with running_command(tmp_path, "runs") as process:
         process.send_signal(signal.SIGTERM)
         _, errors = process.communicate()
-    assert (process.returncode, "the same command goes on" in errors) == (130, True)
+    assert (process.returncode, "Rerun the command to resume" in errors) == (130, True)
     for folder in folders(tmp_path, "runs"):
-        assert is_free(folder)
+        assert is_unlocked(folder)
         assert last_saved(folder) == lines(folder) < ITERATIONS
 
 
-def test_no_seed_outlives_a_command_that_was_killed(tmp_path):
-    with under_way(tmp_path, "runs") as process:
+def test_no_worker_outlives_a_killed_command(tmp_path):
+    with running_command(tmp_path, "runs") as process:
         process.kill()
     for folder in folders(tmp_path, "runs"):
-        until(lambda folder=folder: is_free(folder), f"the end of the run in {folder.path}")
+        until(lambda folder=folder: is_unlocked(folder), f"the run in {folder.path} releases its lock")
         assert last_saved(folder) == lines(folder) < ITERATIONS
 
 
-def test_a_seed_that_cannot_be_trained_is_told_in_a_sentence(tmp_path):
+def test_a_seed_that_cannot_start_is_reported_in_one_line(tmp_path):
     broken, other = folders(tmp_path, "runs")
     broken.path.mkdir(parents=True)
     (broken.path / "run.json").write_text("{}")
-    ended = completed(at_once(tmp_path, "runs"))
-    assert ended.returncode == 2
-    assert ended.stderr.count("\n") == 1
-    assert "seed 3:" in ended.stderr
-    assert "cannot be read" in ended.stderr
+    failed = completed(parallel_command(tmp_path, "runs"))
+    assert failed.returncode == 2
+    assert failed.stderr.count("\n") == 1
+    assert "seed 3:" in failed.stderr
+    assert "cannot be read" in failed.stderr
     assert other.evaluation.exists()

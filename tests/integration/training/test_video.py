@@ -1,4 +1,4 @@
-"""Videos of a policy: real EGL, real H.264."""
+"""Videos of a policy, rendered by OpenGL and encoded as H.264."""
 
 import os
 
@@ -31,7 +31,7 @@ def policy_of(task_name: str) -> Policy:
 
 
 def frames(path) -> tuple[list[np.ndarray], float]:
-    """Every frame (H,W,3), and how many are shown in a second."""
+    """The frames (H,W,3) of a video and their number per second."""
     with av.open(str(path)) as container:
         rate = container.streams.video[0].average_rate
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)], float(rate or 0)
@@ -39,7 +39,7 @@ def frames(path) -> tuple[list[np.ndarray], float]:
 
 @pytest.fixture
 def egl() -> str:
-    """A backend that draws."""
+    """A backend that renders without a display. Skips the test if there is none."""
     try:
         return probe_backend()
     except RenderingUnavailable as error:
@@ -51,17 +51,17 @@ def test_a_video_shows_one_episode_in_real_time(egl, tmp_path):
     shown, rate = frames(tmp_path / "final.mp4")
     assert len(shown) == SHORTEST_HORIZON_STEPS
     assert rate == pytest.approx(1 / task_spec(SHORTEST_NAME).step_seconds)
-    assert np.ptp(shown[0]) > 100  # a body before its backdrop
+    assert np.ptp(shown[0]) > 100  # the body differs from the background
     assert any(not np.array_equal(shown[0], other) for other in shown[1:])
 
 
-def test_a_task_that_draws_itself_is_filmed_by_itself(tmp_path):
-    class Large(RenderableLevers):
+def test_the_video_of_a_pettingzoo_task_has_the_environments_images(tmp_path):
+    class LargeLevers(RenderableLevers):
         def render(self) -> np.ndarray:
             return np.full((65, 97, 3), 40 * (1 + len(self.agents)), np.uint8)
 
     name = f"LargeLevers-{os.getpid()}"
-    register_task(PettingZooDefinition(name, Large, 6, 0.5, "Pull."))
+    register_task(PettingZooDefinition(name, LargeLevers, 6, 0.5, "Pull."))
     record_video(policy_of(name), name, tmp_path / "final.mp4", agent_obsk=1)
     shown, rate = frames(tmp_path / "final.mp4")
     assert shown[0].shape == (64, 96, 3)
@@ -69,49 +69,49 @@ def test_a_task_that_draws_itself_is_filmed_by_itself(tmp_path):
     assert rate == 2.0
 
 
-def test_a_task_that_cannot_be_drawn_says_so(tmp_path):
+def test_a_task_that_cannot_be_rendered_has_no_video(tmp_path):
     name = f"BlindLevers-{os.getpid()}"
     register_task(PettingZooDefinition(name, Levers, 6, 0.5, "Pull."))
     with pytest.raises(NoRenderer, match="rgb_array"):
         record_video(policy_of(name), name, tmp_path / "final.mp4", agent_obsk=1)
 
 
-def test_a_machine_without_opengl_trains_and_says_what_to_install(monkeypatch, tmp_path):
-    monkeypatch.setattr(video, "BACKENDS", ("glfw",))  # needs a display, and here is none
+def test_a_run_without_opengl_finishes_and_names_the_package_to_install(monkeypatch, tmp_path):
+    monkeypatch.setattr(video, "BACKENDS", ("glfw",))  # needs a display
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    said: list[str] = []
+    messages: list[str] = []
     folder, settings = (
         RunFolder(tmp_path),
         RunSettings(task=SHORTEST_NAME, policy=PolicyConfig.from_dict(SMALL), steps=16),
     )
-    assert complete_run(settings, folder, 0.0, RunCallbacks(on_message=said.append)) is not None
-    assert len(said) == 1
-    assert "libegl1" in said[0]
+    assert complete_run(settings, folder, 0.0, RunCallbacks(on_message=messages.append)) is not None
+    assert len(messages) == 1
+    assert "libegl1" in messages[0]
     assert not folder.video.exists()
     assert folder.evaluation.exists()
 
 
-def test_a_video_that_was_missing_is_made_by_the_same_command(egl, tmp_path):
+def test_a_missing_video_is_recorded_when_the_run_is_completed_again(egl, tmp_path):
     folder, settings = (
         RunFolder(tmp_path),
         RunSettings(task=SHORTEST_NAME, policy=PolicyConfig.from_dict(SMALL), steps=16),
     )
     complete_run(settings, folder, 0.0, RunCallbacks(), video=False)
-    evaluated = folder.evaluation.stat().st_mtime_ns
+    evaluated_at = folder.evaluation.stat().st_mtime_ns
     complete_run(settings, folder, 0.0, RunCallbacks())
-    assert folder.evaluation.stat().st_mtime_ns == evaluated
-    filmed = folder.video.stat().st_mtime_ns
+    assert folder.evaluation.stat().st_mtime_ns == evaluated_at
+    recorded_at = folder.video.stat().st_mtime_ns
     complete_run(settings, folder, 0.0, RunCallbacks())
-    assert folder.video.stat().st_mtime_ns == filmed
+    assert folder.video.stat().st_mtime_ns == recorded_at
 
 
-def test_a_floor_reaches_as_far_as_the_body():
+def test_floors_are_widened_to_the_bodys_farthest_position():
     model = load_model("HalfCheetah-6x1")
     size = model.geom_size[0, :2].tolist()
-    still = np.zeros((11, 9))
-    widen_floors(model, still)
+    qpos = np.zeros((11, 9))
+    widen_floors(model, qpos)
     assert model.geom_size[0, :2].tolist() == size
-    still[-1, 0] = 300.0
-    widen_floors(model, still)
+    qpos[-1, 0] = 300.0
+    widen_floors(model, qpos)
     assert (model.geom_size[0, :2] > 320).all()
