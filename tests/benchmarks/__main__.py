@@ -1,4 +1,4 @@
-"""`make bench`: run every bench_*.py in this folder, one after the other, each in its own process.
+"""`make bench`: run every bench_*.py in this folder in turn, each in its own process.
 
     python tests/benchmarks [--json FILE] [NAME ...]
     python tests/benchmarks --compare BEFORE.json AFTER.json
@@ -20,22 +20,22 @@ from pathlib import Path
 _NUMBER = re.compile(r"(?<![\w.,|-])-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?(?![\d.,]|\w*[x|_-]\d)")
 _MARKED_DIFFERENCE = 0.1
 
-#: by file and line, with `#` in place of its numbers: the numbers
+#: the numbers of each line, keyed by the file and the line with `#` for its numbers
 Figures = dict[str, list[float]]
 
 
 def figures_of(name: str, output: str) -> Figures:
     """The numbers in each line of a benchmark's output. Lines that differ only in numbers are counted."""
     seen: Counter[str] = Counter()
-    found: Figures = {}
+    figures: Figures = {}
     for line in output.splitlines():
         numbers = [float(number.replace(",", "")) for number in _NUMBER.findall(line)]
         if not numbers:
             continue
-        words = " ".join(_NUMBER.sub("#", line).split())
-        seen[words] += 1
-        found[f"{name}: {words}" + (f" ({seen[words]})" if seen[words] > 1 else "")] = numbers
-    return found
+        text = " ".join(_NUMBER.sub("#", line).split())
+        seen[text] += 1
+        figures[f"{name}: {text}" + (f" ({seen[text]})" if seen[text] > 1 else "")] = numbers
+    return figures
 
 
 def run(file: Path) -> tuple[int, str]:

@@ -1,12 +1,15 @@
-"""Reward models as they are once their attention path has been trained."""
+"""Reward models for benchmarks, with the cost of a trained model."""
 
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
 
 
-def awake_model(config: RewardConfig) -> RewardModel:
-    """An untrained one whose attention path is not silent: of a silent one, as every one begins, nothing is run."""
+def model_with_active_attention(config: RewardConfig) -> RewardModel:
+    """A model with a random output head.
+
+    The output head of a new model is zero, so its attention path is skipped and would cost nothing.
+    """
     model = build_reward_model(config)
     model.load_state_dict(model.with_new_head())
     return model

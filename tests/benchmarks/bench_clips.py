@@ -31,7 +31,7 @@ from mapt.tasks import agent_geoms, load_model
 TASK = "HalfCheetah-6x1"
 STEPS = 50
 SETTINGS = RenderSettings()
-AIM = 0.9
+TARGET = 0.9
 
 
 def states() -> np.ndarray:
@@ -155,12 +155,12 @@ def main(clips: int) -> None:
         two = in_parallel([first, second], job, clips)
         kilobytes = (folder / "0.mp4").stat().st_size / 1024
     size = f"{SETTINGS.width}x{SETTINGS.height}"
-    print(f"{clips} clips each of {STEPS} frames, {size}, {SETTINGS.quality}, {backend}; {kilobytes:.0f} KB a clip")
+    print(f"{clips} clips each of {STEPS} frames, {size}, {SETTINGS.quality}, {backend}; {kilobytes:.0f} KB per clip")
     for name, rate in rates.items():
         print(f"{name:>20}: {rate:6.2f} clips/s")
     print(f"{'two processes':>20}: {two:6.2f} clips/s, {two / rates['render process']:.2f} times one")
     for name in UPPER_BOUNDS:
-        print(f"render process / {name}: {rates['render process'] / rates[name]:.0%} (aim {AIM:.0%})")
+        print(f"render process / {name}: {rates['render process'] / rates[name]:.0%} (target {TARGET:.0%})")
 
 
 if __name__ == "__main__":

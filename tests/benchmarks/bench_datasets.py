@@ -125,7 +125,7 @@ def run(name: str, path: Path, n_pairs: int) -> None:
     rate = 2 * n_pairs / seconds
     print(
         f"{name:16} {seconds:8.1f} s {rate:10,.0f} segments/s   peak {peak_bytes() / 1e6:7,.0f} MB"
-        f" ({(peak_bytes() - before) / 1e6:,.0f} MB above what Python and numpy take)",
+        f" ({(peak_bytes() - before) / 1e6:,.0f} MB more than before the pass)",
         flush=True,
     )
 
@@ -144,8 +144,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="bench-datasets-") as folder:
         chosen = ["write", *sys.argv[2].split(",")] if len(sys.argv) > 2 else list(PASSES)
         for name in chosen:
-            taken = n_pairs // 10 if name in SHORT else n_pairs
-            subprocess.run([sys.executable, __file__, "--pass", name, folder, str(taken)], check=True)
+            n_used = n_pairs // 10 if name in SHORT else n_pairs
+            subprocess.run([sys.executable, __file__, "--pass", name, folder, str(n_used)], check=True)
 
 
 if __name__ == "__main__":

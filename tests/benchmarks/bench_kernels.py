@@ -24,7 +24,7 @@ from mapt.tasks import make_task
 
 
 class TorchAdam:
-    """torch's Adam behind the attributes of the kernel."""
+    """torch's Adam with the interface of the kernel."""
 
     def __init__(self, parameters: Iterable[nn.Parameter], learning_rate: float, eps: float) -> None:
         self.parameters = list(parameters)
@@ -83,7 +83,7 @@ def compare(task_name: str, algorithm: str, rounds: int) -> None:
         "Adam": (updates["Adam"], clip_grad_norm_, plain),
         "clip_grad_norm_": (updates[""], torch_clip, plain),
         "Adam, clip_grad_norm_": (updates["Adam"], torch_clip, plain),
-        "the density written out": (updates[""], clip_grad_norm_, normal_log_prob),
+        "log-density": (updates[""], clip_grad_norm_, normal_log_prob),
         "all three": (updates["Adam"], torch_clip, normal_log_prob),
     }
     seconds: dict[str, list[float]] = {name: [] for name in variants}
@@ -103,7 +103,7 @@ def lower_quartile(seconds: list[float]) -> float:
 
 
 def ppo_update(learner: Learner, adam: type[TorchAdam] | None) -> ppo.Update:
-    """An update of the learner's policy with the kernel's Adam or another."""
+    """An update of the learner's policy with the given Adam, or with the kernel if it is None."""
     before = ppo.Adam
     if adam is not None:
         ppo.Adam = adam  # pyright: ignore[reportAttributeAccessIssue]

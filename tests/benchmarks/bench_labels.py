@@ -1,8 +1,8 @@
-"""Label round trips per second: 16 labellers, the real server as a process, SQLite with synchronous=FULL.
+"""Label round trips per second of a server process with 16 labellers and SQLite with synchronous=FULL.
 
-A round trip is `queries/next` and then `PUT label`: two HTTP requests, two committed transactions. Printed beside two
-ceilings measured in the same run: the same count of clients asking an empty FastAPI route, and the same machine's bare
-SQLite transactions, one after the other.
+A round trip is `queries/next` and then `PUT label`: two HTTP requests and two committed transactions. Two upper bounds
+are measured in the same run: requests of as many clients to an empty FastAPI route, and consecutive transactions of
+SQLite alone.
 
     python tests/benchmarks/bench_labels.py [--clients 16] [--seconds 8]
 """
@@ -30,7 +30,7 @@ from accord.store.database import Database
 from support.api_process import running_server
 from support.sample_experiments import create_sample, user
 
-#: enough for a server several times as fast as today's
+#: enough for a server several times as fast as now
 SEGMENTS, QUERIES = 190, 17_000
 _BARE = """
 import socket, sys, uvicorn
@@ -48,7 +48,7 @@ uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False)).run([
 
 
 class Client:
-    """The thinnest HTTP client there is, so that it costs the server's machine little."""
+    """A minimal HTTP client, which takes little CPU time from the server."""
 
     def __init__(self, port: int, token: str) -> None:
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=30)
@@ -70,15 +70,15 @@ class Client:
 
 
 def label_until(port: int, token: str, experiment_id: str, seconds: float, start: Barrier, times: list[float]) -> None:
-    """Round trips, their seconds appended: one for next, one for put, by turns."""
+    """Label queries. `times` gets the seconds of every request, alternately for `next` and for `PUT label`."""
     client = Client(port, token)
     next_path = f"/api/v1/experiments/{experiment_id}/queries/next".encode()
     start.wait()
     end = time.perf_counter() + seconds
     while time.perf_counter() < end:
-        began = time.perf_counter()
+        started = time.perf_counter()
         status, content = client.request(b"POST", next_path)
-        asked = time.perf_counter()
+        query_received = time.perf_counter()
         query_id = content.partition(b'"items":[{"id":"')[2].partition(b'"')[0]
         if status != 200 or not query_id:
             raise RuntimeError(f"next answered {status}: {content[:300]!r}")
@@ -86,18 +86,20 @@ def label_until(port: int, token: str, experiment_id: str, seconds: float, start
         status, content = client.request(b"PUT", b"/api/v1/queries/%b/label" % query_id, body)
         if status != 201:
             raise RuntimeError(f"label answered {status}: {content[:300]!r}")
-        times += [asked - began, time.perf_counter() - asked]
+        times += [query_received - started, time.perf_counter() - query_received]
 
 
-def ask_until(port: int, token: str, _experiment_id: str, seconds: float, start: Barrier, times: list[float]) -> None:
-    """Requests to an empty route."""
+def request_until(
+    port: int, token: str, _experiment_id: str, seconds: float, start: Barrier, times: list[float]
+) -> None:
+    """Request an empty route. `times` gets the seconds of every request."""
     client = Client(port, token)
     start.wait()
     end = time.perf_counter() + seconds
     while time.perf_counter() < end:
-        began = time.perf_counter()
+        started = time.perf_counter()
         client.request(b"GET", b"/")
-        times.append(time.perf_counter() - began)
+        times.append(time.perf_counter() - started)
 
 
 def _client_process(work, port, token, experiment_id, seconds, start, results) -> None:
@@ -109,7 +111,7 @@ def _client_process(work, port, token, experiment_id, seconds, start, results) -
 
 
 def drive(work, port: int, tokens: list[str], experiment_id: str, seconds: float) -> tuple[float, list[list[float]]]:
-    """Runs one client process per token; returns the seconds they took together and each one's times."""
+    """Run one client process per token; return the total duration and the times of each client."""
     spawn = multiprocessing.get_context("spawn")
     start, results = spawn.Barrier(len(tokens) + 1), spawn.Queue()
     processes = [
@@ -119,9 +121,9 @@ def drive(work, port: int, tokens: list[str], experiment_id: str, seconds: float
     for process in processes:
         process.start()
     start.wait(120)
-    began = time.perf_counter()
+    started = time.perf_counter()
     times = [results.get(timeout=seconds + 60) for _ in processes]
-    taken = time.perf_counter() - began
+    taken = time.perf_counter() - started
     for process in processes:
         process.join()
         if process.exitcode:
@@ -130,19 +132,19 @@ def drive(work, port: int, tokens: list[str], experiment_id: str, seconds: float
 
 
 def bare_requests(clients: int, seconds: float) -> float:
-    """Requests per second of an empty FastAPI route under the same server and clients."""
+    """Requests per second of an empty FastAPI route with the same server and clients."""
     with subprocess.Popen([sys.executable, "-c", _BARE], stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
             port = int(process.stdout.readline())
-            taken, times = drive(ask_until, port, ["none"] * clients, "", seconds)
+            taken, times = drive(request_until, port, ["none"] * clients, "", seconds)
         finally:
             process.kill()
     return sum(map(len, times)) / taken
 
 
 def bare_transactions(folder: Path, seconds: float) -> float:
-    """Transactions per second of one connection that reads a row, changes it and adds another."""
+    """Transactions per second of one connection. Each reads and changes a row and inserts another."""
     connection = sqlite3.connect(folder / "bare.db", isolation_level=None)
     for statement in (
         "PRAGMA journal_mode = WAL",
@@ -165,7 +167,7 @@ def bare_transactions(folder: Path, seconds: float) -> float:
 
 
 def prepare(home: Path, clients: int) -> tuple[str, list[str]]:
-    """A migrated database with queries to label; returns the experiment and one token per client."""
+    """Create a database with open queries; return the id of the experiment and one token per client."""
     settings = Settings(home=home)
     database, blobs = Database.open(settings.resolved_database_url), open_blobs(settings.resolved_blob_url)
     database.migrate()
@@ -185,7 +187,7 @@ def prepare(home: Path, clients: int) -> tuple[str, list[str]]:
 
 
 def cpu_seconds(pid: int) -> float:
-    """User and system time that a process has had."""
+    """User and system CPU time of a process."""
     times = psutil.Process(pid).cpu_times()
     return times.user + times.system
 
@@ -220,7 +222,7 @@ def main() -> None:
         print(f"{name:<12} p50 {p50:7.1f} ms   p99 {p99:7.1f} ms   max {values.max():7.1f} ms")
     print(f"server CPU                     {1000 * server_cpu / trips:8.2f} ms per round trip")
     print(f"ceiling: empty FastAPI route   {requests:8.0f} requests/s ({requests / 2:.0f} pairs of requests/s)")
-    print(f"ceiling: bare SQLite           {transactions:8.0f} transactions/s ({transactions / 2:.0f} pairs/s)")
+    print(f"ceiling: SQLite alone          {transactions:8.0f} transactions/s ({transactions / 2:.0f} pairs/s)")
 
 
 if __name__ == "__main__":

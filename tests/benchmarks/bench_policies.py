@@ -3,7 +3,7 @@
 Each algorithm alternates between the true reward and MAPT's reward, iteration by iteration, so that other load on the
 machine affects both alike. Figures are medians over iterations, in microseconds per environment step:
 
-    physics     the task's own steps, with observations and resets
+    physics     steps of the task, including observations and resets
     inference   the rest of `Learner.collect`: sampling and recording actions
     reward      relabelling the rollout with a new MAPT `small`
     update      `Learner.update`
@@ -27,7 +27,7 @@ from typing import Any, get_args
 
 import numpy as np
 import torch
-from attention_model import awake_model
+from attention_model import model_with_active_attention
 from interleaved_timing import median_seconds
 from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
@@ -98,7 +98,7 @@ class Run:
         spec, config = self._task.spec, self.learner.config
         sizes = {"observation_dim": spec.observation_dim, "action_dim": spec.action_dim, "n_agents": spec.n_agents}
         torch.manual_seed(0)
-        model = awake_model(RewardConfig.preset("small", **sizes))
+        model = model_with_active_attention(RewardConfig.preset("small", **sizes))
         relabeller = RolloutRelabeller(model, SEGMENT_STEPS, config.n_envs)
         return lambda rollout: relabeller.relabel(rollout.observations, rollout.actions, rollout.episode_start)
 

@@ -1,8 +1,8 @@
-"""Training, relabelling and streaming of MAPT, beside the machine's matrix multiplication ceiling in the same run.
+"""Speed of training, relabelling and streaming of MAPT, compared with the speed of a matrix product in the same run.
 
-The ceiling is what torch reaches on one product of the network's own shape: the rows of a pass, 2d columns in, 2d out.
-The share counts the multiplications and additions of all products of a step, those of the attentions too, forwards
-once and backwards twice; norms, activations, softmax and the optimiser cost time, but are no work.
+The upper bound is the rate of one torch product with the shapes of the network: the rows of a pass, 2d inputs and 2d
+outputs. The share counts the floating point operations of all products of a step, including those of the attentions,
+once forwards and twice backwards. Norms, activations, softmax and the optimiser take time but are not counted.
 
     python tests/benchmarks/bench_rewards.py [--rows training relabelling streaming] [--sizes small paper]
         [--threads 2] [--device cpu] [--seconds 3]
@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 import torch
-from attention_model import awake_model
+from attention_model import model_with_active_attention
 from torch import Tensor, nn
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
@@ -31,14 +31,14 @@ N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 6, 24, 1
 N_ENVS, ROLLOUT_STEPS = 40, 100
 N_PAIRS = 64
 PRECISIONS: dict[Precision, torch.dtype] = {"float32": torch.float32, "bfloat16": torch.bfloat16}
-# Agent-steps in one forward and backward pass on a CPU. A step of 64 pairs in one piece keeps gigabytes of
-# activations, which the C library gives back to the system and takes anew, page by page, in every step.
+# Agent-steps in one forward and backward pass on a CPU. A step of 64 pairs in one pass needs gigabytes for activations,
+# which the C library returns to the system and allocates again, page by page, in every step.
 AGENT_STEPS_PER_PASS = 2_400
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """A network and the length of its segments."""
+    """The size of a network and the length of its segments."""
 
     preset: PresetName
     hidden_dim: int
@@ -60,7 +60,7 @@ SIZES = {"small": Size("small", 64, 50), "paper": Size("paper", 256, 100)}
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Where to measure, and how long."""
+    """The device and the duration of each measurement."""
 
     device: torch.device
     seconds: float
@@ -98,23 +98,23 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--seconds", type=float, default=3.0, help="least time of each measurement")
+    parser.add_argument("--seconds", type=float, default=3.0, help="minimum duration of each measurement")
     return parser.parse_args()
 
 
 def training(bench: Bench, size: Size) -> Iterator[str]:
-    """Steps of AdamW on batches of 64 pairs, in passes of AGENT_STEPS_PER_PASS on a CPU and in one on a GPU."""
+    """Pairs per second of AdamW steps with 64 pairs, in passes of AGENT_STEPS_PER_PASS on a CPU and in one on a GPU."""
     for name, dtype in PRECISIONS.items():
-        ceiling = gemm_flops(bench, size, dtype)
+        upper_bound = gemm_flops(bench, size, dtype)
         step = TrainingStep(size, dtype, bench.device)
-        # The counter does not know the fused attentions of a CPU, but the products of the plain one.
+        # The counter does not support fused attention on a CPU; unfused attention is computed by matrix products.
         with FlopCounterMode(display=False) as counter, sdpa_kernel(SDPBackend.MATH):
             step.one_pass(0)
         flops = counter.get_total_flops() * len(step.passes) / N_PAIRS
         pairs = bench.calls_per_second(step.run) * N_PAIRS
         yield (
             f"training    {size} {name:8} {pairs:9.1f} pairs/s, {pairs * flops / 1e9:7.0f}"
-            f" of {ceiling / 1e9:7.0f} GFLOP/s: {pairs * flops / ceiling:4.0%}"
+            f" of {upper_bound / 1e9:7.0f} GFLOP/s: {pairs * flops / upper_bound:4.0%}"
         )
 
 
@@ -157,7 +157,7 @@ class TrainingStep:
 
 
 def gemm_flops(bench: Bench, size: Size, dtype: torch.dtype) -> float:
-    """Floating point operations a second of one product of the network's shape."""
+    """Floating point operations per second of one product with the shapes of the network."""
     width = 2 * size.hidden_dim
     rows = AGENT_STEPS_PER_PASS if bench.device.type == "cpu" else 2 * N_PAIRS * size.n_steps * N_AGENTS
     left = torch.randn(rows, width, dtype=dtype, device=bench.device)
@@ -166,8 +166,8 @@ def gemm_flops(bench: Bench, size: Size, dtype: torch.dtype) -> float:
 
 
 def relabelling(bench: Bench, size: Size) -> Iterator[str]:
-    """Transitions a second (steps of environments, each with all its agents) of rollouts of 40 x 100."""
-    model, rollout = awake_model(size.config), random_rollout()
+    """Transitions per second of rollouts of 40 environments and 100 steps. A transition has all agents."""
+    model, rollout = model_with_active_attention(size.config), random_rollout()
     for name in PRECISIONS:
         relabeller = RolloutRelabeller(model, size.n_steps, N_ENVS, device=bench.device.type, precision=name)
         transitions = bench.calls_per_second(partial(relabeller.relabel, *rollout)) * ROLLOUT_STEPS * N_ENVS
@@ -175,13 +175,13 @@ def relabelling(bench: Bench, size: Size) -> Iterator[str]:
 
 
 def streaming(bench: Bench, size: Size) -> Iterator[str]:
-    """Microseconds of one step of 40 environments, their windows full."""
-    stream = RewardStream(awake_model(size.config), size.n_steps, N_ENVS, device=bench.device.type)
+    """Microseconds per step of 40 environments with full windows."""
+    stream = RewardStream(model_with_active_attention(size.config), size.n_steps, N_ENVS, device=bench.device.type)
     observations, actions, start = random_rollout()
     for step in range(ROLLOUT_STEPS):
         stream.step(observations[step], actions[step], start[step])
     seconds = 1 / bench.calls_per_second(lambda: stream.step(observations[0], actions[0], start[0]))
-    yield f"streaming   {size} float32  {seconds * 1e6:9,.0f} microseconds a step of {N_ENVS} environments"
+    yield f"streaming   {size} float32  {seconds * 1e6:9,.0f} microseconds per step of {N_ENVS} environments"
 
 
 def random_rollout() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -35,7 +35,7 @@ AGENT_OBSK = 1
 #: Environment steps per round, which take 50 to 400 ms.
 STEPS_PER_ROUND = 3_200
 MAMUJOCO_STEPS_PER_ROUND = 200
-AIM_OF_PHYSICS, AIM_OVER_MAMUJOCO = 0.8, 4.0
+TARGET_OF_PHYSICS, TARGET_OVER_MAMUJOCO = 0.8, 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,14 +157,14 @@ class Rates:
 
 
 def measure_alternating(rounds: int, *candidates: Callable[[], int]) -> list[Rates]:
-    seen = [Rates([], []) for _ in candidates]
+    measured = [Rates([], []) for _ in candidates]
     for _ in range(rounds):
-        for play, rates in zip(candidates, seen, strict=True):
+        for play, rates in zip(candidates, measured, strict=True):
             start, cpu_start = time.perf_counter(), time.process_time()
             n_steps = play()
             rates.clock.append(n_steps / (time.perf_counter() - start))
             rates.cpu.append(n_steps / (time.process_time() - cpu_start))
-    return seen
+    return measured
 
 
 def share(ours: list[float], theirs: list[float]) -> float:
@@ -188,7 +188,7 @@ def compare(names: tuple[str, ...], rounds: int, n_threads: int) -> bool:
             )
             bare, theirs, task = measure_alternating(rounds, *candidates)
             of_physics, over_mamujoco = share(task.clock, bare.clock), share(task.clock, theirs.clock)
-            reached &= of_physics >= AIM_OF_PHYSICS and over_mamujoco >= AIM_OVER_MAMUJOCO
+            reached &= of_physics >= TARGET_OF_PHYSICS and over_mamujoco >= TARGET_OVER_MAMUJOCO
             medians = (statistics.median(rates.clock) for rates in (bare, theirs, task))
             print(
                 f"{name:<18}{n_envs:>5}"
@@ -203,10 +203,10 @@ def main() -> int:
     rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 21
     names = tuple(sys.argv[2:]) or TASKS
     n_cores = os.cpu_count() or 1
-    print(f"environment steps a second, medians of {rounds} rounds")
+    print(f"environment steps per second, medians of {rounds} rounds")
     reached = [compare(names, rounds, n_threads) for n_threads in sorted({1, n_cores})]
-    aims = f"{AIM_OF_PHYSICS:.0%} of the bare physics and {AIM_OVER_MAMUJOCO:.0f} times MaMuJoCo"
-    print(f"aims: {aims} on {n_cores} threads: {'reached' if reached[-1] else 'MISSED'}")
+    targets = f"{TARGET_OF_PHYSICS:.0%} of the bare physics and {TARGET_OVER_MAMUJOCO:.0f} times MaMuJoCo"
+    print(f"targets: {targets} on {n_cores} threads: {'reached' if reached[-1] else 'MISSED'}")
     return 0
 
 

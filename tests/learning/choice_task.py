@@ -85,7 +85,7 @@ class ChoiceTask:
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         if snapshot["targets"].shape != self._targets.shape:
-            raise InvalidSnapshot(f"The snapshot is of {len(snapshot['shown'])} environments.")
+            raise InvalidSnapshot(f"The snapshot is of {len(snapshot['targets'])} environments.")
         self._targets, self._available = snapshot["targets"].copy(), snapshot["available"].copy()
         self._elapsed_steps = snapshot["elapsed_steps"].copy()
         self._rng = generator_from_array(snapshot["random_state"])

@@ -20,13 +20,13 @@ CONFIG = PolicyConfig(
 ALGORITHMS = ("mappo", "happo", "mat", "mat_dec")
 
 
-def of_algorithm(algorithm: str, **settings: object) -> PolicyConfig:
+def small_config(algorithm: str, **settings: object) -> PolicyConfig:
     """A small, quick configuration."""
     small = {"n_envs": 32, "rollout_steps": 16, "minibatches": 4, "epochs": 5, "hidden": [32], "width": 16, "seed": 1}
     return PolicyConfig.named(algorithm, **{"learning_rate": 3e-3, "device": "cpu", **small, **settings})
 
 
-def trained(config: PolicyConfig, reward=true_reward, total_steps: int = 20_000) -> Learner:
+def train_identity(config: PolicyConfig, reward=true_reward, total_steps: int = 20_000) -> Learner:
     learner = Learner(IdentityTask(config.n_envs, HORIZON_STEPS), config)
     train(learner, reward, total_steps)
     return learner
@@ -39,14 +39,14 @@ def returns(learner: Learner) -> np.ndarray:
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_every_algorithm_learns_the_identity_task(algorithm: str) -> None:
     """Actions of zero get 2/3 per step, the best ones 1; the learner closes at least 80% of the gap."""
-    mean = returns(trained(of_algorithm(algorithm), total_steps=8_000)).mean() / HORIZON_STEPS
+    mean = returns(train_identity(small_config(algorithm), total_steps=8_000)).mean() / HORIZON_STEPS
     assert mean > 2 / 3 + 0.8 / 3
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_every_algorithm_learns_the_choice_task(algorithm: str) -> None:
-    """The task raises an error for unavailable actions, so none was sampled in thousands of steps."""
-    config = of_algorithm(algorithm)
+    """The task raises an error for unavailable actions, so this also tests that none is sampled."""
+    config = small_config(algorithm)
     learner = Learner(ChoiceTask(config.n_envs), config)
     train(learner, true_reward, total_steps=6_000)
     task = ChoiceTask(32)
@@ -59,8 +59,8 @@ def test_every_algorithm_learns_the_choice_task(algorithm: str) -> None:
 def test_every_algorithm_resumes_exactly(
     algorithm: str, task_type: type[IdentityTask] | type[ChoiceTask], tmp_path: Path
 ) -> None:
-    """In the middle of episodes and after `reward_changed`; every tensor is bit-identical."""
-    config = of_algorithm(algorithm, n_envs=4, rollout_steps=5, minibatches=2, anneal_steps=200)
+    """Training stops within an episode and after `reward_changed`; every tensor is bit-identical."""
+    config = small_config(algorithm, n_envs=4, rollout_steps=5, minibatches=2, anneal_steps=200)
 
     def continue_training(learner: Learner, rollouts: int) -> None:
         train(learner, true_reward, learner.steps + rollouts * config.steps_per_rollout)
@@ -81,7 +81,7 @@ def test_every_algorithm_resumes_exactly(
 @pytest.mark.parametrize("shared_actor", [True, False])
 def test_mappo_learns_the_identity_task(shared_actor: bool) -> None:
     """Actions of zero get 2/3 per step, the best ones 1; the learner closes at least 90% of the gap."""
-    mean = returns(trained(replace(CONFIG, shared_actor=shared_actor))).mean() / HORIZON_STEPS
+    mean = returns(train_identity(replace(CONFIG, shared_actor=shared_actor))).mean() / HORIZON_STEPS
     assert mean > 2 / 3 + 0.9 / 3
 
 
@@ -92,19 +92,19 @@ def test_individual_rewards_teach_each_agent_its_own_behaviour() -> None:
     def individual(rollout: Rollout) -> np.ndarray:
         return -np.square(rollout.actions[..., 0] - signs * rollout.state)
 
-    learner = trained(replace(CONFIG, shared_actor=False), individual)
+    learner = train_identity(replace(CONFIG, shared_actor=False), individual)
     observations = np.zeros((2, 3, 2), dtype=np.float32)
     observations[..., 0], observations[..., 1] = [[0.6] * 3, [-0.6] * 3], 0.5
     np.testing.assert_allclose(learner.policy.act(observations)[..., 0], 0.6 * np.outer([1, -1], signs), atol=0.15)
 
 
 def test_negated_reward_teaches_the_opposite_behaviour() -> None:
-    learner = trained(CONFIG, lambda rollout: -rollout.rewards, total_steps=10_000)
+    learner = train_identity(CONFIG, lambda rollout: -rollout.rewards, total_steps=10_000)
     assert returns(learner).mean() / HORIZON_STEPS < 0.5
 
 
 @pytest.mark.parametrize("announced", [True, False])
-def test_training_continues_when_the_scale_of_the_reward_changes(announced: bool) -> None:
+def test_training_succeeds_when_the_scale_of_the_reward_changes(announced: bool) -> None:
     learner = Learner(IdentityTask(CONFIG.n_envs, HORIZON_STEPS), CONFIG)
     for factor, offset, until in ((1.0, 0.0, 6_000), (1e3, -50.0, 12_000), (1e-2, 3.0, 24_000)):
         if announced:
@@ -134,7 +134,7 @@ def test_same_seed_gives_identical_weights() -> None:
 @pytest.mark.parametrize("shared_actor", [True, False])
 @pytest.mark.parametrize("stop_after_updates", [1, 15])
 def test_resumed_run_equals_an_uninterrupted_run(shared_actor: bool, stop_after_updates: int, tmp_path: Path) -> None:
-    """18 rollouts of 64 steps, so that episodes end and start after the stop; every tensor is bit-identical."""
+    """Episodes of 1,000 steps end within the 18 rollouts of 64 steps; every tensor is bit-identical."""
     config = replace(CHEETAH, shared_actor=shared_actor)
     total_steps = 18 * config.steps_per_rollout
     whole = Learner(cheetah_task(8), config)

@@ -1,4 +1,4 @@
-"""Where judgement depends on the past, the path that sees it must find what no sum of Markov rewards can say."""
+"""Preferences that depend on consecutive steps: a network with a temporal encoder learns them, a Markov one cannot."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ MARKOV_CONFIG = RewardConfig(
 
 
 def steadiness_preferences(n_pairs: int, seed: int) -> PreferenceDataset:
-    """The teacher likes each agent's first number to keep its sign from step to step."""
+    """The teacher prefers segments in which each agent's first observed number keeps its sign between steps."""
     rng = np.random.default_rng(seed)
     shape = (2 * n_pairs, N_STEPS, N_AGENTS)
     observations = rng.normal(size=(*shape, OBSERVATION_DIM)).astype(np.float32)
@@ -27,24 +27,24 @@ def steadiness_preferences(n_pairs: int, seed: int) -> PreferenceDataset:
     return PreferenceDataset(SegmentArrays(observations, actions, np.ones(shape[:2], dtype=np.bool_)), pairs, labels)
 
 
-def accuracy_on_fresh_pairs(config: RewardConfig) -> float:
+def accuracy_on_test_pairs(config: RewardConfig) -> float:
     settings = TrainConfig(max_epochs=30, patience=30, device="cpu")
     model = train_reward_model(steadiness_preferences(1500, seed=0), config, settings).model
-    fresh = steadiness_preferences(1000, seed=1)
-    arrays = (fresh.segments.observations, fresh.segments.actions, fresh.segments.mask)
+    test_data = steadiness_preferences(1000, seed=1)
+    arrays = (test_data.segments.observations, test_data.segments.actions, test_data.segments.mask)
     with torch.inference_mode():
         score = model(*(torch.as_tensor(array) for array in arrays)).score.numpy()
-    decided = fresh.labels != 0.5
-    better = score[fresh.pairs[:, 0]] > score[fresh.pairs[:, 1]]
-    return float((better == (fresh.labels == 1))[decided].mean())
+    no_tie = test_data.labels != 0.5
+    predicted = score[test_data.pairs[:, 0]] > score[test_data.pairs[:, 1]]
+    return float((predicted == (test_data.labels == 1))[no_tie].mean())
 
 
-# 1,000 fresh pairs: chance has a deviation of 0.016.
-def test_a_markov_reward_cannot_express_it() -> None:
-    assert accuracy_on_fresh_pairs(MARKOV_CONFIG) < 0.6
+# With 1,000 test pairs, the standard deviation of the accuracy at chance is 0.016.
+def test_a_markov_reward_does_not_learn_steadiness() -> None:
+    assert accuracy_on_test_pairs(MARKOV_CONFIG) < 0.6
 
 
 @pytest.mark.parametrize("temporal", ["attention", "lstm"])
-def test_a_path_that_sees_the_past_learns_it(temporal: TemporalEncoder) -> None:
+def test_a_temporal_encoder_learns_steadiness(temporal: TemporalEncoder) -> None:
     config = RewardConfig(OBSERVATION_DIM, 1, N_AGENTS, hidden_dim=32, temporal=temporal)
-    assert accuracy_on_fresh_pairs(config) > 0.9
+    assert accuracy_on_test_pairs(config) > 0.9
