@@ -57,7 +57,9 @@ def kill(accord: Accord, role: str) -> None:
     """Kill one process and wait until its parent has started another."""
     victim = until(lambda: accord.processes().get(role), f"the {role} process runs")
     victim.kill()
-    until(lambda: (found := accord.processes().get(role)) and found.pid != victim.pid, f"another {role} process runs")
+    until(
+        lambda: (current := accord.processes().get(role)) and current.pid != victim.pid, f"another {role} process runs"
+    )
     if role in {"render", "reward", "policy"}:
         row = "SELECT 1 FROM workers WHERE role = ? AND restarts = 1"
         until(lambda: accord.rows(row, role), f"the restart of the {role} worker is stored")

@@ -167,8 +167,9 @@ def measure_alternating(rounds: int, *candidates: Callable[[], int]) -> list[Rat
     return measured
 
 
-def share(ours: list[float], theirs: list[float]) -> float:
-    return statistics.median(one / other for one, other in zip(ours, theirs, strict=True))
+def share(rates: list[float], reference: list[float]) -> float:
+    """Median over rounds of a rate relative to a reference."""
+    return statistics.median(one / other for one, other in zip(rates, reference, strict=True))
 
 
 def compare(names: tuple[str, ...], rounds: int, n_threads: int) -> bool:
@@ -186,10 +187,10 @@ def compare(names: tuple[str, ...], rounds: int, n_threads: int) -> bool:
                 mamujoco(name, played),
                 whole_task(name, played, n_threads),
             )
-            bare, theirs, task = measure_alternating(rounds, *candidates)
-            of_physics, over_mamujoco = share(task.clock, bare.clock), share(task.clock, theirs.clock)
+            bare, robotics, task = measure_alternating(rounds, *candidates)
+            of_physics, over_mamujoco = share(task.clock, bare.clock), share(task.clock, robotics.clock)
             reached &= of_physics >= TARGET_OF_PHYSICS and over_mamujoco >= TARGET_OVER_MAMUJOCO
-            medians = (statistics.median(rates.clock) for rates in (bare, theirs, task))
+            medians = (statistics.median(rates.clock) for rates in (bare, robotics, task))
             print(
                 f"{name:<18}{n_envs:>5}"
                 + "".join(f"{median:>{width},.0f}" for median, width in zip(medians, (15, 10, 10), strict=True))

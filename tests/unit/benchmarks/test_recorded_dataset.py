@@ -37,9 +37,9 @@ def rollout_with_starts(*starts: tuple[int, int]) -> Rollout:
 
 def test_segments_are_drawn_in_chronological_order():
     rollout = rollout_with_starts((3, 0), (10, 1), (0, 1))
-    drawn = draw_places(rollout, 5, 3, np.random.default_rng(0))
-    assert len(drawn) == 3
-    assert [segment.first for segment in drawn] == sorted(segment.first for segment in drawn)
+    segments = draw_places(rollout, 5, 3, np.random.default_rng(0))
+    assert len(segments) == 3
+    assert [segment.first for segment in segments] == sorted(segment.first for segment in segments)
     for count, n_steps in ((0, 5), (-2, 5), (4, 21)):
         assert draw_places(rollout, n_steps, count, np.random.default_rng(0)) == []
 

@@ -68,8 +68,8 @@ def test_an_evaluation_of_fewer_steps_is_not_the_final_one(settings, tmp_path):
 def test_each_run_below_a_folder_is_found_once(settings, tmp_path):
     write_run(tmp_path / "mat" / "seed-0", settings(1), [1.0])
     write_run(tmp_path / "mat" / "seed-1", settings(1, policy_seed=1), [1.0])
-    found = find_runs([tmp_path, tmp_path / "mat" / "seed-0"])
-    assert [folder.path.name for folder in found] == ["seed-0", "seed-1"]
+    folders = find_runs([tmp_path, tmp_path / "mat" / "seed-0"])
+    assert [folder.path.name for folder in folders] == ["seed-0", "seed-1"]
     (tmp_path / "empty").mkdir()
     with pytest.raises(RunNotFound) as caught:
         find_runs([tmp_path / "empty"])
