@@ -64,7 +64,7 @@ def test_states_that_cannot_be_rendered_fail_only_their_own_queries(waiting_for_
         "SELECT status, attempts, detail FROM clips WHERE segment_id = ?", segment_id
     )
     assert (status, attempts) == ("failed", 3)
-    assert "(T,9)" in detail
+    assert "(10, 3)" in detail
     has_segment = "? IN (segment_0_id, segment_1_id)"
     assert harness.rows(f"SELECT DISTINCT status FROM queries WHERE {has_segment}", segment_id) == [("failed",)]
     assert harness.rows(f"SELECT DISTINCT status FROM queries WHERE NOT {has_segment}", segment_id) == [("open",)]
