@@ -29,7 +29,7 @@ def command(output: Path, reward: Path, *more: str) -> list[str]:
     return [
         *(sys.executable, "-m", "mapt.cli", "train", "--task", short_tasks.SHORTEST_NAME, "--algorithm", "mat"),
         *("--reward", str(reward), "--credit", "individual", "--steps", str(ITERATIONS * STEPS_PER_ITERATION)),
-        *("--output", str(output), "--seed", "3", "--evaluate-every", "1500", "--device", "cpu", "--no-video"),
+        *("--output", str(output), "--seeds", "3", "--evaluate-every", "1500", "--device", "cpu", "--no-video"),
         *("--checkpoint-minutes", CHECKPOINT_MINUTES),
         *(argument for setting in tiny for argument in ("--set", setting)),
         *more,

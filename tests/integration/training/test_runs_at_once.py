@@ -20,7 +20,7 @@ SEEDS = (3, 4)
 
 
 def parallel_command(tmp_path: Path, name: str) -> list[str]:
-    return command(tmp_path / name, tmp_path / "reward", "--seed", "3,4", "--workers", "2")
+    return command(tmp_path / name, tmp_path / "reward", "--seeds", "3,4", "--workers", "2")
 
 
 def folders(tmp_path: Path, name: str) -> list[RunFolder]:
@@ -98,7 +98,7 @@ def test_a_killed_seed_does_not_affect_the_others_and_resumes(tmp_path):
         os.kill(worker_of(process, killed), signal.SIGKILL)
         _, errors = process.communicate()
     assert process.returncode == 2
-    assert "seed 3: its worker process died (exit status -9)" in errors
+    assert "seed 3: its worker process died (killed by SIGKILL)" in errors
     assert other.evaluation.exists()
     assert not killed.evaluation.exists()
 
