@@ -4,6 +4,7 @@
 # pyright: reportAttributeAccessIssue=false
 
 import os
+import threading
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from itertools import chain
@@ -50,6 +51,8 @@ _DEFINITIONS: dict[str, TaskDefinition] = {
     definition.name: definition for definition in chain.from_iterable(robot.TASKS for robot in _ROBOTS)
 }
 _imported: set[str] = set()
+#: re-entrant: a task file may look tasks up while it is imported
+_import_lock = threading.RLock()
 
 
 def register_task(definition: TaskDefinition) -> None:
@@ -151,14 +154,16 @@ def import_task_files() -> None:
     Raises:
         TaskImportFailed: if one is missing or raises an error.
     """
-    for name in filter(None, os.environ.get(TASK_FILES_VARIABLE, "").split(os.pathsep)):
-        if name not in _imported:
-            _imported.add(name)
-            try:
-                _import_file_or_module(name)
-            except Exception as error:
-                _imported.discard(name)
-                raise TaskImportFailed(TASK_FILES_VARIABLE, name, error) from error
+    # Another thread must not look up a task while this one still imports the file that registers it.
+    with _import_lock:
+        for name in filter(None, os.environ.get(TASK_FILES_VARIABLE, "").split(os.pathsep)):
+            if name not in _imported:
+                _imported.add(name)
+                try:
+                    _import_file_or_module(name)
+                except Exception as error:
+                    _imported.discard(name)
+                    raise TaskImportFailed(TASK_FILES_VARIABLE, name, error) from error
 
 
 def _import_file_or_module(name: str) -> None:

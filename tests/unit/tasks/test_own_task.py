@@ -2,6 +2,7 @@
 
 import re
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
 
@@ -61,3 +62,13 @@ def test_error_of_a_missing_task_file_names_it(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(TaskImportFailed) as error:
         task_names()
     assert error.value.name == "no/such_file.py"
+
+
+def test_threads_wait_for_the_import_of_a_task_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "slow_tasks.py"
+    slow = MUJOCO_BLOCK.replace("Tug-2x1", "SlowTug-2x1")
+    file.write_text("import time\ntime.sleep(0.5)\n" + slow)
+    monkeypatch.setenv("MAPT_TASKS", str(file))
+    with ThreadPoolExecutor(4) as threads:
+        specs = list(threads.map(lambda _: task_spec("SlowTug-2x1"), range(4)))
+    assert [spec.name for spec in specs] == ["SlowTug-2x1"] * 4
