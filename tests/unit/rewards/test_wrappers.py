@@ -10,11 +10,11 @@ from mapt.errors import InvalidRollout
 from mapt.rewards.relabelling import RolloutRelabeller
 from mapt.rewards.wrappers.gymnasium import LearnedReward, LearnedVectorReward
 from mapt.rewards.wrappers.pettingzoo import LearnedParallelReward
+from support.tolerance import assert_float32_close
 
 pytestmark = pytest.mark.numerics
 
 WINDOW = 4
-TOLERANCE = {"rtol": 1e-5, "atol": 1e-5}
 CHEETAH = {"n_agents": 6, "observation_dim": 7 + 6, "action_dim": 1}
 
 
@@ -72,7 +72,7 @@ def test_environment_gives_the_learned_reward_and_keeps_the_true_one_in_info(bui
             rewards.append(reward)
             assert info == {"own": 1, "true_reward": step + 1}
             assert truncated == (step == 4)
-    np.testing.assert_allclose(rewards, relabelled(model, observations, actions, start)[:, 0], **TOLERANCE)
+    assert_float32_close(rewards, relabelled(model, observations, actions, start)[:, 0])
 
 
 def test_discrete_actions_become_one_hot(build):
@@ -81,7 +81,7 @@ def test_discrete_actions_become_one_hot(build):
     observation, _ = env.reset(seed=0)
     _, reward, *_ = env.step(np.array([1, 0, 1]))
     one_hot = [[[0, 1], [1, 0], [0, 1]]]
-    np.testing.assert_allclose(reward, relabelled(model, [observation[None]], [one_hot], [[True]])[0, 0], **TOLERANCE)
+    assert_float32_close(reward, relabelled(model, [observation[None]], [one_hot], [[True]])[0, 0])
     with pytest.raises(InvalidRollout):
         env.step(np.array([1, 0, 2]))
 
@@ -108,7 +108,7 @@ def test_vector_environments_start_episodes_independently(build, mode):
         rewards.append(reward)
         np.testing.assert_array_equal(info["true_reward"], np.where(idle[-1], 0, observations[-1][:, 0, 0] + 1))
     expected = np.where(idle, 0, relabelled(model, observations, actions, start))
-    np.testing.assert_allclose(rewards, expected, **TOLERANCE)
+    assert_float32_close(rewards, expected)
     assert np.sum(start) > 4
 
 
@@ -133,7 +133,7 @@ def test_parallel_environment_gives_each_agent_the_learned_reward(build, credit)
             assert "x_velocity" in infos["agent_0"]
     expected = relabelled(model, observations, actions, start, credit)[:, 0]
     expected = expected if credit == "individual" else np.repeat(expected[:, None], 6, axis=1)
-    np.testing.assert_allclose(rewards, expected, **TOLERANCE)
+    assert_float32_close(rewards, expected)
 
 
 def test_agents_with_other_dimensions_are_refused(build):
