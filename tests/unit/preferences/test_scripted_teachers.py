@@ -147,14 +147,35 @@ def test_equal_overrides_mistakes_and_skip_overrides_both():
     assert np.isnan(teacher.judge(view([[0.9]]), view([[1.0]]))).all()
 
 
-def test_skip_compares_undiscounted_and_equal_discounted_returns():
-    early, late = view([[2.0, 0.0]]), view([[0.0, 0.1]])
+def test_skip_and_equal_compare_undiscounted_returns():
+    early, late = view([[2.0, 0.0], [2.0, 0.0]]), view([[0.0, 0.1], [0.0, 1.9]])
     skipping = make_teacher("myopic", gamma=0.0, skip=1.0)
     skipping.set_episode_return(1.0, 2)
-    assert skipping.judge(early, late).tolist() == [0.0]
+    # A return of 2 is above the threshold of 1, although its discounted return is 0.
+    assert skipping.judge(early, late).tolist() == [0.0, 0.0]
     equalling = make_teacher("myopic", gamma=0.0, equal=1.0)
     equalling.set_episode_return(1.0, 2)
-    assert equalling.judge(early, late).tolist() == [0.5]
+    # The returns differ by 1.9 and 0.1, the discounted returns by 0.1 and 1.9; the threshold is 1.
+    assert equalling.judge(early, late).tolist() == [0.0, 0.5]
+
+
+def test_a_myopic_teacher_with_thresholds_labels_as_b_pref():
+    first, second = random_pairs(500, mean=1.0)
+    teacher = make_teacher("myopic", gamma=0.7, skip=0.9, equal=0.2)
+    teacher.set_episode_return(1.0, 1)
+    labels = teacher.judge(first, second)
+    skip, equal = 0.9 * 6, 0.2 * 6
+    expected = []
+    for rewards in zip(first.rewards, second.rewards, strict=True):
+        returns = [sum(each) for each in rewards]
+        # B-Pref multiplies all steps but the last by gamma, then all but the last two, ...
+        discounted = [sum(reward * 0.7 ** (5 - step) for step, reward in enumerate(each)) for each in rewards]
+        label = float(discounted[0] > discounted[1])
+        label = 0.5 if abs(returns[0] - returns[1]) < equal else label
+        expected.append(np.nan if max(returns) <= skip else label)
+    assert {0.0, 0.5, 1.0} <= set(labels.tolist())
+    assert np.isnan(labels).any()
+    np.testing.assert_array_equal(labels, expected)
 
 
 def test_without_episode_returns_thresholds_follow_the_segments():

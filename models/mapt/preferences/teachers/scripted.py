@@ -115,11 +115,13 @@ class BPrefParameters:
 class ScriptedTeacher:
     """Labels pairs by a rule and `BPrefParameters`, in B-Pref's order.
 
-    1. Skip the pair if both scores are below the skip threshold. Scores are not discounted here.
+    1. Skip the pair if both scores are below the skip threshold.
     2. Myopia: discount rewards by gamma per step of age, and score the segments again.
     3. Prefer the higher score, or sample from the Boltzmann model with beta. Equal scores give 0.5.
     4. Flip the label with probability `mistake`.
-    5. Replace the label by 0.5 if the scores of step 2 differ by less than the equality threshold.
+    5. Replace the label by 0.5 if the scores differ by less than the equality threshold.
+
+    Steps 1 and 5 compare scores of undiscounted rewards, as B-Pref's code does.
 
     A threshold is eps x mean episode return x T / episode length, where T is the length of the longer segment. Without
     `set_episode_return`, the mean reward of the segments so far stands in for that of episodes. B-Pref's code
@@ -163,7 +165,7 @@ class ScriptedTeacher:
         label = self._prefer(difference, thresholds.unit, preference_draw)
         label = np.where(mistake_draw < self.bpref.mistake, 1.0 - label, label)
         if self.bpref.equal:
-            label[np.abs(difference) < thresholds.equal] = 0.5
+            label[np.abs(scores[:, 0] - scores[:, 1]) < thresholds.equal] = 0.5
         if self.bpref.skip:
             label[scores.max(axis=1) <= thresholds.skip] = np.nan
         return label.astype(np.float32)
