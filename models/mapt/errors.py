@@ -309,11 +309,11 @@ class UnknownTeacher(InvalidTeacher):
 class FileError(PreferenceError):
     """A file or folder cannot be read or written. Nothing on disk was changed.
 
-    `problem` is a clause without a period, usually with the path as its subject: "is not a complete HDF5 file".
+    `problem` completes a sentence that starts with the path, without its period: "is not a complete HDF5 file".
     """
 
     def __init__(self, path: Path | str, problem: str) -> None:
-        super().__init__(f"{path}: {problem}.")
+        super().__init__(f"{path} {problem}.")
         self.path = path
         self.problem = problem
 
@@ -376,7 +376,7 @@ class UnknownLabel(InvalidFile):
     """A label has a value that its format does not define."""
 
     def __init__(self, path: Path | str, index: int, label: object, known: str) -> None:
-        super().__init__(path, f"label {index} is {label!r}; this format has {known}")
+        super().__init__(path, f"has the unknown label {label!r} at index {index}. Its format defines {known}")
         self.index = index
         self.label = label
         self.known = known
@@ -403,7 +403,7 @@ class RunBusy(RunError):
     """Another process is training in this folder."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(f"Another process is training in {folder}.")
+        super().__init__(f"Another process is training in {folder}. Wait for its end, or give another --output.")
         self.folder = folder
 
 
@@ -472,7 +472,9 @@ class TooFewLabels(BenchmarkError):
     """A teacher skips so many pairs that it cannot give the requested number of labels."""
 
     def __init__(self, teacher: str, labels: int, given: int) -> None:
-        super().__init__(f"The teacher {teacher} gave {given} of {labels} labels and skipped all other pairs.")
+        super().__init__(
+            f"The teacher {teacher} gave {given} of {labels} labels and skipped all other pairs. Request fewer labels."
+        )
         self.teacher = teacher
         self.labels = labels
         self.given = given

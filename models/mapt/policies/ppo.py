@@ -199,7 +199,7 @@ def clip_gradients(parameters: Sequence[nn.Parameter], max_norm: float) -> Tenso
     """
     norm = clip_grad_norm_(parameters, max_norm)
     if not math.isfinite(norm):
-        raise TrainingDiverged(f"The gradient norm is {norm.item()}.")
+        raise TrainingDiverged(f"The gradient norm is {norm.item()}. Lower the learning rate, and check the rewards.")
     return norm
 
 

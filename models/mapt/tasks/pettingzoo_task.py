@@ -260,7 +260,7 @@ class PettingZooDefinition:
         sizes = tuple(int(space.n) if hasattr(space, "n") else int(np.prod(space.shape)) for space in spaces)
         if any(discrete) and (not all(discrete) or len(set(sizes)) > 1):
             raise UnusableEnvironment(
-                f"{self.name}: all agents must have the same number of discrete actions, or continuous ones."
+                f"The agents of {self.name} must all have the same number of discrete actions, or all continuous ones."
             )
         limit = (
             1.0 if discrete[0] else float(max(np.abs([space.low.max(), space.high.max()]).max() for space in spaces))

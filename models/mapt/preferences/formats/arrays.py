@@ -19,7 +19,7 @@ def as_array(path: Path | str, where: str, values: object) -> NDArray[Any]:
     try:
         return np.asarray(values)
     except ValueError as error:
-        raise InvalidFile(path, f"{where} is not an array ({error})") from error
+        raise InvalidFile(path, f"has ragged lists in {where} ({error})") from error
 
 
 def numbers(path: Path | str, where: str, values: object, n_dims: int) -> NDArray[Any]:
@@ -33,9 +33,11 @@ def numbers(path: Path | str, where: str, values: object, n_dims: int) -> NDArra
     """
     array = as_array(path, where, values)
     if array.dtype.kind not in "biuf":
-        raise InvalidFile(path, f"{where} holds {array.dtype}, not numbers")
+        raise InvalidFile(path, f"holds {array.dtype} instead of numbers in {where}")
     if array.ndim != n_dims or 0 in array.shape:
-        raise InvalidFile(path, f"{where} has shape {array.shape}, not {n_dims} dimensions")
+        raise InvalidFile(
+            path, f"has shape {array.shape} in {where}, which must have {n_dims} dimensions and not be empty"
+        )
     return array
 
 
@@ -45,7 +47,7 @@ def finite_floats(path: Path | str, where: str, values: object, n_dims: int) -> 
     with np.errstate(over="ignore"):
         floats = array.astype(np.float32)
     if not np.isfinite(floats).all():
-        raise InvalidFile(path, f"{where} holds NaN, infinity or a number too large for float32")
+        raise InvalidFile(path, f"holds NaN, infinity or a number too large for float32 in {where}")
     return floats
 
 
@@ -53,7 +55,7 @@ def finite_doubles(path: Path | str, where: str, values: object, n_dims: int) ->
     """As `finite_floats`, but float64."""
     doubles = numbers(path, where, values, n_dims).astype(np.float64)
     if not np.isfinite(doubles).all():
-        raise InvalidFile(path, f"{where} holds NaN or infinity")
+        raise InvalidFile(path, f"holds NaN or infinity in {where}")
     return doubles
 
 
@@ -67,11 +69,11 @@ def numbered_actions(path: Path | str, where: str, values: object, n_actions: in
     array = numbers(path, where, array[..., 0] if array.ndim == 3 and array.shape[2] == 1 else array, 2)
     chosen = array.astype(np.int64)
     if (chosen != array).any():
-        raise InvalidFile(path, f"{where} holds an action that is not a whole number")
+        raise InvalidFile(path, f"holds an action that is not a whole number in {where}")
     try:
         return one_hot_actions(chosen, n_actions)
     except InvalidAction as error:
-        raise InvalidFile(path, f"{where} is not valid ({error})") from error
+        raise InvalidFile(path, f"holds an invalid action in {where} ({error})") from error
 
 
 #: Limit on the total size that the arrays of an HDF5 file declare.
@@ -110,11 +112,11 @@ class Hdf5File:
         if not isinstance(found, h5py.Dataset):
             raise MissingPart(self.path, f"array {name!r}")
         if found.is_virtual or found.external:
-            raise InvalidFile(self.path, f"{name} is stored in another file")
+            raise InvalidFile(self.path, f"refers to another file for {name}")
         if found.dtype.kind not in "biuf":
-            raise InvalidFile(self.path, f"{name} holds {found.dtype}, not numbers")
+            raise InvalidFile(self.path, f"holds {found.dtype} instead of numbers in {name}")
         if found.ndim != n_dims:
-            raise InvalidFile(self.path, f"{name} has shape {found.shape}, not {n_dims} dimensions")
+            raise InvalidFile(self.path, f"has shape {found.shape} in {name}, which must have {n_dims} dimensions")
         # The size in memory: compressed zeros take almost no space on disk.
         declared = int(np.prod(found.shape, dtype=object)) * max(8, found.dtype.itemsize)
         self._remaining -= declared
@@ -129,7 +131,7 @@ class Hdf5File:
             if not isinstance(found, h5py.Group) or part not in found:
                 return None
             if not isinstance(found.get(part, getlink=True), h5py.HardLink):
-                raise InvalidFile(self.path, f"{name} is a link")
+                raise InvalidFile(self.path, f"has a link at {name}, which is not followed")
             found = found[part]
         return found
 

@@ -65,7 +65,7 @@ class D4rlSteps:
             raise MissingPart(file.path, "array 'terminals'")
         for data in (self._actions, *self._extras.values(), *self._flags.values()):
             if len(data) != len(self):
-                raise InvalidFile(file.path, f"{data.name} has {len(data)} steps, but observations have {len(self)}")
+                raise InvalidFile(file.path, f"has {len(data)} steps in {data.name}, but {len(self)} in observations")
         if not len(self):
             raise InvalidFile(file.path, "holds no steps")
 
@@ -94,7 +94,8 @@ class D4rlSteps:
         for name, flat in (("observations", observations), ("actions", actions)):
             if flat.shape[1] % self._n_agents:
                 raise InvalidFile(
-                    self._path, f"{name} of {flat.shape[1]} values cannot be split between {self._n_agents} agents"
+                    self._path,
+                    f"has {flat.shape[1]} values per step in {name}, not a multiple of {self._n_agents} agents",
                 )
         shape = (len(observations), self._n_agents, -1)
         return observations.reshape(shape), actions.reshape(shape)

@@ -99,7 +99,7 @@ def _fragment(episode: Episode) -> Record:
 def _side(path: Path, dataset: Record, name: str, n_pairs: int, n_actions: int | None) -> SegmentRecords:
     fragments = _part(path, "dataset", dataset, name)
     if not isinstance(fragments, list) or len(fragments) != n_pairs or not fragments:
-        raise InvalidFile(path, f"{name} is not a list of {n_pairs} fragments, one per preference")
+        raise InvalidFile(path, f"has no list of {n_pairs} fragments, one per preference, in {name}")
     episodes = [_episode(path, f"{name}[{index}]", each, n_actions) for index, each in enumerate(fragments)]
     longest = max(len(episode) for episode in episodes)
     return concatenate(list(cut_segments(episodes, longest, keep_short=True)))
@@ -107,7 +107,7 @@ def _side(path: Path, dataset: Record, name: str, n_pairs: int, n_actions: int |
 
 def _episode(path: Path, where: str, fragment: object, n_actions: int | None) -> Episode:
     if not isinstance(fragment, Record) or fragment.name != _FRAGMENT:
-        raise InvalidFile(path, f"{where} is not a TrajectoryWithRew")
+        raise InvalidFile(path, f"has no TrajectoryWithRew in {where}")
     observed, acted, rewarded = (_part(path, where, fragment, name) for name in ("obs", "acts", "rews"))
     return _checked_episode(path, where, (observed, acted, rewarded), n_actions)
 
@@ -133,9 +133,9 @@ def _checked_episode(
     n_steps = len(actions)
     if len(observations) != n_steps + 1 or (rewards is not None and len(rewards) != n_steps):
         found = "no" if rewards is None else len(rewards)
-        raise InvalidFile(path, f"{where} has {len(observations)} obs, {n_steps} acts and {found} rews")
+        raise InvalidFile(path, f"has {len(observations)} obs, {n_steps} acts and {found} rews in {where}")
     if observations.shape[1] != actions.shape[1]:
-        raise InvalidFile(path, f"{where} has obs of {observations.shape[1]} agents and acts of {actions.shape[1]}")
+        raise InvalidFile(path, f"has obs of {observations.shape[1]} agents and acts of {actions.shape[1]} in {where}")
     return Episode(observations[:-1], actions, rewards)
 
 

@@ -169,7 +169,8 @@ def _episode(file: Hdf5File, group: str, n_actions: int | None) -> Episode:
     for name, parts in (("observations", observations), ("actions", actions)):
         if {part.shape for part in parts} != {(len(rewards), parts[0].shape[1])}:
             raise InvalidFile(
-                file.path, f"{group}/{name} differ in steps or dimensions between agents, or in steps from rewards"
+                file.path,
+                f"has {name} in {group} that differ in steps or dimensions between agents, or in steps from rewards",
             )
     return Episode(np.stack(observations, axis=1), np.stack(actions, axis=1), **extras)
 
@@ -178,7 +179,7 @@ def _first(path: Path, where: str, values: Any, rewards: Any) -> Any:
     if len(values) not in (len(rewards), len(rewards) + 1) or (
         "/observations" in where and len(values) == len(rewards)
     ):
-        raise InvalidFile(path, f"{where} has {len(values)} rows for {len(rewards)} rewards")
+        raise InvalidFile(path, f"has {len(values)} rows in {where} for {len(rewards)} rewards")
     return values[: len(rewards)]
 
 
@@ -194,7 +195,7 @@ def _agents(file: Hdf5File, group: str) -> list[str]:
         return [""]
     found = [file.names(f"{group}/{name}") for name in ("observations", "actions")]
     if not found[0] or found[0] != found[1]:
-        raise InvalidFile(file.path, f"{group}: agents of observations {found[0]} and of actions {found[1]} differ")
+        raise InvalidFile(file.path, f"has observations of {found[0]} but actions of {found[1]} in {group}")
     return [f"/{name}" for name in sorted(found[0], key=_natural)]
 
 

@@ -124,10 +124,10 @@ def write_offline_labels(folder: Path | str, comparisons: Comparisons) -> LabelF
     labelled = ~np.isnan(comparisons.labels)
     unknown = sorted(set(comparisons.labels[labelled].tolist()) - stored.keys())
     if unknown:
-        raise NotRepresentable(folder, f"this format cannot represent a label of {unknown[0]}, only 1, 0 and 0.5")
+        raise NotRepresentable(folder, f"cannot hold a label of {unknown[0]}: its format has only 1, 0 and 0.5")
     n_steps = comparisons.records.segments.n_steps
     if (comparisons.records.lengths != n_steps).any():
-        raise NotRepresentable(folder, "this format cannot represent segments of different lengths")
+        raise NotRepresentable(folder, "cannot hold segments of different lengths: its format has one length")
     pairs = comparisons.pairs[labelled]
     suffix = f"num{len(pairs)}_q{n_steps}"
     files = LabelFiles(folder / "label_human", folder / f"indices_{suffix}", folder / f"indices_2_{suffix}")
@@ -196,13 +196,14 @@ def _checked_rows(
     if outside.any():
         index = int(outside.argmax())
         raise InvalidFile(
-            path, f"pair {index} has steps {indices[index]} to {indices[index] + n_steps} of only {len(row)}"
+            path, f"has steps {indices[index]} to {indices[index] + n_steps} of only {len(row)} in pair {index}"
         )
     first, last = row[indices], row[indices + n_steps - 1]
     crossing = episode_of_row[first] != episode_of_row[last]
     if crossing.any():
         index = int(crossing.argmax())
         raise InvalidFile(
-            path, f"pair {index} crosses the end of an episode. Check the D4RL file and n_steps = {n_steps}"
+            path,
+            f"has a segment in pair {index} that crosses the end of an episode. Check it and n_steps = {n_steps}",
         )
     return first

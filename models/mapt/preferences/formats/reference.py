@@ -80,11 +80,11 @@ def _items(path: Path, dataset: PreferenceDataset, discrete: bool) -> Iterator[d
     stored = {label: value for value, label in _LABELS.items()}
     for pair, label in zip(dataset.pairs, dataset.labels.tolist(), strict=True):
         if label not in stored:
-            raise NotRepresentable(path, f"this format cannot represent a label of {label}, only 1, 0 and 0.5")
+            raise NotRepresentable(path, f"cannot hold a label of {label}: its format has only 1, 0 and 0.5")
         segments = dataset.segments.take(pair)
         if not segments.mask.all():
             # The reference truncates every trajectory to the length of the last one, and crashes on shorter ones.
-            raise NotRepresentable(path, "this format cannot represent segments of different lengths")
+            raise NotRepresentable(path, "cannot hold segments of different lengths: its format has one length")
         actions: NDArray[Any] = action_indices(segments)[..., None] if discrete else segments.actions
         first, second = (
             {"obs": observed, "actions": acted} for observed, acted in zip(segments.observations, actions, strict=True)
@@ -94,7 +94,7 @@ def _items(path: Path, dataset: PreferenceDataset, discrete: bool) -> Iterator[d
 
 def _entry(path: Path, index: int, item: object, name: str) -> Any:
     if not isinstance(item, dict):
-        raise InvalidFile(path, f"pair {index} is {type(item).__name__}, not a dict")
+        raise InvalidFile(path, f"holds a {type(item).__name__} instead of a dict in pair {index}")
     if name not in item:
         raise MissingPart(path, f"{name!r} in pair {index}")
     return item[name]
