@@ -21,7 +21,9 @@ RewardPreset = Literal["small", "paper"]
 RewardModelName = Literal["MAPT", "MAPT-TPA", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-MLP", "MA-LSTM", "MA-Transformer"]
 PolicyReward = Literal["value", "attended", "weighted"]
 Credit = Literal["shared", "individual"]
-QuerySelection = Literal["uniform", "disagreement", "entropy", "k_center", "disagreement_k_center", "entropy_k_center"]
+QuerySelection = Literal[
+    "uniform", "recent", "disagreement", "entropy", "k_center", "disagreement_k_center", "entropy_k_center"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,14 +81,21 @@ class ExperimentConfig(Settings):
     query_selection: Annotated[
         QuerySelection,
         setting(
-            "How pairs are chosen after the first round, which is uniform. disagreement, entropy: pairs on which an "
-            "ensemble of reward models is least certain. k_center: pairs that differ most from earlier ones. "
-            "disagreement_k_center, entropy_k_center: first the one criterion, then the other."
+            "How pairs are chosen after the first round, which is uniform. uniform: every pair without a query is "
+            "equally likely. recent: near on-policy; half of the pairs compare two of the newest quarter of the last "
+            "2,000 segments, the others one of these with any of the last 2,000. disagreement, entropy: recent pairs "
+            "on which an ensemble of reward models is least certain. k_center: recent pairs that differ most from "
+            "earlier ones. disagreement_k_center, entropy_k_center: first the one criterion, then the other."
         ),
-    ] = "uniform"
+    ] = "recent"
     control_share: Annotated[
         float,
-        setting("Share of queries chosen uniformly, for comparison, whatever query_selection is.", ge=0, le=1),
+        setting(
+            "Share of queries chosen uniformly, for comparison, beside disagreement, entropy or k_center; unused with "
+            "uniform and recent.",
+            ge=0,
+            le=1,
+        ),
     ] = 0.2
     ensemble_members: Annotated[
         int, setting("Reward models in the ensemble, where query_selection needs one.", ge=2, le=16, unit="models")

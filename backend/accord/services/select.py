@@ -46,8 +46,12 @@ def candidates(session: Session, experiment_id: str, limit: int = 2000) -> list[
     return segments.newest(session, experiment_id, limit)
 
 
-def selectable_segments(session: Session, experiment_id: str, limit: int = 2000) -> list[str]:
-    """Ids of the newest segments that a query may compare, newest first: all but those whose clip failed."""
+def selectable_segments(session: Session, experiment_id: str, limit: int | None = 2000) -> list[str]:
+    """Ids of the newest segments that a query may compare, newest first: all but those whose clip failed.
+
+    Args:
+        limit: maximum number of segments; None for all.
+    """
     return segments.newest_with_clips(session, experiment_id, limit)
 
 

@@ -19,8 +19,8 @@ def newest(session: Session, experiment_id: str, limit: int) -> list[tuple[str, 
     return [(segment_id, steps) for segment_id, steps in rows]
 
 
-def newest_with_clips(session: Session, experiment_id: str, limit: int) -> list[str]:
-    """Ids of segments whose clip did not fail, newest first."""
+def newest_with_clips(session: Session, experiment_id: str, limit: int | None) -> list[str]:
+    """Ids of segments whose clip did not fail, newest first; at most `limit` of them."""
     failed = exists().where(ClipRow.segment_id == SegmentRow.id, ClipRow.status == "failed")
     return list(
         session.scalars(

@@ -28,10 +28,11 @@ from mapt.preferences.selection import (
     SelectorName,
     needs_ensemble,
     needs_features,
+    needs_view,
     selector_names,
 )
 from mapt.rewards.ensemble import RewardEnsemble
-from mapt.training.pair_selection import CANDIDATES, SCORED_SEGMENTS, SegmentScorer, choose_pairs, newest_pairs
+from mapt.training.pair_selection import SCORED_SEGMENTS, SegmentScorer, candidate_limit, choose_pairs, newest_pairs
 from mapt.training.schedule import QUERY_STREAM
 
 log = logging.getLogger(__name__)
@@ -201,14 +202,16 @@ def _read_candidates(session: Session, experiment_id: str) -> _Candidates | None
     row = experiments.get(session, experiment_id)
     config = experiments.config_of(row)
     wanted = select.queries_to_add(session, row)
-    segment_ids = select.selectable_segments(session, experiment_id, CANDIDATES) if wanted else []
+    if not wanted:
+        return None
+    segment_ids = select.selectable_segments(session, experiment_id, candidate_limit(config.query_selection))
     if len(segment_ids) < 2:
         return None
     paired = select.existing_pairs(session, experiment_id)
     versions = publish.versions(session, experiment_id)[:-3:-1]
     needed: list[str] = []
     newest: Sequence[tuple[str, str]] = ()
-    if versions and config.query_selection != "uniform":
+    if versions and needs_view(config.query_selection):
         newest = newest_pairs(paired) if needs_features(config.query_selection) else ()
         needed = [*segment_ids[:SCORED_SEGMENTS], *(id for pair in newest for id in pair)]
     return _Candidates(

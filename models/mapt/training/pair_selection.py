@@ -1,4 +1,4 @@
-"""Choose the next pairs to label, with an emphasis on recent segments. Needs numpy only."""
+"""Choose the next pairs to label. Needs numpy only."""
 
 from collections.abc import Callable, Collection, Hashable, Sequence
 from typing import Generic, TypeVar, cast
@@ -10,74 +10,27 @@ from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.selection import (
     ChosenPair,
     ControlledSelector,
+    RecentSelector,
     SegmentView,
     SelectorName,
     UniformSelector,
     make_selector,
+    needs_view,
     segment_features,
 )
 from mapt.preferences.selection.protocol import SegmentId
 
-#: pairs are chosen from this many of the newest segments
-CANDIDATES = 2000
-#: selectors other than uniform choose from this many, which are read once and scored for every reward version
+#: `recent` chooses from this many of the newest segments
+RECENT_CANDIDATES = 2000
+#: selectors that need a view choose from this many, which are read once and scored for every reward version
 SCORED_SEGMENTS = 512
 #: number of the newest queries whose pairs are the initial centers of k-center
 PAIRED_FEATURES = 1000
 #: segments read at once
 _CHUNK = 64
 
-#: share of the segments that counts as recent, and the minimum number
-RECENT_SHARE = 0.25
-FEWEST_RECENT = 16
-#: draws per pair before `RecentPairs` gives up on pairs with a recent segment
-_DRAWS_PER_PAIR = 20
-
 Key = TypeVar("Key", bound=Hashable)
 _Vector = NDArray[np.float32]
-
-
-class RecentPairs:
-    """Draws pairs with recent segments: half compare two recent ones, half a recent one with any segment.
-
-    Labels on the policy's current behaviour matter most; pairs with older segments keep the scale of the reward.
-    """
-
-    name: SelectorName = "uniform"
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._rng = rng
-        self._uniform = UniformSelector(rng)
-
-    def select(
-        self,
-        segment_ids: Sequence[SegmentId],
-        paired: Collection[tuple[SegmentId, SegmentId]],
-        k: int,
-        view: SegmentView | None = None,
-    ) -> list[tuple[SegmentId, SegmentId]]:
-        """See `mapt.preferences.selection.QuerySelector.select`; `segment_ids` are sorted from new to old."""
-        recent = segment_ids[: max(FEWEST_RECENT, round(len(segment_ids) * RECENT_SHARE))]
-        chosen = self._uniform.select(recent, paired, k // 2)
-        taken = {frozenset(pair) for pair in [*paired, *chosen]}
-        chosen += self._recent_with_any(recent, segment_ids, taken, k - len(chosen))
-        # With few segments there may be fewer such pairs than requested.
-        rest = k - len(chosen)
-        return chosen + self._uniform.select(segment_ids, [*paired, *chosen], rest) if rest else chosen
-
-    def _recent_with_any(
-        self, recent: Sequence[SegmentId], all_ids: Sequence[SegmentId], taken: set[frozenset[SegmentId]], k: int
-    ) -> list[tuple[SegmentId, SegmentId]]:
-        chosen: list[tuple[SegmentId, SegmentId]] = []
-        for _ in range(_DRAWS_PER_PAIR * k):
-            if len(chosen) == k:
-                break
-            new, other = recent[int(self._rng.integers(len(recent)))], all_ids[int(self._rng.integers(len(all_ids)))]
-            if new == other or frozenset((new, other)) in taken:
-                continue
-            taken.add(frozenset((new, other)))
-            chosen.append((new, other) if self._rng.integers(2) else (other, new))
-        return chosen
 
 
 def choose_pairs(
@@ -93,28 +46,33 @@ def choose_pairs(
 ) -> list[ChosenPair[SegmentId]]:
     """Choose up to k pairs that have no query yet, each with the name of its selector.
 
+    Selectors that need a view draw their candidate pairs with an emphasis on recent segments; their control pairs are
+    uniform over all pairs without a query.
+
     Args:
-        segment_ids: the candidates, from new to old.
+        segment_ids: the candidates, from new to old; see `candidate_limit`.
         paired: pairs that have a query, in either order.
-        selector: chooses all pairs but the control pairs, once there is a view.
-        control_share: share of the pairs that stays uniform, as a control.
-        view: scores and features of the first `view.n_segments` candidates, from which the selector chooses. None draws
-            all pairs uniformly: before the first reward version, or while an ensemble is missing that the selector
-            needs.
-        first_round: draw from all segments uniformly; later rounds prefer recent ones.
+        selector: chooses the pairs after the first round, which is uniform.
+        control_share: share of the pairs that stays uniform, as a control, if the selector needs a view.
+        view: scores and features of the first `view.n_segments` candidates, from which a selector that needs a view
+            chooses. None draws all its pairs uniformly, for example while its ensemble is missing.
+        first_round: whether there is no reward version yet.
 
     Raises:
         UnknownSelector: if no selector has this name.
     """
     known = [cast("tuple[SegmentId, SegmentId]", tuple(pair)) for pair in paired]
-    control = UniformSelector(rng) if first_round else RecentPairs(rng)
-    informed = make_selector(selector, rng, propose=control)
-    chosen: list[ChosenPair[SegmentId]] = []
-    if view is not None:
-        controlled = ControlledSelector(informed, control, control_share, rng)
-        chosen = controlled.choose(segment_ids[: view.n_segments], known, k, view)
-    rest = control.select(segment_ids, [*known, *(each.pair for each in chosen)], k - len(chosen))
-    return chosen + [ChosenPair(pair, control.name) for pair in rest]
+    uniform = UniformSelector(rng)
+    informed = make_selector(selector, rng, propose=RecentSelector(rng))
+    if needs_view(selector) and not first_round:
+        return ControlledSelector(informed, uniform, control_share, rng).choose(segment_ids, known, k, view)
+    chooser = uniform if first_round else informed
+    return [ChosenPair(pair, chooser.name) for pair in chooser.select(segment_ids, known, k)]
+
+
+def candidate_limit(selector: SelectorName) -> int | None:
+    """Number of the newest segments from which pairs are chosen; None for all segments."""
+    return RECENT_CANDIDATES if selector == "recent" else None
 
 
 class SegmentScorer(Generic[Key]):

@@ -16,14 +16,14 @@ from mapt.errors import RunError
 from mapt.policies import Learner, Rollout
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.segments import StepRange, cut_rollout
-from mapt.preferences.selection import SegmentView, SelectorName, needs_ensemble, needs_features
+from mapt.preferences.selection import SegmentView, SelectorName, needs_ensemble, needs_features, needs_view
 from mapt.preferences.teachers import ScriptedTeacher, Teacher, TeacherView
 from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
 from mapt.rewards.ensemble import RewardEnsemble, train_reward_ensemble
 from mapt.rewards.model import PolicyReward, RewardModel
 from mapt.rewards.relabelling import Credit
 from mapt.rewards.trainer import train_reward_model
-from mapt.training.pair_selection import CANDIDATES, SCORED_SEGMENTS, SegmentScorer, choose_pairs, newest_pairs
+from mapt.training.pair_selection import SCORED_SEGMENTS, SegmentScorer, candidate_limit, choose_pairs, newest_pairs
 from mapt.training.policy_trainer import PolicyTrainer
 from mapt.training.reward_source import LearnedReward
 from mapt.training.schedule import QUERY_STREAM, SEGMENT_STREAM, LabelSchedule, Progress
@@ -134,7 +134,7 @@ class PreferenceLoop:
         schedule: the label budget, and when labels and reward versions are due.
         reward: the reward model.
         selector: how pairs are chosen from the second round on; the first round is uniform.
-        control_share: share of the pairs that stays uniform whatever the selector.
+        control_share: share of the pairs that stays uniform under a selector that needs scores or features.
         on_iteration: called after each iteration with its metrics.
     """
 
@@ -145,7 +145,7 @@ class PreferenceLoop:
         schedule: LabelSchedule,
         reward: RewardSettings | None = None,
         *,
-        selector: SelectorName = "uniform",
+        selector: SelectorName = "recent",
         control_share: float = 0.2,
         on_iteration: Callable[[dict[str, float]], None] = lambda metrics: None,
     ) -> None:
@@ -207,7 +207,7 @@ class PreferenceLoop:
     def ask(self) -> bool:
         """Create the queries that are due and the lookahead. Returns whether it created any."""
         wanted = self.schedule.queries_wanted(self.trainer.steps, self._counted_queries())
-        newest_first = range(len(self.segments))[: -CANDIDATES - 1 : -1]
+        newest_first = range(len(self.segments))[::-1][: candidate_limit(self._selector)]
         if not wanted or len(newest_first) < 2:
             return False
         paired = {frozenset((query.segment_0, query.segment_1)) for query in self.queries}
@@ -289,8 +289,8 @@ class PreferenceLoop:
         return sum(query.label is None or query.counts for query in self.queries)
 
     def _view(self, newest_first: Sequence[int], paired: set[frozenset[int]]) -> SegmentView | None:
-        """Scores and features of the newest segments for the selector; None for a uniform choice."""
-        if not self.versions or self._selector == "uniform":
+        """Scores and features of the newest segments for a selector that needs them."""
+        if not self.versions or not needs_view(self._selector):
             return None
         newest, shown = self.versions[-1], newest_first[:SCORED_SEGMENTS]
         score = None

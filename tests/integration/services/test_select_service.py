@@ -104,6 +104,7 @@ def test_query_whose_clip_failed_is_replaced(stores: Stores) -> None:
         assert select.add_queries(session, row, [(job.segment_id, others[0])], "uniform") == []
         assert select.selectable_segments(session, row.id) == others[::-1]
         assert select.selectable_segments(session, row.id, 1) == others[-1:]
+        assert select.selectable_segments(session, row.id, None) == others[::-1]
 
 
 def test_pair_gets_one_query_whatever_its_order(stores: Stores) -> None:

@@ -2,18 +2,21 @@
 
 import re
 import threading
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
-from sqlalchemy import inspect, text
+from sqlalchemy import JSON, column, inspect, select, text
 
 from accord import store
 from accord.domain.errors import DatabaseTooNew
+from accord.domain.ids import new_id
 from accord.store.database import Database, alembic_config
-from accord.store.tables import Base
+from accord.store.tables import Base, QueryRow, RewardVersionRow
+from support.sample_experiments import SampleExperiment, create_sample
 from support.stores import Stores
 
 
@@ -38,6 +41,53 @@ def test_migrations_can_be_reverted_and_repeated(stores: Stores) -> None:
     stores.database.migrate()
     with stores.database.reading() as session:
         assert compare_metadata(MigrationContext.configure(session.connection()), Base.metadata) == []
+
+
+def test_uniform_of_revision_1_is_named_recent_after_the_first_reward_version(stores: Stores) -> None:
+    first = datetime(2026, 1, 1, tzinfo=UTC)
+    informed = create_sample(stores.database, stores.blobs, query_selection="disagreement")
+    samples = [create_sample(stores.database, stores.blobs), informed]
+    unversioned = create_sample(stores.database, stores.blobs, query_selection="uniform")
+    with stores.database.transaction() as session:
+        for sample in samples:
+            session.add(
+                RewardVersionRow(
+                    id=new_id("rwd"),
+                    experiment_id=sample.experiment.id,
+                    number=1,
+                    parent_id=None,
+                    label_watermark=0,
+                    label_count=0,
+                    policy_steps=0,
+                    blob_key="blob",
+                    metrics={},
+                    created_at=first,
+                )
+            )
+        for sample in [*samples, unversioned]:
+            for seconds, id in zip((-2, -1, 1, 2), sample.query_ids, strict=True):
+                query = session.get_one(QueryRow, id)
+                query.selector, query.created_at = "uniform", first + timedelta(seconds=seconds)
+        session.get_one(QueryRow, informed.query_ids[3]).selector = "disagreement"
+    with stores.database.engine.begin() as connection:
+        command.downgrade(alembic_config(connection), "0001")
+    assert read_selectors(stores, samples[0]) == ("uniform", ["uniform"] * 4)
+
+    stores.database.migrate()
+    assert read_selectors(stores, samples[0]) == ("recent", ["uniform", "uniform", "recent", "recent"])
+    assert read_selectors(stores, informed) == ("disagreement", ["uniform", "uniform", "recent", "disagreement"])
+    assert read_selectors(stores, unversioned) == ("recent", ["uniform"] * 4)
+
+
+def read_selectors(stores: Stores, sample: SampleExperiment) -> tuple[str, list[str]]:
+    """The `query_selection` of an experiment, and the selectors of its queries in their order."""
+    config = select(column("config", JSON)).select_from(text("experiments")).where(column("id") == sample.experiment.id)
+    selectors = text("SELECT selector FROM queries WHERE experiment_id = :id ORDER BY number")
+    with stores.database.engine.connect() as connection:
+        return (
+            connection.scalars(config).one()["query_selection"],
+            list(connection.scalars(selectors, {"id": sample.experiment.id})),
+        )
 
 
 def test_database_of_a_newer_version_is_refused(stores: Stores) -> None:
@@ -74,4 +124,4 @@ def test_every_migration_has_a_docstring() -> None:
     scripts = list((Path(store.__file__).parent / "migrations" / "versions").glob("[0-9]*.py"))
     assert scripts
     for script in scripts:
-        assert re.match(r'"""\w.+\."""', script.read_text()), script.name
+        assert re.match(r'"""\w.+\.("""|\n)', script.read_text()), script.name

@@ -73,8 +73,12 @@ def run_loop(harness: WorkerHarness, id: str) -> PreferenceLoop:
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"query_selection": "disagreement_k_center", "ensemble_members": 2, "credit": "individual"}],
-    ids=["uniform", "disagreement_k_center"],
+    [
+        {},
+        {"query_selection": "uniform"},
+        {"query_selection": "disagreement_k_center", "ensemble_members": 2, "credit": "individual"},
+    ],
+    ids=["recent", "uniform", "disagreement_k_center"],
 )
 def test_the_loop_and_the_service_give_the_same_results(harness: WorkerHarness, settings: dict[str, Any]) -> None:
     policy = {**TINY["policy"], "hidden": [16]}

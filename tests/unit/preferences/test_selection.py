@@ -16,6 +16,7 @@ from mapt.preferences.selection import (
     make_selector,
     needs_ensemble,
     needs_features,
+    needs_view,
     selector_names,
 )
 
@@ -111,6 +112,7 @@ def test_selectors_declare_whether_they_need_scores_or_features():
         "disagreement_k_center",
         "entropy_k_center",
     }
+    assert {name for name in selector_names() if not needs_view(name)} == {"uniform", "recent"}
 
 
 VIEW = SegmentView(scores=np.random.default_rng(0).normal(size=(3, 30)))
@@ -164,6 +166,15 @@ def test_without_a_view_all_pairs_are_control_pairs():
     chosen = controlled(0.0).choose(range(30), [], 12)
     assert [each.selector for each in chosen] == ["uniform"] * 12
     assert [each.pair for each in chosen] == UniformSelector(np.random.default_rng(0)).select(range(30), [], 12)
+
+
+def test_a_view_of_the_first_segments_limits_informed_pairs_only():
+    view = SegmentView(scores=VIEW.scores[:, :5])
+    chosen = controlled(0.5).choose(range(30), [], 16, view)
+    informed = {segment for each in chosen if each.selector == "disagreement" for segment in each.pair}
+    control = {segment for each in chosen if each.selector == "uniform" for segment in each.pair}
+    assert informed <= set(range(5))
+    assert len(control - set(range(5))) > 5
 
 
 @pytest.mark.parametrize(("share", "name"), [(0.0, "disagreement"), (1.0, "uniform")])

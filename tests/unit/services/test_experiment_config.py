@@ -117,7 +117,7 @@ def test_stored_experiment_without_newer_settings_has_their_defaults():
     ):
         del stored[newer]
     read = ExperimentConfig.from_stored(stored)
-    assert (read.label_schedule, read.query_selection) == ("power", "uniform")
+    assert (read.label_schedule, read.query_selection) == ("power", "recent")
     assert read == config()
 
 

@@ -1,30 +1,40 @@
 from collections import Counter
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
 from mapt.errors import UnknownSelector
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.selection import SegmentView, segment_features, selector_names
-from mapt.training.pair_selection import SegmentScorer, choose_pairs, newest_pairs
+from mapt.training.pair_selection import (
+    RECENT_CANDIDATES,
+    SegmentScorer,
+    candidate_limit,
+    choose_pairs,
+    newest_pairs,
+)
 
 
-def uniform_pairs(ids, paired, k, *, first_round=False, seed=0):
-    chosen = choose_pairs(
+def choose(ids, paired, k, selector, *, control_share=0.2, view=None, first_round=False, seed=0):
+    return choose_pairs(
         ids,
         paired,
         k,
-        selector="uniform",
-        control_share=0.2,
-        view=None,
+        selector=selector,
+        control_share=control_share,
+        view=view,
         first_round=first_round,
         rng=np.random.default_rng(seed),
     )
-    assert {each.selector for each in chosen} <= {"uniform"}
-    return [each.pair for each in chosen]
+
+
+def pairs_of(chosen, selector):
+    """The pairs that this selector chose."""
+    return [each.pair for each in chosen if each.selector == selector]
 
 
 def view_of(n_segments, seed=0):
@@ -39,17 +49,9 @@ def test_pairs_are_new_and_distinct_and_as_many_as_requested_or_available(
 ):
     ids = [f"seg_{index}" for index in range(n_segments)]
     paired = {frozenset(pair) for pair in pairwise(ids)}
-    chosen = choose_pairs(
-        ids,
-        paired,
-        k,
-        selector=name,
-        control_share=0.2,
-        # the view may cover only some of the segments
-        view=view_of(max(2, n_segments // 2)) if has_view and not first_round else None,
-        first_round=first_round,
-        rng=np.random.default_rng(seed),
-    )
+    # the view may cover only some of the segments
+    view = view_of(max(2, n_segments // 2)) if has_view and not first_round else None
+    chosen = choose(ids, paired, k, name, view=view, first_round=first_round, seed=seed)
     unordered = {frozenset(each.pair) for each in chosen}
     assert len(unordered) == len(chosen)
     assert all(len(pair) == 2 for pair in unordered)
@@ -58,63 +60,110 @@ def test_pairs_are_new_and_distinct_and_as_many_as_requested_or_available(
     assert len(chosen) == min(k, n_available)
 
 
-def test_every_pair_of_a_later_round_has_a_recent_segment():
+#: more than `FEWEST_RECENT`, so that `recent` does not choose uniformly
+N_SEGMENTS = 24
+PAIRED = {frozenset(pair) for pair in pairwise(range(N_SEGMENTS))}
+
+
+def uniformity(select):
+    """p value of the chi-square test that `select(seed)` chooses each of the segments' 253 new pairs equally often.
+
+    Each call must choose one pair, so that the choices are independent.
+    """
+    every = [frozenset(pair) for pair in combinations(range(N_SEGMENTS), 2) if frozenset(pair) not in PAIRED]
+    n_draws = 10 * len(every)
+    counts = Counter(frozenset(pair) for seed in range(n_draws) for pair in select(seed))
+    assert sum(counts.values()) == sum(counts[pair] for pair in every) == n_draws
+    return stats.chisquare([counts[pair] for pair in every]).pvalue
+
+
+def test_uniform_chooses_every_new_pair_equally_often_in_every_round():
+    def select(first_round):
+        return lambda seed: pairs_of(
+            choose(range(N_SEGMENTS), PAIRED, 1, "uniform", first_round=first_round, seed=seed), "uniform"
+        )
+
+    assert uniformity(select(first_round=False)) > 0.01
+    assert uniformity(select(first_round=True)) > 0.01
+
+
+def test_recent_does_not_choose_uniformly():
+    assert uniformity(lambda seed: pairs_of(choose(range(N_SEGMENTS), PAIRED, 1, "recent", seed=seed), "recent")) < 1e-9
+
+
+@pytest.mark.parametrize("name", ["recent", "disagreement"])
+def test_first_round_is_uniform_whatever_the_selector(name):
+    def select(seed):
+        return pairs_of(choose(range(N_SEGMENTS), PAIRED, 1, name, first_round=True, seed=seed), "uniform")
+
+    assert uniformity(select) > 0.01
+
+
+def test_control_pairs_are_uniform_over_all_new_pairs():
+    # The selector sees only the newest segments, and chooses one of the two pairs.
+    view = view_of(N_SEGMENTS // 2)
+
+    def select(seed):
+        chosen = choose(range(N_SEGMENTS), PAIRED, 2, "disagreement", control_share=0.5, view=view, seed=seed)
+        return pairs_of(chosen, "uniform")
+
+    assert uniformity(select) > 0.01
+
+
+def test_without_a_view_an_informed_selector_chooses_uniformly():
+    assert (
+        uniformity(lambda seed: pairs_of(choose(range(N_SEGMENTS), PAIRED, 1, "entropy", seed=seed), "uniform")) > 0.01
+    )
+
+
+def test_uniform_chooses_from_all_segments_and_recent_from_the_newest():
+    assert candidate_limit("uniform") is candidate_limit("disagreement") is None
+    assert candidate_limit("recent") == RECENT_CANDIDATES
+
+
+def test_the_newest_quarter_has_a_quarter_of_the_places_of_uniform_and_most_of_those_of_recent():
+    ids, n_pairs = range(400), 4000
+    newest = {
+        name: sum(segment < 100 for pair in pairs_of(choose(ids, set(), n_pairs, name), name) for segment in pair)
+        for name in ("uniform", "recent")
+    }
+    # Binomial with n = 8000: five standard deviations.
+    assert abs(newest["uniform"] - 2000) < 5 * np.sqrt(8000 * 0.25 * 0.75)
+    # Half of the pairs have two recent segments, the other half one, and another one in a quarter of the cases.
+    assert newest["recent"] / 8000 == pytest.approx(0.5 + 0.25 * 1.25, abs=0.02)
+
+
+def test_every_pair_of_recent_has_a_recent_segment():
     ids = [f"seg_{index}" for index in range(400)]
     recent = set(ids[:100])
-    pairs = uniform_pairs(ids, set(), 200)
+    pairs = pairs_of(choose(ids, set(), 200, "recent"), "recent")
     assert all(set(pair) & recent for pair in pairs)
     assert 100 <= sum(set(pair) <= recent for pair in pairs) < 200
 
 
-def test_first_round_samples_from_all_segments():
-    ids = [f"seg_{index}" for index in range(400)]
-    pairs = uniform_pairs(ids, set(), 200, first_round=True)
-    assert len({id for pair in pairs for id in pair} & set(ids[100:])) > 150
-
-
-def test_both_orders_of_a_pair_are_equally_likely():
-    ids = [f"seg_{index:03}" for index in range(400)]
-    pairs = uniform_pairs(ids, set(), 1000)
-    assert 400 < sum(first < second for first, second in pairs) < 600
-
-
-def test_the_same_seed_gives_the_same_pairs():
-    ids = [f"seg_{index}" for index in range(50)]
-    first, second = (uniform_pairs(ids, set(), 9, seed=3) for _ in range(2))
-    assert first == second
+def test_uniform_and_recent_ignore_the_control_share():
+    assert {each.selector for each in choose(range(40), set(), 20, "recent", control_share=1.0)} == {"recent"}
+    assert {each.selector for each in choose(range(40), set(), 20, "uniform", control_share=0.0)} == {"uniform"}
 
 
 def test_a_selector_chooses_among_the_segments_of_its_view_and_each_pair_names_its_selector():
     ids = [f"seg_{index}" for index in range(400)]
-    chosen = choose_pairs(
-        ids,
-        set(),
-        40,
-        selector="disagreement",
-        control_share=0.25,
-        view=view_of(100),
-        first_round=False,
-        rng=np.random.default_rng(0),
-    )
+    chosen = choose(ids, set(), 40, "disagreement", control_share=0.25, view=view_of(100))
     assert Counter(each.selector for each in chosen) == {"uniform": 10, "disagreement": 30}
-    assert {id for each in chosen for id in each.pair} <= set(ids[:100])
-    # candidates are sampled like uniform pairs: each has at least one recent segment
-    recent = set(ids[:25])
-    assert all(set(each.pair) & recent for each in chosen)
+    informed = pairs_of(chosen, "disagreement")
+    assert {id for pair in informed for id in pair} <= set(ids[:100])
+    # The candidate pairs are those of `recent`: each has at least one recent segment of the view.
+    assert all(set(pair) & set(ids[:25]) for pair in informed)
+
+
+def test_uniform_pairs_fill_a_round_that_exhausts_the_pairs_of_the_view():
+    chosen = choose(range(20), set(), 30, "k_center", control_share=0.0, view=view_of(5))
+    assert Counter(each.selector for each in chosen) == {"uniform": 20, "k_center": 10}
 
 
 def test_an_unknown_selector_is_refused():
     with pytest.raises(UnknownSelector):
-        choose_pairs(
-            ["a", "b"],
-            [],
-            1,
-            selector="boredom",  # pyright: ignore[reportArgumentType]
-            control_share=0.2,
-            view=None,
-            first_round=True,
-            rng=np.random.default_rng(0),
-        )
+        choose(["a", "b"], [], 1, "boredom", first_round=True)
 
 
 class CountedSegments:

@@ -1,6 +1,7 @@
 """Query selection: which pairs of segments to label next.
 
-`make_selector(name, rng)` makes one of B-Pref's samplers; `ControlledSelector` mixes in uniformly drawn control pairs.
+`make_selector(name, rng)` makes one of B-Pref's samplers, or the one that prefers recent segments; `ControlledSelector`
+mixes in uniformly drawn control pairs.
 The package needs numpy only; callers pass in the ensemble's scores as an array.
 """
 
@@ -9,11 +10,13 @@ from mapt.preferences.selection.protocol import QuerySelector, SegmentView, Sele
 from mapt.preferences.selection.selectors import (
     ChosenPair,
     ControlledSelector,
+    RecentSelector,
     UniformSelector,
     control_count,
     make_selector,
     needs_ensemble,
     needs_features,
+    needs_view,
     selector_names,
 )
 
@@ -21,6 +24,7 @@ __all__ = [
     "ChosenPair",
     "ControlledSelector",
     "QuerySelector",
+    "RecentSelector",
     "SegmentView",
     "SelectorName",
     "UniformSelector",
@@ -28,6 +32,7 @@ __all__ = [
     "make_selector",
     "needs_ensemble",
     "needs_features",
+    "needs_view",
     "segment_features",
     "selector_names",
 ]

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from mapt.errors import NotFinite, ShapeError
 
-#: B-Pref's samplers (Lee et al. 2021). *_k_center keeps the most uncertain pairs, then applies k-center to them
-SelectorName = Literal["uniform", "disagreement", "entropy", "k_center", "disagreement_k_center", "entropy_k_center"]
+#: B-Pref's samplers (Lee et al. 2021), and `recent`. *_k_center keeps the most uncertain pairs, then applies k-center
+SelectorName = Literal[
+    "uniform", "recent", "disagreement", "entropy", "k_center", "disagreement_k_center", "entropy_k_center"
+]
 SegmentId = TypeVar("SegmentId", bound=Hashable)
 FloatArray = NDArray[np.floating]
 #: indices into a list of segments
@@ -84,7 +86,7 @@ class QuerySelector(Protocol):
         """Choose up to k pairs of different segments, each in random order.
 
         Args:
-            segment_ids: the candidates, without repetition.
+            segment_ids: the candidates, from new to old, without repetition.
             paired: earlier queries, each in either order; they are not chosen again.
             k: number of pairs.
             view: scores and features of the candidates, in the order of `segment_ids`.

@@ -1,4 +1,4 @@
-"""B-Pref's query selectors by name, and a mix of a selector with uniform control pairs."""
+"""Query selectors by name, and a mix of a selector with uniform control pairs."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from mapt.preferences.selection.protocol import (
 
 
 class UniformSelector:
-    """Draws pairs that were not queried before, uniformly."""
+    """Draws pairs uniformly from all pairs of candidates that were not queried before."""
 
     name: SelectorName = "uniform"
 
@@ -39,6 +39,60 @@ class UniformSelector:
         """See `QuerySelector.select`."""
         pairs = UnqueriedPairs(len(segment_ids), indices_of(segment_ids, paired))
         return [(segment_ids[first], segment_ids[second]) for first, second in pairs.draw(k, self._rng).tolist()]
+
+
+#: Fraction of the candidates, the newest, that count as recent, and their minimum number.
+RECENT_FRACTION = 0.25
+FEWEST_RECENT = 16
+#: Draws per pair before `RecentSelector` gives up on pairs with a recent segment.
+_DRAWS_PER_PAIR = 20
+
+
+class RecentSelector:
+    """Draws pairs with recent segments: half compare two recent ones, half a recent one with any candidate.
+
+    Labels on the current policy's behaviour matter most to its next updates (near on-policy queries; Hu et al. 2024,
+    arXiv 2305.17400); pairs with older segments keep the scale of the reward. Two older segments are compared only when
+    every pair with a recent one has a query.
+    """
+
+    name: SelectorName = "recent"
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._uniform = UniformSelector(rng)
+
+    def select(
+        self,
+        segment_ids: Sequence[SegmentId],
+        paired: Collection[tuple[SegmentId, SegmentId]],
+        k: int,
+        view: SegmentView | None = None,
+    ) -> list[tuple[SegmentId, SegmentId]]:
+        """See `QuerySelector.select`."""
+        if not segment_ids:
+            return []
+        recent = segment_ids[: max(FEWEST_RECENT, round(len(segment_ids) * RECENT_FRACTION))]
+        chosen = self._uniform.select(recent, paired, k // 2)
+        taken = {frozenset(pair) for pair in [*paired, *chosen]}
+        chosen += self._recent_with_any(recent, segment_ids, taken, k - len(chosen))
+        # With few segments there may be fewer such pairs than requested.
+        rest = k - len(chosen)
+        return chosen + self._uniform.select(segment_ids, [*paired, *chosen], rest) if rest else chosen
+
+    def _recent_with_any(
+        self, recent: Sequence[SegmentId], all_ids: Sequence[SegmentId], taken: set[frozenset[SegmentId]], k: int
+    ) -> list[tuple[SegmentId, SegmentId]]:
+        chosen: list[tuple[SegmentId, SegmentId]] = []
+        for _ in range(_DRAWS_PER_PAIR * k):
+            if len(chosen) == k:
+                break
+            new, other = recent[int(self._rng.integers(len(recent)))], all_ids[int(self._rng.integers(len(all_ids)))]
+            if new == other or frozenset((new, other)) in taken:
+                continue
+            taken.add(frozenset((new, other)))
+            chosen.append((new, other) if self._rng.integers(2) else (other, new))
+        return chosen
 
 
 #: Candidate pairs drawn per query (B-Pref's large_batch).
@@ -133,7 +187,7 @@ class ControlledSelector:
     """Chooses a share of every batch by a control selector, usually uniform, and the rest by an informed one.
 
     Uncertainty sampling can do worse than uniform sampling, since it prefers pairs whose labels are noise. Uniform
-    pairs from the same segments reveal this, and are an unbiased test set for the reward model.
+    pairs reveal this, and are an unbiased test set for the reward model.
     """
 
     def __init__(
@@ -142,9 +196,9 @@ class ControlledSelector:
         """Make a selector.
 
         Args:
-            informed: chooses by the `SegmentView`.
-            control: chooses without a `SegmentView`. While there is no view, as in the first round, it chooses all
-                pairs.
+            informed: chooses among the candidates of the `SegmentView`.
+            control: chooses among all candidates. While there is no view, as in the first round, it chooses all pairs,
+                and with a view those for which `informed` finds none.
             control_share: fraction of each batch that `control` chooses, in [0, 1].
         """
         self._informed = informed
@@ -161,6 +215,9 @@ class ControlledSelector:
     ) -> list[ChosenPair[SegmentId]]:
         """Choose up to k pairs; see `QuerySelector.select` for the arguments and further errors.
 
+        Args:
+            view: of the first `view.n_segments` candidates.
+
         Returns:
             The control pairs, then the informed ones.
 
@@ -173,7 +230,10 @@ class ControlledSelector:
         control = self._control.select(segment_ids, paired, n_control)
         informed: list[tuple[SegmentId, SegmentId]] = []
         if view is not None:
-            informed = self._informed.select(segment_ids, [*paired, *control], k - n_control, view)
+            viewed = segment_ids[: view.n_segments]
+            informed = self._informed.select(viewed, [*paired, *control], k - n_control, view)
+        if rest := k - len(control) - len(informed):
+            control += self._control.select(segment_ids, [*paired, *control, *informed], rest)
         return [ChosenPair(pair, self._control.name) for pair in control] + [
             ChosenPair(pair, self._informed.name) for pair in informed
         ]
@@ -182,6 +242,7 @@ class ControlledSelector:
 _DISAGREEMENT, _ENTROPY = most_uncertain(disagreement), most_uncertain(entropy)
 _STAGES: dict[SelectorName, tuple[Stage, ...]] = {
     "uniform": (),
+    "recent": (),
     "disagreement": (_DISAGREEMENT,),
     "entropy": (_ENTROPY,),
     "k_center": (farthest,),
@@ -202,14 +263,19 @@ def make_selector(
 
     Args:
         rng: source of all randomness.
-        propose: draws the candidates; uniform if None.
+        propose: draws the candidate pairs of a selector that needs a view; uniform if None.
 
     Raises:
         UnknownSelector: if no selector has this name.
     """
-    stages = _stages_of(name)
-    propose = propose or UniformSelector(rng)
-    return CandidateSelector(name, propose, stages) if stages else propose
+    if stages := _stages_of(name):
+        return CandidateSelector(name, propose or UniformSelector(rng), stages)
+    return RecentSelector(rng) if name == "recent" else UniformSelector(rng)
+
+
+def needs_view(name: SelectorName) -> bool:
+    """Whether the selector needs a `SegmentView`."""
+    return bool(_stages_of(name))
 
 
 def needs_ensemble(name: SelectorName) -> bool:
