@@ -84,7 +84,11 @@ def train(path: Path, n_pairs: int) -> None:
     settings = TrainConfig(batch_pairs=READ // 2, markov_epochs=1, max_epochs=1, visits=n_pairs, device="cpu")
     in_markov_epoch = math.ceil((n_pairs - round(n_pairs * settings.hold_out_fraction)) / settings.batch_pairs)
     network = RewardConfig.preset(
-        "small", observation_dim=LAYOUT.observation_dim, action_dim=LAYOUT.action_dim, n_agents=LAYOUT.n_agents
+        "small",
+        observation_dim=LAYOUT.observation_dim,
+        action_dim=LAYOUT.action_dim,
+        n_agents=LAYOUT.n_agents,
+        segment_steps=LAYOUT.n_steps,
     )
     train_reward_model(
         dataset(path, n_pairs), network, settings, stop=lambda: next(steps) >= in_markov_epoch + WHOLE_STEPS

@@ -98,7 +98,7 @@ class Run:
         spec, config = self._task.spec, self.learner.config
         sizes = {"observation_dim": spec.observation_dim, "action_dim": spec.action_dim, "n_agents": spec.n_agents}
         torch.manual_seed(0)
-        model = model_with_active_attention(RewardConfig.preset("small", **sizes))
+        model = model_with_active_attention(RewardConfig.preset("small", **sizes, segment_steps=SEGMENT_STEPS))
         relabeller = RolloutRelabeller(model, SEGMENT_STEPS, config.n_envs)
         return lambda rollout: relabeller.relabel(rollout.observations, rollout.actions, rollout.episode_start)
 

@@ -47,7 +47,11 @@ class Size:
     @property
     def config(self) -> RewardConfig:
         preset = RewardConfig.preset(
-            self.preset, observation_dim=OBSERVATION_DIM, action_dim=ACTION_DIM, n_agents=N_AGENTS
+            self.preset,
+            observation_dim=OBSERVATION_DIM,
+            action_dim=ACTION_DIM,
+            n_agents=N_AGENTS,
+            segment_steps=self.n_steps,
         )
         return replace(preset, hidden_dim=self.hidden_dim)
 

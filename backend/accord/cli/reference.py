@@ -53,7 +53,7 @@ def policy_settings() -> str:
 
 def network_settings() -> str:
     """Settings of a reward network, with the values of each preset."""
-    dimensions = {"observation_dim": 1, "action_dim": 1, "n_agents": 1}
+    dimensions = {"observation_dim": 1, "action_dim": 1, "n_agents": 1, "segment_steps": 0}
     default = RewardConfig(1, 1, 1)
     presets = {name: _changed(RewardConfig.preset(name, **dimensions), default) for name in get_args(PresetName)}
     return f"{_settings(RewardConfig)}\n\nThe presets differ: {_differences(presets)}."

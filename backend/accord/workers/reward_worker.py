@@ -20,10 +20,11 @@ from accord.workers.query_planner import PlannerThread, QueryPlanner, wants_ense
 from accord.workers.runner import Context, error_sentence, run_worker
 from mapt.errors import InvalidConfig, ModelMismatch
 from mapt.preferences.dataset import PreferenceDataset
-from mapt.rewards.config import RewardConfig
+from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.ensemble import train_reward_ensemble
 from mapt.rewards.model import RewardModel
 from mapt.rewards.trainer import TrainedReward, TrainProgress, train_reward_model
+from mapt.tasks import task_spec
 from mapt.training.preference_loop import RewardSettings, labelled_dataset
 
 log = logging.getLogger(__name__)
@@ -135,7 +136,9 @@ class RewardWorker:
         if trained.metrics["stopped"]:
             claim.check()
             return False
-        key = store_reward_model(context.blobs, row.id, trained.model, trained.metrics, dataset.segments.n_steps)
+        key = store_reward_model(
+            context.blobs, row.id, trained.model, trained.metrics, experiments.config_of(row).segment_steps
+        )
         with context.database.transaction() as session:
             claim.check_within(session)
             steps = experiments.get(session, row.id).steps
@@ -162,7 +165,7 @@ class RewardWorker:
         claim: Claim,
         number: int,
     ) -> TrainedReward:
-        config, training = reward_settings(experiments.config_of(row)).training(dataset)
+        config, training = _training(experiments.config_of(row), dataset)
         return train_reward_model(
             dataset,
             config,
@@ -181,7 +184,7 @@ class RewardWorker:
             return False
         settings = experiments.config_of(row)
         dataset = self._segments.dataset(row.id, labels)
-        config, training = reward_settings(settings).training(dataset)
+        config, training = _training(settings, dataset)
         parent = self._ensembles.load(parents[0]) if parents else None
         fits = parent is not None and parent.config == config and len(parent) == settings.ensemble_members
         ensemble = train_reward_ensemble(
@@ -226,6 +229,11 @@ def reward_settings(config: ExperimentConfig) -> RewardSettings:
         seed=config.seed,
         device=config.device,
     )
+
+
+def _training(config: ExperimentConfig, dataset: PreferenceDataset) -> tuple[RewardConfig, TrainConfig]:
+    """The settings of an experiment's network and of its training."""
+    return reward_settings(config).training(dataset, can_terminate=task_spec(config.task).can_terminate)
 
 
 def _start(context: Context) -> RewardWorker:

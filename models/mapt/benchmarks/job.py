@@ -215,6 +215,7 @@ def network_of(model: str, preset: PresetName, segments: SegmentLayout) -> Rewar
         observation_dim=segments.observation_dim,
         action_dim=segments.action_dim,
         n_agents=segments.n_agents,
+        segment_steps=segments.n_steps,
         discrete_actions=segments.discrete,
     )
     own = {key: value for key, value in specified.settings.items() if not key.startswith(TRAINING_PREFIX)}
@@ -273,7 +274,12 @@ def dataset_folder(root: Path, seed: int) -> Path:
 def model_folder(root: Path, settings: CellSettings) -> Path:
     """The folder of a cell's trained model: a readable name with the start of the cell's key."""
     name = f"{settings.model}-{settings.teacher}-{settings.labels}-seed-{settings.seed}"
-    return root / f"{_NOT_IN_PATHS.sub('_', name)}-{settings.key[:8]}"
+    return root / f"{path_name(name)}-{settings.key[:8]}"
+
+
+def path_name(text: str) -> str:
+    """The text as the name of a file or folder: characters that are not allowed everywhere become `_`."""
+    return _NOT_IN_PATHS.sub("_", text)
 
 
 def table_jobs(plan: TablePlan, datasets: Mapping[int, RecordedDataset], models: Path | None = None) -> list[CellJob]:

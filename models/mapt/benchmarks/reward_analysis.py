@@ -247,11 +247,19 @@ def rollout_series(dataset: RecordedDataset, models: dict[str, RewardModel]) -> 
     """Team rewards as a policy receives them: along a recorded episode, or along a few segments if there is none."""
     path = episodes_path(dataset.path)
     if path.exists():
-        return _episode(RecordedDataset.open(path), dataset.source.n_steps, models)
+        return episode_series(RecordedDataset.open(path), dataset.source.n_steps, models, "the trained policy")
     return _segments(dataset, models)
 
 
-def _episode(episodes: RecordedDataset, segment_steps: int, models: dict[str, RewardModel]) -> RolloutSeries:
+def episode_series(
+    episodes: RecordedDataset, segment_steps: int, models: dict[str, RewardModel], policy: str
+) -> RolloutSeries:
+    """Team rewards along the first of the recorded episodes.
+
+    Args:
+        segment_steps: T, the window of the relabelling.
+        policy: describes the policy, for the title.
+    """
     steps = slice(0, min(_MAX_STEPS, int(episodes.mask[0].sum())))
     played = episodes.segments([0])
     observations, actions = (array[0, steps, None] for array in (played.observations, played.actions))
@@ -261,7 +269,7 @@ def _episode(episodes: RecordedDataset, segment_steps: int, models: dict[str, Re
         name: RolloutRelabeller(model, segment_steps, 1).relabel(observations, actions, start)[:, 0]
         for name, model in models.items()
     }
-    title = f"The first {len(start)} steps of an episode of the trained policy"
+    title = f"The first {len(start)} steps of an episode of {policy}"
     return RolloutSeries(title, (), episodes.rewards[0, steps], learned)
 
 

@@ -1,4 +1,4 @@
-"""Rank correlation, and significance tests of the difference between two models over seeds and over test pairs."""
+"""Rank correlation, significance tests of the difference between two models, and interquartile means over seeds."""
 
 import math
 from collections.abc import Sequence
@@ -13,6 +13,9 @@ from mapt.rewards.metrics import correlation
 
 #: Normal quantile of a 95% interval.
 _NORMAL_QUANTILE = float(stats.norm.ppf(0.975))
+_RESAMPLES = 2000
+#: fraction of the values that an interquartile mean leaves out at each end
+_TRIMMED = 0.25
 
 
 def rank_correlation(first: ArrayLike, second: ArrayLike) -> float:
@@ -93,3 +96,34 @@ def _variance_of_mean(tested: PairDifferences) -> float:
     independent = float((residual**2).sum())
     # Each pair is counted with itself at both of its segments. With few pairs the estimate can be too small.
     return max(float((by_segment**2).sum()) - independent, independent) / len(residual) ** 2
+
+
+@dataclass(frozen=True, slots=True)
+class InterquartileMean:
+    """The mean of the middle half of the values, with a 95% bootstrap interval."""
+
+    value: float
+    #: NaN if a sample has fewer than two values
+    low: float
+    high: float
+
+
+def interquartile_mean_with_interval(samples: Sequence[ArrayLike]) -> InterquartileMean:
+    """Interquartile mean over all values of several samples, such as the seeds of several tasks.
+
+    The interval is of the stratified percentile bootstrap, which resamples within each sample (Agarwal et al. 2021).
+    Equals `rliable.library.get_interval_estimates` up to its random draws; rliable itself depends on pandas,
+    statsmodels and seaborn. As there, fewer than four values are not trimmed.
+    """
+    values = [np.asarray(sample, dtype=np.float64) for sample in samples]
+
+    def trimmed_mean(*resampled: NDArray[np.float64], axis: int) -> Any:
+        return stats.trim_mean(np.concatenate(resampled, axis=axis), _TRIMMED, axis=axis)
+
+    mean = float(trimmed_mean(*values, axis=0))
+    if min(map(len, values)) < 2:
+        return InterquartileMean(mean, math.nan, math.nan)
+    found: Any = stats.bootstrap(
+        values, trimmed_mean, n_resamples=_RESAMPLES, method="percentile", rng=np.random.default_rng(0)
+    )
+    return InterquartileMean(mean, float(found.confidence_interval.low), float(found.confidence_interval.high))

@@ -214,7 +214,7 @@ def _overview(summary: Summary, teacher: str) -> str:
         [model, *(_accuracy(summary.line(teacher, labels, model)) for labels in counts)]
         for model in summary.plan.models
     ]
-    return _grid(["accuracy %", *(f"{labels:,} labels" for labels in counts)], lines)
+    return grid(["accuracy %", *(f"{labels:,} labels" for labels in counts)], lines)
 
 
 def _accuracy(line: Line) -> str:
@@ -232,12 +232,12 @@ def _arrow(comparison: Comparison | None) -> str:
 def _full_table(summary: Summary, teacher: str, labels: int) -> str:
     lines = [summary.line(teacher, labels, model) for model in summary.plan.models]
     shown = [column for column in _COLUMNS if any(column[1] in line.metrics for line in lines)] or [_COLUMNS[0]]
-    grid = []
+    cells = []
     for line in lines:
         numbers = [_number(line.metrics.get(metric), form, std, factor) for _, metric, form, std, factor in shown]
-        grid.append([line.model, numbers[0], *_comparison(line.comparison), *numbers[1:], _seeds(line)])
+        cells.append([line.model, numbers[0], *_comparison(line.comparison), *numbers[1:], _seeds(line)])
     headings = ["model", shown[0][0], "Δ [95%]", "p seeds", "p pairs", *(column[0] for column in shown[1:]), "seeds"]
-    return _grid(headings, grid)
+    return grid(headings, cells)
 
 
 def _comparison(comparison: Comparison | None) -> list[str]:
@@ -271,7 +271,8 @@ def _number(value: SeedStatistics | None, form: str, show_std: bool, factor: flo
     return text
 
 
-def _grid(headings: list[str], lines: list[list[str]]) -> str:
+def grid(headings: list[str], lines: list[list[str]]) -> str:
+    """A Markdown table; all columns but the first are aligned to the right."""
     ruler = ["---", *("--:" for _ in headings[1:])]
     return "\n".join("| " + " | ".join(line) + " |" for line in [headings, ruler, *lines])
 

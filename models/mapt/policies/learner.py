@@ -100,7 +100,7 @@ class Learner:
         """
         rewards = team_rewards(rewards, rollout)
         with torch_threads(self.config.n_threads):
-            metrics = self._value_rescaler.update(rewards, self.policy.critic.statistics)
+            metrics = self._value_rescaler.update(rewards, rollout.terminated, self.policy.critic.statistics)
             batch, batch_metrics = make_batch(self.policy, rollout, rewards, self.config)
             learning_rate = self._set_learning_rate()
             step_metrics = self._update.run(batch, self._generator)

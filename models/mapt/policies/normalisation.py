@@ -137,7 +137,8 @@ class ValueRescaler:
     A learned reward is defined up to scale and offset, and both change between versions. The affine map that takes
     the old rewards' mean and standard deviation to the new ones is applied to PopArt's statistics, and so to every
     value. If the new reward only rescales the old one, its values are correct at once; otherwise they start on the
-    correct scale.
+    correct scale. An offset counts for the steps that are expected until the episode terminates, since the value of a
+    terminal state is 0 in units of any reward.
 
     Args:
         config: of the learner; gamma is used.
@@ -145,8 +146,7 @@ class ValueRescaler:
     """
 
     def __init__(self, config: PolicyConfig, horizon_steps: int) -> None:
-        # An offset of 1 in every reward adds this to a value. The sum is infinite because truncation is bootstrapped.
-        self._discounted_steps = float(horizon_steps) if config.gamma == 1.0 else 1.0 / (1.0 - config.gamma)
+        self._gamma, self._horizon_steps = config.gamma, float(horizon_steps)
         self._moments: tuple[float, float] | None = None
         self._reward_changed = False
 
@@ -154,8 +154,12 @@ class ValueRescaler:
         """Record that the next rewards come from another function than the last ones."""
         self._reward_changed = True
 
-    def update(self, rewards: NDArray[np.float32], popart: PopArt) -> dict[str, float]:
+    def update(self, rewards: NDArray[np.float32], terminated: NDArray[np.bool_], popart: PopArt) -> dict[str, float]:
         """Transform PopArt's statistics if the reward changed, and keep this rollout's mean and standard deviation.
+
+        Args:
+            rewards: (L, E, N).
+            terminated: (L, E), true where the episode terminated.
 
         Returns:
             The metrics reward_mean and reward_std.
@@ -164,10 +168,18 @@ class ValueRescaler:
         if self._reward_changed and self._moments is not None:
             old_mean, old_std = self._moments
             factor = std / old_std if old_std > 0 and std > 0 else 1.0
-            popart.transform(factor, (mean - factor * old_mean) * self._discounted_steps)
+            popart.transform(factor, (mean - factor * old_mean) * self._discounted_steps(float(terminated.mean())))
         self._reward_changed = False
         self._moments = mean, std
         return {"reward_mean": mean, "reward_std": std}
+
+    def _discounted_steps(self, termination_rate: float) -> float:
+        """What an offset of 1 in every reward adds to a value, if a step terminates with this probability.
+
+        Truncation does not end the sum, because it is bootstrapped; without a discount, it is limited to the horizon.
+        """
+        ends = 1.0 - self._gamma * (1.0 - termination_rate)
+        return 1.0 / ends if self._gamma < 1.0 else 1.0 / max(ends, 1.0 / self._horizon_steps)
 
     def state_dict(self) -> dict[str, Tensor]:
         """The state, for an exact resume."""

@@ -18,8 +18,9 @@ from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
 
 FORMAT = "mapt.reward"
-# 2 added `architecture` and `discrete_actions` to the settings; a model of format 1 has their defaults.
-FORMAT_VERSION = 2
+# 2 added `architecture` and `discrete_actions` to the settings, 3 `segment_steps`; a model of an earlier format has
+# their defaults. With `segment_steps` 0, it keeps the score that it was trained with, a mean.
+FORMAT_VERSION = 3
 WEIGHTS_FILE = "reward.safetensors"
 CARD_FILE = "reward.json"
 POLARITY = "label is P(segment 0 preferred): 1 segment 0, 0 segment 1, 0.5 equal; P = sigmoid(score_0 - score_1)"
@@ -31,7 +32,7 @@ class SavedRewardModel:
 
     #: safetensors: every parameter and buffer, among them the input and reward statistics
     weights: bytes
-    #: JSON: format and version, polarity, settings, reward scale, metrics, SHA-256 of the weights
+    #: JSON: format and version, polarity, settings, kind of score, reward scale, metrics, SHA-256 of the weights
     card: bytes
 
     def write(self, folder: Path) -> None:
@@ -67,6 +68,7 @@ def save_reward_model(
         "format_version": FORMAT_VERSION,
         "polarity": POLARITY,
         "config": model.config.to_dict(),
+        "score": model.config.score,
         "reward_mean": model.reward_mean.item(),
         "reward_deviation": model.reward_deviation.item(),
         "metrics": dict(metrics),

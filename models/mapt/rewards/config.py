@@ -75,6 +75,15 @@ class RewardConfig(Settings):
         setting("Adds a Markov reward per agent to the reward that depends on the past, which then starts at zero."),
     ] = True
     markov_dim: Annotated[int, setting("Width of the Markov path; 0 for `hidden_dim`.", ge=0)] = 0
+    segment_steps: Annotated[
+        int,
+        setting(
+            "Steps T of a whole segment. A segment of T_real steps scores T_real / T times the weighted mean of its "
+            "rewards, which is proportional to a sum; 0: the weighted mean, whatever the number of steps.",
+            ge=0,
+            unit="steps",
+        ),
+    ] = 0
 
     def check(self) -> None:
         """See `Settings.check`."""
@@ -94,8 +103,10 @@ class RewardConfig(Settings):
             )
 
     @classmethod
-    def preset(cls, name: PresetName, *, observation_dim: int, action_dim: int, n_agents: int) -> "RewardConfig":
-        """The network of a preset for a task of these dimensions.
+    def preset(
+        cls, name: PresetName, *, observation_dim: int, action_dim: int, n_agents: int, segment_steps: int
+    ) -> "RewardConfig":
+        """The network of a preset for a task of these dimensions and segments of `segment_steps` steps.
 
         Raises:
             InvalidConfig: if no preset has this name.
@@ -103,7 +114,11 @@ class RewardConfig(Settings):
         if name not in _NETWORK_PRESETS:
             raise InvalidConfig(f"No preset is called {name!r}. Known presets: {', '.join(_NETWORK_PRESETS)}.")
         return replace(
-            _NETWORK_PRESETS[name], observation_dim=observation_dim, action_dim=action_dim, n_agents=n_agents
+            _NETWORK_PRESETS[name],
+            observation_dim=observation_dim,
+            action_dim=action_dim,
+            n_agents=n_agents,
+            segment_steps=segment_steps,
         )
 
     @classmethod
@@ -115,6 +130,7 @@ class RewardConfig(Settings):
         observation_dim: int,
         action_dim: int,
         n_agents: int,
+        segment_steps: int,
         discrete_actions: bool = False,
     ) -> "RewardConfig":
         """The model of the tables called `name`, one of `MODEL_NAMES`, at the size of a preset.
@@ -124,13 +140,24 @@ class RewardConfig(Settings):
         """
         if name not in _NAMED:
             raise InvalidConfig(f"No reward model is called {name!r}. Known models: {', '.join(MODEL_NAMES)}.")
-        sized = cls.preset(preset, observation_dim=observation_dim, action_dim=action_dim, n_agents=n_agents)
+        sized = cls.preset(
+            preset,
+            observation_dim=observation_dim,
+            action_dim=action_dim,
+            n_agents=n_agents,
+            segment_steps=segment_steps,
+        )
         return cls.from_dict({**sized.to_dict(), "discrete_actions": discrete_actions, **_NAMED[name]})
 
     @property
     def dimensions(self) -> tuple[int, int, int]:
         """(N, C, A)."""
         return self.n_agents, self.observation_dim, self.action_dim
+
+    @property
+    def score(self) -> Literal["sum", "mean"]:
+        """Whether a segment's score is proportional to the weighted sum of its rewards, or is their weighted mean."""
+        return "sum" if self.segment_steps else "mean"
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +209,13 @@ class TrainConfig(Settings):
     markov_weight_decay: Annotated[float, setting("AdamW's weight decay for the Markov path alone.", ge=0, le=10)] = (
         0.01
     )
+    subtract_mean: Annotated[
+        bool,
+        setting(
+            "Subtract their mean from the policy's rewards. Set to false for a task that can terminate: there, the "
+            "mean is what a further step is worth."
+        ),
+    ] = True
     seed: Annotated[int, setting("Seed of weights, batches, dropout and hold-out.", ge=0)] = 0
     device: Annotated[str, setting("Torch device; auto uses CUDA if available.")] = "auto"
     precision: Annotated[Precision, setting("Dtype of matrix products; auto uses bfloat16 where it is faster.")] = (

@@ -202,7 +202,7 @@ def markov_scorer(model: RewardModel, segments: SegmentReader, used: Tensor) -> 
 
     def markov_score(model: RewardModel, part: SegmentTensors, weights: Tensor) -> Tensor:
         rewards = model.markov_rewards(part.observations, part.actions).mean(dim=2)
-        return (weights * rewards).sum(dim=1)
+        return model.score(rewards, weights, part.mask)
 
     # Preallocated: small tensors kept between large temporary ones fragment the memory, by gigabytes for 50,000 pairs.
     weights = torch.empty(len(used), segments.n_steps, device=segments.device)

@@ -50,7 +50,8 @@ from mapt.rewards.model import RewardModel
 from mapt.rewards.trainer import TrainProgress, train_reward_model
 
 FORMAT = "mapt.reward_ensemble"
-FORMAT_VERSION = 1
+# 2 added `segment_steps` to the settings; see `mapt.rewards.checkpoints`.
+FORMAT_VERSION = 2
 # A safetensors file begins with the length of its JSON header.
 _HEADER_LENGTH = struct.Struct("<Q")
 #: metrics of members that the ensemble's metrics average

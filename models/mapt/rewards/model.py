@@ -14,8 +14,8 @@ from mapt.rewards.config import RewardConfig
 from mapt.rewards.kernels import LocalAttention, drop_context
 from mapt.rewards.layers import InputNormaliser, MarkovPath, RewardHead, equal_weights, mean_attention
 
-# Factor of every reward. A score is a mean over steps and agents, so it starts near 0, while the logit of a clear
-# preference is about 5.
+# Factor of every reward. The score of a whole segment is a mean over steps and agents, so it starts near 0, while the
+# logit of a clear preference is about 5.
 REWARD_GAIN = 10.0
 # Smallest deviation by which rewards are divided, for models with a constant reward.
 MIN_REWARD_DEVIATION = 1e-6
@@ -36,7 +36,7 @@ class RewardOutput:
     rewards: Tensor
     #: weight of each step, (S, T): 0 or more, 0 on padding, sum 1
     weights: Tensor
-    #: weighted sum of the rewards, (S,); the logit of a preference is the difference of two scores
+    #: see `RewardModel.score`, (S,); the logit of a preference is the difference of two scores
     score: Tensor
 
 
@@ -91,7 +91,17 @@ class RewardModel(nn.Module, ABC):
         h, agent_rewards = self._encode(self._normalise_inputs(observations, actions), None)
         rewards = agent_rewards.mean(dim=2)
         weights = _weights(self._step_attention(h, agent_rewards, mask), mask)
-        return RewardOutput(agent_rewards, rewards, weights, (weights * rewards).sum(dim=1))
+        return RewardOutput(agent_rewards, rewards, weights, self.score(rewards, weights, mask))
+
+    def score(self, rewards: Tensor, weights: Tensor, mask: Tensor) -> Tensor:
+        """Scores (S,) from rewards, weights and mask, each (S, T): T_real / T times the weighted mean of the rewards.
+
+        T is `segment_steps` of the config. With equal weights, a score is proportional to the sum of the rewards, as
+        teachers judge: a segment that ended early scores less than a whole one of equal rewards. With T = 0, it is the
+        weighted mean.
+        """
+        mean = (weights * rewards).sum(dim=1)
+        return mean * (mask.sum(dim=1) / self.config.segment_steps) if self.config.segment_steps else mean
 
     def agent_rewards(self, observations: Tensor, actions: Tensor, local: LocalAttention | None = None) -> Tensor:
         """r-hat of every step from its past, or from the part of it that `local` allows: (S, T, N) without the context.
@@ -175,12 +185,15 @@ class RewardModel(nn.Module, ABC):
         return model.state_dict()
 
     def set_reward_scale(self, mean: float, deviation: float) -> None:
-        """Set the mean and deviation of the shared reward that `normalised` uses."""
+        """Set what `normalised` subtracts from rewards, and the deviation by which it divides them."""
         self.reward_mean.fill_(mean)
         self.reward_deviation.fill_(max(deviation, MIN_REWARD_DEVIATION))
 
     def normalised(self, rewards: Tensor) -> Tensor:
-        """Standardised rewards. Agents share one scale, so that the mean over agents is the shared reward's."""
+        """Rewards for the policy: of deviation 1, and of mean 0 unless trained with `subtract_mean=False`.
+
+        Agents share one scale, so that the mean over agents is the shared reward's.
+        """
         return (rewards - self.reward_mean) / self.reward_deviation
 
     @property

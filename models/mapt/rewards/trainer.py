@@ -233,7 +233,7 @@ def train_reward_model(
         initial: a model with the same `config` to continue from, for at most `warm_markov_epochs` and `warm_epochs`;
             it is not changed.
         hold_out: pairs of the same segments to evaluate on; by default a fraction of `dataset` is held out.
-        reference: segments over which rewards are normalised to mean 0 and deviation 1; default: the dataset's own.
+        reference: segments over which rewards are normalised (`RewardModel.normalised`); default: the dataset's own.
         progress: called after every epoch.
         stop: called before every step; true ends the training with the best weights so far.
 
@@ -276,7 +276,8 @@ def train_reward_model(
         _run_stages(trainer, model, segments, schedule, used=used, dtype=dtype)
     scaled = segments if reference is None else segment_reader(reference, device)
     rewards = step_rewards(model, scaled, evenly_spaced_sample(scaled))
-    model.set_reward_scale(float(rewards.mean()), float(rewards.std()))
+    mean = float(rewards.mean()) if train_config.subtract_mean else 0.0
+    model.set_reward_scale(mean, float(rewards.std()))
     scorer = network_scorer(segments)
     on_train, on_hold_out = (
         evaluate_logits(pairs.logits(model, scorer), pairs.labels, train_config.label_noise)

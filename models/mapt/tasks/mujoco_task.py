@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mapt.errors import InvalidAction, InvalidConfig
 from mapt.tasks.contact_forces import ContactForces
-from mapt.tasks.mujoco_definition import FloatArray, MujocoMdp, Robot
+from mapt.tasks.mujoco_definition import FloatArray, MujocoMdp, Robot, never_terminated
 from mapt.tasks.partition import actuator_index, as_slice, observation_index
 from mapt.tasks.protocol import Task, TaskSpec, TaskStep
 from mapt.tasks.snapshot import load_snapshot, take_snapshot
@@ -256,6 +256,7 @@ class MujocoDefinition:
             instructions=self.instructions,
             action_limit=self.action_limit,
             agent_action_dims=dims,
+            can_terminate=self.mdp.terminated is not never_terminated,
         )
 
     def make(

@@ -47,6 +47,8 @@ class TaskSpec:
     agent_action_dims: tuple[int, ...] = ()
     #: True if some discrete actions are unavailable in some states. The task is then a `MaskingTask`.
     masks_actions: bool = False
+    #: False if no episode ever terminates. Then a constant added to every reward does not change the optimal policy.
+    can_terminate: bool = True
 
 
 @dataclass(slots=True)

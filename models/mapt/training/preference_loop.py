@@ -56,8 +56,11 @@ class RewardSettings:
     seed: int = 0
     device: str = "auto"
 
-    def training(self, dataset: PreferenceDataset) -> tuple[RewardConfig, TrainConfig]:
+    def training(self, dataset: PreferenceDataset, *, can_terminate: bool) -> tuple[RewardConfig, TrainConfig]:
         """The settings of the network and of its training for a dataset.
+
+        Args:
+            can_terminate: of the task; see `TaskSpec`.
 
         Raises:
             InvalidConfig: if there is no such model or preset.
@@ -68,9 +71,16 @@ class RewardSettings:
             observation_dim=dataset.segments.observation_dim,
             action_dim=dataset.segments.action_dim,
             n_agents=dataset.segments.n_agents,
+            segment_steps=self.segment_steps,
         )
-        train = TrainConfig.preset(self.preset)
-        return config, replace(train, seed=self.seed, device=self.device, label_noise=self.label_noise)
+        train = replace(
+            TrainConfig.preset(self.preset),
+            seed=self.seed,
+            device=self.device,
+            label_noise=self.label_noise,
+            subtract_mean=not can_terminate,
+        )
+        return config, train
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +259,7 @@ class PreferenceLoop:
             [query.label or 0.0 for query in labelled],
             lambda index: (self.segments[index].observations, self.segments[index].actions),
         )
-        config, train = self.reward.training(dataset)
+        config, train = self.reward.training(dataset, can_terminate=self.trainer.learner.task.spec.can_terminate)
         trained = train_reward_model(dataset, config, train, initial=newest.model if newest else None)
         ensemble = None
         if needs_ensemble(self._selector) and self._counted_queries() < self.schedule.budget:

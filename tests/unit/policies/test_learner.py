@@ -11,6 +11,7 @@ from learning.identity_task import IdentityTask
 from mapt.device import torch_threads
 from mapt.errors import InvalidConfig, InvalidRollout
 from mapt.policies import Learner, PolicyConfig
+from mapt.policies.ppo import make_batch
 from mapt.tasks import TaskStep
 
 CONFIG = PolicyConfig(n_envs=16, rollout_steps=16, minibatches=2, epochs=4, hidden=(16,), device="cpu")
@@ -82,6 +83,28 @@ def test_actor_does_not_depend_on_the_scale_of_the_reward(factor: float) -> None
         plain.update(rollout, rollout.rewards)
         scaled.update(rollout, rollout.rewards * factor)
         torch.testing.assert_close(weights(plain), weights(scaled), rtol=1e-2, atol=1e-3)
+
+
+class TerminatingTask(IdentityTask):
+    """Episodes terminate where those of IdentityTask are truncated."""
+
+    def step(self, actions: NDArray[np.floating]) -> TaskStep:
+        step = super().step(actions)
+        step.terminated, step.truncated = step.truncated, step.terminated
+        return step
+
+
+def test_constant_reward_makes_a_state_worth_the_steps_until_termination() -> None:
+    """The last step of an episode is worth its own reward, the first of eight the most, and none is negative."""
+    config = dataclasses.replace(CONFIG, gamma=0.9, gae_lambda=1.0)
+    trained = Learner(TerminatingTask(16, horizon_steps=8), config)
+    rollout = trained.collect()
+    batch, _ = make_batch(trained.policy, rollout, np.ones(rollout.log_probs.shape, np.float32), config)
+    returns = trained.policy.critic.statistics.denormalise(batch.returns).reshape(rollout.log_probs.shape)
+    ended = torch.as_tensor(rollout.terminated)
+    torch.testing.assert_close(returns[ended], torch.ones_like(returns[ended]), rtol=1e-4, atol=1e-4)
+    assert returns.min() > 1 - 1e-4
+    assert returns.max() == pytest.approx((1 - 0.9**8) / (1 - 0.9), rel=1e-3)
 
 
 @pytest.mark.parametrize("announced", [True, False])
@@ -156,15 +179,6 @@ def test_task_must_have_the_configured_number_of_environments() -> None:
     with pytest.raises(InvalidConfig) as error:
         Learner(IdentityTask(3), CONFIG)
     assert error.value.field == "n_envs"
-
-
-class TerminatingTask(IdentityTask):
-    """Episodes terminate where those of IdentityTask are truncated."""
-
-    def step(self, actions: NDArray[np.floating]) -> TaskStep:
-        step = super().step(actions)
-        step.terminated, step.truncated = step.truncated, step.terminated
-        return step
 
 
 @pytest.mark.parametrize("algorithm", ["mappo", "happo", "mat", "mat_dec"])

@@ -1,5 +1,6 @@
 """Running statistics against those of the whole sample."""
 
+import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -8,7 +9,7 @@ from learning.identity_task import IdentityTask
 from mapt.policies import PolicyConfig
 from mapt.policies.mat import EncoderCritic
 from mapt.policies.networks import Critic, StateCritic
-from mapt.policies.normalisation import INPUT_LIMIT, InputNormaliser, PopArt
+from mapt.policies.normalisation import INPUT_LIMIT, InputNormaliser, PopArt, ValueRescaler
 
 pytestmark = pytest.mark.numerics
 
@@ -72,6 +73,24 @@ def test_transform_equals_statistics_of_transformed_returns() -> None:
         statistics.update(returns, layer)
     torch.testing.assert_close(moved.mean, direct.mean)
     torch.testing.assert_close(moved.std, direct.std, rtol=1e-4, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("gamma", "termination_rate", "steps"),
+    [(0.9, 0.0, 10.0), (0.9, 0.5, 1 / 0.55), (0.9, 1.0, 1.0), (1.0, 0.0, 50.0), (1.0, 0.25, 4.0), (1.0, 0.01, 50.0)],
+)
+def test_offset_of_a_new_reward_counts_for_the_steps_until_termination(
+    gamma: float, termination_rate: float, steps: float
+) -> None:
+    rescaler, statistics = ValueRescaler(PolicyConfig(gamma=gamma), horizon_steps=50), PopArt(1, rate=0.5)
+    rewards = np.random.default_rng(0).normal(size=(10, 10, 1)).astype(np.float32)
+    terminated = np.arange(100).reshape(10, 10) < 100 * termination_rate
+    rescaler.update(rewards, terminated, statistics)
+    statistics.update(samples(20, 1), nn.Linear(2, 1))
+    before = statistics.mean.clone()
+    rescaler.reward_changed()
+    rescaler.update(rewards + 8, terminated, statistics)
+    torch.testing.assert_close(statistics.mean - before, torch.tensor([8 * steps]), rtol=1e-4, atol=1e-4)
 
 
 @pytest.fixture(params=[StateCritic, EncoderCritic])

@@ -27,7 +27,7 @@ from mapt.rewards.registry import build_reward_model
 from support.tolerance import assert_float32_close
 
 N, C, A, T = 3, 4, 2, 6
-DIMENSIONS = {"observation_dim": C, "action_dim": A, "n_agents": N}
+DIMENSIONS = {"observation_dim": C, "action_dim": A, "n_agents": N, "segment_steps": T}
 QUICK = TrainConfig(markov_epochs=3, max_epochs=2, markov_lr=1e-2, device="cpu")
 STORED = Path(__file__).parent / "stored" / "ensemble_format_1.safetensors"
 
@@ -48,16 +48,16 @@ def segments(n_segments: int, seed: int = 0, shift: float = 0.0) -> SegmentArray
     )
 
 
-def mean_rewards(arrays: SegmentArrays) -> np.ndarray:
-    """The mean true reward (S,) of each segment."""
+def true_returns(arrays: SegmentArrays) -> np.ndarray:
+    """The sum of the true rewards (S,) of each segment."""
     reward = np.tanh(arrays.observations[..., 0] + arrays.actions[..., 0]).mean(axis=2)
-    return (reward * arrays.mask).sum(axis=1) / arrays.mask.sum(axis=1)
+    return (reward * arrays.mask).sum(axis=1)
 
 
 def preferences(n_pairs: int = 60, seed: int = 0) -> PreferenceDataset:
     arrays = segments(2 * n_pairs, seed)
     pairs = np.arange(2 * n_pairs).reshape(-1, 2)
-    true = mean_rewards(arrays)
+    true = true_returns(arrays)
     return PreferenceDataset(arrays, pairs, (true[pairs[:, 0]] > true[pairs[:, 1]]).astype(np.float32))
 
 
@@ -176,7 +176,7 @@ def test_training_keeps_the_global_random_state():
 
 def test_members_disagree_more_on_segments_unlike_the_labelled_ones():
     ensemble = train_reward_ensemble(preferences(200), config("MA-MLP"), replace(QUICK, markov_epochs=20), 5)
-    similar, shifted = ensemble.scores(segments(200, seed=5)), ensemble.scores(segments(200, seed=5, shift=4.0))
+    similar, shifted = (ensemble.scores(segments(200, seed=5, shift=shift)).astype(np.float64) for shift in (0.0, 4.0))
     spread = [(1 / (1 + np.exp(scores[:, 1::2] - scores[:, ::2]))).std(axis=0).mean() for scores in (similar, shifted)]
     assert 0 < spread[0] < spread[1]
 
@@ -278,6 +278,7 @@ def test_file_written_by_the_vectorised_ensemble_loads():
     np.testing.assert_allclose(scores, expected, rtol=1e-5)
     assert [model.reward_deviation.item() for model in ensemble.members] == [1.0, 2.0]
     assert ensemble.metrics == {"holdout_loss": 0.5}
+    assert ensemble.config.score == "mean"
 
 
 def with_card(stored: bytes, **changes: object) -> bytes:
@@ -311,7 +312,7 @@ def test_altered_card_is_refused(changes):
 def test_newer_format_is_refused():
     stored = save_reward_ensemble(RewardEnsemble(random_models(2, config())))
     with pytest.raises(NewerCheckpoint):
-        load_reward_ensemble(with_card(stored, format_version=2))
+        load_reward_ensemble(with_card(stored, format_version=3))
 
 
 @pytest.mark.parametrize(

@@ -35,10 +35,11 @@ def test_card_documents_the_model(build):
     model = build()
     model.set_reward_scale(0.5, 2.0)
     card = json.loads(save_reward_model(model, METRICS).card)
-    assert card["format_version"] == 2
+    assert card["format_version"] == 3
     assert "1 segment 0" in card["polarity"]
     assert (card["reward_mean"], card["reward_deviation"]) == (0.5, 2.0)
     assert card["config"]["n_agents"] == 3
+    assert (card["score"], json.loads(save_reward_model(build(segment_steps=5), {}).card)["score"]) == ("mean", "sum")
 
 
 def edited(card: bytes, **changes: object) -> bytes:
@@ -48,17 +49,30 @@ def edited(card: bytes, **changes: object) -> bytes:
 def test_newer_format_is_refused(build):
     saved = save_reward_model(build(), METRICS)
     with pytest.raises(NewerCheckpoint):
-        load_reward_model(saved.weights, edited(saved.card, format_version=3))
+        load_reward_model(saved.weights, edited(saved.card, format_version=4))
 
 
 def test_model_of_format_1_loads(build):
     model = build()
     saved = save_reward_model(model, METRICS)
     config = json.loads(saved.card)["config"]
-    for added_in_format_2 in ("architecture", "discrete_actions"):
-        del config[added_in_format_2]
+    for added_later in ("architecture", "discrete_actions", "segment_steps"):
+        del config[added_later]
     loaded = load_reward_model(saved.weights, edited(saved.card, format_version=1, config=config)).model
     assert loaded.config == model.config
+
+
+def test_model_of_format_2_keeps_its_mean_score(build):
+    model = build(segment_steps=5)
+    saved = save_reward_model(model, METRICS)
+    config = json.loads(saved.card)["config"]
+    del config["segment_steps"]
+    loaded = load_reward_model(saved.weights, edited(saved.card, format_version=2, config=config)).model
+    assert loaded.config.score == "mean"
+    observations, actions = torch.randn(1, 3, 3, 4), torch.randn(1, 3, 3, 2)
+    mask = torch.ones(1, 3, dtype=torch.bool)
+    expected = model(observations, actions, mask).score * 5 / 3
+    torch.testing.assert_close(loaded(observations, actions, mask).score, expected)
 
 
 @pytest.mark.parametrize(

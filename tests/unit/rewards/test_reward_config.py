@@ -7,15 +7,15 @@ DIMENSIONS = {"observation_dim": 9, "action_dim": 1, "n_agents": 6}
 
 
 def test_presets_have_their_sizes():
-    paper = RewardConfig.preset("paper", **DIMENSIONS)
+    paper = RewardConfig.preset("paper", **DIMENSIONS, segment_steps=50)
     assert (paper.hidden_dim, paper.layers, paper.heads, paper.dropout) == (256, 1, 4, 0.1)
     assert (TrainConfig.preset("paper").lr, TrainConfig.preset("paper").batch_pairs) == (1e-4, 256)
-    small = RewardConfig.preset("small", **DIMENSIONS)
+    small = RewardConfig.preset("small", **DIMENSIONS, segment_steps=50)
     assert (small.hidden_dim, small.markov_dim) == (32, 64)
     assert (small.observation_dim, small.action_dim, small.n_agents) == (9, 1, 6)
 
 
-@pytest.mark.parametrize("config", [RewardConfig.preset("paper", **DIMENSIONS), TrainConfig(seed=4, device="cpu")])
+@pytest.mark.parametrize("config", [RewardConfig(**DIMENSIONS, layers=2), TrainConfig(seed=4, device="cpu")])
 def test_settings_round_trip_through_plain_values(config):
     assert type(config).from_dict(config.to_dict()) == config
 
@@ -35,7 +35,7 @@ def test_missing_dimension_is_named():
 
 @pytest.mark.parametrize("cls", [RewardConfig, TrainConfig])
 def test_unknown_preset_is_refused(cls):
-    dimensions = DIMENSIONS if cls is RewardConfig else {}
+    dimensions = {**DIMENSIONS, "segment_steps": 50} if cls is RewardConfig else {}
     with pytest.raises(InvalidConfig):
         cls.preset("huge", **dimensions)
 

@@ -25,7 +25,7 @@ def assert_close(actual: torch.Tensor, expected: torch.Tensor) -> None:
 
 
 N, C, A = 3, 4, 2
-DIMENSIONS = {"observation_dim": C, "action_dim": A, "n_agents": N}
+DIMENSIONS = {"observation_dim": C, "action_dim": A, "n_agents": N, "segment_steps": 5}
 DEPENDS_ON_AGENT_ORDER = {"MA-Transformer"}
 DEPENDS_ON_PAST = set(MODEL_NAMES) - {"MA-MLP"}
 HAS_STEP_WEIGHTS = {"MAPT", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-Transformer"}
@@ -165,6 +165,27 @@ def test_policy_rewards_follow_their_equations(name, lengths, seed):
         mean = (output.agent_rewards * mask[..., None]).sum(dim=1) / torch.tensor(lengths)[:, None]
         assert_close(attended, mean)
         assert_close(weighted, value)
+
+
+@names
+@each_example
+@given(lengths_of_segments, st.integers(0, 99))
+def test_score_is_the_weighted_mean_times_the_fraction_of_real_steps(name, lengths, seed):
+    model, (observations, actions, mask) = random_model(name), inputs_of_lengths(lengths, seed)
+    output = model(observations, actions, mask)
+    mean = (output.weights * output.rewards).sum(dim=1)
+    assert_close(output.score, mean * torch.tensor(lengths) / 5)
+    averaging = build_reward_model(replace(model.config, segment_steps=0)).eval()
+    averaging.load_state_dict(model.state_dict())
+    assert_close(averaging(observations, actions, mask).score, mean)
+    assert (model.config.score, averaging.config.score) == ("sum", "mean")
+
+
+def test_short_segment_of_equal_rewards_scores_its_fraction_of_a_whole_one():
+    model, (observations, actions, _) = random_model("MA-MLP"), inputs(1, 1)
+    mask = torch.arange(5) < torch.tensor([5, 2])[:, None]
+    whole, short = model(observations.expand(2, 5, -1, -1), actions.expand(2, 5, -1, -1), mask).score
+    assert_close(short, 2 / 5 * whole)
 
 
 @pytest.mark.parametrize("name", sorted(HAS_STEP_WEIGHTS))

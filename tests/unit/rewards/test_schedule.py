@@ -11,7 +11,7 @@ from mapt.rewards.schedule import (
     plan_schedule,
 )
 
-DIMENSIONS = {"observation_dim": 4, "action_dim": 2, "n_agents": 3}
+DIMENSIONS = {"observation_dim": 4, "action_dim": 2, "n_agents": 3, "segment_steps": 8}
 
 
 def schedule(name: str, *, warm: bool = False, reliable: bool = True, **training: int) -> Schedule:

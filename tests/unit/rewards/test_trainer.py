@@ -126,6 +126,57 @@ def test_rewards_are_normalised_over_the_reference():
     assert model.normalised(rewards.mean(dim=2)).mean().item() == pytest.approx(0, abs=1e-3)
 
 
+def preferences_for_sums(n_pairs, seed=0):
+    """Pairs of segments of 2 to 8 steps; the oracle sums the rewards, most of which are positive."""
+    data = preferences(n_pairs, seed=seed)
+    segments = data.segments
+    lengths = np.random.default_rng([seed, 1]).integers(2, 9, size=len(segments))
+    mask = np.arange(8) < lengths[:, None]
+    returns = ((segments.observations[..., 0].mean(axis=2) + 1) * mask).sum(axis=1)
+    labels = (returns[data.pairs[:, 0]] > returns[data.pairs[:, 1]]).astype(np.float32)
+    return PreferenceDataset(SegmentArrays(segments.observations, segments.actions, mask), data.pairs, labels)
+
+
+def accuracy_on_sums(model):
+    fresh = preferences_for_sums(400, seed=1)
+    with torch.inference_mode():
+        arrays = fresh.segments.observations, fresh.segments.actions, fresh.segments.mask
+        score = model(*(torch.as_tensor(x) for x in arrays)).score.numpy()
+    return ((score[fresh.pairs[:, 0]] > score[fresh.pairs[:, 1]]) == fresh.labels.astype(bool)).mean()
+
+
+def test_ma_mlp_ranks_segments_of_unequal_length_by_sums():
+    dims = {"observation_dim": OBSERVATION_DIM, "action_dim": ACTION_DIM, "n_agents": N_AGENTS}
+    summing, averaging = (
+        train_reward_model(
+            preferences_for_sums(200),
+            replace(RewardConfig.named("MA-MLP", **dims, segment_steps=n_steps), markov_dim=16),
+            replace(QUICK, markov_epochs=30),
+        ).model
+        for n_steps in (8, 0)
+    )
+    assert accuracy_on_sums(summing) > 0.9
+    assert accuracy_on_sums(averaging) < 0.8
+
+
+def test_reward_that_keeps_its_mean_makes_a_further_step_worth_something():
+    """Every step is worth 1, so the teacher prefers the longer segment."""
+    data = preferences_for_sums(120)
+    n_steps = data.segments.mask.sum(axis=1)
+    labels = 0.5 + 0.5 * np.sign(n_steps[data.pairs[:, 0]] - n_steps[data.pairs[:, 1]])
+    data = PreferenceDataset(data.segments, data.pairs, labels)
+    kept, centred = (
+        train_reward_model(data, replace(CONFIG, segment_steps=8), replace(QUICK, subtract_mean=subtract_mean)).model
+        for subtract_mean in (False, True)
+    )
+    with torch.inference_mode():
+        arrays = torch.as_tensor(data.segments.observations), torch.as_tensor(data.segments.actions)
+        rewards = kept.agent_rewards(*arrays).mean(dim=2)[torch.as_tensor(data.segments.mask)]
+    assert (kept.normalised(rewards) > 0).float().mean() > 0.95
+    assert centred.normalised(rewards).mean().item() == pytest.approx(0, abs=0.2)
+    torch.testing.assert_close(kept.reward_deviation, centred.reward_deviation)
+
+
 def test_padding_does_not_affect_training():
     dataset = preferences(30)
     segments = dataset.segments
@@ -255,7 +306,7 @@ def test_stop_before_the_first_step_gives_a_model():
 
 @pytest.mark.parametrize("name", MODEL_NAMES)
 def test_every_model_of_the_tables_learns(name):
-    dims = {"observation_dim": OBSERVATION_DIM, "action_dim": ACTION_DIM, "n_agents": N_AGENTS}
+    dims = {"observation_dim": OBSERVATION_DIM, "action_dim": ACTION_DIM, "n_agents": N_AGENTS, "segment_steps": 8}
     config = replace(RewardConfig.named(name, **dims), hidden_dim=16)
     trained = train_reward_model(preferences(80), config, TrainConfig(lr=3e-3, markov_epochs=4, max_epochs=12))
     assert trained.metrics["loss"] < 0.65

@@ -52,6 +52,11 @@ def test_model_has_the_sizes_of_the_spec() -> None:
     assert model.opt.timestep * 5 == pytest.approx(task_spec(NAME).step_seconds)
 
 
+@pytest.mark.parametrize(("name", "can_terminate"), [(NAME, False), ("Hopper-3x1", True), ("Ant-4x2", True)])
+def test_spec_says_whether_episodes_can_terminate(name: str, can_terminate: bool) -> None:
+    assert task_spec(name).can_terminate == can_terminate
+
+
 def test_observations_end_with_the_agent_index() -> None:
     observations, _ = make_task(NAME, 2).reset(0)
     np.testing.assert_array_equal(observations[:, :, -6:], np.broadcast_to(np.eye(6), (2, 6, 6)))
