@@ -20,6 +20,10 @@ FloatArray = NDArray[np.float64]
 Features = Mapping[str, FloatArray]
 #: (generator, n) -> qpos (n, nq) and qvel (n, nv) of n initial states.
 StartSampler = Callable[[np.random.Generator, int], tuple[FloatArray, FloatArray]]
+#: (features before, features after, controls (E, nu)) -> reward (E,). Before the step, only `previous` are known.
+RewardFunction = Callable[[Features, Features, FloatArray], FloatArray]
+#: features -> bool (E,).
+Condition = Callable[[Features], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,12 +111,12 @@ class MujocoMdp:
     frame_skip: int
     #: Samples initial states.
     sample_start: StartSampler
-    #: (features before, features after, controls (E, nu)) -> reward (E,). Before the step, only `previous` are known.
-    reward: Callable[[Features, Features, FloatArray], FloatArray]
+    #: Computes the true reward.
+    reward: RewardFunction
     #: The columns that make up the state.
     state: tuple[FeatureColumn, ...]
-    #: features after -> terminated (E,) bool.
-    terminated: Callable[[Features], NDArray[np.bool_]] = never_terminated
+    #: Whether the state after a step is terminal.
+    terminated: Condition = never_terminated
     #: Names of the features that `reward` reads from before the step.
     previous: tuple[str, ...] = ("qpos",)
     #: Shapes by name of the fields of MjData to read. As after `mj_step`, their values are those of the integrator's
@@ -143,6 +147,29 @@ def uniform_start(
         return positions, rng.uniform(-scale, scale, size=(n, n_velocities))
 
     return sample
+
+
+def locomotion_reward(
+    step_seconds: float, control_cost_weight: float, healthy: Condition | None = None
+) -> RewardFunction:
+    """Gymnasium's reward for moving along x: speed in m/s, minus the weighted sum of squares of the controls.
+
+    Args:
+        control_cost_weight: applies to the controls before MuJoCo clamps them.
+        healthy: adds 1 for each step after which it holds.
+    """
+
+    def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
+        speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / step_seconds
+        gained = speed if healthy is None else speed + healthy(after)
+        return gained - control_cost_weight * sum_of_squares(controls)
+
+    return reward
+
+
+def negated(condition: Condition) -> Condition:
+    """The opposite of a condition, such as the termination of an unhealthy robot."""
+    return lambda features: ~condition(features)
 
 
 def sum_of_squares(numbers: FloatArray) -> FloatArray:

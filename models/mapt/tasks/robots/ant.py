@@ -15,6 +15,7 @@ from mapt.tasks.mujoco_definition import (
     MujocoMdp,
     Robot,
     gymnasium_asset,
+    negated,
     sum_of_squares,
     uniform_start,
 )
@@ -26,7 +27,6 @@ PHYSICS_STEP_SECONDS = 0.01
 STEP_SECONDS = FRAME_SKIP * PHYSICS_STEP_SECONDS
 CONTROL_COST_WEIGHT = 0.5
 CONTACT_COST_WEIGHT = 5e-4
-HEALTHY_REWARD = 1.0
 HEALTHY_HEIGHT_METRES = (0.2, 1.0)
 TORSO = 1
 #: Force and torque on a body, observed as six numbers clipped to [-1, 1].
@@ -49,18 +49,13 @@ def healthy(features: Features) -> NDArray[np.bool_]:
     return finite & (low <= height) & (height <= high)
 
 
-def terminated(features: Features) -> NDArray[np.bool_]:
-    """(E,) bool: the ant is not healthy."""
-    return ~healthy(features)
-
-
 def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
     """Forward speed of the torso, plus 1 per healthy step, minus the costs of controls and contacts."""
     speed = (after["xpos"][:, TORSO, 0] - before["xpos"][:, TORSO, 0]) / STEP_SECONDS
     costs = CONTROL_COST_WEIGHT * sum_of_squares(controls) + CONTACT_COST_WEIGHT * sum_of_squares(
         after["contact_forces"]
     )
-    return speed + HEALTHY_REWARD * healthy(after) - costs
+    return speed + healthy(after) - costs
 
 
 def clip_contact_forces(features: Features) -> None:
@@ -77,7 +72,7 @@ def mdp(n_joints: int, n_bodies: int, height_metres: float) -> MujocoMdp:
         frame_skip=FRAME_SKIP,
         sample_start=uniform_start(pose, nv, 0.1, normal_velocities=True),
         reward=reward,
-        terminated=terminated,
+        terminated=negated(healthy),
         previous=("xpos",),
         fields={"xpos": (n_bodies, 3), "cfrc_ext": (n_bodies, N_FORCES)},
         features={"contact_forces": (n_bodies, N_FORCES)},

@@ -7,12 +7,10 @@ MaMuJoCo.
 import numpy as np
 
 from mapt.tasks.mujoco_definition import (
-    Features,
-    FloatArray,
     MujocoMdp,
     Robot,
     gymnasium_asset,
-    sum_of_squares,
+    locomotion_reward,
     uniform_start,
 )
 from mapt.tasks.mujoco_task import MujocoDefinition
@@ -36,16 +34,10 @@ INSTRUCTIONS = (
 )
 
 
-def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Forward speed in m/s, minus the cost of the controls before MuJoCo clamps them."""
-    speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
-    return speed - CONTROL_COST_WEIGHT * sum_of_squares(controls)
-
-
 MDP = MujocoMdp(
     frame_skip=FRAME_SKIP,
     sample_start=uniform_start(np.zeros(NQ), NV, 0.1, normal_velocities=True),
-    reward=reward,
+    reward=locomotion_reward(STEP_SECONDS, CONTROL_COST_WEIGHT),
     state=columns("qpos", 1, NQ) + columns("qvel", 0, NV),
 )
 

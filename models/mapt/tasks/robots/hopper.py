@@ -5,11 +5,11 @@ from numpy.typing import NDArray
 
 from mapt.tasks.mujoco_definition import (
     Features,
-    FloatArray,
     MujocoMdp,
     Robot,
     gymnasium_asset,
-    sum_of_squares,
+    locomotion_reward,
+    negated,
     uniform_start,
 )
 from mapt.tasks.mujoco_task import MujocoDefinition
@@ -19,7 +19,6 @@ FRAME_SKIP = 4
 PHYSICS_STEP_SECONDS = 0.002
 STEP_SECONDS = FRAME_SKIP * PHYSICS_STEP_SECONDS
 CONTROL_COST_WEIGHT = 1e-3
-HEALTHY_REWARD = 1.0
 HEALTHY_STATE = 100.0
 HEALTHY_HEIGHT_METRES = 0.7
 HEALTHY_ANGLE_RADIANS = 0.2
@@ -37,17 +36,6 @@ def healthy(features: Features) -> NDArray[np.bool_]:
     return bounded & (qpos[:, 1] > HEALTHY_HEIGHT_METRES) & (np.abs(qpos[:, 2]) < HEALTHY_ANGLE_RADIANS)
 
 
-def terminated(features: Features) -> NDArray[np.bool_]:
-    """(E,) bool: the hopper is not healthy."""
-    return ~healthy(features)
-
-
-def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Forward speed, plus 1 per healthy step, minus the cost of the controls."""
-    speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
-    return speed + HEALTHY_REWARD * healthy(after) - CONTROL_COST_WEIGHT * sum_of_squares(controls)
-
-
 def clip_speeds(features: Features) -> None:
     """Write the clipped speeds that agents observe."""
     np.clip(features["qvel"], -SPEED_LIMIT, SPEED_LIMIT, out=features["clipped_qvel"])
@@ -56,8 +44,8 @@ def clip_speeds(features: Features) -> None:
 MDP = MujocoMdp(
     frame_skip=FRAME_SKIP,
     sample_start=uniform_start(np.array([0.0, 1.25, 0.0, 0.0, 0.0, 0.0]), NV, START_NOISE),
-    reward=reward,
-    terminated=terminated,
+    reward=locomotion_reward(STEP_SECONDS, CONTROL_COST_WEIGHT, healthy),
+    terminated=negated(healthy),
     features={"clipped_qvel": (NV,)},
     compute=clip_speeds,
     state=columns("qpos", 1, NQ) + columns("clipped_qvel", 0, NV),

@@ -3,12 +3,10 @@
 import numpy as np
 
 from mapt.tasks.mujoco_definition import (
-    Features,
-    FloatArray,
     MujocoMdp,
     Robot,
     gymnasium_asset,
-    sum_of_squares,
+    locomotion_reward,
     uniform_start,
 )
 from mapt.tasks.mujoco_task import MujocoDefinition
@@ -22,19 +20,13 @@ START_NOISE = 0.1
 INSTRUCTIONS = "The swimmer should swim to the right as fast as it can, in even strokes."
 
 
-def reward(before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Forward speed, minus the cost of the controls."""
-    speed = (after["qpos"][:, 0] - before["qpos"][:, 0]) / STEP_SECONDS
-    return speed - CONTROL_COST_WEIGHT * sum_of_squares(controls)
-
-
 def mdp(n_joints: int) -> MujocoMdp:
     """The MDP of a swimmer with this many driven joints, which follow x, y and heading in qpos."""
     size = 3 + n_joints
     return MujocoMdp(
         frame_skip=FRAME_SKIP,
         sample_start=uniform_start(np.zeros(size), size, START_NOISE),
-        reward=reward,
+        reward=locomotion_reward(STEP_SECONDS, CONTROL_COST_WEIGHT),
         state=columns("qpos", 2, size) + columns("qvel", 0, size),
     )
 
