@@ -22,7 +22,8 @@ import numpy as np
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays, in_batches
 from mapt.preferences.formats.records import SegmentRecords
 from mapt.preferences.formats.tables import LabelRow, PreferenceTables, QueryRow, SegmentRow, TableWriter
-from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
+from mapt.preferences.storage import SegmentFolder, SegmentWriter
+from mapt.preferences.storage_layout import SegmentLayout
 from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.trainer import train_reward_model
 

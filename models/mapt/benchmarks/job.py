@@ -22,7 +22,7 @@ from mapt.benchmarks.recorded_dataset import RecordedDataset
 from mapt.benchmarks.specification import NamedSettings
 from mapt.errors import DamagedCell, InvalidConfig
 from mapt.io import atomic_write
-from mapt.preferences.storage import SegmentLayout
+from mapt.preferences.storage_layout import SegmentLayout
 from mapt.processes import ParentConnection
 from mapt.rewards.checkpoints import save_reward_model
 from mapt.rewards.config import PresetName, RewardConfig, TrainConfig

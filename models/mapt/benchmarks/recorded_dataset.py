@@ -18,7 +18,8 @@ from mapt.policies import Learner, Policy, PolicyConfig, Rollout
 from mapt.policies.rollout import Collector
 from mapt.preferences.dataset import SegmentArrays, SegmentSource
 from mapt.preferences.segments import StepRange, cut_rollout
-from mapt.preferences.storage import MANIFEST, SegmentFolder, SegmentLayout, SegmentWriter, column_path
+from mapt.preferences.storage import SegmentFolder, SegmentWriter
+from mapt.preferences.storage_layout import MANIFEST, SegmentLayout, column_path
 from mapt.processes import ParentConnection
 from mapt.tasks import TaskSpec, make_task
 from mapt.training.policy_trainer import PolicyTrainer

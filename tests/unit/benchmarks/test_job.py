@@ -24,7 +24,7 @@ from mapt.benchmarks.job import (
 )
 from mapt.benchmarks.specification import NamedSettings
 from mapt.errors import DamagedCell, InvalidConfig
-from mapt.preferences.storage import SegmentLayout
+from mapt.preferences.storage_layout import SegmentLayout
 from mapt.processes import run_jobs
 from mapt.rewards.config import MODEL_NAMES, TrainConfig
 from unit.benchmarks.tiny_replay import TASK

@@ -17,7 +17,8 @@ from mapt.benchmarks.recorded_dataset import (
 from mapt.errors import AlreadyExists, DatasetNotFound, FileError, InvalidConfig, NoTrueRewards, UnknownTask
 from mapt.policies import Rollout
 from mapt.preferences.segments import MIN_EPISODE_FRACTION
-from mapt.preferences.storage import SegmentLayout, SegmentWriter
+from mapt.preferences.storage import SegmentWriter
+from mapt.preferences.storage_layout import SegmentLayout
 from mapt.processes import run_jobs
 from mapt.tasks import make_task
 from unit.benchmarks.tiny_replay import N_SEGMENTS, N_STEPS, write_replay

@@ -7,7 +7,8 @@ from torch import Tensor, nn
 
 from mapt.benchmarks.recorded_dataset import RecordedDataset
 from mapt.preferences.dataset import SegmentArrays
-from mapt.preferences.storage import SegmentLayout, SegmentWriter
+from mapt.preferences.storage import SegmentWriter
+from mapt.preferences.storage_layout import SegmentLayout
 from mapt.rewards.model import RewardOutput
 
 N_SEGMENTS, N_STEPS, N_AGENTS, OBSERVATION_DIM = 80, 6, 2, 3

@@ -22,7 +22,8 @@ from mapt.errors import (
     TruncatedFile,
 )
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays, in_batches
-from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
+from mapt.preferences.storage import SegmentFolder, SegmentWriter
+from mapt.preferences.storage_layout import SegmentLayout
 
 LAYOUT = SegmentLayout(n_steps=5, n_agents=2, observation_dim=3, action_dim=4)
 FULL = SegmentLayout(n_steps=5, n_agents=2, observation_dim=3, action_dim=4, rewards=True, qpos_dim=3, qvel_dim=2)

@@ -8,7 +8,8 @@ import torch
 from mapt.errors import InvalidConfig, ModelMismatch, NotEnoughPairs
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.loss import preference_losses
-from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
+from mapt.preferences.storage import SegmentFolder, SegmentWriter
+from mapt.preferences.storage_layout import SegmentLayout
 from mapt.preferences.teachers import OracleTeacher, TeacherView
 from mapt.rewards import data as reward_data
 from mapt.rewards.config import MODEL_NAMES, RewardConfig, TrainConfig

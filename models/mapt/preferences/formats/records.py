@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapt.errors import InvalidFile, ShapeError
 from mapt.preferences.dataset import FloatArray, IntArray, PreferenceDataset, SegmentArrays, SegmentSource, pad
-from mapt.preferences.storage import SegmentFolder, SegmentLayout, SegmentWriter
+from mapt.preferences.storage import SegmentFolder, SegmentWriter
+from mapt.preferences.storage_layout import SegmentLayout
 
 #: Meaning of labels, stored in the metadata of tables.
 POLARITY = "1: segment 0 is better; 0: segment 1 is better; 0.5: equal"

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from mapt.errors import InvalidFile, MissingPart, NewerFile
 from mapt.preferences.formats.records import POLARITY
-from mapt.preferences.storage import SegmentLayout
+from mapt.preferences.storage_layout import SegmentLayout
 
 FORMAT = "accord preferences"
 SCHEMA_VERSION = 1

@@ -30,7 +30,8 @@ from mapt.preferences.formats.table_schemas import (
     schema_of,
 )
 from mapt.preferences.segments import action_indices
-from mapt.preferences.storage import SegmentFolder, SegmentLayout
+from mapt.preferences.storage import SegmentFolder
+from mapt.preferences.storage_layout import SegmentLayout
 
 #: Size of the row groups, each of which the writer and the reader hold in memory.
 ROW_GROUP_BYTES = 32 << 20

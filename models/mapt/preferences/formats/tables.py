@@ -33,7 +33,7 @@ from mapt.preferences.formats.table_schemas import (
     schema_of,
 )
 from mapt.preferences.formats.table_writer import TableWriter
-from mapt.preferences.storage import SegmentLayout
+from mapt.preferences.storage_layout import SegmentLayout
 
 __all__ = ["LabelRow", "PreferenceTables", "QueryRow", "SegmentRow", "TableWriter"]
 
