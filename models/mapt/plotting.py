@@ -10,6 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import ArrayLike, NDArray
 
+from mapt.errors import InvalidConfig
+from mapt.io import atomic_path
+
 #: Okabe and Ito's palette, which is readable with any colour vision.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8D99A6")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
@@ -37,8 +40,16 @@ def line_style(index: int) -> LineStyle:
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure to a file; the suffix decides the format."""
-    figure.savefig(path, dpi=_DPI)
+    """Write a figure to a file atomically; the suffix decides the format.
+
+    Raises:
+        InvalidConfig: if the suffix is not that of a format.
+    """
+    suffix, known = path.suffix.removeprefix(".").lower(), sorted(figure.canvas.get_supported_filetypes())
+    if suffix not in known:
+        raise InvalidConfig(f"{path} has no known image format. The suffix must be one of: {', '.join(known)}.")
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format=suffix, dpi=_DPI)
 
 
 def panel_grid(n_panels: int, width: float, height: float, max_columns: int = 3) -> tuple[Figure, list[Axes]]:
