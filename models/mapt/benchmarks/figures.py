@@ -273,17 +273,17 @@ def draw_step_attention(analyses: Sequence[RewardAnalysis], sample: Sample) -> F
 
 def _draw_weights(axes: Axes, analysis: RewardAnalysis, sample: Sample, column: int) -> None:
     """The weight of each step of one of the shown segments, over its true reward."""
-    place = int(sample.shown[column])
-    n_steps = int(sample.mask[place].sum())
-    weights = analysis.predictions.weights[place, :n_steps] * n_steps
+    segment = int(sample.shown[column])
+    n_steps = int(sample.mask[segment].sum())
+    weights = analysis.predictions.weights[segment, :n_steps] * n_steps
     axes.axhline(1, color=GREY, linestyle=":")
     axes.plot(weights, color=line_style(0).colour, label="weight x T")
     low, high = min(0.95, float(weights.min())), max(1.05, float(weights.max()))
     axes.set_ylim(low - 0.1 * (high - low), high + 0.1 * (high - low))
     twin: Axes = axes.twinx()
-    twin.plot(standardise(sample.rewards[place, :n_steps]), color="black", alpha=0.5, linewidth=0.9)
+    twin.plot(standardise(sample.rewards[segment, :n_steps]), color="black", alpha=0.5, linewidth=0.9)
     twin.set_yticks([])
-    axes.set_title(f"return {sample.returns[place]:.1f} (percentile {100 * SHOWN_RANKS[column]:.0f})", fontsize=9)
+    axes.set_title(f"return {sample.returns[segment]:.1f} (percentile {100 * SHOWN_RANKS[column]:.0f})", fontsize=9)
 
 
 def draw_agent_attention(analyses: Sequence[RewardAnalysis], agents: Sequence[str]) -> Figure | None:

@@ -131,9 +131,9 @@ def camera_path(
 
 def smooth(path: NDArray[np.float64], window: int) -> NDArray[np.float64]:
     """Moving average (T,) with ends padded by odd reflection, so that constant velocity is preserved."""
-    padded = np.pad(path, window, mode="reflect", reflect_type="odd") if len(path) > 1 else path
     if len(path) == 1 or window == 0:
         return path.copy()
+    padded = np.pad(path, window, mode="reflect", reflect_type="odd")
     kernel = np.full(2 * window + 1, 1 / (2 * window + 1))
     return np.convolve(padded, kernel, mode="valid")
 

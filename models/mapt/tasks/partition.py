@@ -55,7 +55,7 @@ class FeatureLayout:
 
     def views(self, row: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
         """Views (E, ...) of each feature in rows (E, width)."""
-        return {name: row[:, place].reshape(-1, *self.shapes[name]) for name, place in self.slices.items()}
+        return {name: row[:, part].reshape(-1, *self.shapes[name]) for name, part in self.slices.items()}
 
 
 def as_slice(index: NDArray[np.intp]) -> NDArray[np.intp] | slice:

@@ -164,7 +164,7 @@ class PettingZooTask:
         self._history[index, step] = actions
         self._elapsed_steps[index] += 1
         recorded = self._history[index, step]
-        chosen = {name: self._env_action(place, recorded[place]) for place, name in enumerate(self._agents)}
+        chosen = {name: self._env_action(agent, recorded[agent]) for agent, name in enumerate(self._agents)}
         present = tuple(env.agents)
         observed, rewards, terminations, truncations, _ = env.step({name: chosen[name] for name in present})
         self._read(index, observed)
@@ -183,13 +183,13 @@ class PettingZooTask:
     def _read(self, index: int, observed: dict[str, Any]) -> None:
         own = self._observations[index, :, : self._own_width]
         own[:] = 0.0
-        for place, name in enumerate(self._agents):
+        for agent, name in enumerate(self._agents):
             if name in observed:
                 seen, mask = split_mask(observed[name])
                 flat = np.ravel(seen)
-                own[place, : flat.size] = flat
+                own[agent, : flat.size] = flat
                 if mask is not None:
-                    self._available[index, place] = np.asarray(mask, dtype=bool)
+                    self._available[index, agent] = np.asarray(mask, dtype=bool)
         self._state[index] = state_of(self._envs[index], own)
 
 

@@ -92,7 +92,7 @@ def _draw_model(axes: Axes, name: str, found: dict[int, list[float]], style: Lin
     counts = sorted(found)
     means = [float(np.mean(found[count])) for count in counts]
     deviations = [float(sample_deviation(found[count])) for count in counts]
-    places = np.array(counts) * shift
-    axes.errorbar(places, means, deviations, fmt=f"{style.marker}-", color=style.colour, capsize=3, label=name)
-    for place, count in zip(places, counts, strict=True):
-        axes.plot([place] * len(found[count]), found[count], ".", color=style.colour, alpha=0.5)
+    positions = np.array(counts) * shift
+    axes.errorbar(positions, means, deviations, fmt=f"{style.marker}-", color=style.colour, capsize=3, label=name)
+    for position, count in zip(positions, counts, strict=True):
+        axes.plot([position] * len(found[count]), found[count], ".", color=style.colour, alpha=0.5)

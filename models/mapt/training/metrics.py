@@ -39,6 +39,7 @@ class MetricsFile:
             if not self._file.readline().endswith(b"\n"):
                 self._file.close()
                 raise DamagedRun(path, f"it has fewer than the {lines} lines of the run's checkpoint")
+        # A buffered file must seek between reading and writing.
         self._file.seek(self._file.tell())
         self._file.truncate()
 

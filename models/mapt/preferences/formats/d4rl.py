@@ -22,6 +22,7 @@ from mapt.preferences.formats.records import AgentIndices, Episode
 
 #: Attribute added by `write_d4rl`: the number of agents whose values are concatenated.
 _AGENTS = "mapt_n_agents"
+#: HDF5 key and number of dimensions of each array that a file may lack.
 _EXTRAS = {"rewards": ("rewards", 1), "qpos": ("infos/qpos", 2), "qvel": ("infos/qvel", 2)}
 
 
@@ -56,9 +57,7 @@ class D4rlSteps:
     def __init__(self, file: Hdf5File, agents: AgentIndices | None) -> None:
         self._path, self._agents = file.path, agents
         self._observations, self._actions = file.array("observations", 2), file.array("actions", 2)
-        self._extras = {
-            name: file.array(place, n_dims) for name, (place, n_dims) in _EXTRAS.items() if file.is_array(place)
-        }
+        self._extras = {name: file.array(key, n_dims) for name, (key, n_dims) in _EXTRAS.items() if file.is_array(key)}
         self._flags = {name: file.array(name, 1) for name in ("terminals", "timeouts") if file.is_array(name)}
         self._n_agents = _n_agents(file)
         if "terminals" not in self._flags:
@@ -135,12 +134,12 @@ def write_d4rl(path: Path | str, episodes: Iterable[Episode]) -> None:
             file.attrs.setdefault(_AGENTS, episode.observations.shape[1])
             _append(file, "observations", episode.observations.reshape(len(episode), -1), n_episodes)
             _append(file, "actions", episode.actions.reshape(len(episode), -1), n_episodes)
-            for name, (place, _) in _EXTRAS.items():
+            for name, (key, _) in _EXTRAS.items():
                 values = episode.extras().get(name)
                 if values is not None:
-                    _append(file, place, values, n_episodes)
-                elif place in file:
-                    raise ShapeError(name, (), "present in every episode or in none")
+                    _append(file, key, values, n_episodes)
+                elif key in file:
+                    raise ShapeError(name, (), "an array in every episode or in none")
             ends = np.zeros(len(episode), dtype=np.bool_)
             _append(file, "terminals", ends, n_episodes)
             _append(file, "timeouts", np.arange(len(episode)) == len(episode) - 1, n_episodes)
@@ -151,7 +150,7 @@ def write_d4rl(path: Path | str, episodes: Iterable[Episode]) -> None:
 def _append(file: h5py.File, name: str, values: NDArray[np.generic], n_episodes: int) -> None:
     if name not in file:
         if n_episodes > 1:
-            raise ShapeError(name, values.shape, "present in every episode or in none")
+            raise ShapeError(name, values.shape, "an array in every episode or in none")
         file.create_dataset(name, data=values, maxshape=(None, *values.shape[1:]), chunks=True)
         return
     data = file[name]

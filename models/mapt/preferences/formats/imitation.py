@@ -90,9 +90,13 @@ def write_imitation(path: Path | str, comparisons: Comparisons) -> None:
 
 
 def _fragment(episode: Episode) -> Record:
-    with_final = np.array([*range(len(episode)), len(episode) - 1])
     rewards = np.zeros(len(episode)) if episode.rewards is None else episode.rewards
-    fields = {"obs": episode.observations[with_final], "acts": episode.actions, "infos": None, "terminal": False}
+    fields = {
+        "obs": episode.observations[episode.steps_with_last_twice],
+        "acts": episode.actions,
+        "infos": None,
+        "terminal": False,
+    }
     return Record(_FRAGMENT, fields | {"rews": rewards})
 
 
@@ -217,7 +221,7 @@ def _write_trajectories(folder: Path, episodes: Iterable[Episode]) -> None:
         stream.write_batch(_row(first, schema))
         for episode in parts:
             if (episode.rewards is None) != (first.rewards is None):
-                raise ShapeError("rewards", (), "present in every episode or in none")
+                raise ShapeError("rewards", (), "an array in every episode or in none")
             stream.write_batch(_row(episode, schema))
     state = {
         "_data_files": [{"filename": name}],
@@ -233,9 +237,8 @@ def _write_trajectories(folder: Path, episodes: Iterable[Episode]) -> None:
 
 
 def _row(episode: Episode, schema: pa.Schema) -> pa.RecordBatch:
-    with_final = np.array([*range(len(episode)), len(episode) - 1])
     cells: dict[str, Any] = {
-        "obs": episode.observations[with_final].tolist(),
+        "obs": episode.observations[episode.steps_with_last_twice].tolist(),
         "acts": episode.actions.tolist(),
         "infos": ["{}"] * len(episode),
         "terminal": False,

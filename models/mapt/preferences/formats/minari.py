@@ -114,9 +114,9 @@ def _write_episodes(path: Path, episodes: Iterable[Episode]) -> dict[str, Any]:
 
 def _write_episode(group: h5py.Group, index: int, episode: Episode) -> None:
     group.attrs["id"], group.attrs["total_steps"] = index, len(episode)
-    with_final = np.array([*range(len(episode)), len(episode) - 1])
+    states = episode.steps_with_last_twice
     for agent in range(episode.observations.shape[1]):
-        group[f"observations/agent_{agent}"] = episode.observations[with_final, agent]
+        group[f"observations/agent_{agent}"] = episode.observations[states, agent]
         group[f"actions/agent_{agent}"] = episode.actions[:, agent]
     group["rewards"] = np.zeros(len(episode)) if episode.rewards is None else episode.rewards
     group["terminations"] = np.zeros(len(episode), dtype=np.bool_)
@@ -124,7 +124,7 @@ def _write_episode(group: h5py.Group, index: int, episode: Episode) -> None:
     for name in ("qpos", "qvel"):
         values = episode.extras().get(name)
         if values is not None:
-            group[f"infos/{name}"] = values[with_final]
+            group[f"infos/{name}"] = values[states]
 
 
 def _space(n_agents: int, size: int) -> dict[str, Any]:
@@ -154,16 +154,14 @@ def _episode(file: Hdf5File, group: str, n_actions: int | None) -> Episode:
     rewards = finite_doubles(file.path, f"{group}/rewards", file.array(f"{group}/rewards", 1)[()], 1)
     extras = {"rewards": rewards}
     for name in ("qpos", "qvel"):
-        place = f"{group}/infos/{name}"
-        if file.is_array(place):
+        key = f"{group}/infos/{name}"
+        if file.is_array(key):
             # Includes the state after the reset: one more than actions.
-            extras[name] = _first(
-                file.path, place, finite_doubles(file.path, place, file.array(place, 2)[()], 2), rewards
-            )
+            extras[name] = _first(file.path, key, finite_doubles(file.path, key, file.array(key, 2)[()], 2), rewards)
     agents = _agents(file, group)
     observations = [
-        _first(file.path, place, finite_floats(file.path, place, file.array(place, 2)[()], 2), rewards)
-        for place in (f"{group}/observations{agent}" for agent in agents)
+        _first(file.path, key, finite_floats(file.path, key, file.array(key, 2)[()], 2), rewards)
+        for key in (f"{group}/observations{agent}" for agent in agents)
     ]
     actions = [_actions(file, f"{group}/actions{agent}", n_actions) for agent in agents]
     for name, parts in (("observations", observations), ("actions", actions)):
@@ -183,10 +181,10 @@ def _first(path: Path, where: str, values: Any, rewards: Any) -> Any:
     return values[: len(rewards)]
 
 
-def _actions(file: Hdf5File, place: str, n_actions: int | None) -> FloatArray:
+def _actions(file: Hdf5File, key: str, n_actions: int | None) -> FloatArray:
     if n_actions is None:
-        return finite_floats(file.path, place, file.array(place, 2)[()], 2)
-    return numbered_actions(file.path, place, file.array(place, 1)[()][:, None], n_actions)[:, 0]
+        return finite_floats(file.path, key, file.array(key, 2)[()], 2)
+    return numbered_actions(file.path, key, file.array(key, 1)[()][:, None], n_actions)[:, 0]
 
 
 def _agents(file: Hdf5File, group: str) -> list[str]:

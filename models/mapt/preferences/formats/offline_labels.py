@@ -146,7 +146,7 @@ def write_offline_labels(folder: Path | str, comparisons: Comparisons) -> LabelF
 
 def _with_repeated_last_step(records: SegmentRecords) -> Iterator[Episode]:
     for episode in episodes_of(records):
-        steps = np.array([*range(len(episode)), len(episode) - 1])
+        steps = episode.steps_with_last_twice
         extras = {name: values[steps] for name, values in episode.extras().items()}
         yield Episode(episode.observations[steps], episode.actions[steps], **extras)
 

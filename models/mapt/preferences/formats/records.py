@@ -217,6 +217,11 @@ class Episode:
         """The known arrays among rewards, qpos and qvel, by name."""
         return _known(self.rewards, self.qpos, self.qvel)
 
+    @property
+    def steps_with_last_twice(self) -> IntArray:
+        """Indices 0 to L - 1, then L - 1 again, for formats that hold the observation after the last action."""
+        return np.minimum(np.arange(len(self) + 1), len(self) - 1)
+
 
 @dataclass(frozen=True, slots=True)
 class AgentIndices:
@@ -277,7 +282,7 @@ def _stacked(parts: list[Episode]) -> SegmentRecords:
     extras: dict[str, NDArray[np.float64]] = {}
     for name in parts[0].extras():
         if any(name not in part.extras() for part in parts):
-            raise ShapeError(name, (), "present in every episode or in none")
+            raise ShapeError(name, (), "an array in every episode or in none")
         extras[name], _ = pad(name, [part.extras()[name] for part in parts])
     return SegmentRecords(segments, **extras)
 

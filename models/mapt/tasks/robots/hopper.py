@@ -53,8 +53,8 @@ MDP = MujocoMdp(
 
 
 def _joint(name: str, actuator: int) -> Joint:
-    place = 3 + actuator
-    return Joint(name, actuator, own=(("qpos", place), ("clipped_qvel", place)), near=(("qpos", place),))
+    index = 3 + actuator
+    return Joint(name, actuator, own=(("qpos", index), ("clipped_qvel", index)), near=(("qpos", index),))
 
 
 _NAMES = ("thigh_joint", "leg_joint", "foot_joint")

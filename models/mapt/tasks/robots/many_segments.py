@@ -165,8 +165,8 @@ def _segment(index: int, n: int) -> tuple[Joint, ...]:
     MaMuJoCo counts the last segment's indices from the end of qpos and qvel, and the others' from the start, where the
     torso is. It numbers a segment's motors from its second leg.
     """
-    place = 4 * (n - 1 - index)
-    qpos, qvel = (place + 3 + 4 * n, place + 2 + 4 * n) if index == n - 1 else (place - 4, place - 4)
+    first = 4 * (n - 1 - index)
+    qpos, qvel = (first + 3 + 4 * n, first + 2 + 4 * n) if index == n - 1 else (first - 4, first - 4)
     torso = 1 + 7 * index
     bodies = ((0, 1), (1, 2, 3), (0, 4), (4, 5, 6))
     return tuple(

@@ -32,17 +32,17 @@ def sample_start(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArr
 
 def _objects(rng: np.random.Generator, n: int) -> FloatArray:
     """(n, 2): uniform on the rectangle, by rejection sampling."""
-    places = np.zeros((n, 2))
-    while (near := np.flatnonzero(np.linalg.norm(places, axis=1) <= OBJECT_CLEARANCE_METRES)).size:
-        places[near] = rng.uniform(OBJECT_LOW, OBJECT_HIGH, size=(near.size, 2))
-    return places
+    positions = np.zeros((n, 2))
+    while (near := np.flatnonzero(np.linalg.norm(positions, axis=1) <= OBJECT_CLEARANCE_METRES)).size:
+        positions[near] = rng.uniform(OBJECT_LOW, OBJECT_HIGH, size=(near.size, 2))
+    return positions
 
 
 def reward(_before: Features, after: Features, controls: FloatArray) -> FloatArray:
     """Minus the object's distance from the goal and half that from the tip in metres, minus the control cost."""
-    places = after["xpos"]
-    to_goal = np.linalg.norm(places[:, OBJECT] - places[:, GOAL], axis=1)
-    to_tip = np.linalg.norm(places[:, OBJECT] - places[:, TIP], axis=1)
+    positions = after["xpos"]
+    to_goal = np.linalg.norm(positions[:, OBJECT] - positions[:, GOAL], axis=1)
+    to_tip = np.linalg.norm(positions[:, OBJECT] - positions[:, TIP], axis=1)
     return -to_goal - NEAR_WEIGHT * to_tip - CONTROL_COST_WEIGHT * sum_of_squares(controls)
 
 
