@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from mapt.policies.config import Algorithm, PolicyConfig
 
 if TYPE_CHECKING:
-    from mapt.policies.evaluation import Episodes, evaluate, play
+    from mapt.policies.episodes import Episodes, evaluate, play
     from mapt.policies.learner import Learner
     from mapt.policies.networks import Policy
     from mapt.policies.rollout import Rollout
@@ -26,12 +26,12 @@ __all__ = [
 ]
 
 _MODULE_OF = {
-    "Episodes": "evaluation",
+    "Episodes": "episodes",
     "Learner": "learner",
     "Policy": "networks",
     "Rollout": "rollout",
-    "evaluate": "evaluation",
-    "play": "evaluation",
+    "evaluate": "episodes",
+    "play": "episodes",
 }
 
 

@@ -16,8 +16,10 @@ CONSTANT_BELOW = 1e-4
 class InputNormaliser(nn.Module):
     """Normalises each input by its mean and standard deviation over all rollouts so far.
 
-    Constant inputs, such as the one-hot index of an agent that has statistics of its own, pass unchanged. The
-    statistics change only in `update`, so that a rollout and its update use the same normalisation.
+    The statistics change only in `update`, so that a rollout and its update use the same normalisation. They grow with
+    every rollout, because the policy reaches new states; those of a reward model
+    (`mapt.rewards.layers.InputNormaliser`) are fitted once, since all its training segments are known. Constant inputs,
+    such as the one-hot index of an agent that has statistics of its own, pass unchanged.
 
     Args:
         shape: of the statistics, broadcast against inputs; the dimension `samples_dim` has size 1.

@@ -26,7 +26,8 @@ ROTARY_BASE = 200.0
 class InputNormaliser(nn.Module):
     """Standardises each input by its mean and standard deviation over the training segments.
 
-    The statistics are pooled over agents, so that all agents share one scale.
+    The statistics are pooled over agents, so that all agents share one scale. They are fitted once per training and
+    stored with the model; those of a policy (`mapt.policies.normalisation`) grow with every rollout.
     """
 
     mean: Tensor

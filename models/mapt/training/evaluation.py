@@ -1,4 +1,4 @@
-"""Evaluation of a policy by its true return over whole episodes with mean actions."""
+"""Evaluations as `mapt train`, `mapt evaluate` and `accord demo` report them: 32 episodes with mean actions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

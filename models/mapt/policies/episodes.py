@@ -1,4 +1,4 @@
-"""Evaluation of a policy by the true reward of whole episodes."""
+"""Play whole episodes with a policy, and measure their true returns."""
 
 import math
 from dataclasses import dataclass
