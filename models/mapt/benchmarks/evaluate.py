@@ -98,15 +98,15 @@ class DatasetTeacher:
     def labels(self, pairs: IntArray) -> NDArray[np.float32]:
         """Labels (P,) of pairs (P, 2): P(segment 0 preferred), NaN where it skips."""
         parts = np.array_split(pairs, max(1, 2 * len(pairs) // _SEGMENTS_AT_ONCE))
-        sides = ((self._evidence(part[:, 0]), self._evidence(part[:, 1])) for part in parts)
+        sides = ((self._teacher_view(part[:, 0]), self._teacher_view(part[:, 1])) for part in parts)
         return np.concatenate([self._teacher.judge(first, second) for first, second in sides])
 
     def scores(self, indices: IntArray) -> NDArray[np.float64]:
         """Scores (S,) of segments by the teacher's criterion, without its mistakes and skips."""
         parts = np.array_split(indices, max(1, len(indices) // _SEGMENTS_AT_ONCE))
-        return np.concatenate([self._teacher.scores(self._evidence(part)) for part in parts])
+        return np.concatenate([self._teacher.scores(self._teacher_view(part)) for part in parts])
 
-    def _evidence(self, indices: IntArray) -> TeacherView:
+    def _teacher_view(self, indices: IntArray) -> TeacherView:
         """The arrays of these segments that the teacher reads."""
         dataset, reads = self._dataset, self._teacher.rule.reads
         arrays: dict[str, NDArray[np.floating]] = {}
@@ -134,7 +134,7 @@ def labelled_dataset(teacher: DatasetTeacher, dataset: RecordedDataset, n_labels
         pairs, labels = np.concatenate((pairs, more)), np.concatenate((labels, teacher.labels(more)))
     kept = np.flatnonzero(np.isfinite(labels))
     used, positions = np.unique(pairs[kept], return_inverse=True)
-    return PreferenceDataset(dataset.view(used), positions.reshape(-1, 2), labels[kept])
+    return PreferenceDataset(dataset.subset(used), positions.reshape(-1, 2), labels[kept])
 
 
 @dataclass(frozen=True, slots=True)

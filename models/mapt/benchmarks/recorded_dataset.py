@@ -76,9 +76,9 @@ class RecordedDataset:
         """The segments at `indices`, in that order, read into memory."""
         return self.source.take(indices)
 
-    def view(self, indices: ArrayLike) -> "SegmentView":
+    def subset(self, indices: ArrayLike) -> "SegmentSubset":
         """The segments at `indices` as a `SegmentSource`; they stay on disk."""
-        return SegmentView(self.source, np.asarray(indices, dtype=np.int64))
+        return SegmentSubset(self.source, np.asarray(indices, dtype=np.int64))
 
     def fingerprint(self) -> str:
         """SHA-256 of all arrays. Reads every file."""
@@ -94,7 +94,7 @@ class RecordedDataset:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SegmentView:
+class SegmentSubset:
     """A subset of a source's segments, as a `SegmentSource`."""
 
     source: SegmentSource
@@ -183,7 +183,7 @@ def record_dataset(
             def keep(rollout: Rollout, _metrics: dict[str, float]) -> None:
                 done = min(1.0, learner.steps / recording.policy_steps)
                 wanted = round(recording.segments * done) - len(writer)
-                append(writer, rollout, draw_places(rollout, recording.segment_steps, wanted, rng))
+                append_segments(writer, rollout, draw_step_ranges(rollout, recording.segment_steps, wanted, rng))
                 if progress is not None:
                     progress(learner.steps, float(rollout.rewards.mean()))
 
@@ -237,23 +237,23 @@ def layout_of(spec: TaskSpec, n_steps: int) -> SegmentLayout:
     )
 
 
-def draw_places(rollout: Rollout, n_steps: int, count: int, rng: np.random.Generator) -> list[StepRange]:
+def draw_step_ranges(rollout: Rollout, n_steps: int, count: int, rng: np.random.Generator) -> list[StepRange]:
     """At most `count` randomly drawn segments, in chronological order; see `cut_rollout`."""
     chosen = cut_rollout(rollout.episode_start, rollout.terminated, n_steps, rng)[: max(0, count)]
-    return sorted(chosen, key=lambda place: (place.first, place.env))
+    return sorted(chosen, key=lambda steps: (steps.first, steps.env))
 
 
-def append(writer: SegmentWriter, rollout: Rollout, chosen: Sequence[StepRange]) -> None:
+def append_segments(writer: SegmentWriter, rollout: Rollout, chosen: Sequence[StepRange]) -> None:
     """Write the chosen parts of a rollout as segments, padded with zeros to the layout's T."""
     if not chosen:
         return
     lead = len(chosen), writer.layout.n_steps
-    mask = np.arange(lead[1]) < np.array([place.n_steps for place in chosen])[:, None]
+    mask = np.arange(lead[1]) < np.array([steps.n_steps for steps in chosen])[:, None]
 
     def padded(values: NDArray[Number]) -> NDArray[Number]:
         parts = np.zeros((*lead, *values.shape[2:]), values.dtype)
-        for part, place in zip(parts, chosen, strict=True):
-            part[: place.n_steps] = values[place.first : place.end, place.env]
+        for part, steps in zip(parts, chosen, strict=True):
+            part[: steps.n_steps] = values[steps.first : steps.end, steps.env]
         return parts
 
     states = {

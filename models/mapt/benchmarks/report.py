@@ -96,11 +96,11 @@ def make_report(models: dict[str, RewardModel], dataset: RecordedDataset, plan: 
     figures = _draw(models, analyses, sample, dataset, folder)
     about = {
         "task": str(dataset.origin.get("task", "")),
-        "replay": dataset.fingerprint(),
+        "dataset": dataset.fingerprint(),
         "teacher": plan.teacher,
         "pairs": plan.n_pairs,
         "segments": len(sample.indices),
-        "fresh_of_seed": plan.held_out_seed,
+        "held_out_seed": plan.held_out_seed,
     }
     source = (
         "of the dataset" if plan.held_out_seed is None else f"held out by `mapt table` for seed {plan.held_out_seed}"
@@ -108,7 +108,7 @@ def make_report(models: dict[str, RewardModel], dataset: RecordedDataset, plan: 
     facts = [
         f"{len(sample.indices):,} segments of {dataset.source.n_steps} steps, {source}.",
         f"{plan.n_pairs:,} pairs of these segments, labelled by the teacher {plan.teacher}.",
-        f"Dataset {about['replay'][:12]}.",
+        f"Dataset {about['dataset'][:12]}.",
     ]
     page, numbers = folder / "report.html", folder / "report.json"
     write_page(page, f"Reward models on {about['task'] or 'a recorded dataset'}", facts, analyses, figures)

@@ -9,7 +9,7 @@ from mapt.benchmarks.recorded_dataset import (
     Recording,
     RecordingJob,
     RecordingProgress,
-    draw_places,
+    draw_step_ranges,
     episodes_path,
     record_dataset,
     run_recording,
@@ -38,11 +38,11 @@ def rollout_with_starts(*starts: tuple[int, int]) -> Rollout:
 
 def test_segments_are_drawn_in_chronological_order():
     rollout = rollout_with_starts((3, 0), (10, 1), (0, 1))
-    segments = draw_places(rollout, 5, 3, np.random.default_rng(0))
+    segments = draw_step_ranges(rollout, 5, 3, np.random.default_rng(0))
     assert len(segments) == 3
     assert [segment.first for segment in segments] == sorted(segment.first for segment in segments)
     for count, n_steps in ((0, 5), (-2, 5), (4, 21)):
-        assert draw_places(rollout, n_steps, count, np.random.default_rng(0)) == []
+        assert draw_step_ranges(rollout, n_steps, count, np.random.default_rng(0)) == []
 
 
 def test_episodes_that_end_early_give_shorter_segments(tmp_path):
@@ -116,12 +116,12 @@ def test_a_dataset_reads_back_as_it_was_written(replay):
     np.testing.assert_allclose(replay.returns, replay.rewards.sum(axis=1))
 
 
-def test_a_view_has_the_given_segments_in_the_given_order(replay):
-    view = replay.view([7, 3, 11])
-    assert len(view) == 3
-    dimensions = (view.n_steps, view.n_agents, view.observation_dim, view.action_dim)
+def test_a_subset_has_the_given_segments_in_the_given_order(replay):
+    subset = replay.subset([7, 3, 11])
+    assert len(subset) == 3
+    dimensions = (subset.n_steps, subset.n_agents, subset.observation_dim, subset.action_dim)
     assert dimensions == (N_STEPS, 2, 3, 1)
-    np.testing.assert_array_equal(view.take([2, 0]).observations, replay.segments([11, 7]).observations)
+    np.testing.assert_array_equal(subset.take([2, 0]).observations, replay.segments([11, 7]).observations)
 
 
 def test_the_fingerprint_depends_only_on_the_arrays(tmp_path):
