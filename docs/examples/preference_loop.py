@@ -1,9 +1,10 @@
 """Learn HalfCheetah from preferences without a server: an oracle labels pairs of segments, MAPT learns the reward.
 
-python docs/examples/preference_loop.py [environment steps] [labels]
+python docs/examples/preference_loop.py [environment steps] [labels] [folder for `mapt curves`]
 """
 
 import sys
+from pathlib import Path
 
 from mapt.policies import Learner, PolicyConfig
 from mapt.preferences.teachers import OracleTeacher
@@ -19,15 +20,16 @@ def report(metrics: dict[str, float]) -> None:
         print(f"true return {metrics['true_return']:,.0f}", flush=True)
 
 
-def main(total_steps: int = 1_000_000, labels: int = 500, n_envs: int = 8, seed: int = 0) -> PreferenceLoop:
+def main(total_steps: int = 1_000_000, labels: int = 500, output: Path | None = None, seed: int = 0) -> PreferenceLoop:
     """Train and return the loop, which holds the policy, the queries and the reward versions."""
-    task = make_task("HalfCheetah-6x1", n_envs)
+    task = make_task("HalfCheetah-6x1", n_envs=8)
     loop = PreferenceLoop(
-        Learner(task, PolicyConfig(n_envs=n_envs, seed=seed)),
+        Learner(task, PolicyConfig(n_envs=8, seed=seed)),
         OracleTeacher(),
         LabelSchedule(labels, initial=max(2, labels // 5), total_steps=total_steps),
         RewardSettings(segment_steps=50, seed=seed),
         on_iteration=report,
+        output=output,
     )
     loop.run()
     task.close()
@@ -35,4 +37,4 @@ def main(total_steps: int = 1_000_000, labels: int = 500, n_envs: int = 8, seed:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    main(*map(int, sys.argv[1:3]), *map(Path, sys.argv[3:]))

@@ -7,12 +7,13 @@ labellers `label`, its reward worker `train_reward`.
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.errors import RunError
+from mapt.errors import InvalidConfig, RunError
 from mapt.policies import Learner, Rollout
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.segments import StepRange, cut_rollout
@@ -23,10 +24,13 @@ from mapt.rewards.ensemble import RewardEnsemble, train_reward_ensemble
 from mapt.rewards.model import PolicyReward, RewardModel
 from mapt.rewards.relabelling import Credit
 from mapt.rewards.trainer import train_reward_model
+from mapt.tasks import task_spec
 from mapt.training.pair_selection import SCORED_SEGMENTS, SegmentScorer, candidate_limit, choose_pairs, newest_pairs
 from mapt.training.policy_trainer import PolicyTrainer
 from mapt.training.reward_source import LearnedReward
+from mapt.training.run_writer import RunWriter
 from mapt.training.schedule import QUERY_STREAM, SEGMENT_STREAM, LabelSchedule, Progress
+from mapt.training.settings import PreferenceRewardSettings, RunSettings
 
 #: number of recent iterations over which the mean return of episodes is computed for a teacher
 _RETURN_POINTS = 10
@@ -146,6 +150,8 @@ class PreferenceLoop:
         selector: how pairs are chosen from the second round on; the first round is uniform.
         control_share: share of the pairs that stays uniform under a selector that needs scores or features.
         on_iteration: called after each iteration with its metrics.
+        output: folder to which `run` writes its results, as `mapt train` does, for `mapt curves` and `mapt evaluate`.
+            A loop cannot be resumed, so the folder must not hold a run.
     """
 
     def __init__(
@@ -158,6 +164,7 @@ class PreferenceLoop:
         selector: SelectorName = "recent",
         control_share: float = 0.2,
         on_iteration: Callable[[dict[str, float]], None] = lambda metrics: None,
+        output: Path | None = None,
     ) -> None:
         self.reward = reward or RewardSettings()
         self.schedule, self._teacher = schedule, teacher
@@ -178,13 +185,27 @@ class PreferenceLoop:
         #: metrics of each iteration
         self.history: list[dict[str, float]] = []
         self._scorer = SegmentScorer(self._arrays_of)
+        self._output = output
+        self._writer: RunWriter | None = None
 
     def run(self) -> list[dict[str, float]]:
-        """Train until the schedule's steps are done. Returns the metrics of each iteration.
+        """Train until the schedule's steps are done, and write `output`. Returns the metrics of each iteration.
 
         Raises:
             RunError: if the first rollout holds too few pairs for the first reward version.
+            AlreadyExists: if `output` holds a run.
+            UnknownTask, InvalidConfig: with `output`, if `make_task` with default options makes no such task.
         """
+        if self._output is None:
+            self._train()
+        else:
+            with RunWriter(self._output, self._run_settings()) as self._writer:
+                self._train()
+                self._writer.finish(self.trainer.learner)
+        return self.history
+
+    def _train(self) -> None:
+        """The outer loop."""
         # The first rollout provides the segments of the first queries, so it is collected before the first version.
         rollout = self.collect()
         self.learn_reward()
@@ -192,7 +213,6 @@ class PreferenceLoop:
         while self.trainer.steps < self.schedule.total_steps:
             self.learn_reward()
             self.train_policy(self.collect())
-        return self.history
 
     def learn_reward(self) -> None:
         """Create and label the queries that are due, then train the next reward version if it is due."""
@@ -286,6 +306,8 @@ class PreferenceLoop:
         metrics = self.trainer.update(rollout)
         metrics |= {"steps": self.trainer.steps, "labels": labels, "reward_version": newest.number}
         self.history.append(metrics)
+        if self._writer is not None:
+            self._writer.append(metrics)
         self._on_iteration(metrics)
 
     @property
@@ -293,6 +315,19 @@ class PreferenceLoop:
         """Steps, labels and reward versions so far."""
         labels = sum(query.counts for query in self.queries)
         return Progress(self.trainer.steps, labels, self.versions[-1].labels if self.versions else None)
+
+    def _run_settings(self) -> RunSettings:
+        """The settings of run.json."""
+        learner, schedule = self.trainer.learner, self.schedule
+        spec = learner.task.spec
+        # The final evaluation makes the task by its name.
+        if task_spec(spec.name) != spec:
+            raise InvalidConfig(f"With output, the task must be made by make_task({spec.name!r}, n_envs).", "output")
+        teacher = str(self._teacher.parameters().get("name", type(self._teacher).__name__))
+        reward = PreferenceRewardSettings(
+            self.reward.model, schedule.budget, schedule.initial, schedule.per_version, teacher
+        )
+        return RunSettings(spec.name, learner.config, schedule.total_steps, reward)
 
     def _counted_queries(self) -> int:
         """Number of queries that have a label or wait for one; skipped queries are replaced."""
