@@ -14,7 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.rendering.appearance import (
+from mapt.rendering.appearance import has_squares, styled_model
+from mapt.rendering.camera import LOOK_DOWN_DEGREES, SMOOTHING_SECONDS, BodyKinematics, Framing, camera_path, frame_body
+from mapt.rendering.overlays import (
     BACKDROP_DISTANCE,
     add_backdrop,
     add_grid,
@@ -23,10 +25,7 @@ from mapt.rendering.appearance import (
     add_rings,
     add_shadows,
     add_start_line,
-    has_squares,
-    styled_model,
 )
-from mapt.rendering.camera import LOOK_DOWN_DEGREES, SMOOTHING_SECONDS, BodyKinematics, Framing, camera_path, frame_body
 from mapt.rendering.settings import RenderSettings
 
 FloatArray = NDArray[np.float64]
