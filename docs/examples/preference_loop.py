@@ -20,14 +20,14 @@ def report(metrics: dict[str, float]) -> None:
         print(f"true return {metrics['true_return']:,.0f}", flush=True)
 
 
-def main(total_steps: int = 1_000_000, labels: int = 500, output: Path | None = None, seed: int = 0) -> PreferenceLoop:
+def main(total_steps: int = 1_000_000, labels: int = 500, *, output: Path | None = None) -> PreferenceLoop:
     """Train and return the loop, which holds the policy, the queries and the reward versions."""
     task = make_task("HalfCheetah-6x1", n_envs=8)
     loop = PreferenceLoop(
-        Learner(task, PolicyConfig(n_envs=8, seed=seed)),
+        Learner(task, PolicyConfig(n_envs=8, seed=0)),
         OracleTeacher(),
         LabelSchedule(labels, initial=max(2, labels // 5), total_steps=total_steps),
-        RewardSettings(segment_steps=50, seed=seed),
+        RewardSettings(segment_steps=50, seed=0),
         on_iteration=report,
         output=output,
     )
@@ -37,4 +37,4 @@ def main(total_steps: int = 1_000_000, labels: int = 500, output: Path | None = 
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:3]), *map(Path, sys.argv[3:]))
+    main(*map(int, sys.argv[1:3]), output=Path(sys.argv[3]) if len(sys.argv) > 3 else None)
