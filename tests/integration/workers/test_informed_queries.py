@@ -298,9 +298,11 @@ def test_a_worker_killed_between_a_version_and_its_ensemble_resumes(experiment: 
     start()
     until(experiment.ensembles)
     assert harness.rows("SELECT number FROM reward_versions") == [(1,)]
-    before = len(experiment.queries())
-    labelled = harness.label(experiment.id, before - 8)
-    until(lambda: harness.rows("SELECT 1 FROM reward_versions WHERE number = 2"))
+    # The planner may add these queries after the ensemble is stored. Until then two queries are open, whose labels are
+    # too few for the next version.
+    until(lambda: len(experiment.queries()) == 28, "the queries due after one iteration, and two ahead")
+    labelled = harness.label(experiment.id, 20)
+    until(lambda: harness.rows("SELECT 1 FROM reward_versions WHERE number = 2"), "the second version")
     experiment.train_policy()
-    until(lambda: "disagreement" in {query[0] for query in experiment.queries()})
+    until(lambda: "disagreement" in {query[0] for query in experiment.queries()}, "queries selected by the ensemble")
     assert harness.rows("SELECT max(label_count) FROM reward_versions") == [(8 + len(labelled),)]
