@@ -131,7 +131,7 @@ class Accord:
 
 
 _ROLES = {
-    "accord.cli.serve": "api",
+    "accord.api.server": "api",
     "accord.workers.policy_worker": "policy",
     "accord.workers.reward_worker": "reward",
     "accord.workers.render_worker": "render",

@@ -1,10 +1,16 @@
-"""The HTTP server: `python -m accord.api.server` runs it alone, `accord.cli.serve` for `accord up`."""
+"""The process of the HTTP server: `python -m accord.api.server`.
 
+Alone, it listens on ACCORD_HOST and ACCORD_PORT. `accord up` passes it a listening socket of its own (`--fd`), so that
+requests wait while this process restarts.
+"""
+
+import argparse
 import errno
 import logging
 import os
 import signal
 import socket
+import sys
 from types import FrameType
 
 import uvicorn
@@ -14,6 +20,7 @@ from accord.domain.errors import AccordError, PortInUse, Unavailable
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from mapt.processes import follow_parent
 
 log = logging.getLogger(__name__)
 
@@ -52,18 +59,8 @@ def address_of(listener: socket.socket) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def serve(settings: Settings) -> None:
-    """Serves until SIGINT or SIGTERM.
-
-    Raises:
-        PortInUse, DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable: the message says what to do.
-    """
-    with listen(settings.host, settings.port) as listener:
-        serve_on(listener, settings)
-
-
-def serve_on(listener: socket.socket, settings: Settings) -> None:
-    """Serves on a listening socket. First checks that the database and the blob store can be used.
+def serve(listener: socket.socket, settings: Settings) -> None:
+    """Serves on a listening socket until SIGINT or SIGTERM. First checks the database and the blob store.
 
     Raises:
         DatabaseTooNew, DatabaseUnreachable, BlobsNotWritable: the message says what to do.
@@ -93,12 +90,20 @@ def end_by_exception(_signal: int, _frame: FrameType | None) -> None:
 
 def main() -> int:
     """Runs the server; returns the exit status of the process."""
+    parser = argparse.ArgumentParser(prog="python -m accord.api.server", description=__doc__)
+    parser.add_argument("--fd", type=int, help="descriptor of a listening socket to serve on")
+    parser.add_argument("--parent", type=int, default=0, help="exit when the process with this id exits; 0 for none")
+    arguments = parser.parse_args()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, end_by_exception)
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    follow_parent(arguments.parent)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     logging.getLogger("alembic").setLevel(logging.WARNING)
     try:
-        serve(Settings())
+        settings = Settings()
+        listener = listen(settings.host, settings.port) if arguments.fd is None else socket.socket(fileno=arguments.fd)
+        with listener:
+            serve(listener, settings)
     except AccordError as error:
         log.error("%s", error)
         return 1
@@ -106,4 +111,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

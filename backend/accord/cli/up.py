@@ -105,7 +105,7 @@ def child_specs(ready: Ready) -> list[ChildSpec]:
     settings, environment = ready.settings, environment_of(ready.settings)
     api = ChildSpec(
         "api",
-        ("accord.cli.serve", "--fd", str(ready.listener.fileno())),
+        ("accord.api.server", "--fd", str(ready.listener.fileno())),
         environment=environment | {"OMP_NUM_THREADS": "1"},
         descriptors=(ready.listener.fileno(),),
     )

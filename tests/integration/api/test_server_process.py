@@ -142,7 +142,7 @@ def test_unknown_role_is_refused(tmp_path: Path) -> None:
 def test_server_of_accord_up_closes_its_database_on_sigterm(tmp_path: Path) -> None:
     with listen("127.0.0.1", 0) as listener:
         process = subprocess.Popen(
-            [sys.executable, "-m", "accord.cli.serve", "--fd", str(listener.fileno())],
+            [sys.executable, "-m", "accord.api.server", "--fd", str(listener.fileno())],
             env=os.environ | {"ACCORD_HOME": str(tmp_path)},
             pass_fds=[listener.fileno()],
         )

@@ -18,7 +18,7 @@ from mapt.cli.main import app as mapt_app
 from mapt.cli.main import main as mapt_main
 
 
-@pytest.mark.parametrize("module", ["accord.cli.serve", "accord.cli.up"])
+@pytest.mark.parametrize("module", ["accord.api.server", "accord.cli.up"])
 def test_the_service_starts_without_torch_and_matplotlib(module):
     # They take longer to import than the service takes to start. The import rules do not cover imports by a package's
     # __init__.py.
