@@ -6,7 +6,7 @@ from functools import cache
 from sqlalchemy.orm import Session
 
 from accord.api import schemas
-from accord.domain.enums import ExperimentStatus, Phase, Role
+from accord.domain.enums import ExperimentStatus, Phase, Role, WorkerRole, WorkerState
 from accord.domain.permissions import may_see_returns
 from accord.services import experiments, metrics
 from accord.services.collect import load_arrays
@@ -96,8 +96,8 @@ def reward_version_response(row: RewardVersionRow, role: Role) -> schemas.Reward
 def worker_response(row: WorkerRow, role: Role) -> schemas.Worker:
     return schemas.Worker(
         id=row.id,
-        role=row.role,
-        state=row.state,
+        role=WorkerRole(row.role),
+        state=WorkerState(row.state),
         # as phase_detail
         detail=row.detail if may_see_returns(role) else "",
         restarts=row.restarts,

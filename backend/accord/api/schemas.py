@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from accord.domain.enums import ExperimentStatus, Phase, Role
+from accord.domain.enums import ExperimentStatus, Phase, Role, WorkerRole, WorkerState
 from accord.services.experiment_config import ExperimentConfig
 from mapt.settings import json_schema
 
@@ -169,8 +169,11 @@ class Worker(Schema):
     """A worker process."""
 
     id: str = Field(description="Role and slot, for example policy-0.")
-    role: str = Field(description="render, reward or policy.")
-    state: str = Field(description="starting, idle, working, backing_off or stopped.")
+    role: WorkerRole = Field(description="What it does.")
+    state: WorkerState = Field(
+        description="waiting: its experiment waits for labels or for a reward version. backing_off: its work failed, "
+        "and it retries after a pause. restarting: its process ended, and another one is being started."
+    )
     detail: str = Field(description="What it is doing, or its last error; empty for labellers.")
     restarts: int = Field(description="Number of restarts.")
     heartbeat_age_seconds: float = Field(description="Seconds since its last heartbeat.")

@@ -14,7 +14,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from accord.api.server import listen
 from accord.cli.options import Home, Port, address_file, load_settings, url_of
-from accord.domain.enums import WorkerRole
+from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import AccordError, NameTaken, Unavailable
 from accord.services import accounts, experiments, workers
 from accord.services.experiment_config import ExperimentConfig
@@ -207,6 +207,8 @@ def create_example(database: Database) -> bool:
 
 
 _POLL_SECONDS = 1.0
+#: states in which the detail says more than the state's name
+_SHOWN_BY_DETAIL = frozenset({WorkerState.WORKING, WorkerState.WAITING})
 
 
 class WorkerStatus:
@@ -222,12 +224,12 @@ class WorkerStatus:
         with self._database.transaction() as session:
             for spec in specs:
                 if spec.role:
-                    workers.report(session, spec.name, WorkerRole(spec.role), 0, "starting", restarts=0)
+                    workers.report(session, spec.name, WorkerRole(spec.role), 0, WorkerState.STARTING, restarts=0)
 
     def record_death(self, death: Death) -> None:
         """Print that a process died, and write it to the worker's row, which the page shows."""
         log_line(death.description, death.name)
-        self._printed[death.name] = death.description
+        self._printed.pop(death.name, None)
         if not death.role:
             return
         try:
@@ -237,7 +239,7 @@ class WorkerStatus:
                     death.name,
                     WorkerRole(death.role),
                     0,
-                    "backing_off",
+                    WorkerState.RESTARTING,
                     death.description,
                     restarts=death.restarts,
                 )
@@ -257,14 +259,14 @@ class WorkerStatus:
         for id, state, detail in rows:
             self._print_failure(id, state, detail)
         return " · ".join(
-            f"{id}: {detail if state == 'working' and detail else state.replace('_', ' ')}"
+            f"{id}: {detail if state in _SHOWN_BY_DETAIL and detail else state.replace('_', ' ')}"
             for id, state, detail in rows
         )
 
     def _print_failure(self, id: str, state: str, detail: str) -> None:
-        if state == "working":
+        if state == WorkerState.WORKING:
             self._printed.pop(id, None)
-        if state != "backing_off":
+        if state != WorkerState.BACKING_OFF:
             return
         # Without the time of the next attempt, repeated failures are equal.
         failure = detail.partition(RETRY_TEXT)[0].strip()

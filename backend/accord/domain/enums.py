@@ -60,5 +60,21 @@ class WorkerRole(StrEnum):
     POLICY = "policy"
 
 
+class WorkerState(StrEnum):
+    """What a worker process does, as itself or its supervisor reported last."""
+
+    STARTING = "starting"
+    #: there is nothing to do for its role
+    IDLE = "idle"
+    WORKING = "working"
+    #: its experiment waits for labels or for a reward version
+    WAITING = "waiting"
+    #: its work failed; it retries after a pause
+    BACKING_OFF = "backing_off"
+    #: its process ended; its supervisor starts another one
+    RESTARTING = "restarting"
+    STOPPED = "stopped"
+
+
 #: values of a label, P(segment 0 is preferred)
 LABEL_VALUES: tuple[float, ...] = (0.0, 0.5, 1.0)

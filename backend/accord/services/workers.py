@@ -2,6 +2,7 @@
 
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import WorkerRole, WorkerState
 from accord.services.lease import now_and_end
 from accord.store import workers
 from accord.store.tables import WorkerRow, utc_now
@@ -10,9 +11,9 @@ from accord.store.tables import WorkerRow, utc_now
 def report(  # noqa: PLR0917 (a row's fields in their order)
     session: Session,
     worker_id: str,
-    role: str,
+    role: WorkerRole,
     pid: int,
-    state: str,
+    state: WorkerState,
     detail: str = "",
     restarts: int | None = None,
 ) -> None:
@@ -20,17 +21,18 @@ def report(  # noqa: PLR0917 (a row's fields in their order)
 
     Args:
         worker_id: role and slot, for example policy-0.
-        state: starting, idle, working, backing_off or stopped.
         restarts: how often its supervisor has restarted it; None leaves the number as it is.
     """
     now = utc_now()
     row = workers.worker(session, worker_id)
     if row is None:
-        session.add(WorkerRow(id=worker_id, role=role, pid=pid, state=state, detail=detail, restarts=restarts or 0))
+        session.add(
+            WorkerRow(id=worker_id, role=role.value, pid=pid, state=state.value, detail=detail, restarts=restarts or 0)
+        )
         return
     if row.pid != pid:
         row.pid, row.started_at = pid, now
-    row.role, row.state, row.detail, row.heartbeat_at = role, state, detail, now
+    row.role, row.state, row.detail, row.heartbeat_at = role.value, state.value, detail, now
     if restarts is not None:
         row.restarts = restarts
 

@@ -291,7 +291,7 @@ class WorkerRow(Base):
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
     role: Mapped[str] = mapped_column(String(10))
     pid: Mapped[int]
-    #: starting | idle | working | backing_off | stopped
+    #: a `WorkerState`
     state: Mapped[str] = mapped_column(String(20))
     detail: Mapped[str] = mapped_column(default="")
     restarts: Mapped[int] = mapped_column(default=0)

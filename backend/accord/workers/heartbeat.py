@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-from accord.domain.enums import WorkerRole
+from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import AccordError
 from accord.services import workers
 from accord.store.database import Database
@@ -94,7 +94,7 @@ class Heartbeat:
         self._role = role
         self._holder = holder
         self._lease_seconds = lease_seconds
-        self._state, self._detail = "starting", ""
+        self._state, self._detail = WorkerState.STARTING, ""
         #: failure of a background thread of the worker; see `set_background_failure`
         self._background_failure = ""
         self._claims: dict[str, Claim] = {}
@@ -112,10 +112,10 @@ class Heartbeat:
         self._wake.set()
         self._thread.join(timeout=self._lease_seconds)
         self._background_failure = ""
-        self.set_state("stopped")
+        self.set_state(WorkerState.STOPPED)
         self._send()
 
-    def set_state(self, state: str, detail: str = "") -> None:
+    def set_state(self, state: WorkerState, detail: str = "") -> None:
         """Report this state soon, without blocking."""
         if (state, detail) != (self._state, self._detail):
             self._state, self._detail = state, detail
@@ -168,7 +168,7 @@ class Heartbeat:
         sent_at = time.monotonic()
         state, detail = self._state, self._detail
         if self._background_failure:
-            state, detail = "backing_off", self._background_failure
+            state, detail = WorkerState.BACKING_OFF, self._background_failure
         try:
             with self._database.transaction() as session:
                 workers.report(session, self._worker_id, self._role, os.getpid(), state, detail)

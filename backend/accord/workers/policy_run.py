@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy.orm import Session
 
-from accord.domain.enums import ExperimentStatus, Phase
+from accord.domain.enums import ExperimentStatus, Phase, WorkerState
 from accord.domain.errors import InvalidExperiment
 from accord.services import checkpoints, collect, experiments, metrics, publish, select
 from accord.services.collect import NewSegment
@@ -107,6 +107,7 @@ class PolicyRun:
                 raise InvalidExperiment(self._too_few_pairs(rows.labels))
             self._wait(rows.waiting)
             return False
+        self._show_progress()
         rollout = self._rollout or self._collect()
         # The first rollout waits: its segments are what the first labels are about.
         if not rows.waiting:
@@ -220,7 +221,7 @@ class PolicyRun:
 
     def _wait(self, reason: str) -> None:
         self.save_progress()
-        self._context.heartbeat.set_state("working", reason)
+        self._context.heartbeat.set_state(WorkerState.WAITING, reason)
         self._report(Phase.WAITING_FOR_LABELS, reason)
 
     def _update(self, rollout: Rollout, rows: _Rows) -> None:
@@ -245,9 +246,12 @@ class PolicyRun:
             metrics.record(session, self._id, trainer.steps, values, trainer.source.version)
             experiments.report(session, self._id, phase=Phase.TRAINING, steps=trainer.steps)
         self._reported = Phase.TRAINING, "", trainer.steps
-        share = min(1.0, trainer.steps / self._config.total_steps)
+
+    def _show_progress(self) -> None:
+        """Show in the worker's row that it trains, and how far."""
+        share = min(1.0, self._trainer.steps / self._config.total_steps)
         self._context.heartbeat.set_state(
-            "working", f"Training on {self._config.task}: {share:.0%} of the steps are done."
+            WorkerState.WORKING, f"Training on {self._config.task}: {share:.0%} of the steps are done."
         )
 
     def _report(self, phase: Phase, detail: str = "") -> None:
@@ -296,6 +300,7 @@ class PolicyRun:
             metrics.record(session, self._id, self._trainer.steps, values, self._trainer.source.version)
 
     def _finish(self) -> None:
+        self._show_progress()
         self.save_progress()
         self._evaluate(FINAL)
         with self._context.database.transaction() as session:

@@ -4,7 +4,7 @@ import logging
 import sys
 import time
 
-from accord.domain.enums import WorkerRole
+from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import Invalid
 from accord.services import experiments, publish, workers
 from accord.services.experiment_config import ExperimentConfig
@@ -54,7 +54,7 @@ class PolicyWorker:
         return sorted(found, key=lambda each: each[2])
 
     def _train(self, experiment_id: str, config: ExperimentConfig, claim: Claim) -> None:
-        self._context.heartbeat.set_state("working", f"Training on {config.task}.")
+        self._context.heartbeat.set_state(WorkerState.WORKING, f"Training on {config.task}.")
         log.info("Experiment %s claimed", experiment_id)
         try:
             run = PolicyRun(self._context, experiment_id, config, claim)

@@ -12,7 +12,7 @@ import numpy as np
 from av.error import FFmpegError
 from mujoco import MjModel  # pyright: ignore[reportAttributeAccessIssue]  (compiled, without stubs)
 
-from accord.domain.enums import WorkerRole
+from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import BlobMissing
 from accord.rendering.checks import probe_backend
 from accord.rendering.clip_key import clip_key
@@ -60,7 +60,7 @@ class RenderWorker:
             job = clips.claim_pending(session, context.holder, lease)
         if job is None:
             return False
-        context.heartbeat.set_state("working", f"Rendering a clip of {job.task}.")
+        context.heartbeat.set_state(WorkerState.WORKING, f"Rendering a clip of {job.task}.")
         with context.heartbeat.renewing(
             job.clip_id, lambda session: clips.heartbeat(session, job.clip_id, context.holder, lease)
         ):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from accord.domain.enums import WorkerRole
+from accord.domain.enums import WorkerRole, WorkerState
 from accord.services import experiments, metrics, publish, select
 from accord.services.collect import load_arrays
 from accord.services.experiment_config import ExperimentConfig
@@ -126,7 +126,7 @@ class RewardWorker:
     def _train_version(self, row: ExperimentRow, newest: RewardVersionRow | None, claim: Claim) -> bool:
         """Train the next version on all labels, starting from the newest one, and publish it."""
         context, number = self._context, (newest.number if newest else 0) + 1
-        context.heartbeat.set_state("working", f"Reading the labels for reward version {number}.")
+        context.heartbeat.set_state(WorkerState.WORKING, f"Reading the labels for reward version {number}.")
         with context.database.reading() as session:
             labels = publish.training_labels(session, row.id)
         if len(labels.items) < 2:
@@ -205,7 +205,7 @@ class RewardWorker:
     def _reporter(self, what: str, n_labels: int) -> Callable[[TrainProgress], None]:
         """Shows the progress of a training in the worker's row."""
         return lambda at: self._context.heartbeat.set_state(
-            "working", f"Training {what} on {n_labels} labels, epoch {at.epoch}."
+            WorkerState.WORKING, f"Training {what} on {n_labels} labels, epoch {at.epoch}."
         )
 
     def _parent(self, newest: RewardVersionRow | None, config: RewardConfig) -> RewardModel | None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Protocol
 
-from accord.domain.enums import WorkerRole
+from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import AccordError
 from accord.settings import Settings
 from accord.store.blobs import BlobStore, open_blobs
@@ -155,8 +155,8 @@ def run_loop(context: Context, worker: Worker) -> None:
         worker,
         context.stop,
         context.settings.poll_seconds,
-        on_failure=lambda failure: heartbeat.set_state("backing_off", failure),
-        on_success=lambda worked: None if worked else heartbeat.set_state("idle"),
+        on_failure=lambda failure: heartbeat.set_state(WorkerState.BACKING_OFF, failure),
+        on_success=lambda worked: None if worked else heartbeat.set_state(WorkerState.IDLE),
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import httpx
 
-from accord.domain.enums import Phase, Role
+from accord.domain.enums import Phase, Role, WorkerRole, WorkerState
 from accord.services import experiments, label, metrics, workers
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
@@ -72,7 +72,7 @@ def test_stream_sends_the_current_state_and_then_changes(api_per_database: ApiSe
         changed = next_where(stream, lambda event: event.name == "metrics").content["series"]
         assert [point["step"] for point in changed[0]["points"]] == [20]
         with stores.database.transaction() as session:
-            workers.report(session, "policy-0", "policy", 1, "backing_off", restarts=3)
+            workers.report(session, "policy-0", WorkerRole.POLICY, 1, WorkerState.BACKING_OFF, restarts=3)
         (worker,) = next_where(stream, lambda event: event.name == "workers").content
         assert (worker["state"], worker["restarts"]) == ("backing_off", 3)
         with stores.database.transaction() as session:

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import event
 
+from accord.domain.enums import WorkerRole, WorkerState
 from accord.services import metrics, publish, workers
 from support.api_in_thread import ApiServer, run_api_server
 from support.sample_experiments import create_sample
@@ -86,7 +87,7 @@ def test_metrics_reward_versions_and_workers_are_read(api_per_database: ApiServe
             metrics={"holdout_accuracy": 0.75},
         )
         metrics.record(session, sample.experiment.id, 5, {"labels": 2, "entropy": 1.5}, version.id)
-        workers.report(session, "reward-0", "reward", 1, "working", "trains version 2")
+        workers.report(session, "reward-0", WorkerRole.REWARD, 1, WorkerState.WORKING, "trains version 2")
     path = f"/api/v1/experiments/{sample.experiment.id}"
     (curve,) = api_per_database.labeller.get(f"{path}/metrics", params={"names": ["entropy"]}).json()["series"]
     assert curve == {"name": "entropy", "points": [{"step": 5, "value": 1.5, "reward_version_id": version.id}]}

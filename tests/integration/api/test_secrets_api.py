@@ -7,7 +7,7 @@ import re
 import httpx
 import pytest
 
-from accord.domain.enums import Phase
+from accord.domain.enums import Phase, WorkerRole, WorkerState
 from accord.services import experiments, metrics, publish, workers
 from support.api_in_thread import ApiServer
 from support.sample_experiments import SampleExperiment, create_sample
@@ -40,7 +40,7 @@ def sample(api: ApiServer, request: pytest.FixtureRequest) -> SampleExperiment:
             policy_steps=0,
             metrics={"loss": 0.5, "true_rank_correlation": SECRET, "rank_correlation": SECRET},
         )
-        workers.report(session, "policy-0", "policy", 1, "working", FREE_TEXT)
+        workers.report(session, "policy-0", WorkerRole.POLICY, 1, WorkerState.WORKING, FREE_TEXT)
     return found
 
 

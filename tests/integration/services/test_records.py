@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from accord.domain.enums import Role
+from accord.domain.enums import Role, WorkerRole, WorkerState
 from accord.domain.errors import ExperimentNotFound
 from accord.domain.ids import new_id
 from accord.services import checkpoints, experiments, metrics, publish, workers
@@ -186,16 +186,16 @@ def test_one_of_many_concurrent_claims_succeeds(stores: Stores) -> None:
 
 def test_restarted_worker_keeps_its_row(stores: Stores) -> None:
     with stores.database.transaction() as session:
-        workers.report(session, "policy-0", "policy", 100, "starting")
-        workers.report(session, "render-0", "render", 101, "idle", "waits")
+        workers.report(session, "policy-0", WorkerRole.POLICY, 100, WorkerState.STARTING)
+        workers.report(session, "render-0", WorkerRole.RENDER, 101, WorkerState.IDLE, "waits")
     with stores.database.transaction() as session:
         started = workers.all(session)[0].started_at
-        workers.report(session, "policy-0", "policy", 100, "working", "update 1", restarts=2)
-        workers.report(session, "policy-0", "policy", 100, "idle")
+        workers.report(session, "policy-0", WorkerRole.POLICY, 100, WorkerState.WORKING, "update 1", restarts=2)
+        workers.report(session, "policy-0", WorkerRole.POLICY, 100, WorkerState.IDLE)
     with stores.database.transaction() as session:
         policy, render = workers.all(session)
         assert (policy.id, policy.state, policy.detail, policy.restarts) == ("policy-0", "idle", "", 2)
         assert policy.started_at == started
         assert (render.id, render.state, render.detail) == ("render-0", "idle", "waits")
-        workers.report(session, "policy-0", "policy", 200, "starting")
+        workers.report(session, "policy-0", WorkerRole.POLICY, 200, WorkerState.STARTING)
         assert policy.started_at > started

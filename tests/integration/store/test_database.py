@@ -9,6 +9,7 @@ import pytest
 from sqlalchemy import Engine, event, text
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import DatabaseUnreachable
 from accord.services import workers
 from accord.store.database import Database
@@ -25,7 +26,7 @@ def names(database: Database) -> set[str]:
 
 
 def add(session: Session, name: str) -> None:
-    workers.report(session, name, "render", 1, "idle")
+    workers.report(session, name, WorkerRole.RENDER, 1, WorkerState.IDLE)
     session.flush()
 
 

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from accord.domain.enums import WorkerRole
+from accord.domain.enums import WorkerRole, WorkerState
 from accord.workers.heartbeat import Heartbeat
 from accord.workers.runner import Context, run_loop
 from integration.workers.worker_harness import WorkerHarness, open_harness
@@ -30,7 +30,7 @@ class FailsTwice:
         if self.n_calls < 3:
             raise RuntimeError("simulated failure\nand more")
         if self.n_calls == 3:
-            self._harness.context.heartbeat.set_state("working", "training")
+            self._harness.context.heartbeat.set_state(WorkerState.WORKING, "training")
             return True
         self._harness.context.stop.request()
         return False
@@ -49,7 +49,7 @@ def test_a_failure_is_reported_and_retried_after_a_pause(harness: WorkerHarness)
 
 def test_the_row_of_a_closed_worker_has_the_state_stopped(tmp_path: Path):
     with open_harness(tmp_path) as harness:
-        harness.context.heartbeat.set_state("working", "training")
+        harness.context.heartbeat.set_state(WorkerState.WORKING, "training")
     assert harness.rows("SELECT state FROM workers") == [("stopped",)]
 
 

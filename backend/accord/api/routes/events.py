@@ -24,8 +24,8 @@ router = APIRouter(tags=["experiments"])
 POLL_SECONDS = 0.5
 #: a client that accepts no data for this long is disconnected
 _SEND_TIMEOUT_SECONDS = 30.0
-#: a worker without a heartbeat for this long counts as silent
-_SILENT_SECONDS = 20.0
+#: a worker without a heartbeat for this long counts as silent; the same limit as on the page (status.ts)
+_SILENT_SECONDS = 30.0
 _WORKERS = TypeAdapter(list[schemas.Worker])
 
 

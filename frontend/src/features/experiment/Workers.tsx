@@ -1,15 +1,7 @@
 import { useQuery } from "@tanstack/react-query";
 import { workersQuery } from "@/shared/api/queries";
 import { plural } from "@/shared/ui/format";
-import { isDown, workerWarning } from "@/shared/ui/status";
-
-const STATES: Readonly<Record<string, string>> = {
-  starting: "starting",
-  idle: "idle",
-  working: "working",
-  backing_off: "restarting",
-  stopped: "stopped",
-};
+import { isDown, workerStateText, workerWarning } from "@/shared/ui/status";
 
 /** The state of every worker process. */
 export function Workers() {
@@ -26,7 +18,7 @@ export function Workers() {
             <span className="worker-name">{worker.id}</span>
             <span>
               {isDown(worker) ? "⚠ " : ""}
-              {STATES[worker.state] ?? worker.state}
+              {workerStateText(worker)}
             </span>
             <span className="muted">
               {worker.detail}

@@ -1349,16 +1349,10 @@ export interface components {
              * @description Role and slot, for example policy-0.
              */
             id: string;
-            /**
-             * Role
-             * @description render, reward or policy.
-             */
-            role: string;
-            /**
-             * State
-             * @description starting, idle, working, backing_off or stopped.
-             */
-            state: string;
+            /** @description What it does. */
+            role: components["schemas"]["WorkerRole"];
+            /** @description waiting: its experiment waits for labels or for a reward version. backing_off: its work failed, and it retries after a pause. restarting: its process ended, and another one is being started. */
+            state: components["schemas"]["WorkerState"];
             /**
              * Detail
              * @description What it is doing, or its last error; empty for labellers.
@@ -1375,6 +1369,18 @@ export interface components {
              */
             heartbeat_age_seconds: number;
         };
+        /**
+         * WorkerRole
+         * @description What a worker process does.
+         * @enum {string}
+         */
+        WorkerRole: "render" | "reward" | "policy";
+        /**
+         * WorkerState
+         * @description What a worker process does, as itself or its supervisor reported last.
+         * @enum {string}
+         */
+        WorkerState: "starting" | "idle" | "working" | "waiting" | "backing_off" | "restarting" | "stopped";
     };
     responses: never;
     parameters: never;

@@ -1,8 +1,8 @@
 import { expect, test } from "vitest";
 import type { Worker } from "@/shared/api/types";
-import { workerWarning } from "./status";
+import { workerStateText, workerWarning } from "./status";
 
-const worker = (role: string, state: string, age = 1): Worker => ({
+const worker = (role: Worker["role"], state: Worker["state"], age = 1): Worker => ({
   id: `${role}-0`,
   role,
   state,
@@ -20,10 +20,22 @@ test("a role with one running worker causes no warning", () => {
 });
 
 test("the warning names the work that has stopped", () => {
-  expect(workerWarning([worker("policy", "backing_off")])).toBe(
-    "Policy training has stopped because a worker is down. It is being restarted. No labels are lost.",
-  );
+  for (const state of ["backing_off", "restarting"] as const) {
+    expect(workerWarning([worker("policy", state)])).toBe(
+      "Policy training has stopped after a failure and will be retried automatically. No labels are lost.",
+    );
+  }
   expect(workerWarning([worker("render", "working", 90), worker("reward", "stopped")])).toBe(
-    "Clip rendering and reward training have stopped because a worker is down. No labels are lost.",
+    "Clip rendering and reward training have stopped: no worker is running. No labels are lost.",
   );
+});
+
+test("a waiting worker is neither down nor working", () => {
+  expect(workerStateText(worker("policy", "waiting"))).toBe("waiting");
+  expect(workerWarning([worker("policy", "waiting")])).toBeNull();
+});
+
+test("a worker without a heartbeat does not respond, whatever it reported last", () => {
+  expect(workerStateText(worker("policy", "working", 90))).toBe("not responding");
+  expect(workerStateText(worker("policy", "stopped", 90))).toBe("stopped");
 });

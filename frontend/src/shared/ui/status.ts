@@ -27,21 +27,36 @@ export function phaseText(experiment: Experiment): string {
   return experiment.status === "running" ? PHASES[experiment.phase] : STATUSES[experiment.status];
 }
 
-/** A worker without a heartbeat for this long counts as stopped. */
+/** A worker without a heartbeat for this long counts as not responding. */
 const HEARTBEAT_TIMEOUT_SECONDS = 30;
 
+const WORKER_STATES: Readonly<Record<Worker["state"], string>> = {
+  starting: "starting",
+  idle: "idle",
+  working: "working",
+  waiting: "waiting",
+  backing_off: "retrying",
+  restarting: "restarting",
+  stopped: "stopped",
+};
+
+const DOWN: readonly Worker["state"][] = ["backing_off", "restarting", "stopped"];
+
+/** Whether a worker does nothing at present although it should. */
 export function isDown(worker: Worker): boolean {
-  return (
-    worker.state === "stopped" ||
-    worker.state === "backing_off" ||
-    worker.heartbeat_age_seconds > HEARTBEAT_TIMEOUT_SECONDS
-  );
+  return DOWN.includes(worker.state) || worker.heartbeat_age_seconds > HEARTBEAT_TIMEOUT_SECONDS;
 }
 
-const WORK: Readonly<Record<string, string>> = {
-  render: "Clip rendering",
-  reward: "Reward training",
-  policy: "Policy training",
+/** The state of a worker, for display. */
+export function workerStateText(worker: Worker): string {
+  const silent = isDown(worker) && !DOWN.includes(worker.state);
+  return silent ? "not responding" : WORKER_STATES[worker.state];
+}
+
+const WORK: Readonly<Record<Worker["role"], string>> = {
+  render: "clip rendering",
+  reward: "reward training",
+  policy: "policy training",
 };
 
 /** One sentence about the roles that have no running worker; null when every role has one. */
@@ -51,10 +66,9 @@ export function workerWarning(workers: readonly Worker[]): string | null {
     workers.every((worker) => worker.role !== role || isDown(worker)),
   );
   if (roles.length === 0) return null;
-  const [first = "", ...others] = roles.map((role) => WORK[role] ?? role);
-  const work = [first, ...others.map((name) => name.toLowerCase())].join(" and ");
-  const restarting = down.some(({ state }) => state === "backing_off");
-  return `${work} ${roles.length > 1 ? "have" : "has"} stopped because a worker is down.${
-    restarting ? " It is being restarted." : ""
-  } No labels are lost.`;
+  const work = new Intl.ListFormat("en-GB").format(roles.map((role) => WORK[role]));
+  const resumes = down.some(({ state }) => state === "backing_off" || state === "restarting");
+  return `${work.charAt(0).toUpperCase()}${work.slice(1)} ${roles.length > 1 ? "have" : "has"} stopped${
+    resumes ? " after a failure and will be retried automatically" : ": no worker is running"
+  }. No labels are lost.`;
 }
