@@ -141,7 +141,7 @@ def redeem_link(session: Session, token: str, session_days: float) -> tuple[User
     if user is None:
         raise Unauthenticated(
             "This sign-in link has been used or has expired; each link works once. Ask whoever runs Accord for a new "
-            "one: `accord user link NAME`, or `accord link` for the administrator."
+            "one: `accord user link NAME`, or `accord link` for the admin."
         )
     return user, _new_token(session, user.id, "session", timedelta(days=session_days))
 

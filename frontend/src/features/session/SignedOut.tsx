@@ -12,7 +12,7 @@ export function SignedOut() {
       <ul className="bullets">
         <li>
           If you run Accord on this machine, run this command in a terminal and open the link that it prints.
-          It signs you in as the administrator.
+          It signs you in as the admin.
           <CommandLine />
         </li>
         <li>
