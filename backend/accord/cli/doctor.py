@@ -5,6 +5,7 @@ import shutil
 import socket
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
@@ -20,7 +21,7 @@ from accord.domain.errors import AccordError
 from accord.rendering.checks import check_encoder, check_rendering
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
-from accord.store.database import Database
+from accord.store.database import Database, sqlite_file
 from mapt.cli.options import Json
 from mapt.cli.output import print_json, print_line
 
@@ -100,16 +101,17 @@ def check_machine(settings: Settings) -> list[Check]:
 
 
 def check_database(settings: Settings) -> list[Check]:
-    """Whether the database can be opened and migrated to this version. A missing one passes."""
-    if not settings.database_url and not (settings.home / "accord.db").exists():
-        return [Check("database", True, "none yet; `accord up` creates it")]
+    """Whether the database can be written, and is not of a newer version. Changes nothing; a missing one passes."""
+    url = settings.resolved_database_url
     try:
-        database = Database.open(settings.resolved_database_url)
-        database.migrate()
-        database.close()
+        file = sqlite_file(url)
+        if file is not None and not file.exists():
+            return [Check("database", True, "none yet; `accord up` creates it")]
+        with closing(Database.open(url)) as database:
+            current = database.is_current()
     except AccordError as error:
         return [_failed("database", error)]
-    return [Check("database", True, "reachable and up to date")]
+    return [Check("database", True, "reachable and up to date" if current else "reachable; `accord up` migrates it")]
 
 
 def _failed(name: str, error: AccordError) -> Check:
@@ -145,7 +147,7 @@ def check_port(settings: Settings) -> list[Check]:
 def check_page(settings: Settings) -> list[Check]:
     if files("accord").joinpath("static", "index.html").is_file():
         return [Check("page", True, "built")]
-    return [Check("page", False, "not built", "pip install -e . (in the repository), or make page")]
+    return [Check("page", False, "not built", "python frontend/build_page.py in the repository, or install a wheel")]
 
 
 def existing_parent(path: Path) -> Path:

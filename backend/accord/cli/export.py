@@ -4,14 +4,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from sqlalchemy.engine import make_url
 
 from accord.cli.options import Experiment, Home, load_settings
 from accord.domain.errors import Unavailable
 from accord.services.export import contents, write
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
-from accord.store.database import Database
+from accord.store.database import Database, sqlite_file
 from mapt.cli.options import Json
 from mapt.cli.output import ProgressBars, print_json, print_line
 
@@ -61,7 +60,7 @@ def _open_existing(settings: Settings) -> Database:
     Raises:
         Unavailable: if there is none.
     """
-    url = make_url(settings.resolved_database_url)
-    if url.get_backend_name() == "sqlite" and url.database and not Path(url.database).exists():
-        raise Unavailable(f"There is no database at {url.database}. Set the home folder of the service with --home.")
+    file = sqlite_file(settings.resolved_database_url)
+    if file is not None and not file.exists():
+        raise Unavailable(f"There is no database at {file}. Set the home folder of the service with --home.")
     return Database.open(settings.resolved_database_url)

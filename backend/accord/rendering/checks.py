@@ -35,9 +35,7 @@ def probe_backend(timeout_seconds: float = PROBE_TIMEOUT_SECONDS) -> Backend:
         if failure is None:
             return backend
         failures.append(f"{backend}: {failure}")
-    raise RenderingUnavailable(
-        f"OpenGL does not render without a display here ({'; '.join(failures)}). To install it: {INSTALL}"
-    )
+    raise RenderingUnavailable(f"OpenGL does not render without a display here ({'; '.join(failures)}).", INSTALL)
 
 
 def try_backend(backend: Backend, timeout_seconds: float) -> str | None:
@@ -57,7 +55,7 @@ def check_rendering() -> Check:
     try:
         backend = probe_backend()
     except RenderingUnavailable as error:
-        return Check(name, ok=False, detail=str(error), fix=INSTALL)
+        return Check(name, ok=False, detail=error.reason, fix=INSTALL)
     return Check(name, ok=True, detail=f"{backend} rendered a frame")
 
 

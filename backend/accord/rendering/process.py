@@ -45,6 +45,11 @@ class RenderingUnavailable(Unavailable):
 
     code = "rendering_unavailable"
 
+    def __init__(self, reason: str, fix: str) -> None:
+        super().__init__(f"{reason} To install it: {fix}")
+        #: the message without the command that installs OpenGL
+        self.reason = reason
+
 
 class RenderFailed(AccordError):
     """A clip could not be rendered or encoded, or its process died. No file is left at the clip's path."""

@@ -42,15 +42,13 @@ class Database:
         Raises:
             DatabaseUnreachable: if the URL is not valid, its driver is not installed, or its folder cannot be created.
         """
+        parsed = _parsed(url)
         try:
-            parsed = make_url(url)
             if parsed.get_backend_name() == "sqlite":
                 return cls(_sqlite(parsed))
             return cls(create_engine(parsed, pool_size=20, max_overflow=40, pool_pre_ping=True))
-        except (ArgumentError, NoSuchModuleError) as error:
-            raise DatabaseUnreachable(
-                f"{url!r} is not a database URL. Use sqlite:///path or postgresql://host/name."
-            ) from error
+        except NoSuchModuleError as error:
+            raise _not_a_url(url) from error
         except ModuleNotFoundError as error:
             raise DatabaseUnreachable(
                 f"The driver {error.name!r} is not installed. For Postgres: pip install 'accord[postgres]'."
@@ -111,6 +109,15 @@ class Database:
         with self._translated_errors(), self._writer.begin() as connection:
             upgrade(connection)
 
+    def is_current(self) -> bool:
+        """Whether no migration is missing. Takes the write lock for a moment, but changes nothing.
+
+        Raises:
+            DatabaseTooNew, DatabaseUnreachable: as `migrate`.
+        """
+        with self._translated_errors(), self._writer.begin() as connection:
+            return _is_current(connection, ScriptDirectory.from_config(alembic_config(connection)))
+
     def close(self) -> None:
         self.engine.dispose()
 
@@ -142,6 +149,29 @@ def _is_full(error: DatabaseError) -> bool:
         getattr(error.orig, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL
         or getattr(error.orig, "sqlstate", None) == "53100"
     )
+
+
+def _parsed(url: str) -> URL:
+    try:
+        return make_url(url)
+    except ArgumentError as error:
+        raise _not_a_url(url) from error
+
+
+def _not_a_url(url: str) -> DatabaseUnreachable:
+    return DatabaseUnreachable(f"{url!r} is not a database URL. Use sqlite:///path or postgresql://host/name.")
+
+
+def sqlite_file(url: str) -> Path | None:
+    """The file of a SQLite database, which may not exist yet; None for a database in memory or on a server.
+
+    Raises:
+        DatabaseUnreachable: if the URL is not valid.
+    """
+    parsed = _parsed(url)
+    if parsed.get_backend_name() != "sqlite" or parsed.database is None or parsed.database in _MEMORY:
+        return None
+    return Path(parsed.database)
 
 
 def _sqlite(url: URL) -> Engine:
@@ -192,7 +222,12 @@ def upgrade(connection: Connection) -> None:
     if connection.dialect.name == "postgresql":
         connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _POSTGRES_LOCK})
     settings = alembic_config(connection)
-    scripts = ScriptDirectory.from_config(settings)
+    if not _is_current(connection, ScriptDirectory.from_config(settings)):
+        command.upgrade(settings, "head")
+
+
+def _is_current(connection: Connection, scripts: ScriptDirectory) -> bool:
+    """Whether the database is at the newest revision. Raises DatabaseTooNew as `upgrade`."""
     current = MigrationContext.configure(connection).get_current_revision()
     known = {script.revision for script in scripts.walk_revisions()}
     if current is not None and current not in known:
@@ -200,5 +235,4 @@ def upgrade(connection: Connection) -> None:
             f"The database is at revision {current!r}, which this version of Accord does not know: a newer version has "
             "migrated it. Use that version, or choose another database with ACCORD_HOME or ACCORD_DATABASE_URL."
         )
-    if current != scripts.get_current_head():
-        command.upgrade(settings, "head")
+    return current == scripts.get_current_head()

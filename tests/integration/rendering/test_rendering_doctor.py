@@ -31,6 +31,7 @@ def test_without_opengl_the_check_says_what_to_install(monkeypatch: pytest.Monke
     check = check_rendering()
     assert not check.ok
     assert check.fix == checks.INSTALL
+    assert checks.INSTALL not in check.detail
 
 
 def test_hung_backend_times_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,6 +57,24 @@ def test_a_database_of_a_newer_version_fails(tmp_path: Path):
     assert "from_the_future" in check.detail
 
 
+def test_an_older_database_passes_and_is_not_migrated(tmp_path: Path):
+    settings = Settings(home=tmp_path)
+    file = tmp_path / "accord.db"
+    with closing(sqlite3.connect(file)) as connection, connection:
+        connection.execute("CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL)")
+    [check] = check_database(settings)
+    assert check.ok
+    with closing(sqlite3.connect(file)) as connection:
+        assert connection.execute("SELECT name FROM sqlite_master").fetchall() == [("alembic_version",)]
+
+
+def test_a_missing_database_is_not_created(tmp_path: Path):
+    file = tmp_path / "folder" / "accord.db"
+    [check] = check_database(Settings(home=tmp_path, database_url=f"sqlite:///{file}"))
+    assert check.ok
+    assert not file.parent.exists()
+
+
 def test_a_file_in_place_of_the_blob_folder_fails(tmp_path: Path):
     (tmp_path / "blobs").write_text("no folder")
     [check] = check_blobs(Settings(home=tmp_path))
