@@ -13,7 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 import av
@@ -148,7 +148,7 @@ def main(clips: int) -> None:
         def job(number: int) -> ClipJob:
             return ClipJob(TASK, qpos, qvel, SETTINGS, folder / f"{number}.mp4")
 
-        first, second = (stack.enter_context(RenderProcess(backend)) for _ in range(2))
+        first, second = (stack.enter_context(closing(RenderProcess(backend))) for _ in range(2))
         makers = {name: stack.enter_context(upper_bound(name, folder, backend)) for name in UPPER_BOUNDS}
         rates = alternating({**makers, "render process": lambda: first.render(job(0)) and None}, clips)
         second.render(job(1))

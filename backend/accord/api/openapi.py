@@ -8,6 +8,7 @@ from accord.api.app import create_app
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from mapt.io import atomic_write
 
 
 def document() -> str:
@@ -19,7 +20,7 @@ def document() -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path, help="where to write it, for example frontend/openapi.json")
-    parser.parse_args().file.write_text(document())
+    atomic_write(parser.parse_args().file, document().encode())
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
@@ -33,6 +34,7 @@ from accord.workers.runner import Stop
 from mapt.benchmarks.specification import parse_list, parse_numbers
 from mapt.cli.options import Algorithm, Json, LabelCounts, Models, PolicySettings, Seeds, Steps, Task, Teacher, Workers
 from mapt.cli.output import ProgressBars, log_line, out, print_json, print_paths
+from mapt.io import atomic_write
 from mapt.processes import parallel_jobs
 from mapt.settings import parse_assignments
 from mapt.training.curves import draw_curves
@@ -93,12 +95,9 @@ def demo(
     stop = Stop()
     stop.install()
     n_runs = parallel_jobs(workers, len(plans))
-    with OwnService(home or folder / "home", _environment(clips, n_runs), lambda: stop.requested) as service:
-        clients = _connect(service, choice, stop, quiet=as_json)
-        try:
-            runs = _run_all(clients, plans, n_runs, stop, folder, quiet=as_json)
-        finally:
-            clients.close()
+    service = OwnService(home or folder / "home", _environment(clips, n_runs), lambda: stop.requested)
+    with closing(service), closing(_connect(service, choice, stop, quiet=as_json)) as clients:
+        runs = _run_all(clients, plans, n_runs, stop, folder, quiet=as_json)
     rows = rows_of(runs)
     if as_json:
         print_json([asdict(row) | {"share": row.share} for row in rows])
@@ -157,7 +156,7 @@ def write_results(folder: Path) -> None:
     """Draw and tabulate every run in the folder of a demo."""
     groups = grouped([RunResult.read(run) for run in find_runs([folder / _RUNS])])
     draw_curves(groups, folder / _FIGURE)
-    (folder / _TABLE).write_text(markdown(groups))
+    atomic_write(folder / _TABLE, markdown(groups).encode())
 
 
 def _updater(bars: ProgressBars, plan: RunPlan) -> Callable[[RunState], None]:

@@ -1,5 +1,6 @@
 """The subcommand `accord export`."""
 
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -27,12 +28,8 @@ def export(
     Writes its segments, queries and labels. The service may keep running.
     """
     settings = load_settings(home)
-    database = _open_existing(settings)
-    try:
-        with database.reading() as session:
-            found = contents(session, experiment)
-    finally:
-        database.close()
+    with closing(_open_existing(settings)) as database, database.reading() as session:
+        found = contents(session, experiment)
     with ProgressBars(hidden=as_json) as bars:
         bars.add("segments", "segments", len(found.segments))
         write(

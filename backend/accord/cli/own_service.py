@@ -5,9 +5,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from accord.cli.options import address_file, load_settings
 from accord.domain.enums import Role
@@ -27,7 +26,7 @@ _END_SECONDS = 20.0
 
 
 class OwnService:
-    """`accord up` on a free port; the process ends with the `with` block."""
+    """`accord up` on a free port, until `close`."""
 
     def __init__(self, home: Path, environment: Mapping[str, str], stopped: Callable[[], bool] = bool) -> None:
         """
@@ -83,15 +82,12 @@ class OwnService:
 
     def token(self, name: str, role: Role) -> str:
         """A new bearer token of the user with this name, who is created if there is none."""
-        database = Database.open(load_settings(self.home).resolved_database_url)
-        try:
-            with database.transaction() as session:
-                user = users.user_by_name(session, name)
-                if user is None:
-                    return accounts.create_user(session, name, role)[1]
-                return accounts.new_bearer(session, user.id)
-        finally:
-            database.close()
+        url = load_settings(self.home).resolved_database_url
+        with closing(Database.open(url)) as database, database.transaction() as session:
+            user = users.user_by_name(session, name)
+            if user is None:
+                return accounts.create_user(session, name, role)[1]
+            return accounts.new_bearer(session, user.id)
 
     def policy_checkpoint(self, experiment_id: str) -> bytes:
         """The newest checkpoint of an experiment's policy, as `mapt.training.run_folder.PolicyCheckpoint` stores it.
@@ -100,26 +96,13 @@ class OwnService:
             Unavailable: if there is none.
         """
         settings = load_settings(self.home)
-        database = Database.open(settings.resolved_database_url)
-        try:
-            with database.reading() as session:
-                row = checkpoints.newest(session, experiment_id)
-        finally:
-            database.close()
+        with closing(Database.open(settings.resolved_database_url)) as database, database.reading() as session:
+            row = checkpoints.newest(session, experiment_id)
         if row is None:
             raise Unavailable(f"The experiment {experiment_id} has no checkpoint.")
         return open_blobs(settings.resolved_blob_url).read(row.blob_key)
 
     def close(self) -> None:
-        """End the service and its workers."""
-        # The service ends its workers.
+        """End the service, which ends its workers."""
         self._process.terminate()
         end_process(self._process, _END_SECONDS)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

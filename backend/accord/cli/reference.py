@@ -16,6 +16,7 @@ from accord.cli.main import app as accord
 from accord.services.experiment_config import ExperimentConfig
 from accord.settings import Settings as ServiceSettings
 from mapt.cli.main import app as mapt
+from mapt.io import atomic_write
 from mapt.policies.config import ALGORITHM_DEFAULTS, PolicyConfig
 from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
 from mapt.settings import SettingDescription, Settings, accepted_values, describe
@@ -158,7 +159,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path, nargs="?", default=DEFAULT_FILE, help="the page (docs/reference.md)")
     file = parser.parse_args().file
-    file.write_text(fill(file.read_text()))
+    atomic_write(file, fill(file.read_text()).encode())
 
 
 def _settings(settings: type[Settings]) -> str:

@@ -5,7 +5,6 @@ import socket
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -24,6 +23,7 @@ from accord.store.database import Database
 from accord.workers.runner import RETRY_TEXT, Stop
 from accord.workers.supervisor import ChildSpec, Death, Supervisor
 from mapt.cli.output import log_line, on_terminal, out, print_line
+from mapt.io import atomic_write
 from mapt.processes import SHARED_CORES_ENVIRONMENT, follow_parent
 
 #: Time between two checks of the child processes.
@@ -73,7 +73,9 @@ def announce(ready: Ready, example: bool) -> None:
     if example:
         create_example(ready.database)
     link = sign_in_link(ready)
-    address_file(ready.settings).write_text(url_of(ready.settings.host, ready.settings.port) + "\n")
+    url = url_of(ready.settings.host, ready.settings.port)
+    # Atomic, because other commands wait for this file and read it as soon as it exists.
+    atomic_write(address_file(ready.settings), f"{url}\n".encode())
     print_line("[bold]Accord[/bold] is starting. Open this link to sign in as the admin:")
     out.print(f"\n  {link}\n", markup=False)
     print_line("[dim]The link works once; `accord link` prints a new one. Ctrl-C stops Accord.[/dim]")
@@ -128,7 +130,7 @@ def child_specs(ready: Ready) -> list[ChildSpec]:
 def environment_of(settings: Settings) -> dict[str, str]:
     """The settings as environment variables for a child process; the home folder is absolute."""
     values = settings.model_dump() | {"home": settings.home.resolve()}
-    return {f"ACCORD_{name.upper()}": str(Path(value) if name == "home" else value) for name, value in values.items()}
+    return {f"ACCORD_{name.upper()}": str(value) for name, value in values.items()}
 
 
 EXAMPLE_NAME = "Teach the cheetah to run"

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +27,7 @@ DEADLINE_SECONDS = 60.0
 
 @pytest.fixture(scope="module")
 def shared_process(backend: Backend) -> Iterator[RenderProcess]:
-    with RenderProcess(backend) as process:
+    with closing(RenderProcess(backend)) as process:
         yield process
 
 
@@ -187,7 +187,7 @@ def test_torch_is_not_loaded(process: RenderProcess, tmp_path: Path) -> None:
 
 
 def test_close_ends_the_process(backend: Backend, tmp_path: Path) -> None:
-    with RenderProcess(backend) as process:
+    with closing(RenderProcess(backend)) as process:
         assert_renders(process, tmp_path)
     assert is_gone(process.pid)
 
