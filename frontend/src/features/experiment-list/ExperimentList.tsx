@@ -58,7 +58,10 @@ function Empty({ me }: { me: Me }) {
 function Card({ experiment }: { experiment: Experiment }) {
   const { labels } = experiment;
   const total = Number(experiment.config.total_steps);
-  const running = experiment.status === "running";
+  const needsLabels =
+    experiment.status === "running" &&
+    experiment.config.reward_source !== "true" &&
+    labels.labels < labels.budget;
   return (
     <li className="card experiment">
       <div className="experiment-name">
@@ -83,7 +86,7 @@ function Card({ experiment }: { experiment: Experiment }) {
       />
       <Link
         to={paths.label(experiment.id)}
-        className={running ? "button primary" : "button"}
+        className={needsLabels ? "button primary" : "button"}
         aria-label={`Label ${experiment.name}`}
       >
         Label

@@ -1,5 +1,5 @@
 import type { Experiment } from "@/shared/api/types";
-import { formatCount } from "@/shared/ui/format";
+import { formatCount, formatTime } from "@/shared/ui/format";
 import { settingLabel } from "@/shared/ui/settingLabels";
 
 /** The settings of the experiment, which do not change after it starts. */
@@ -19,7 +19,7 @@ export function Settings({ experiment }: { experiment: Experiment }) {
           ))}
           <tr>
             <th scope="row">Started</th>
-            <td>{new Date(experiment.created_at).toLocaleString()}</td>
+            <td>{formatTime(experiment.created_at)}</td>
           </tr>
         </tbody>
       </table>

@@ -1,6 +1,6 @@
 import { versionMetric } from "@/shared/api/metrics";
 import type { RewardVersion } from "@/shared/api/types";
-import { formatCompact, formatCount, formatPercent } from "@/shared/ui/format";
+import { formatCompact, formatCount, formatPercent, formatTime } from "@/shared/ui/format";
 
 /** A table of all reward versions, newest first, with their metrics on held-out labels. */
 export function Versions({ versions }: { versions: readonly RewardVersion[] }) {
@@ -44,7 +44,7 @@ function Row({ version }: { version: RewardVersion }) {
       <td>{formatCompact(version.policy_steps)}</td>
       <td>{accuracy === null ? "–" : formatPercent(accuracy)}</td>
       <td>{loss === null ? "–" : loss.toFixed(3)}</td>
-      <td>{new Date(version.created_at).toLocaleTimeString()}</td>
+      <td>{formatTime(version.created_at)}</td>
     </tr>
   );
 }

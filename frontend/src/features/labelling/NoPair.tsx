@@ -42,7 +42,7 @@ function explain(
       title: "No pair available",
       text: `${error} Your labels are safe. Labelling resumes automatically.`,
     };
-  const { labels, steps, config } = experiment;
+  const { labels, config } = experiment;
   switch (reason) {
     case null:
       return { title: "Loading", text: "The first pair is being loaded." };
@@ -53,20 +53,13 @@ function explain(
         text: "The next pair appears here automatically, usually within a few seconds.",
       };
     case "policy_training":
-      return {
-        title: "No labels needed right now",
-        text:
-          `The policy is training on your labels (${formatCount(steps)} of ` +
-          `${formatCount(Number(config.total_steps))} steps). New pairs appear here automatically as it makes ` +
-          "progress. You can leave this page open.",
-      };
+      return { title: "No pair right now", text: `${whyNoPair(experiment)} ${APPEARS}` };
     case "all_labelled":
+      if (config.reward_source === "true")
+        return { title: "No labels needed", text: "This policy learns from the task’s own reward." };
       return {
         title: "Nothing left to label",
-        text:
-          labels.labels >= labels.budget
-            ? `All ${formatCount(labels.budget)} labels have been given. Thank you.`
-            : "You have labelled every available pair. New pairs appear here automatically.",
+        text: `All ${formatCount(labels.budget)} labels have been given. Thank you.`,
       };
     case "paused":
       return {
@@ -74,6 +67,34 @@ function explain(
         text: "A researcher has paused this experiment. Labelling continues when it is resumed.",
       };
     case "experiment_over":
+      if (experiment.status === "failed")
+        return {
+          title: "This experiment has failed",
+          text: "No labels are lost. Labelling continues if a researcher resumes it.",
+        };
       return { title: "This experiment is over", text: "No more labels are needed. Thank you." };
+  }
+}
+
+const APPEARS = "The next pair appears here automatically. You can leave this page open.";
+
+/** Why no pair can be labelled although the experiment runs and its clips are rendered. */
+function whyNoPair({ phase, steps, config, labels }: Experiment): string {
+  switch (phase) {
+    case "queued":
+      return "The experiment waits for a free policy worker.";
+    case "collecting":
+      return "The policy is collecting the first clips.";
+    case "waiting_for_labels":
+      return labels.labels < labels.due
+        ? "Other labellers have the open pairs, or new pairs are being chosen."
+        : "The reward model is being trained on the labels.";
+    case "training":
+    case "evaluating":
+    case "done":
+      return (
+        `The policy has enough labels for now and is training (${formatCount(steps)} of ` +
+        `${formatCount(Number(config.total_steps))} steps).`
+      );
   }
 }

@@ -3,7 +3,7 @@ import { useEffect, useRef, useState } from "react";
 import { versionMetric } from "@/shared/api/metrics";
 import { rewardVersionsQuery } from "@/shared/api/queries";
 import type { Experiment } from "@/shared/api/types";
-import { formatPercent } from "@/shared/ui/format";
+import { formatCount, formatPercent } from "@/shared/ui/format";
 import { CHOICE_TEXT } from "./choices";
 import type { SessionView } from "./session";
 
@@ -47,6 +47,7 @@ function useVersionNotice(experiment: Experiment): string {
   if (announced === null) return "";
   const version = data?.items.find(({ number }) => number === announced);
   const accuracy = versionMetric(version, "holdout_accuracy");
+  const trained = version ? ` was trained on ${formatCount(version.label_count)} labels.` : " is ready.";
   const detail = accuracy === null ? "" : ` It predicts ${formatPercent(accuracy)} of held-out labels.`;
-  return `Reward version ${announced} was trained on your labels.${detail}`;
+  return `Reward version ${announced}${trained}${detail}`;
 }

@@ -3,6 +3,9 @@ const compact = new Intl.NumberFormat("en-US", { notation: "compact", maximumFra
 
 export const formatCount = (value: number): string => count.format(value);
 export const formatCompact = (value: number): string => compact.format(value);
+/** A time of the API in the browser's time zone and language, without seconds. */
+export const formatTime = (iso: string): string =>
+  new Date(iso).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" });
 export const formatPercent = (fraction: number): string => `${Math.round(100 * fraction)}%`;
 
 /** A value of a curve, with about three significant digits. */

@@ -23,8 +23,11 @@ export function isOver({ status }: Experiment): boolean {
 }
 
 /** The phase of a running experiment, or the status of any other, for display. */
-export function phaseText(experiment: Experiment): string {
-  return experiment.status === "running" ? PHASES[experiment.phase] : STATUSES[experiment.status];
+export function phaseText({ status, phase, labels }: Experiment): string {
+  if (status !== "running") return STATUSES[status];
+  // The policy also waits while the reward model is trained on the labels that were due.
+  if (phase === "waiting_for_labels" && labels.labels >= labels.due) return "Waiting for the reward model";
+  return PHASES[phase];
 }
 
 /** A worker without a heartbeat for this long counts as not responding. */
