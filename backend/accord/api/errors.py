@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
-from math import ceil
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -21,7 +20,6 @@ from accord.domain.errors import (
     LeaseLost,
     NotFound,
     TaskUnavailable,
-    TooManyRequests,
     Unauthenticated,
     Unavailable,
     WrongState,
@@ -40,7 +38,6 @@ STATUS: tuple[tuple[type[AccordError], int], ...] = (
     (LeaseLost, 410),
     (BodyTooLarge, 413),
     (Invalid, 422),
-    (TooManyRequests, 429),
     (DatabaseFull, 507),
     (Unavailable, 503),
 )
@@ -73,8 +70,6 @@ def accord_error_response(error: AccordError) -> JSONResponse:
     headers: dict[str, str] = {}
     if isinstance(error, Unauthenticated):
         headers["WWW-Authenticate"] = 'Bearer realm="accord"'
-    elif isinstance(error, TooManyRequests):
-        headers["Retry-After"] = str(ceil(error.retry_after_seconds))
     elif isinstance(error, Unavailable):
         headers["Retry-After"] = "5"
     field = getattr(error, "field", None)

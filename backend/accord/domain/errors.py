@@ -1,4 +1,4 @@
-"""Every exception that the service raises on purpose.
+"""The exceptions of the service. Those that belong to one package, such as rendering, are defined there.
 
     AccordError
     ├── Unauthenticated               the caller is not signed in
@@ -12,7 +12,6 @@
     ├── Invalid                       a value is not valid
     │   └── InvalidLabel, InvalidId, InvalidExperiment, UnknownTask
     ├── BodyTooLarge                  the request is too large
-    ├── TooManyRequests
     └── Unavailable                   this machine cannot do it now; the message says what to do
         └── DatabaseTooNew, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, BlobMissing, TaskUnavailable,
             PortInUse
@@ -185,14 +184,6 @@ class BodyTooLarge(AccordError):
 
     def __init__(self, limit_bytes: int) -> None:
         super().__init__(f"The body is larger than {limit_bytes} bytes. Send labels in smaller batches.")
-
-
-class TooManyRequests(AccordError):
-    code = "too_many_requests"
-
-    def __init__(self, message: str, retry_after_seconds: float) -> None:
-        super().__init__(message)
-        self.retry_after_seconds = retry_after_seconds
 
 
 class Unavailable(AccordError):

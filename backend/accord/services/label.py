@@ -28,6 +28,7 @@ from accord.services.validation import check_teacher
 from accord.store import labels, queries
 from accord.store.labels import StoredLabel
 from accord.store.queries import LockedQuery, Response
+from accord.store.tables import utc_now
 
 Order = Literal["segments", "shown"]
 _GIVEN = frozenset({"label", "skip"})
@@ -133,8 +134,7 @@ def _require_labellable(user: Caller, found: LockedQuery) -> None:
     if found.leased_by == user.id:
         # An expired lease that no other user has taken is still valid.
         return
-    now, _ = now_and_end(0.0)
-    if found.leased_until is not None and found.leased_until > now:
+    if found.leased_until is not None and found.leased_until > utc_now():
         raise LeaseLost(found.query_id)
     if previous_state != "skip" and not may_label_in_batches(Role(user.role)):
         raise LeaseLost(found.query_id)
@@ -145,8 +145,7 @@ def _write(session: Session, user: Caller, found: LockedQuery, response: Respons
     before = found.response is not None and found.response.state == "label"
     revision = labels.advance_revision(session, found.experiment_id, (response.state == "label") - before)
     label = _stored(found, user, found.label_id or new_id("lbl"), revision, response)
-    now, _ = now_and_end(0.0)
-    labels.write(session, label, response, now, new=found.label_id is None)
+    labels.write(session, label, response, utc_now(), new=found.label_id is None)
     return label
 
 

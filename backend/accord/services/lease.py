@@ -115,8 +115,7 @@ def _with_sides(session: Session, user_id: str, ids: Sequence[str]) -> list[Leas
     # The system's random source, not a seeded one, so that nobody can predict a side.
     drawn = {row.query_id: secrets.randbelow(2) for row in rows if row.left_segment is None}
     if drawn:
-        now, _ = now_and_end(0.0)
-        queries.add_presentations(session, user_id, drawn, now)
+        queries.add_presentations(session, user_id, drawn, utc_now())
     return [
         LeasedQuery(
             id=row.query_id,

@@ -12,8 +12,7 @@ from accord.services.experiments import config_of
 from accord.store import experiments, metrics
 from accord.store.tables import ExperimentRow, MetricRow
 
-#: hidden from labellers, as is every name that begins with `true_`
-TRUE_SERIES = frozenset({"true_return"})
+#: labellers do not get curves whose names begin with this
 _TRUE_PREFIX = "true_"
 #: also hidden from labellers if the policy learns from the true reward, which these would reveal
 _TRUE_IF_LEARNED_FROM = frozenset({"learned_return", "value_loss"})
@@ -61,9 +60,7 @@ def visible(found: Sequence[Series], experiment: ExperimentRow, role: Role) -> l
     return [
         curve
         for curve in found
-        if curve.name not in TRUE_SERIES
-        and not curve.name.startswith(_TRUE_PREFIX)
-        and not (learns_true_reward and curve.name in _TRUE_IF_LEARNED_FROM)
+        if not curve.name.startswith(_TRUE_PREFIX) and not (learns_true_reward and curve.name in _TRUE_IF_LEARNED_FROM)
     ]
 
 

@@ -10,26 +10,15 @@ from accord.domain.errors import ExperimentNotFound
 from accord.domain.ids import new_id
 from accord.services import experiments as experiment_service
 from accord.store import experiments, labels, rewards
-from accord.store.labels import LabelledPair as TrainingLabel
+from accord.store.labels import LabelledPair
 from accord.store.tables import RewardVersionRow
-
-__all__ = [
-    "TrainingLabel",
-    "TrainingLabels",
-    "new_labels",
-    "newest",
-    "publish",
-    "training_labels",
-    "version_labels",
-    "versions",
-]
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingLabels:
     """Every label (no skips) up to a revision."""
 
-    items: list[TrainingLabel]
+    items: list[LabelledPair]
     #: the experiment's label revision; `items` has every change up to it and none after it
     watermark: int
 
@@ -39,7 +28,7 @@ def new_labels(session: Session, experiment_id: str, after_revision: int) -> int
     return labels.count_after(session, experiment_id, after_revision)
 
 
-def version_labels(session: Session, version: RewardVersionRow) -> list[TrainingLabel]:
+def version_labels(session: Session, version: RewardVersionRow) -> list[LabelledPair]:
     """The labels a version was trained on, without those changed or undone since."""
     return labels.up_to(session, version.experiment_id, version.label_watermark)
 

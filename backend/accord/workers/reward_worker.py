@@ -11,8 +11,8 @@ from accord.domain.enums import WorkerRole, WorkerState
 from accord.services import experiments, metrics, publish, select
 from accord.services.collect import load_arrays
 from accord.services.experiment_config import ExperimentConfig
-from accord.services.publish import TrainingLabel
 from accord.store.blobs import BlobStore
+from accord.store.labels import LabelledPair
 from accord.store.tables import ExperimentRow, RewardVersionRow
 from accord.workers.heartbeat import Claim
 from accord.workers.model_store import EnsembleStore, read_reward_model, store_reward_model
@@ -44,7 +44,7 @@ class SegmentCache:
         #: blob key -> observations (T, N, C) and actions (T, N, A)
         self._arrays: dict[str, _Arrays] = {}
 
-    def dataset(self, experiment_id: str, labels: Sequence[TrainingLabel]) -> PreferenceDataset:
+    def dataset(self, experiment_id: str, labels: Sequence[LabelledPair]) -> PreferenceDataset:
         """The labelled pairs of an experiment.
 
         Raises:
