@@ -301,6 +301,7 @@ def save_run(clients: DemoClients, plan: RunPlan, experiment: dict[str, Any], fo
         atomic_write(folder.checkpoint, clients.service.policy_checkpoint(id))
     evaluation = folder.read_evaluation(experiment["steps"])
     if evaluation is None:
+        # Its curves have the mean, deviation and range of the final evaluation; the folder needs every episode.
         saved = load_policy(folder.path)
         evaluation = evaluate_policy(saved.policy, saved.task, agent_obsk=saved.agent_obsk, seed=plan.seed)
         folder.write_evaluation(experiment["steps"], evaluation)
