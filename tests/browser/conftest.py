@@ -43,7 +43,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory, browser: Browser) -> Iterator[Service]:
-    """A running service. Depends on `browser`, so that a test skipped for want of one does not start the service."""
+    """A running service. Depends on `browser`, so that a test skipped without a browser does not start the service."""
     if not (FOLDER / "index.html").is_file():
         pytest.skip("the page is not built: python frontend/build_page.py")
     service = Service(tmp_path_factory.mktemp("accord"))

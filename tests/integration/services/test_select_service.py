@@ -97,7 +97,7 @@ def test_query_whose_clip_failed_is_replaced(stores: Stores) -> None:
         clips.fail(session, job.clip_id, "broken", retry=False)
     # Each of 3 segments is in 2 of the 3 queries.
     assert queries_to_add(stores, sample.experiment.id) == before + 2
-    # and no new query is sample over that segment
+    # The segment of the failed clip gets no further query.
     with stores.database.transaction() as session:
         row = experiments.get(session, sample.experiment.id)
         others = [each for each in sample.segment_ids if each != job.segment_id]
