@@ -53,7 +53,12 @@ def test_each_kind_of_reward_streams_as_relabelled(build, kind, credit):
 @pytest.mark.parametrize("name", ["MA-MLP", "MA-LSTM", "MA-Transformer"])
 def test_each_baseline_streams_as_relabelled(name):
     config = RewardConfig.named(
-        name, preset="small", observation_dim=OBSERVATION_DIM, action_dim=ACTION_DIM, n_agents=N_AGENTS
+        name,
+        preset="small",
+        observation_dim=OBSERVATION_DIM,
+        action_dim=ACTION_DIM,
+        n_agents=N_AGENTS,
+        segment_steps=5,
     )
     model, rollout = build_reward_model(config), draw(12)
     with torch.no_grad():
