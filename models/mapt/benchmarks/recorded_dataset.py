@@ -4,6 +4,7 @@
 """
 
 import hashlib
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,7 +14,8 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.errors import DatasetNotFound, InvalidConfig, NoTrueRewards, RecordingStopped
+from mapt.errors import AlreadyExists, DatasetNotFound, InvalidConfig, NoTrueRewards, RecordingStopped
+from mapt.io import sync_folder
 from mapt.policies import Learner, Policy, PolicyConfig, Rollout
 from mapt.policies.rollout import Collector
 from mapt.preferences.dataset import SegmentArrays, SegmentSource
@@ -153,10 +155,11 @@ def record_dataset(
     """Train a policy on the true reward and record segments of every rollout, cut by `cut_rollout`.
 
     Segments are written to disk immediately, so that memory does not grow with their number. At the end, `EPISODES`
-    whole episodes of the trained policy are recorded in `episodes_path`.
+    whole episodes of the trained policy are recorded in `episodes_path`. The recording is made in a hidden folder
+    beside `path` and renamed when it is complete, so that a killed recording can be started again.
 
     Args:
-        path: the folder to create.
+        path: the folder to create; at most one process records it.
         progress: called after each rollout with the steps so far and the mean true reward per step.
         physics_threads: `n_threads` of `make_task`; it does not affect what is recorded.
 
@@ -173,11 +176,16 @@ def record_dataset(
         )
     if recording.segments < 1 or recording.policy_steps < 1:
         raise InvalidConfig("segments and steps must be 1 or more.")
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise AlreadyExists(path)
     rng = np.random.default_rng([recording.seed, 3])
     about = asdict(recording) | {"policy": config.to_dict()}
     task = make_task(recording.task, config.n_envs, n_threads=physics_threads)
+    partial = path.with_name(f".{path.name}.partial")
     try:
-        with SegmentWriter.create(path, layout_of(task.spec, recording.segment_steps), about=about) as writer:
+        # A killed recording may have left it.
+        shutil.rmtree(partial, ignore_errors=True)
+        with SegmentWriter.create(partial, layout_of(task.spec, recording.segment_steps), about=about) as writer:
             learner = Learner(task, config)
 
             def keep(rollout: Rollout, _metrics: dict[str, float]) -> None:
@@ -188,9 +196,12 @@ def record_dataset(
                     progress(learner.steps, float(rollout.rewards.mean()))
 
             PolicyTrainer(learner).train(recording.policy_steps, keep)
-        record_episodes(recording.task, learner.policy, episodes_path(path), recording.seed)
+        record_episodes(recording.task, learner.policy, episodes_path(partial), recording.seed)
+        partial.replace(path)
+        sync_folder(path.parent)
     finally:
         task.close()
+        shutil.rmtree(partial, ignore_errors=True)
     return RecordedDataset.open(path)
 
 

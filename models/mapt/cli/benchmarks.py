@@ -1,7 +1,7 @@
 """The subcommands `mapt dataset`, `mapt table` and `mapt report`."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -59,18 +59,21 @@ def dataset(
     states, for scripted teachers to label. Each seed has its own folder, such as OUTPUT/seed-0.
     """
     recordings = [Recording(task, steps, segment_steps, segments, seed) for seed in parse_numbers("--seeds", seeds, 0)]
-    record_all(recordings, output, workers)
+    record_all({dataset_folder(output, recording.seed): recording for recording in recordings}, workers)
 
 
-def record_all(recordings: Sequence[Recording], root: Path, workers: int, *, quiet: bool = False) -> None:
+def record_all(recordings: Mapping[Path, Recording], workers: int, *, quiet: bool = False) -> None:
     """Record datasets in parallel, with a progress bar for each.
+
+    Args:
+        recordings: by the folder to create.
 
     Raises:
         typer.Exit: if a recording failed; the others are completed first.
     """
     n_workers = parallel_jobs(workers, len(recordings))
     threads = cores_per_job(n_workers)
-    jobs = [RecordingJob(recording, dataset_folder(root, recording.seed), threads) for recording in recordings]
+    jobs = [RecordingJob(recording, folder, threads) for folder, recording in recordings.items()]
     failed = False
     with ProgressBars(_LOG_EVERY, hidden=quiet) as bars:
 
@@ -93,7 +96,7 @@ def record_all(recordings: Sequence[Recording], root: Path, workers: int, *, qui
 
 
 def _name(job: RecordingJob) -> str:
-    return f"dataset, seed {job.recording.seed}"
+    return f"dataset of {job.recording.task}, seed {job.recording.seed}"
 
 
 def table(
@@ -185,9 +188,10 @@ def _default_datasets(output: Path) -> Path:
 
 def _datasets(recordings: Sequence[Recording], root: Path, workers: int, *, quiet: bool) -> dict[int, RecordedDataset]:
     """Recorded datasets by seed; missing ones are recorded first."""
-    absent = [recording for recording in recordings if not dataset_folder(root, recording.seed).exists()]
-    record_all(absent, root, workers, quiet=quiet)
-    return {recording.seed: RecordedDataset.open(dataset_folder(root, recording.seed)) for recording in recordings}
+    folders = {dataset_folder(root, recording.seed): recording for recording in recordings}
+    absent = {folder: recording for folder, recording in folders.items() if not folder.exists()}
+    record_all(absent, workers, quiet=quiet)
+    return {recording.seed: RecordedDataset.open(folder) for folder, recording in folders.items()}
 
 
 def _train_all(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: bool, *, quiet: bool) -> None:

@@ -1,5 +1,7 @@
 """Recording, opening and fingerprinting datasets."""
 
+import multiprocessing
+
 import numpy as np
 import pytest
 
@@ -21,6 +23,7 @@ from mapt.preferences.storage import SegmentWriter
 from mapt.preferences.storage_layout import SegmentLayout
 from mapt.processes import run_jobs
 from mapt.tasks import make_task
+from support.waiting import until
 from unit.benchmarks.tiny_replay import N_SEGMENTS, N_STEPS, write_replay
 
 # Two rollouts of 32 environments and 128 steps.
@@ -183,4 +186,18 @@ def test_a_stopped_recording_leaves_no_files(tmp_path):
         should_stop=lambda: bool(messages),
     )
     assert "was stopped" in (done.failure or "")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_killed_recording_starts_again(tmp_path):
+    long = Recording("HalfCheetah-2x3", 10**9, 30, 12, 1)
+    worker = multiprocessing.get_context("spawn").Process(target=record_dataset, args=(long, tmp_path / "replay"))
+    worker.start()
+    try:
+        until(lambda: list(tmp_path.glob(".replay.partial/*")), "the first files")
+    finally:
+        worker.kill()
+        worker.join()
     assert not (tmp_path / "replay").exists()
+    assert len(record_dataset(IN_WORKER, tmp_path / "replay")) == 12
+    assert [path.name for path in tmp_path.iterdir()] == ["replay"]
