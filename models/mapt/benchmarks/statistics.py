@@ -112,8 +112,8 @@ def interquartile_mean_with_interval(samples: Sequence[ArrayLike]) -> Interquart
     """Interquartile mean over all values of several samples, such as the seeds of several tasks.
 
     The interval is of the stratified percentile bootstrap, which resamples within each sample (Agarwal et al. 2021).
-    Equals `rliable.library.get_interval_estimates` up to its random draws; rliable itself depends on pandas,
-    statsmodels and seaborn. As there, fewer than four values are not trimmed.
+    It is that of `rliable.library.get_interval_estimates`, up to random draws; rliable needs arch, statsmodels, pandas
+    and seaborn. As there, fewer than four values are not trimmed.
     """
     values = [np.asarray(sample, dtype=np.float64) for sample in samples]
 

@@ -157,7 +157,7 @@ def table(
     jobs = table_jobs(plan, found, output / "models" if keep_models else None)
     folder = CellFolder(output / "cells")
     if not dry_run:
-        _train_all(jobs, folder, workers, same_code, quiet=as_json)
+        train_cells(jobs, folder, workers, same_code, quiet=as_json)
     summary = summarise(plan, [cell for job in jobs if (cell := folder.read(job.settings)) is not None])
     paths = write(summary, output)
     if as_json:
@@ -194,8 +194,12 @@ def _datasets(recordings: Sequence[Recording], root: Path, workers: int, *, quie
     return {recording.seed: RecordedDataset.open(folder) for folder, recording in folders.items()}
 
 
-def _train_all(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: bool, *, quiet: bool) -> None:
-    """Compute the missing results in parallel."""
+def train_cells(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: bool, *, quiet: bool) -> None:
+    """Compute the missing results in parallel, with a progress bar.
+
+    Args:
+        same_code: compute those again that another version of the code produced.
+    """
     wanted = [job for job in jobs if not _finished(job, folder, same_code)]
     n_workers, n_done = parallel_jobs(workers, len(wanted)), len(jobs) - len(wanted)
     if not quiet:
@@ -209,7 +213,8 @@ def _train_all(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_c
             train, wanted, n_workers, on_start=lambda job: started.update({job.settings.key: time.time()})
         ):
             settings = done.job.settings
-            name = f"{settings.model}, {settings.teacher}, {settings.labels:,} labels, seed {settings.seed}"
+            model = f"{settings.task}, {settings.model}"
+            name = f"{model}, {settings.teacher}, {settings.labels:,} labels, seed {settings.seed}"
             if done.failure:
                 print_error(f"{name}: {done.failure}")
                 continue

@@ -13,6 +13,7 @@ app = make_app(
         "curves": LazyCommand("mapt.cli.results", "curves", "Plot and tabulate the true return of runs."),
         "dataset": LazyCommand("mapt.cli.benchmarks", "dataset", "Record a dataset of segments per seed."),
         "table": LazyCommand("mapt.cli.benchmarks", "table", "Compare reward models on recorded datasets."),
+        "benchmark": LazyCommand("mapt.cli.paper", "benchmark", "Repeat published experiments."),
         "report": LazyCommand("mapt.cli.benchmarks", "report", "Describe trained reward models in an HTML report."),
     },
 )

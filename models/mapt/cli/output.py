@@ -96,6 +96,10 @@ class ProgressBars:
         """Stop the clock of a job's bar."""
         self._progress.stop_task(self._bars[job].id)
 
+    def remove(self, job: Hashable) -> None:
+        """Remove a job's bar."""
+        self._progress.remove_task(self._bars.pop(job).id)
+
 
 @dataclass(slots=True)
 class _Bar:

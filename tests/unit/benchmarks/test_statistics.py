@@ -8,6 +8,7 @@ import pytest
 from mapt.benchmarks.statistics import (
     PairDifferences,
     difference_interval,
+    interquartile_mean_with_interval,
     mcnemar,
     paired_test,
     rank_correlation,
@@ -100,3 +101,23 @@ def test_the_interval_covers_the_true_difference_in_95_of_100_samples():
 
 def test_models_that_never_differ_have_an_empty_interval_at_0():
     assert difference_interval([PairDifferences(np.zeros(4), np.arange(8).reshape(4, 2))]) == (0.0, 0.0)
+
+
+def test_the_interquartile_mean_is_taken_over_all_samples():
+    # Of eight values, the lowest and the highest two are left out.
+    found = interquartile_mean_with_interval([[-100.0, 1.0, 2.0, 3.0], [4.0, 5.0, 6.0, 100.0]])
+    assert found.value == pytest.approx(3.5)
+    assert found.low < found.value < found.high
+
+
+def test_the_bootstrap_resamples_within_each_sample():
+    # Every resample has two zeros and two ones, so the interval has no width.
+    found = interquartile_mean_with_interval([[0.0, 0.0], [1.0, 1.0]])
+    assert (found.value, found.low, found.high) == (0.5, 0.5, 0.5)
+
+
+def test_a_sample_of_one_value_has_no_interval():
+    found = interquartile_mean_with_interval([[2.0]])
+    assert found.value == 2.0
+    assert math.isnan(found.low)
+    assert math.isnan(found.high)

@@ -1,0 +1,301 @@
+"""The paper's experiments: policies trained from scratch on frozen reward models, and where their results are stored.
+
+Each unit of work is stored when it is complete, so that rerunning `mapt benchmark paper` does what is missing:
+
+    OUTPUT/datasets/TASK/seed-S                a recorded dataset
+    OUTPUT/cells, OUTPUT/models/TASK/MODEL...  the evaluation and the files of a reward model, as in `mapt table`
+    OUTPUT/runs/TASK/POLICY-STEPS/REWARD...    a run, as in `mapt train`, or the evaluation of an untrained policy
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from mapt.benchmarks.job import (
+    Cell,
+    CellFolder,
+    CellJob,
+    TablePlan,
+    dataset_folder,
+    path_name,
+    table_jobs,
+)
+from mapt.benchmarks.recorded_dataset import RecordedDataset, Recording
+from mapt.benchmarks.specification import NamedSettings
+from mapt.errors import InvalidConfig
+from mapt.policies import Learner, PolicyConfig
+from mapt.processes import ParentConnection
+from mapt.rewards.checkpoints import CARD_FILE
+from mapt.rewards.config import PresetName
+from mapt.tasks import make_task
+from mapt.training.evaluation import Evaluation, evaluate_policy
+from mapt.training.results import RunResult
+from mapt.training.run import RunJob, do_run_in_worker
+from mapt.training.run_folder import RUN_FILE, RunFolder
+from mapt.training.settings import TRUE, LearnedRewardSettings, RunSettings
+
+#: The paper's deterministic teacher, which prefers the segment with the higher true return.
+TEACHER = "oracle"
+#: Name of the reward of a policy that is not trained.
+UNTRAINED = "untrained"
+#: Policy settings that the plan sets.
+_SET_BY_PLAN = frozenset({"algorithm", "seed", "device"})
+
+
+@dataclass(frozen=True, slots=True)
+class PaperPlan:
+    """The experiments: every combination of tasks, numbers of pairs, models, policies and seeds."""
+
+    tasks: tuple[str, ...]
+    #: numbers of labelled pairs that a reward model is trained on
+    pairs: tuple[int, ...]
+    #: see `network_of`
+    models: tuple[str, ...]
+    #: policy algorithms, with settings if wanted: `mat_dec:learning_rate=5e-5`
+    policies: tuple[str, ...]
+    #: a seed has its own dataset, reward models and policies
+    seeds: tuple[int, ...]
+    #: environment steps to train each policy for
+    steps: int
+    #: of the reward models
+    preset: PresetName
+    #: pairs on which a reward model is tested
+    test_pairs: int
+    #: of reward models and policies
+    device: str
+    #: T
+    segment_steps: int
+    #: segments of each dataset
+    segments: int
+    #: environment steps of the training that a dataset records
+    dataset_steps: int
+
+    def policy_config(self, policy: str, seed: int) -> PolicyConfig:
+        """The settings of one of the policies.
+
+        Raises:
+            InvalidConfig: if the algorithm or a setting is unknown, or a value is out of its range.
+        """
+        named = NamedSettings.parse(policy)
+        if wrong := _SET_BY_PLAN & named.settings.keys():
+            raise InvalidConfig(f"{policy!r} must not set {', '.join(sorted(wrong))}.", "policies")
+        return PolicyConfig.named(named.name, **named.settings, seed=seed, device=self.device)
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyJob:
+    """A policy to train and evaluate, or to evaluate untrained."""
+
+    #: as in the plan
+    policy: str
+    #: `true`, `untrained` or the name of a reward model
+    reward: str
+    #: labelled pairs that the reward model was trained on; None without a reward model
+    pairs: int | None
+    run: RunJob
+
+    @property
+    def task(self) -> str:
+        return self.run.settings.task
+
+    @property
+    def seed(self) -> int:
+        return self.run.settings.policy.seed
+
+    @property
+    def name(self) -> str:
+        """Describes the job."""
+        return job_name(self.task, self.policy, self.reward, self.pairs, self.seed)
+
+
+def job_name(task: str, policy: str, reward: str, pairs: int | None, seed: int) -> str:
+    """Describes a policy and what it trains on."""
+    trained_on = reward if pairs is None else f"{reward} on {pairs:,} pairs"
+    return f"{task}, {policy}, {trained_on}, seed {seed}"
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyResult:
+    """A policy that was trained and evaluated, or evaluated untrained."""
+
+    job: PolicyJob
+    #: mean true return over the evaluation's episodes
+    mean: float
+    #: interquartile mean over the evaluation's episodes
+    iqm: float
+    #: None for an untrained policy
+    run: RunResult | None
+
+
+class PaperFolder:
+    """The units of work of a plan, and those that are done.
+
+    Args:
+        checkpoint_seconds, physics_threads: of the policies; see `RunJob`.
+    """
+
+    def __init__(
+        self, path: Path, plan: PaperPlan, *, checkpoint_seconds: float = 0.0, physics_threads: int = 1
+    ) -> None:
+        self.path, self.plan = path, plan
+        self.checkpoint_seconds, self.physics_threads = checkpoint_seconds, physics_threads
+        self.cells = CellFolder(path / "cells")
+
+    def recordings(self) -> dict[Path, Recording]:
+        """The datasets by folder.
+
+        Raises:
+            InvalidConfig: if an existing dataset was recorded with other settings.
+        """
+        plan = self.plan
+        recordings = {
+            self._dataset_folder(task, seed): Recording(
+                task, plan.dataset_steps, plan.segment_steps, plan.segments, seed
+            )
+            for seed in plan.seeds
+            for task in plan.tasks
+        }
+        for folder, recording in recordings.items():
+            if folder.exists():
+                _check_recording(RecordedDataset.open(folder), recording)
+        return recordings
+
+    def model_jobs(self) -> list[CellJob]:
+        """The reward models, in ascending order of pairs; without those whose dataset is not recorded yet.
+
+        Raises:
+            InvalidConfig: if a model or one of its settings is unknown.
+        """
+        plan = self.plan
+        jobs: list[CellJob] = []
+        for task in plan.tasks:
+            datasets = {
+                seed: RecordedDataset.open(folder)
+                for seed in plan.seeds
+                if (folder := self._dataset_folder(task, seed)).exists()
+            }
+            if datasets:
+                table = TablePlan(
+                    task=task,
+                    models=plan.models,
+                    teachers=(TEACHER,),
+                    labels=plan.pairs,
+                    seeds=tuple(datasets),
+                    preset=plan.preset,
+                    test_pairs=plan.test_pairs,
+                    device=plan.device,
+                    baseline=plan.models[0],
+                )
+                jobs.extend(table_jobs(table, datasets, self.path / "models" / path_name(task)))
+        return sorted(jobs, key=lambda job: job.settings.labels)
+
+    def trained(self, jobs: Sequence[CellJob]) -> list[tuple[CellJob, Cell]]:
+        """The reward models among `jobs` that are trained, with their evaluations.
+
+        Raises:
+            DamagedCell: if one cannot be read.
+        """
+        saved = [job for job in jobs if job.model and (job.model / CARD_FILE).exists()]
+        return [(job, cell) for job in saved if (cell := self.cells.read(job.settings)) is not None]
+
+    def baseline_jobs(self) -> list[PolicyJob]:
+        """The untrained policies, and those on the true reward.
+
+        Raises:
+            InvalidConfig: if a policy or one of its settings is unknown.
+        """
+        return [
+            PolicyJob(policy, reward, None, self._run(task, policy, seed, f"{reward}-seed-{seed}", None))
+            for seed in self.plan.seeds
+            for task in self.plan.tasks
+            for policy in self.plan.policies
+            for reward in (UNTRAINED, TRUE)
+        ]
+
+    def policy_jobs(self, models: Iterable[CellJob]) -> list[PolicyJob]:
+        """The policies that train on these reward models.
+
+        Raises:
+            InvalidConfig: as `baseline_jobs`.
+        """
+        return [
+            PolicyJob(policy, cell.model, cell.labels, self._run(cell.task, policy, cell.seed, folder.name, folder))
+            for job in models
+            if (cell := job.settings) and (folder := job.model)
+            for policy in self.plan.policies
+        ]
+
+    def _run(self, task: str, policy: str, seed: int, name: str, model: Path | None) -> RunJob:
+        settings = RunSettings(
+            task=task,
+            policy=self.plan.policy_config(policy, seed),
+            steps=self.plan.steps,
+            reward=None if model is None else LearnedRewardSettings(str(model.resolve()), self.plan.segment_steps),
+        )
+        runs = self.path / "runs" / path_name(task) / path_name(f"{policy}-{self.plan.steps}")
+        return RunJob(settings, runs / name, self.checkpoint_seconds, video=False, physics_threads=self.physics_threads)
+
+    def _dataset_folder(self, task: str, seed: int) -> Path:
+        return dataset_folder(self.path / "datasets" / path_name(task), seed)
+
+
+def _check_recording(dataset: RecordedDataset, recording: Recording) -> None:
+    found: Mapping[str, object] = dataset.origin
+    differences = [
+        f"{name}: {found.get(name)}, not {value}"
+        for name, value in asdict(recording).items()
+        if found.get(name) != value
+    ]
+    if differences:
+        raise InvalidConfig(f"The dataset in {dataset.path} has other settings: {'; '.join(differences)}.")
+
+
+def do_policy_job(job: PolicyJob, parent: ParentConnection) -> Evaluation | None:
+    """Train and evaluate a policy in a worker of `run_jobs`; returns and reports as `do_run_in_worker` does."""
+    if job.reward != UNTRAINED:
+        return do_run_in_worker(job.run, parent)
+    evaluation = _evaluate_untrained(job.run)
+    folder = RunFolder(job.run.folder)
+    folder.path.mkdir(parents=True, exist_ok=True)
+    folder.write_evaluation(0, evaluation)
+    return evaluation
+
+
+def _evaluate_untrained(job: RunJob) -> Evaluation:
+    """Evaluate the policy with which the run of these settings starts."""
+    settings = job.settings
+    task = make_task(settings.task, settings.policy.n_envs, n_threads=1, agent_obsk=settings.agent_obsk)
+    try:
+        policy = Learner(task, settings.policy).policy
+    finally:
+        task.close()
+    return evaluate_policy(
+        policy,
+        settings.task,
+        agent_obsk=settings.agent_obsk,
+        seed=settings.policy.seed,
+        n_threads=job.physics_threads,
+    )
+
+
+def read_result(job: PolicyJob) -> PolicyResult | None:
+    """The result of a job; None if it is not finished, or was made with other settings.
+
+    Raises:
+        DamagedRun: if its files cannot be read.
+    """
+    folder = RunFolder(job.run.folder)
+    if job.reward == UNTRAINED:
+        evaluation = folder.read_evaluation(0)
+        if evaluation is None:
+            return None
+        summary = evaluation.summary()
+        return PolicyResult(job, summary["mean"], summary["iqm"], None)
+    if not (folder.path / RUN_FILE).exists() or not folder.metrics.exists():
+        return None
+    run = RunResult.read(folder)
+    expected = replace(run.settings, reward=None), replace(job.run.settings, reward=None)
+    if expected[0].differences(expected[1]) or run.steps < job.run.settings.steps:
+        return None
+    final = run.evaluation_at(job.run.settings.steps)
+    return None if final is None else PolicyResult(job, final.mean, final.iqm, run)

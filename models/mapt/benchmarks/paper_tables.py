@@ -1,0 +1,340 @@
+"""Tables of the paper's experiments: true returns and normalised scores by task, policy, reward and pairs."""
+
+import csv
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import mean, stdev
+
+from mapt.benchmarks.job import Cell
+from mapt.benchmarks.paper import UNTRAINED, PaperPlan, PolicyResult, job_name
+from mapt.benchmarks.statistics import InterquartileMean, interquartile_mean_with_interval
+from mapt.benchmarks.tables import SeedStatistics, grid, seed_statistics
+from mapt.io import atomic_path
+from mapt.training.settings import TRUE
+
+#: The paper's Table 1 for tasks of this library: mean and standard deviation over 8 runs of MAT, 30,000 pairs.
+PAPER_RETURNS: Mapping[str, Mapping[str, tuple[float, float]]] = {
+    "HalfCheetah-6x1": {
+        TRUE: (4483.95, 74.75),
+        "MA-MLP": (-88.75, 11.62),
+        "MA-LSTM": (1132.20, 116.15),
+        "MA-Transformer": (1317.90, 147.77),
+        "MAPT": (2423.50, 128.33),
+    }
+}
+_PAPER_PAIRS = 30_000
+#: The models that the paper's ablations compare.
+_ABLATIONS: Mapping[str, tuple[str, ...]] = {
+    "Table 2: without one of the preference attentions": ("MAPT", "MAPT-TPA", "MAPT-CPA"),
+    "Table 3: an LSTM instead of self-attention": ("MAPT", "MAPT*", "MAPT*-CPA"),
+}
+#: Columns of the table of reward models: heading, metric, format, factor.
+_MODEL_COLUMNS: tuple[tuple[str, str, str, float], ...] = (
+    ("test accuracy %", "accuracy", ".2f", 100),
+    ("rank: true return", "rank_correlation", ".3f", 1),
+    ("steps", "step_correlation", ".3f", 1),
+    ("within", "step_correlation_within", ".3f", 1),
+    ("CPU minutes", "cpu_seconds", ".1f", 1 / 60),
+)
+_RUN_COLUMNS = (
+    *("task", "policy", "reward", "pairs", "seed", "steps", "return", "episode_iqm", "score"),
+    *("reward_accuracy", "reward_step_correlation_within", "reward_code", "folder"),
+)
+_ROW_COLUMNS = (
+    *("task", "policy", "reward", "pairs", "seeds", "mean", "std"),
+    *("score_seeds", "score_mean", "score_std", "score_iqm", "score_low", "score_high"),
+)
+_EXPLANATION = (
+    "*Return* is the true return of the final policy with mean actions, averaged over episodes and seeds; ± is the "
+    "standard deviation over seeds, and (n) their number where some are missing. *Score* is 0% at the return of the "
+    "untrained policy and 100% at that of the policy trained on the true reward, both of the same seed: the "
+    "interquartile mean over seeds with a 95% bootstrap interval. Fewer than four values are not trimmed, and one seed "
+    "has no interval."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Results of one reward for one policy, over seeds; over tasks too where `task` is None."""
+
+    task: str | None
+    policy: str
+    #: `untrained`, `true` or the name of a reward model
+    reward: str
+    #: pairs that the reward model was trained on; None without one
+    pairs: int | None
+    #: true return by seed; empty over tasks
+    returns: Mapping[int, float]
+    #: normalised scores by task and seed; see `normalised_score`
+    scores: Mapping[str, Mapping[int, float]]
+
+    @property
+    def score(self) -> InterquartileMean | None:
+        """Interquartile mean of the normalised scores; None without any."""
+        samples = [list(by_seed.values()) for by_seed in self.scores.values() if by_seed]
+        return interquartile_mean_with_interval(samples) if samples else None
+
+
+@dataclass(frozen=True, slots=True)
+class PaperResults:
+    """Everything that is done of a plan."""
+
+    plan: PaperPlan
+    policies: tuple[PolicyResult, ...]
+    cells: tuple[Cell, ...]
+
+    @property
+    def missing(self) -> list[str]:
+        """Names of the policies that are missing."""
+        done = {(one.job.task, one.job.policy, one.job.reward, one.job.pairs, one.job.seed) for one in self.policies}
+        return [
+            job_name(task, policy, reward, pairs, seed)
+            for pairs, reward in self._rewards()
+            for seed in self.plan.seeds
+            for task in self.plan.tasks
+            for policy in self.plan.policies
+            if (task, policy, reward, pairs, seed) not in done
+        ]
+
+    def rows(self) -> list[Row]:
+        """One row per task, policy, reward and number of pairs, in the order of the plan."""
+        returns: dict[tuple[str, str, str, int | None], dict[int, float]] = {}
+        for result in self.policies:
+            job = result.job
+            returns.setdefault((job.task, job.policy, job.reward, job.pairs), {})[job.seed] = result.mean
+        return [
+            Row(
+                task,
+                policy,
+                reward,
+                pairs,
+                by_seed := returns.get((task, policy, reward, pairs), {}),
+                {
+                    task: _normalised(
+                        by_seed,
+                        returns.get((task, policy, UNTRAINED, None), {}),
+                        returns.get((task, policy, TRUE, None), {}),
+                    )
+                },
+            )
+            for task in self.plan.tasks
+            for policy in self.plan.policies
+            for pairs, reward in self._rewards()
+        ]
+
+    def _rewards(self) -> list[tuple[int | None, str]]:
+        """Number of pairs and name of every reward, in ascending order of pairs."""
+        learned = [(pairs, model) for pairs in sorted(self.plan.pairs) for model in self.plan.models]
+        return [(None, UNTRAINED), (None, TRUE), *learned]
+
+    def models(self) -> dict[tuple[str, int, str], dict[str, SeedStatistics]]:
+        """Metrics of the reward models over seeds, by task, pairs and model."""
+        by_model: dict[tuple[str, int, str], list[Cell]] = {}
+        for cell in self.cells:
+            settings = cell.settings
+            by_model.setdefault((settings.task, settings.labels, settings.model), []).append(cell)
+        return {key: seed_statistics(cells) for key, cells in by_model.items()}
+
+
+def normalised_score(value: float, untrained: float, true: float) -> float | None:
+    """0 at the return of the untrained policy, 1 at that of the policy trained on the true reward.
+
+    None if the latter is not higher.
+    """
+    return (value - untrained) / (true - untrained) if true > untrained else None
+
+
+def _normalised(
+    returns: Mapping[int, float], untrained: Mapping[int, float], true: Mapping[int, float]
+) -> dict[int, float]:
+    """Scores of the seeds that have all three returns."""
+    scores = {
+        seed: normalised_score(value, untrained[seed], true[seed])
+        for seed, value in returns.items()
+        if seed in untrained and seed in true
+    }
+    return {seed: score for seed, score in scores.items() if score is not None}
+
+
+def over_tasks(rows: Iterable[Row]) -> list[Row]:
+    """One row per policy, reward and number of pairs, with the scores of all tasks."""
+    found: dict[tuple[str, str, int | None], dict[str, Mapping[int, float]]] = {}
+    for row in rows:
+        found.setdefault((row.policy, row.reward, row.pairs), {}).update(row.scores)
+    return [Row(None, *key, {}, scores) for key, scores in found.items()]
+
+
+def markdown(results: PaperResults, figures: Sequence[tuple[str, str]] = ()) -> str:
+    """All tables in Markdown.
+
+    Args:
+        figures: title and path, relative to the page, of figures to show.
+    """
+    plan, rows = results.plan, results.rows()
+    parts = [
+        "# The paper's experiments",
+        f"Reward models of the preset `{plan.preset}` train on pairs of a recorded dataset, labelled by the teacher "
+        f"`oracle`: {plan.segments:,} segments of {plan.segment_steps} steps, recorded while a policy trains for "
+        f"{plan.dataset_steps:,} steps. A policy then trains from scratch for {plan.steps:,} steps on each reward "
+        f"model, which does not change. Seeds {', '.join(map(str, plan.seeds))}; each has its own dataset, reward "
+        "models and policies.",
+        _EXPLANATION,
+    ]
+    if results.missing:
+        parts.append(f"**{len(results.missing)} results are missing**; they are listed at the end.")
+    if len(codes := {cell.code for cell in results.cells}) > 1:
+        parts.append(f"**The reward models come from {len(codes)} versions of the code.**")
+    columns = (UNTRAINED, TRUE, *plan.models)
+    for policy in plan.policies:
+        parts.append(f"## Table 1: {policy}\n\n{_returns(plan, rows, policy, columns)}")
+        parts.append(_scores(plan, rows, policy, plan.models))
+    for title, models in _ABLATIONS.items():
+        if len(shown := [model for model in models if model in plan.models]) > 1:
+            parts.append(f"## {title}")
+            for policy in plan.policies:
+                parts.append(
+                    f"{policy}:\n\n{_returns(plan, rows, policy, shown)}\n\n{_scores(plan, rows, policy, shown)}"
+                )
+    parts.append(f"## Reward models\n\n{_models(results)}")
+    if figures:
+        parts.append("## Figures")
+        parts.extend(f"{title}:\n\n![{title}]({path})" for title, path in figures)
+    if results.missing:
+        parts.append("## Missing\n\n" + "\n".join(f"- {name}" for name in results.missing))
+    return "\n\n".join(parts) + "\n"
+
+
+def _returns(plan: PaperPlan, rows: Sequence[Row], policy: str, columns: Sequence[str]) -> str:
+    """Returns by task and number of pairs, one column per reward; the paper's below them."""
+    lines: list[list[str]] = []
+    for task in plan.tasks:
+        for pairs in sorted(plan.pairs):
+            found = _by_reward(rows, task, policy, pairs)
+            lines.append([task, f"{pairs:,}", *(_return(found.get(reward), plan) for reward in columns)])
+        if task in PAPER_RETURNS:
+            paper = PAPER_RETURNS[task]
+            values = [
+                f"{paper[reward][0]:,.0f} ± {paper[reward][1]:,.0f}" if reward in paper else "" for reward in columns
+            ]
+            if any(values):
+                lines.append([f"{task}, the paper's MAT", f"{_PAPER_PAIRS:,}", *values])
+    return grid(["return", "pairs", *(_heading(reward) for reward in columns)], lines)
+
+
+def _scores(plan: PaperPlan, rows: Sequence[Row], policy: str, columns: Sequence[str]) -> str:
+    """Normalised scores, and those over all tasks below them."""
+    tasks: list[str | None] = [*plan.tasks, *([None] if len(plan.tasks) > 1 else [])]
+    everything = [*rows, *over_tasks(rows)]
+    lines: list[list[str]] = []
+    for task in tasks:
+        for pairs in sorted(plan.pairs):
+            found = _by_reward(everything, task, policy, pairs)
+            lines.append([task or "all tasks", f"{pairs:,}", *(_score(found.get(reward)) for reward in columns)])
+    return grid(["score", "pairs", *columns], lines)
+
+
+def _by_reward(rows: Iterable[Row], task: str | None, policy: str, pairs: int) -> dict[str, Row]:
+    return {
+        row.reward: row
+        for row in rows
+        if row.task == task and row.policy == policy and (row.pairs is None or row.pairs == pairs)
+    }
+
+
+def _heading(reward: str) -> str:
+    return "true reward" if reward == TRUE else reward
+
+
+def _return(row: Row | None, plan: PaperPlan) -> str:
+    if row is None or not row.returns:
+        return ""
+    values = list(row.returns.values())
+    text = f"{mean(values):,.0f}"
+    if len(values) > 1:
+        text += f" ± {stdev(values):,.0f}"
+    return text if len(values) == len(plan.seeds) else f"{text} ({len(values)})"
+
+
+def _score(row: Row | None) -> str:
+    score = None if row is None else row.score
+    if score is None:
+        return ""
+    text = f"{100 * score.value:.0f}%"
+    return text if math.isnan(score.low) else f"{text} [{100 * score.low:.0f}, {100 * score.high:.0f}]"
+
+
+def _models(results: PaperResults) -> str:
+    """Metrics of the reward models."""
+    lines = []
+    found = results.models()
+    for task in results.plan.tasks:
+        for pairs in sorted(results.plan.pairs):
+            for model in results.plan.models:
+                metrics = found.get((task, pairs, model), {})
+                values = [_metric(metrics.get(name), form, factor) for _, name, form, factor in _MODEL_COLUMNS]
+                seeds = metrics["accuracy"].n if "accuracy" in metrics else 0
+                lines.append([task, f"{pairs:,}", model, *values, str(seeds)])
+    return grid(["task", "pairs", "model", *(heading for heading, *_ in _MODEL_COLUMNS), "seeds"], lines)
+
+
+def _metric(value: SeedStatistics | None, form: str, factor: float) -> str:
+    if value is None:
+        return ""
+    text = format(factor * value.mean, form)
+    return text if math.isnan(value.std) else f"{text} ± {format(factor * value.std, form)}"
+
+
+def write_runs(results: PaperResults, path: Path, root: Path) -> None:
+    """Write a CSV file with one line per policy; folders are relative to `root`."""
+    scores = {
+        (row.task, row.policy, row.reward, row.pairs, seed): score
+        for row in results.rows()
+        for by_seed in row.scores.values()
+        for seed, score in by_seed.items()
+    }
+    cells = {
+        (cell.settings.task, cell.settings.model, cell.settings.labels, cell.settings.seed): cell
+        for cell in results.cells
+    }
+    with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
+        lines = csv.writer(file)
+        lines.writerow(_RUN_COLUMNS)
+        for result in results.policies:
+            job = result.job
+            cell = None if job.pairs is None else cells.get((job.task, job.reward, job.pairs, job.seed))
+            metrics = {} if cell is None else cell.result.metrics
+            lines.writerow(
+                [
+                    *(job.task, job.policy, job.reward, "" if job.pairs is None else job.pairs, job.seed),
+                    *(0 if result.run is None else result.run.steps, result.mean, result.iqm),
+                    scores.get((job.task, job.policy, job.reward, job.pairs, job.seed), ""),
+                    *(metrics.get(name, "") for name in ("accuracy", "step_correlation_within")),
+                    *("" if cell is None else cell.code, job.run.folder.relative_to(root)),
+                ]
+            )
+
+
+def write_rows(results: PaperResults, path: Path) -> None:
+    """Write a CSV file with one line per task, policy, reward and number of pairs; over all tasks without a task."""
+    rows = results.rows()
+    with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
+        lines = csv.DictWriter(file, _ROW_COLUMNS)
+        lines.writeheader()
+        lines.writerows(row_values(row) for row in [*rows, *(over_tasks(rows) if len(results.plan.tasks) > 1 else ())])
+
+
+def row_values(row: Row) -> dict[str, object]:
+    """The row for CSV and JSON; None where there is no value."""
+    returns = list(row.returns.values())
+    scores = [score for by_seed in row.scores.values() for score in by_seed.values()]
+    interval = row.score
+    limits = () if interval is None else (interval.value, interval.low, interval.high)
+    values = (
+        *(row.task, row.policy, row.reward, row.pairs, len(returns)),
+        *(mean(returns) if returns else None, stdev(returns) if len(returns) > 1 else None, len(scores)),
+        *(mean(scores) if scores else None, stdev(scores) if len(scores) > 1 else None),
+        *([None if math.isnan(limit) else limit for limit in limits] or [None] * 3),
+    )
+    return dict(zip(_ROW_COLUMNS, values, strict=True))
