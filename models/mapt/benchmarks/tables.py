@@ -274,7 +274,9 @@ def _number(value: SeedStatistics | None, form: str, show_std: bool, factor: flo
 def grid(headings: list[str], lines: list[list[str]]) -> str:
     """A Markdown table; all columns but the first are aligned to the right."""
     ruler = ["---", *("--:" for _ in headings[1:])]
-    return "\n".join("| " + " | ".join(line) + " |" for line in [headings, ruler, *lines])
+    # A task such as Humanoid-9|8 has the separator of columns in its name.
+    escaped = [[cell.replace("|", "\\|") for cell in line] for line in [headings, ruler, *lines]]
+    return "\n".join("| " + " | ".join(line) + " |" for line in escaped)
 
 
 def write_cells(summary: Summary, path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from mapt.benchmarks.evaluate import ModelEvaluation
 from mapt.benchmarks.figures import draw_table
 from mapt.benchmarks.job import Cell, CellSettings, TablePlan
-from mapt.benchmarks.tables import markdown, summarise, write_cells, write_comparisons
+from mapt.benchmarks.tables import grid, markdown, summarise, write_cells, write_comparisons
 from mapt.errors import InvalidConfig
 
 PLAN = TablePlan("Tiny", ("MA-MLP", "MAPT"), ("oracle", "phase"), (100, 500), (0, 1, 2), "small", 10, "cpu", "MA-MLP")
@@ -121,3 +121,7 @@ def test_an_incomplete_table_can_be_plotted(tmp_path, cells):
 def test_an_invalid_plan_is_refused(changes):
     with pytest.raises(InvalidConfig):
         replace(PLAN, **changes)
+
+
+def test_a_separator_within_a_cell_is_escaped():
+    assert grid(["task"], [["Humanoid-9|8"]]).splitlines()[-1] == "| Humanoid-9\\|8 |"
