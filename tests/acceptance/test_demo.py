@@ -63,7 +63,18 @@ def test_a_killed_demo_resumes_with_every_label(tmp_path: Path) -> None:
     policy = [argument for name, value in TINY_POLICY.items() for argument in ("--set", f"{name}={value}")]
     command = [
         *(sys.executable, "-m", "accord.cli", "demo", "--task", TINY["task"], "--no-baseline", "--steps", "4000"),
-        *("--labels", "12,24", "--models", "MA-MLP", "--workers", "2", "--json", "--output", str(output), *policy),
+        *(
+            "--labels",
+            "12",
+            "--models",
+            "MA-MLP,MAPT-paper",
+            "--workers",
+            "2",
+            "--json",
+            "--output",
+            str(output),
+            *policy,
+        ),
     ]
     database = output / "home" / "accord.db"
     process = subprocess.Popen(command, env=os.environ | ENVIRONMENT, stdout=subprocess.DEVNULL)
@@ -75,10 +86,11 @@ def test_a_killed_demo_resumes_with_every_label(tmp_path: Path) -> None:
 
     done = subprocess.run(command, env=os.environ | ENVIRONMENT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert [row["labels"] for row in json.loads(done.stdout)] == [12, 24]
+    rows = json.loads(done.stdout)
+    assert [(row["reward_model"], row["labels"]) for row in rows] == [("MA-MLP", 12), ("MAPT-paper", 12)]
     assert len(find_runs([output])) == 2
     assert before <= labels_in(database)
-    assert len(labels_in(database)) == 36
+    assert len(labels_in(database)) == 24
 
     more = [*command, "--steps", "5000"]
     refused = subprocess.run(more, env=os.environ | ENVIRONMENT, capture_output=True, text=True, check=False)

@@ -32,7 +32,20 @@ from accord.cli.teach import TeacherChoice
 from accord.domain.enums import Role
 from accord.workers.runner import Stop
 from mapt.benchmarks.specification import parse_list, parse_numbers
-from mapt.cli.options import Algorithm, Json, LabelCounts, Models, PolicySettings, Seeds, Steps, Task, Teacher, Workers
+from mapt.cli.options import (
+    Algorithm,
+    Json,
+    LabelCounts,
+    Models,
+    PolicySettings,
+    Preset,
+    RewardPreset,
+    Seeds,
+    Steps,
+    Task,
+    Teacher,
+    Workers,
+)
 from mapt.cli.output import ProgressBars, log_line, out, print_json, print_paths
 from mapt.io import atomic_write
 from mapt.processes import parallel_jobs
@@ -50,6 +63,7 @@ def demo(
     teacher: Teacher = "oracle",
     labels: LabelCounts = "500",
     models: Models = "MAPT",
+    preset: Preset = RewardPreset.SMALL,
     steps: Steps = 1_000_000,
     seeds: Seeds = "0",
     algorithm: Algorithm = _DEFAULT_ALGORITHM,
@@ -84,6 +98,7 @@ def demo(
         seeds=parse_numbers("--seeds", seeds, 0),
         labels=parse_numbers("--labels", labels, 2),
         reward_models=parse_list("--models", models),
+        reward_preset=preset.value,
         initial_labels=initial_labels,
         labels_per_version=labels_per_version,
         render_clips=clips,

@@ -58,6 +58,7 @@ class RunPlan:
     labels_per_version: int
     render_clips: bool
     reward_model: str = "MAPT"
+    reward_preset: str = "small"
     #: policy settings that differ from the defaults
     policy: dict[str, Any] = field(default_factory=dict[str, Any])
 
@@ -78,7 +79,12 @@ class RunPlan:
             mapt.policies.InvalidConfig: if a policy setting is invalid.
         """
         learned = PreferenceRewardSettings(
-            self.reward_model, self.label_budget, self.initial_labels, self.labels_per_version, teacher.title
+            self.reward_model,
+            self.label_budget,
+            self.initial_labels,
+            self.labels_per_version,
+            teacher.title,
+            self.reward_preset,
         )
         return RunSettings(
             task=self.task,
@@ -101,6 +107,8 @@ class Grid:
     initial_labels: int | None = None
     #: labels for each further version; None for a tenth of them
     labels_per_version: int | None = None
+    #: size of the reward models
+    reward_preset: str = "small"
     render_clips: bool = False
     #: add a run with the true reward for each seed
     baseline: bool = True
@@ -115,9 +123,11 @@ class Grid:
         return [plan for seed in self.seeds for plan in self._of_seed(seed, teacher)]
 
     def _of_seed(self, seed: int, teacher: str) -> list[RunPlan]:
+        # Not in the name of the default size, so that a demo of an earlier version can be resumed.
+        size = "" if self.reward_preset == "small" else f" of size {self.reward_preset}"
         learned = [
             self._plan(
-                f"{self.task} seed {seed}, {model}, {labels} labels of {teacher}",
+                f"{self.task} seed {seed}, {model}{size}, {labels} labels of {teacher}",
                 seed,
                 PREFERENCES,
                 label_budget=labels,
@@ -125,6 +135,7 @@ class Grid:
                 labels_per_version=self.labels_per_version or max(1, labels // 10),
                 render_clips=self.render_clips,
                 reward_model=model,
+                reward_preset=self.reward_preset,
             )
             for labels in self.labels
             for model in self.reward_models

@@ -18,7 +18,9 @@ Pacing = Literal["wait", "free"]
 RewardSource = Literal["preferences", "true"]
 # The next five repeat names of mapt's modules that import torch; a test compares them.
 RewardPreset = Literal["small", "paper"]
-RewardModelName = Literal["MAPT", "MAPT-TPA", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-MLP", "MA-LSTM", "MA-Transformer"]
+RewardModelName = Literal[
+    "MAPT", "MAPT-paper", "MAPT-TPA", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-MLP", "MA-LSTM", "MA-Transformer"
+]
 PolicyReward = Literal["value", "attended", "weighted"]
 Credit = Literal["shared", "individual"]
 QuerySelection = Literal[
@@ -117,8 +119,9 @@ class ExperimentConfig(Settings):
     reward_model: Annotated[
         RewardModelName,
         setting(
-            "Reward model: MAPT; MAPT without temporal (-TPA) or cooperative (-CPA) preference attention, or with an "
-            "LSTM instead of causal attention (*); or a baseline (MA-...)."
+            "Reward model: MAPT; MAPT without its Markov path, as in the paper (-paper), without temporal (-TPA) or "
+            "cooperative (-CPA) preference attention, or with an LSTM instead of causal attention (*); or a baseline "
+            "(MA-...)."
         ),
     ] = "MAPT"
     reward_preset: Annotated[RewardPreset, setting("Size of the reward model and of its training.")] = "small"

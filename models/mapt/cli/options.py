@@ -9,6 +9,14 @@ import typer
 from mapt.policies import Algorithm as AlgorithmName
 from mapt.preferences.teachers import teacher_names
 
+
+class RewardPreset(StrEnum):
+    """Size of a reward model and length of its training."""
+
+    SMALL = "small"
+    PAPER = "paper"
+
+
 AgentObsk = Annotated[
     int, typer.Option("--agent-obsk", min=0, help="How many joints away an agent observes; MuJoCo tasks only.")
 ]
@@ -24,6 +32,7 @@ PolicySettings = Annotated[
         "--set", metavar="KEY=VALUE", help="A policy setting, such as clip=0.2 or hidden=[64,64]; repeatable."
     ),
 ]
+Preset = Annotated[RewardPreset, typer.Option(help="Size of the reward models and length of their training.")]
 Seeds = Annotated[str, typer.Option(help="Comma-separated random seeds.")]
 SegmentSteps = Annotated[int, typer.Option(min=1, help="Steps of a segment, T.")]
 Segments = Annotated[int, typer.Option(min=10, help="Segments to record per seed, spread over the training.")]
@@ -39,10 +48,3 @@ Teacher = Annotated[
 Teachers = Annotated[str, typer.Option(help="Comma-separated scripted teachers; NAME:KEY=VALUE sets a parameter.")]
 TestPairs = Annotated[int, typer.Option(min=1, help="Pairs of segments to test each model on.")]
 Workers = Annotated[int, typer.Option(min=0, help="Parallel worker processes; 0 for one per core.")]
-
-
-class Preset(StrEnum):
-    """Size of a reward model and length of its training."""
-
-    SMALL = "small"
-    PAPER = "paper"

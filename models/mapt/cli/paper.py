@@ -13,7 +13,19 @@ from mapt.benchmarks.paper_tables import PaperResults, markdown, row_values, wri
 from mapt.benchmarks.recorded_dataset import layout_of
 from mapt.benchmarks.specification import parse_list, parse_numbers
 from mapt.cli.benchmarks import record_all, train_cells
-from mapt.cli.options import Device, Json, Models, Output, Preset, Seeds, Segments, SegmentSteps, TestPairs, Workers
+from mapt.cli.options import (
+    Device,
+    Json,
+    Models,
+    Output,
+    Preset,
+    RewardPreset,
+    Seeds,
+    Segments,
+    SegmentSteps,
+    TestPairs,
+    Workers,
+)
 from mapt.cli.output import ProgressBars, log_line, print_error, print_json, print_paths
 from mapt.io import atomic_write
 from mapt.policies import Algorithm
@@ -54,9 +66,7 @@ def paper(
     ] = "mat_dec,mappo",
     seeds: Seeds = "0,1,2",
     steps: Annotated[int, typer.Option(min=1, help="Environment steps to train each policy for.")] = 1_000_000,
-    preset: Annotated[
-        Preset, typer.Option(help="Size of the reward models and length of their training.")
-    ] = Preset.SMALL,
+    preset: Preset = RewardPreset.SMALL,
     segment_steps: SegmentSteps = 50,
     segments: Segments = 6000,
     dataset_steps: Annotated[

@@ -16,6 +16,7 @@ PresetName = Literal["paper", "small"]
 # The settings in which each model of the tables differs from a preset, in the order of the tables.
 _NAMED: Mapping[str, Mapping[str, object]] = {
     "MAPT": {},
+    "MAPT-paper": {"markov_path": False},
     "MAPT-TPA": {"tpa": False},
     "MAPT-CPA": {"cpa": False},
     "MAPT*": {"temporal": "lstm"},

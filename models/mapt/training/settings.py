@@ -56,6 +56,8 @@ class PreferenceRewardSettings:
     labels_per_version: int
     #: name of the teacher, such as `oracle` or `mistake (mistake=0.05)`
     teacher: str
+    #: size of the model
+    preset: str = "small"
 
 
 @dataclass(frozen=True, slots=True)

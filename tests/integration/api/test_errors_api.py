@@ -132,7 +132,7 @@ def test_experiment_without_a_task_is_refused(api: ApiServer) -> None:
     ("setting", "known"),
     [
         ("reward_preset", ("small", "paper")),
-        ("reward_model", ("MAPT", "MAPT-TPA", "MA-Transformer")),
+        ("reward_model", ("MAPT", "MAPT-paper", "MAPT-TPA", "MA-Transformer")),
         ("policy_reward", ("value", "attended", "weighted")),
         ("query_selection", ("uniform", "recent", "disagreement", "entropy", "k_center")),
         ("label_schedule", ("power", "constant", "decaying")),

@@ -37,6 +37,14 @@ def test_experiment_is_created_read_paused_resumed_and_cancelled(api_per_databas
     assert (refused.status_code, refused.json()["error"]["code"]) == (409, "experiment_not_active")
 
 
+@pytest.mark.parametrize("preset", ["small", "paper"])
+def test_the_network_of_the_paper_is_a_choice_of_an_experiment(api: ApiServer, preset: str) -> None:
+    chosen = {"name": preset, "reward_model": "MAPT-paper", "reward_preset": preset}
+    response = api.researcher.post("/api/v1/experiments", json=NEW | chosen)
+    assert response.status_code == 201
+    assert response.json()["config"].items() >= {"reward_model": "MAPT-paper", "reward_preset": preset}.items()
+
+
 def test_every_role_may_list_experiments_and_tasks(api: ApiServer) -> None:
     create_sample(api.stores.database, api.stores.blobs)
     for client in (api.labeller, api.teacher, api.researcher, api.admin):

@@ -211,7 +211,9 @@ def test_old_checkpoints_are_deleted_with_their_blobs(harness: WorkerHarness):
     assert kept == stored
 
 
-@pytest.mark.parametrize(("model", "reward"), [("MAPT-CPA", "attended"), ("MA-Transformer", "weighted")])
+@pytest.mark.parametrize(
+    ("model", "reward"), [("MAPT-paper", "value"), ("MAPT-CPA", "attended"), ("MA-Transformer", "weighted")]
+)
 def test_the_configured_reward_model_and_policy_reward_are_used(harness: WorkerHarness, model: str, reward: str):
     id = harness.create_experiment(label_budget=8, reward_model=model, policy_reward=reward, label_noise=0.1)
     train_first_version(harness, id)
@@ -219,5 +221,6 @@ def test_the_configured_reward_model_and_policy_reward_are_used(harness: WorkerH
     assert status_of(harness, id)[0] == "finished"
     [(blob_key,)] = harness.rows("SELECT blob_key FROM reward_versions")
     trained = read_reward_model(harness.context.blobs, blob_key)
-    assert trained.config.architecture == ("mapt" if model == "MAPT-CPA" else "transformer")
+    assert trained.config.architecture == ("transformer" if model == "MA-Transformer" else "mapt")
+    assert trained.config.markov_path == (model == "MAPT-CPA")
     assert len(harness.curve(id, "learned_return")) == 6

@@ -26,6 +26,7 @@ from mapt.errors import InvalidConfig, ModelMismatch
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.storage import SegmentWriter
 from mapt.rewards.checkpoints import save_reward_model
+from mapt.rewards.config import MODEL_NAMES
 from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
 from support.tolerance import assert_float32_close
@@ -121,7 +122,8 @@ def test_a_missing_checkpoint_is_reported_in_one_line(tmp_path, replay, monkeypa
     assert "is missing" in capsys.readouterr().err
 
 
-WITH_AGENTS, WITH_STEPS = {"MAPT", "MAPT-TPA", "MAPT*"}, {"MAPT", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-Transformer"}
+WITH_AGENTS = {"MAPT", "MAPT-paper", "MAPT-TPA", "MAPT*"}
+WITH_STEPS = {"MAPT", "MAPT-paper", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-Transformer"}
 
 
 def random_model(name: str, replay: RecordedDataset) -> RewardModel:
@@ -134,7 +136,7 @@ def random_model(name: str, replay: RecordedDataset) -> RewardModel:
     return model
 
 
-@pytest.mark.parametrize("name", ["MAPT", "MAPT-TPA", "MAPT-CPA", "MAPT*", "MA-MLP", "MA-LSTM", "MA-Transformer"])
+@pytest.mark.parametrize("name", MODEL_NAMES)
 def test_attention_is_recorded_where_a_model_has_it(replay, name):
     model, segments = random_model(name, replay), replay.segments(range(5))
     maps = attention_maps(model, segments)

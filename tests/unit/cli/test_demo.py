@@ -82,6 +82,19 @@ def test_a_plan_lists_the_settings_in_which_an_experiment_differs():
     assert plan.differences(config | {"seed": 1, "pacing": "free"}) == ["seed is 1, not 0"]
 
 
+def test_a_grid_of_another_size_has_other_experiments_and_run_settings():
+    small, paper = (
+        Grid("HalfCheetah-6x1", 1000, (0,), (50,), ("MAPT-paper",), reward_preset=preset, baseline=False).plans(
+            "oracle"
+        )[0]
+        for preset in ("small", "paper")
+    )
+    assert (paper.reward_model, paper.reward_preset) == ("MAPT-paper", "paper")
+    assert small.name != paper.name
+    settings = [each.settings(TeacherChoice()) for each in (small, paper)]
+    assert settings[1].differences(settings[0]) == ["reward.preset: paper, not small"]
+
+
 def test_models_with_a_star_have_separate_folders():
     names = {plan(0, "preferences", model).folder_name for model in ("MAPT", "MAPT*", "MAPT*-CPA", "MAPT-CPA")}
     assert len(names) == 4

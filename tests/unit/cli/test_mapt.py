@@ -15,7 +15,7 @@ from support.training_runs import STEPS_PER_ITERATION, reward_model, write_rewar
 from support.waiting import until
 from unit.benchmarks.tiny_replay import TASK, write_replay
 
-MODELS = "MA-MLP:hidden_dim=8:train.markov_epochs=1,MAPT:hidden_dim=8:train.markov_epochs=1:train.max_epochs=1"
+MODELS = "MA-MLP:hidden_dim=8:train.markov_epochs=1,MAPT-paper:hidden_dim=8:train.max_epochs=1"
 
 
 def command(*arguments: str | Path) -> list[str]:

@@ -28,7 +28,7 @@ N, C, A = 3, 4, 2
 DIMENSIONS = {"observation_dim": C, "action_dim": A, "n_agents": N, "segment_steps": 5}
 DEPENDS_ON_AGENT_ORDER = {"MA-Transformer"}
 DEPENDS_ON_PAST = set(MODEL_NAMES) - {"MA-MLP"}
-HAS_STEP_WEIGHTS = {"MAPT", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-Transformer"}
+HAS_STEP_WEIGHTS = {"MAPT", "MAPT-paper", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-Transformer"}
 each_example = settings(max_examples=8)
 names = pytest.mark.parametrize("name", MODEL_NAMES)
 lengths_of_segments = st.lists(st.integers(1, 7), min_size=1, max_size=3)
@@ -289,7 +289,7 @@ def test_markov_rewards_are_zero_without_a_markov_path(name):
     model, (observations, actions, _) = random_model(name), inputs(2, 5)
     markov = model.markov_rewards(observations, actions)
     assert markov.shape == (2, 5, N)
-    assert (model.markov is None) == (markov == 0).all().item() == (name in {"MA-LSTM", "MA-Transformer"})
+    assert (model.markov is None) == (markov == 0).all().item() == (name in {"MAPT-paper", "MA-LSTM", "MA-Transformer"})
     if name == "MA-MLP":
         assert_close(markov, model.agent_rewards(observations, actions))
 
@@ -322,7 +322,7 @@ def test_baselines_accept_a_markov_path(name):
 
 def test_model_names_have_the_order_of_the_tables():
     assert MODEL_NAMES == (
-        "MAPT", "MAPT-TPA", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-MLP", "MA-LSTM", "MA-Transformer"
+        "MAPT", "MAPT-paper", "MAPT-TPA", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-MLP", "MA-LSTM", "MA-Transformer"
     )  # fmt: skip
 
 
@@ -335,6 +335,13 @@ def test_named_model_has_the_size_of_its_preset(name):
 
 def test_mapt_by_name_equals_the_small_preset():
     assert RewardConfig.named("MAPT", **DIMENSIONS) == RewardConfig.preset("small", **DIMENSIONS)
+
+
+@pytest.mark.parametrize("preset", ["small", "paper"])
+def test_the_network_of_the_paper_is_mapt_without_its_markov_path(preset):
+    mapt, paper = (RewardConfig.named(name, preset, **DIMENSIONS) for name in ("MAPT", "MAPT-paper"))
+    assert paper == replace(mapt, markov_path=False)
+    assert paper.hidden_dim == {"small": 32, "paper": 256}[preset]
 
 
 def test_unknown_name_is_refused():

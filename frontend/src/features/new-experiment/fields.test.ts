@@ -94,5 +94,8 @@ test("an error belongs to the field that the server names, if the form has it", 
 
 test("the form has the settings of the API", () => {
   expect(FIELDS.basic.name?.required).toBe(true);
-  expect(FIELDS.advanced.map(({ name }) => name)).toContain("reward_model");
+  const choices = Object.fromEntries(FIELDS.advanced.map(({ name, choices }) => [name, choices]));
+  expect(choices.reward_model).toContain("MAPT-paper");
+  expect(choices.reward_preset).toContain("paper");
+  expect(choices.query_selection).toContain("recent");
 });

@@ -906,11 +906,11 @@ export interface components {
              */
             reward_source: "preferences" | "true";
             /**
-             * @description Reward model: MAPT; MAPT without temporal (-TPA) or cooperative (-CPA) preference attention, or with an LSTM instead of causal attention (*); or a baseline (MA-...).
+             * @description Reward model: MAPT; MAPT without its Markov path, as in the paper (-paper), without temporal (-TPA) or cooperative (-CPA) preference attention, or with an LSTM instead of causal attention (*); or a baseline (MA-...).
              * @default MAPT
              * @enum {string}
              */
-            reward_model: "MAPT" | "MAPT-TPA" | "MAPT-CPA" | "MAPT*" | "MAPT*-CPA" | "MA-MLP" | "MA-LSTM" | "MA-Transformer";
+            reward_model: "MAPT" | "MAPT-paper" | "MAPT-TPA" | "MAPT-CPA" | "MAPT*" | "MAPT*-CPA" | "MA-MLP" | "MA-LSTM" | "MA-Transformer";
             /**
              * @description Size of the reward model and of its training.
              * @default small
