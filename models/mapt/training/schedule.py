@@ -14,6 +14,8 @@ SEGMENT_STREAM, QUERY_STREAM = 7, 11
 #: How labels accumulate over a run. power: the rate falls slowly, as progress^-0.3; constant: the rate stays;
 #: decaying: the rate falls as 1 / (steps + a tenth of the run) (Christiano et al. 2017).
 LabelScheduleName = Literal["power", "constant", "decaying"]
+# Without a number: labels that arrive during the training are for the next version.
+_TRAINING = "The reward model is being trained on the labels."
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +121,7 @@ class LabelSchedule:
         if progress.labels < due:
             return _missing(progress.labels, due, "Training continues")
         if self.version_labels(progress.trained_on) < self.version_labels(due):
-            return _training(progress.labels)
+            return _TRAINING
         return None
 
     def cannot_start(self, progress: Progress) -> bool:
@@ -145,8 +147,4 @@ class LabelSchedule:
 
 
 def _missing(labels: int, wanted: int, event: str) -> str:
-    return f"{event} after {wanted} labels; {labels} are in." if labels < wanted else _training(labels)
-
-
-def _training(labels: int) -> str:
-    return f"The reward model is being trained on {labels} labels."
+    return f"{event} after {wanted} labels; {labels} are in." if labels < wanted else _TRAINING
