@@ -238,6 +238,24 @@ def parse_assignments(texts: Iterable[str]) -> dict[str, object]:
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class NamedSettings:
+    """A name and the settings that it overrides, such as `MAPT:tpa=false:hidden_dim=128`."""
+
+    name: str
+    settings: dict[str, object]
+
+    @classmethod
+    def parse(cls, text: str) -> "NamedSettings":
+        """Parse NAME:KEY=VALUE:KEY=VALUE.
+
+        Raises:
+            InvalidConfig: if a part after the name is not KEY=VALUE.
+        """
+        name, *parts = text.strip().split(":")
+        return cls(name, parse_assignments(parts))
+
+
 def _extend_schema(schema: dict[str, Any], unit: str | None, overrides: type[Settings] | None) -> None:
     if unit is not None:
         schema["unit"] = unit

@@ -31,7 +31,6 @@ from accord.cli.own_service import OwnService
 from accord.cli.teach import TeacherChoice
 from accord.domain.enums import Role
 from accord.workers.runner import Stop
-from mapt.benchmarks.specification import parse_list, parse_numbers
 from mapt.cli.options import (
     Algorithm,
     Json,
@@ -45,6 +44,8 @@ from mapt.cli.options import (
     Task,
     Teacher,
     Workers,
+    parse_list,
+    parse_numbers,
 )
 from mapt.cli.output import ProgressBars, log_line, out, print_json, print_paths
 from mapt.io import atomic_write

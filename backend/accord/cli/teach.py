@@ -16,10 +16,10 @@ from safetensors.numpy import load
 from accord.cli.client import Api
 from accord.cli.options import Experiment, Home, Token, Url, load_settings, service_url
 from accord.workers.runner import Stop
-from mapt.benchmarks.specification import NamedSettings
 from mapt.cli.options import Json, Teacher
 from mapt.cli.output import ProgressBars, print_json, print_line
 from mapt.preferences.teachers import ScriptedTeacher, TeacherView, make_teacher
+from mapt.settings import NamedSettings
 
 #: Queries per request; the API allows no more.
 _QUERIES_PER_REQUEST = 16

@@ -9,7 +9,6 @@ import torch
 from numpy.typing import NDArray
 
 from mapt.benchmarks.recorded_dataset import RecordedDataset
-from mapt.benchmarks.specification import NamedSettings
 from mapt.benchmarks.statistics import rank_correlation
 from mapt.errors import InvalidConfig, TooFewLabels
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
@@ -17,6 +16,7 @@ from mapt.preferences.teachers import ScriptedTeacher, TeacherView, make_teacher
 from mapt.rewards.data import EVALUATION_SEGMENTS
 from mapt.rewards.metrics import correlation, evaluate_logits
 from mapt.rewards.model import RewardModel
+from mapt.settings import NamedSettings
 
 IntArray = NDArray[np.int64]
 #: Fraction of a dataset's segments that is held out for testing, and the maximum number.

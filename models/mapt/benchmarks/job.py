@@ -19,7 +19,6 @@ import mapt.preferences
 import mapt.rewards
 from mapt.benchmarks.evaluate import DatasetTeacher, ModelEvaluation, evaluate_model, labelled_dataset, split_dataset
 from mapt.benchmarks.recorded_dataset import RecordedDataset
-from mapt.benchmarks.specification import NamedSettings
 from mapt.errors import DamagedCell, InvalidConfig
 from mapt.io import atomic_write
 from mapt.preferences.storage_layout import SegmentLayout
@@ -28,6 +27,7 @@ from mapt.rewards.checkpoints import save_reward_model
 from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
 from mapt.rewards.model import RewardModel
 from mapt.rewards.trainer import TrainedReward, train_reward_model
+from mapt.settings import NamedSettings
 
 FORMAT_VERSION = 1
 #: Prefix of a training setting; other settings of a model are its network's.

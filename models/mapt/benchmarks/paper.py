@@ -21,12 +21,12 @@ from mapt.benchmarks.job import (
     table_jobs,
 )
 from mapt.benchmarks.recorded_dataset import RecordedDataset, Recording
-from mapt.benchmarks.specification import NamedSettings
 from mapt.errors import InvalidConfig
 from mapt.policies import Learner, PolicyConfig
 from mapt.processes import ParentConnection
 from mapt.rewards.checkpoints import CARD_FILE
 from mapt.rewards.config import PresetName
+from mapt.settings import NamedSettings
 from mapt.tasks import make_task
 from mapt.training.evaluation import Evaluation, evaluate_policy
 from mapt.training.results import RunResult

@@ -12,7 +12,6 @@ from mapt.benchmarks.figures import draw_table
 from mapt.benchmarks.job import CellFolder, CellJob, TablePlan, code_fingerprint, dataset_folder, make_cell, table_jobs
 from mapt.benchmarks.recorded_dataset import RecordedDataset, Recording, RecordingJob, RecordingProgress, run_recording
 from mapt.benchmarks.report import ReportPlan, make_report
-from mapt.benchmarks.specification import parse_list, parse_numbers
 from mapt.benchmarks.tables import Summary, markdown, rows, summarise, write_cells, write_comparisons
 from mapt.cli.options import (
     Device,
@@ -31,6 +30,8 @@ from mapt.cli.options import (
     Teachers,
     TestPairs,
     Workers,
+    parse_list,
+    parse_numbers,
 )
 from mapt.cli.output import ProgressBars, log_line, print_error, print_json, print_paths
 from mapt.errors import InvalidConfig

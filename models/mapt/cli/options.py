@@ -6,6 +6,7 @@ from typing import Annotated, get_args
 
 import typer
 
+from mapt.errors import InvalidConfig
 from mapt.policies import Algorithm as AlgorithmName
 from mapt.preferences.teachers import teacher_names
 
@@ -48,3 +49,30 @@ Teacher = Annotated[
 Teachers = Annotated[str, typer.Option(help="Comma-separated scripted teachers; NAME:KEY=VALUE sets a parameter.")]
 TestPairs = Annotated[int, typer.Option(min=1, help="Pairs of segments to test each model on.")]
 Workers = Annotated[int, typer.Option(min=0, help="Parallel worker processes; 0 for one per core.")]
+
+
+def parse_list(option: str, text: str) -> tuple[str, ...]:
+    """The parts of a comma-separated list.
+
+    Raises:
+        InvalidConfig: if a part is empty or repeated.
+    """
+    parts = tuple(part.strip() for part in text.split(","))
+    if not all(parts) or len(set(parts)) != len(parts):
+        raise InvalidConfig(f"{option} {text!r} must be a comma-separated list without empty or repeated values.")
+    return parts
+
+
+def parse_numbers(option: str, text: str, minimum: int) -> tuple[int, ...]:
+    """The integers of a comma-separated list.
+
+    Raises:
+        InvalidConfig: if a part is not an integer, is less than `minimum` or is repeated.
+    """
+    try:
+        parts = tuple(int(part) for part in parse_list(option, text))
+    except ValueError as error:
+        raise InvalidConfig(f"{option} {text!r} must be a comma-separated list of integers, such as 0,1,2.") from error
+    if min(parts) < minimum or len(set(parts)) != len(parts):
+        raise InvalidConfig(f"{option} {text!r}: each value must be {minimum} or more, without repeats.")
+    return parts

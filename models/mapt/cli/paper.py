@@ -11,7 +11,6 @@ from mapt.benchmarks.paper import PaperFolder, PaperPlan, PolicyJob, do_policy_j
 from mapt.benchmarks.paper_figures import draw_figures
 from mapt.benchmarks.paper_tables import PaperResults, markdown, row_values, write_rows, write_runs
 from mapt.benchmarks.recorded_dataset import layout_of
-from mapt.benchmarks.specification import parse_list, parse_numbers
 from mapt.cli.benchmarks import record_all, train_cells
 from mapt.cli.options import (
     Device,
@@ -25,6 +24,8 @@ from mapt.cli.options import (
     SegmentSteps,
     TestPairs,
     Workers,
+    parse_list,
+    parse_numbers,
 )
 from mapt.cli.output import ProgressBars, log_line, print_error, print_json, print_paths
 from mapt.io import atomic_write

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from mapt.benchmarks.specification import parse_numbers
-from mapt.cli.options import Device, Json
+from mapt.cli.options import Device, Json, parse_numbers
 from mapt.cli.output import print_json, print_line, print_paths
 from mapt.io import atomic_write
 from mapt.training.curves import draw_curves

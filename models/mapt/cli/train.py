@@ -7,8 +7,18 @@ from typing import Annotated, get_args
 
 import typer
 
-from mapt.benchmarks.specification import parse_numbers
-from mapt.cli.options import AgentObsk, Algorithm, Device, Output, PolicySettings, Seeds, Steps, Task, Workers
+from mapt.cli.options import (
+    AgentObsk,
+    Algorithm,
+    Device,
+    Output,
+    PolicySettings,
+    Seeds,
+    Steps,
+    Task,
+    Workers,
+    parse_numbers,
+)
 from mapt.cli.output import ProgressBars, log_line, print_error
 from mapt.errors import InvalidConfig
 from mapt.policies import PolicyConfig

@@ -17,7 +17,7 @@ from mapt.training.settings import RunSettings
 class RunWriter:
     """Writes settings, metrics, TensorBoard events, final checkpoint and evaluation, as `mapt train` does.
 
-    `mapt curves` and `mapt evaluate` read the folder, also if the run was interrupted.
+    `mapt curves` reads the folder at any time, `mapt evaluate` once the run has finished.
 
     Args:
         path: the folder to create.

@@ -22,11 +22,11 @@ from mapt.benchmarks.job import (
     table_jobs,
     training_of,
 )
-from mapt.benchmarks.specification import NamedSettings
 from mapt.errors import DamagedCell, InvalidConfig
 from mapt.preferences.storage_layout import SegmentLayout
 from mapt.processes import run_jobs
 from mapt.rewards.config import MODEL_NAMES, TrainConfig
+from mapt.settings import NamedSettings
 from unit.benchmarks.tiny_replay import TASK
 
 PLAN = TablePlan(

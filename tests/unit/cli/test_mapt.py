@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mapt.benchmarks.specification import parse_list, parse_numbers
+from mapt.cli.options import parse_list, parse_numbers
 from mapt.errors import InvalidConfig
 from mapt.training.run_folder import RunFolder
 from support.short_tasks import SHORTEST_NAME
