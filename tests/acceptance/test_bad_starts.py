@@ -13,6 +13,7 @@ import pytest
 
 from acceptance.accord_service import Accord
 from accord.store.database import Database
+from accord.store.migrate import migrate
 from support.waiting import PATIENCE_SECONDS, until
 
 
@@ -95,7 +96,7 @@ def test_a_full_disk_is_refused(tmp_path: Path, full: Path) -> None:
 def test_a_database_of_a_newer_version_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "accord.db"
     database = Database.open(f"sqlite:///{path}")
-    database.migrate()
+    migrate(database)
     database.close()
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE alembic_version SET version_num = 'from_the_future'")

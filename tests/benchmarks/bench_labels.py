@@ -27,6 +27,7 @@ import psutil
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from accord.store.migrate import migrate
 from support.api_process import running_server
 from support.sample_experiments import create_sample, user
 
@@ -170,7 +171,7 @@ def prepare(home: Path, clients: int) -> tuple[str, list[str]]:
     """Create a database with open queries; return the id of the experiment and one token per client."""
     settings = Settings(home=home)
     database, blobs = Database.open(settings.resolved_database_url), open_blobs(settings.resolved_blob_url)
-    database.migrate()
+    migrate(database)
     sample = create_sample(
         database,
         blobs,

@@ -10,7 +10,7 @@ import httpx
 import uvicorn
 
 from accord.api.app import create_app
-from accord.api.server import address_of, listen
+from accord.api.listener import address_of, listen
 from accord.domain.enums import Role
 from accord.settings import Settings
 from support.sample_experiments import user

@@ -15,6 +15,7 @@ from sqlalchemy import create_engine, text
 
 from accord.store.blobs import BlobStore, open_blobs
 from accord.store.database import Database
+from accord.store.migrate import migrate
 from support.ports import free_port
 
 #: where Debian and Ubuntu install a major version's server programs, which are not in PATH
@@ -38,7 +39,7 @@ def open_stores(home: Path, database_url: str = "") -> Generator[Stores]:
     blob_url = f"file://{home / 'blobs'}"
     database = Database.open(url)
     try:
-        database.migrate()
+        migrate(database)
         yield Stores(database, open_blobs(blob_url), url, blob_url)
     finally:
         database.close()

@@ -5,7 +5,6 @@ requests wait while this process restarts.
 """
 
 import argparse
-import errno
 import logging
 import os
 import signal
@@ -16,47 +15,18 @@ from types import FrameType
 import uvicorn
 
 from accord.api.app import create_app
-from accord.domain.errors import AccordError, PortInUse, Unavailable
+from accord.api.listener import address_of, listen
+from accord.domain.errors import AccordError
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from accord.store.migrate import migrate
 from mapt.processes import follow_parent
 
 log = logging.getLogger(__name__)
 
 #: time for open requests to finish at shutdown; live events end at once
 GRACE_SECONDS = 5
-_BACKLOG = 2048
-
-
-def listen(host: str, port: int) -> socket.socket:
-    """A listening socket; with port 0 the system chooses a port, which `getsockname` returns.
-
-    Raises:
-        PortInUse: if another program listens there.
-        Unavailable: if this machine does not have the address, or the user may not use the port.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind((host, port))
-        listener.listen(_BACKLOG)
-    except OSError as error:
-        listener.close()
-        if error.errno == errno.EADDRINUSE:
-            raise PortInUse(host, port) from error
-        raise Unavailable(
-            f"Cannot listen on {host}:{port} ({error.strerror}): this machine does not have the address, or this user "
-            "may not use the port. Choose another with --host and --port."
-        ) from error
-    return listener
-
-
-def address_of(listener: socket.socket) -> str:
-    """The URL of a listening socket."""
-    host, port = listener.getsockname()[:2]
-    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
 def serve(listener: socket.socket, settings: Settings) -> None:
@@ -67,7 +37,7 @@ def serve(listener: socket.socket, settings: Settings) -> None:
     """
     database = Database.open(settings.resolved_database_url)
     try:
-        database.migrate()
+        migrate(database)
         blobs = open_blobs(settings.resolved_blob_url)
         blobs.check_writable()
         config = uvicorn.Config(

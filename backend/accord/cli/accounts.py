@@ -11,6 +11,7 @@ from accord.domain.enums import Role
 from accord.services import accounts
 from accord.settings import Settings
 from accord.store.database import Database
+from accord.store.migrate import migrate
 from mapt.cli.options import Json
 from mapt.cli.output import out, print_json, print_line
 
@@ -123,7 +124,7 @@ def migrated(settings: Settings) -> Generator[Database]:
     """
     database = Database.open(settings.resolved_database_url)
     try:
-        database.migrate()
+        migrate(database)
         yield database
     finally:
         database.close()

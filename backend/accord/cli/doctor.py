@@ -22,6 +22,7 @@ from accord.rendering.checks import check_encoder, check_rendering
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database, sqlite_file
+from accord.store.migrate import is_current
 from mapt.cli.options import Json
 from mapt.cli.output import print_json, print_line
 
@@ -108,7 +109,7 @@ def check_database(settings: Settings) -> list[Check]:
         if file is not None and not file.exists():
             return [Check("database", True, "none yet; `accord up` creates it")]
         with closing(Database.open(url)) as database:
-            current = database.is_current()
+            current = is_current(database)
     except AccordError as error:
         return [_failed("database", error)]
     return [Check("database", True, "reachable and up to date" if current else "reachable; `accord up` migrates it")]

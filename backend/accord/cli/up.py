@@ -11,7 +11,7 @@ import typer
 from rich.markup import escape
 from sqlalchemy.exc import SQLAlchemyError
 
-from accord.api.server import listen
+from accord.api.listener import listen
 from accord.cli.options import Home, Port, address_file, load_settings, url_of
 from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import AccordError, NameTaken, Unavailable
@@ -20,6 +20,7 @@ from accord.services.experiment_config import ExperimentConfig
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from accord.store.migrate import migrate
 from accord.workers.runner import RETRY_TEXT, Stop
 from accord.workers.supervisor import ChildSpec, Death, Supervisor
 from mapt.cli.output import log_line, on_terminal, out, print_line
@@ -161,7 +162,7 @@ def prepare(settings: Settings) -> Ready:
     listener = listen(settings.host, settings.port)
     database = Database.open(settings.resolved_database_url)
     try:
-        database.migrate()
+        migrate(database)
     except Exception:
         listener.close()
         raise

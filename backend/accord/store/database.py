@@ -1,4 +1,4 @@
-"""The database: connections, transactions and migrations."""
+"""The database: connections and transactions."""
 
 import sqlite3
 from collections.abc import Generator
@@ -6,16 +6,12 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
-from alembic import command
-from alembic.config import Config
-from alembic.runtime.migration import MigrationContext
-from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, Engine, create_engine, event, text
+from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError, OperationalError
 from sqlalchemy.orm import Session
 
-from accord.domain.errors import DatabaseFull, DatabaseTooNew, DatabaseUnreachable
+from accord.domain.errors import DatabaseFull, DatabaseUnreachable
 from accord.store.group_commit import CommitFailed, GroupCommit
 
 #: longest wait for SQLite's write lock, which another process may hold
@@ -99,24 +95,15 @@ class Database:
         with self._translated_errors(), Session(self._reader, expire_on_commit=False) as session:
             yield session
 
-    def migrate(self) -> None:
-        """Migrates the tables to this version; does nothing if they are up to date.
+    @contextmanager
+    def connection(self) -> Generator[Connection]:
+        """A transaction that may write, as a connection without a session.
 
         Raises:
-            DatabaseTooNew: if a newer version of Accord has migrated it.
-            DatabaseUnreachable: if it cannot be reached or written.
+            DatabaseFull, DatabaseUnreachable: as `transaction` does.
         """
         with self._translated_errors(), self._writer.begin() as connection:
-            upgrade(connection)
-
-    def is_current(self) -> bool:
-        """Whether no migration is missing. Takes the write lock for a moment, but changes nothing.
-
-        Raises:
-            DatabaseTooNew, DatabaseUnreachable: as `migrate`.
-        """
-        with self._translated_errors(), self._writer.begin() as connection:
-            return _is_current(connection, ScriptDirectory.from_config(alembic_config(connection)))
+            yield connection
 
     def close(self) -> None:
         self.engine.dispose()
@@ -197,42 +184,3 @@ def _configure(connection: Any, _record: object) -> None:
 
 def _begin(connection: Connection) -> None:
     connection.exec_driver_sql(connection.get_execution_options().get("accord_begin", "BEGIN IMMEDIATE"))
-
-
-_SCRIPTS = Path(__file__).parent / "migrations"
-#: an arbitrary number, the same in every version; the lock keeps two processes from migrating at once
-_POSTGRES_LOCK = 7_264_001
-
-
-def alembic_config(connection: Connection) -> Config:
-    """Alembic's configuration for one connection; no alembic.ini is needed."""
-    made = Config()
-    made.set_main_option("script_location", str(_SCRIPTS).replace("%", "%%"))
-    made.set_main_option("path_separator", "os")
-    made.attributes["connection"] = connection
-    return made
-
-
-def upgrade(connection: Connection) -> None:
-    """Runs the missing migrations within the connection's transaction.
-
-    Raises:
-        DatabaseTooNew: if the database holds a revision that this version does not know.
-    """
-    if connection.dialect.name == "postgresql":
-        connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _POSTGRES_LOCK})
-    settings = alembic_config(connection)
-    if not _is_current(connection, ScriptDirectory.from_config(settings)):
-        command.upgrade(settings, "head")
-
-
-def _is_current(connection: Connection, scripts: ScriptDirectory) -> bool:
-    """Whether the database is at the newest revision. Raises DatabaseTooNew as `upgrade`."""
-    current = MigrationContext.configure(connection).get_current_revision()
-    known = {script.revision for script in scripts.walk_revisions()}
-    if current is not None and current not in known:
-        raise DatabaseTooNew(
-            f"The database is at revision {current!r}, which this version of Accord does not know: a newer version has "
-            "migrated it. Use that version, or choose another database with ACCORD_HOME or ACCORD_DATABASE_URL."
-        )
-    return current == scripts.get_current_head()

@@ -9,12 +9,11 @@ import torch
 from numpy.typing import NDArray
 
 from mapt.benchmarks.recorded_dataset import RecordedDataset
-from mapt.benchmarks.statistics import rank_correlation
 from mapt.errors import InvalidConfig, TooFewLabels
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.teachers import ScriptedTeacher, TeacherView, make_teacher
 from mapt.rewards.data import EVALUATION_SEGMENTS
-from mapt.rewards.metrics import correlation, evaluate_logits
+from mapt.rewards.metrics import correlation, evaluate_logits, rank_correlation
 from mapt.rewards.model import RewardModel
 from mapt.settings import NamedSettings
 

@@ -22,11 +22,10 @@ from mapt.benchmarks.evaluate import (
 )
 from mapt.benchmarks.job import count_parameters
 from mapt.benchmarks.recorded_dataset import RecordedDataset, episodes_path
-from mapt.benchmarks.statistics import rank_correlation
 from mapt.preferences.dataset import SegmentArrays
 from mapt.rewards.data import EVALUATION_SEGMENTS
 from mapt.rewards.mapt import CooperationAwareAttention, TemporalAwareAttention
-from mapt.rewards.metrics import CalibrationBin, calibration_bins
+from mapt.rewards.metrics import CalibrationBin, calibration_bins, rank_correlation
 from mapt.rewards.model import RewardModel
 from mapt.rewards.relabelling import RolloutRelabeller
 

@@ -1,4 +1,4 @@
-"""Rank correlation, significance tests of the difference between two models, and interquartile means over seeds."""
+"""Significance tests of the difference between two models, and interquartile means over seeds."""
 
 import math
 from collections.abc import Sequence
@@ -9,18 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from mapt.rewards.metrics import correlation
-
 #: Normal quantile of a 95% interval.
 _NORMAL_QUANTILE = float(stats.norm.ppf(0.975))
 _RESAMPLES = 2000
 #: fraction of the values that an interquartile mean leaves out at each end
 _TRIMMED = 0.25
-
-
-def rank_correlation(first: ArrayLike, second: ArrayLike) -> float:
-    """Spearman's rank correlation of two (B,) arrays; ties share their mean rank. NaN if one is constant."""
-    return correlation(stats.rankdata(first), stats.rankdata(second))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,12 @@ import httpx
 import pytest
 from sqlalchemy import select, text
 
-from accord.api.server import address_of, listen
+from accord.api.listener import address_of, listen
 from accord.domain.enums import Role
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from accord.store.migrate import migrate
 from accord.store.tables import LabelRow
 from support.api_in_thread import client
 from support.api_process import running_server
@@ -39,7 +40,7 @@ def start_and_fail(home: Path, **environment: str) -> subprocess.CompletedProces
 def test_acknowledged_labels_survive_sigkill(tmp_path: Path, kill_after: int) -> None:
     settings = Settings(home=tmp_path)
     database, blobs = Database.open(settings.resolved_database_url), open_blobs(settings.resolved_blob_url)
-    database.migrate()
+    migrate(database)
     sample = create_sample(database, blobs, segments=21, queries=200, label_budget=200, initial_labels=200)
     with database.transaction() as session:
         tokens = [user(session, f"labeller {number}")[1] for number in range(4)]
@@ -108,7 +109,7 @@ def test_error_for_an_address_of_another_machine_explains_it(tmp_path: Path) -> 
 
 def test_error_for_a_newer_database_names_its_version(tmp_path: Path) -> None:
     database = Database.open(Settings(home=tmp_path).resolved_database_url)
-    database.migrate()
+    migrate(database)
     with database.transaction() as session:
         session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
     database.close()

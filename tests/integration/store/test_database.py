@@ -14,6 +14,7 @@ from accord.domain.errors import DatabaseUnreachable
 from accord.services import workers
 from accord.store.database import Database
 from accord.store.group_commit import CommitFailed
+from accord.store.migrate import migrate
 from support.stores import Stores
 from support.waiting import PATIENCE_SECONDS, until
 
@@ -156,7 +157,7 @@ def test_file_that_is_not_a_database_is_refused(tmp_path: Path) -> None:
     path.write_text("a shopping list, long enough to be read as a page of a database" * 100)
     database = Database.open(f"sqlite:///{path}")
     with pytest.raises(DatabaseUnreachable):
-        database.migrate()
+        migrate(database)
     database.close()
 
 
@@ -176,6 +177,6 @@ def test_error_for_an_unreachable_postgres_does_not_show_the_password() -> None:
     pytest.importorskip("psycopg", reason="psycopg is not installed: pip install 'accord[postgres]'")
     database = Database.open("postgresql+psycopg://ada:secret@127.0.0.1:1/accord")
     with pytest.raises(DatabaseUnreachable) as caught:
-        database.migrate()
+        migrate(database)
     assert "secret" not in str(caught.value)
     database.close()

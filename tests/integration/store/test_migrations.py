@@ -14,7 +14,8 @@ from sqlalchemy import JSON, column, inspect, select, text
 from accord import store
 from accord.domain.errors import DatabaseTooNew
 from accord.domain.ids import new_id
-from accord.store.database import Database, alembic_config
+from accord.store.database import Database
+from accord.store.migrate import alembic_config, migrate
 from accord.store.tables import Base, QueryRow, RewardVersionRow
 from support.sample_experiments import SampleExperiment, create_sample
 from support.stores import Stores
@@ -29,7 +30,7 @@ def test_migrated_tables_equal_the_tables_of_the_code(stores: Stores) -> None:
 def test_migrating_again_changes_nothing(stores: Stores) -> None:
     with stores.database.transaction() as session:
         session.execute(text("INSERT INTO claims VALUES ('subject', 'holder', '2030-01-01')"))
-    stores.database.migrate()
+    migrate(stores.database)
     with stores.database.reading() as session:
         assert session.execute(text("SELECT count(*) FROM claims")).scalar_one() == 1
 
@@ -38,7 +39,7 @@ def test_migrations_can_be_reverted_and_repeated(stores: Stores) -> None:
     with stores.database.engine.begin() as connection:
         command.downgrade(alembic_config(connection), "base")
     assert inspect(stores.database.engine).get_table_names() == ["alembic_version"]
-    stores.database.migrate()
+    migrate(stores.database)
     with stores.database.reading() as session:
         assert compare_metadata(MigrationContext.configure(session.connection()), Base.metadata) == []
 
@@ -73,7 +74,7 @@ def test_uniform_of_revision_1_is_named_recent_after_the_first_reward_version(st
         command.downgrade(alembic_config(connection), "0001")
     assert read_selectors(stores, samples[0]) == ("uniform", ["uniform"] * 4)
 
-    stores.database.migrate()
+    migrate(stores.database)
     assert read_selectors(stores, samples[0]) == ("recent", ["uniform", "uniform", "recent", "recent"])
     assert read_selectors(stores, informed) == ("disagreement", ["uniform", "uniform", "recent", "disagreement"])
     assert read_selectors(stores, unversioned) == ("recent", ["uniform"] * 4)
@@ -94,7 +95,7 @@ def test_database_of_a_newer_version_is_refused(stores: Stores) -> None:
     with stores.database.transaction() as session:
         session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
     with pytest.raises(DatabaseTooNew):
-        stores.database.migrate()
+        migrate(stores.database)
 
 
 def test_concurrent_migrations_succeed(tmp_path: Path) -> None:
@@ -106,7 +107,7 @@ def test_concurrent_migrations_succeed(tmp_path: Path) -> None:
         database = Database.open(url)
         try:
             barrier.wait()
-            database.migrate()
+            migrate(database)
         except BaseException as error:  # noqa: BLE001
             errors.append(error)
         finally:

@@ -13,6 +13,7 @@ from accord.services.experiment_config import ExperimentConfig
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from accord.store.migrate import migrate
 from accord.store.tables import UserRow
 from accord.workers.heartbeat import Claim, Heartbeat
 from accord.workers.policy_run import PolicyRun
@@ -125,7 +126,7 @@ def open_harness(home: Path, role: WorkerRole = WorkerRole.POLICY) -> Iterator[W
     """A harness with a new home folder, closed at the end of the block."""
     settings = Settings(home=home, torch_threads=1, poll_seconds=0.01, worker_lease_seconds=30.0)
     database = Database.open(settings.resolved_database_url)
-    database.migrate()
+    migrate(database)
     with database.transaction() as session:
         teacher, _ = accounts.create_user(session, "oracle", Role.TEACHER)
     heartbeat = Heartbeat(database, f"{role.value}-0", role, "holder", settings.worker_lease_seconds)

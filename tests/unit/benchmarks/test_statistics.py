@@ -1,4 +1,4 @@
-"""Rank correlation, statistical tests and intervals, compared with values computed by hand."""
+"""Statistical tests and intervals, compared with values computed by hand."""
 
 import math
 
@@ -11,20 +11,7 @@ from mapt.benchmarks.statistics import (
     interquartile_mean_with_interval,
     mcnemar,
     paired_test,
-    rank_correlation,
 )
-from mapt.rewards.metrics import correlation
-
-
-def test_rank_correlation_is_invariant_to_increasing_functions():
-    values = np.array([0.1, 3.0, -2.0, 5.0])
-    assert rank_correlation(values, np.exp(values)) == pytest.approx(1)
-    assert rank_correlation(values, -(values**3)) == pytest.approx(-1)
-
-
-def test_ties_share_their_mean_rank():
-    # Ranks 1.5, 1.5, 3 against 1, 2, 3.
-    assert rank_correlation([0, 0, 1], [1, 2, 3]) == pytest.approx(correlation([1.5, 1.5, 3], [1, 2, 3]))
 
 
 def test_paired_test_over_three_seeds():

@@ -8,6 +8,7 @@ from accord.cli.doctor import check_blobs, check_database, check_machine, check_
 from accord.domain.checks import Check
 from accord.settings import Settings
 from accord.store.database import Database
+from accord.store.migrate import migrate
 
 
 def test_installed_versions_pass_on_this_machine(tmp_path: Path):
@@ -47,7 +48,7 @@ def test_a_missing_home_folder_passes_and_is_not_created(tmp_path: Path):
 def test_a_database_of_a_newer_version_fails(tmp_path: Path):
     settings = Settings(home=tmp_path)
     database = Database.open(settings.resolved_database_url)
-    database.migrate()
+    migrate(database)
     database.close()
     assert check_database(settings)[0].ok
     with closing(sqlite3.connect(tmp_path / "accord.db")) as connection, connection:

@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import spearmanr
 
-from mapt.rewards.metrics import CalibrationBin, accuracy, calibration_bins, calibration_error, correlation
+from mapt.rewards.metrics import (
+    CalibrationBin,
+    accuracy,
+    calibration_bins,
+    calibration_error,
+    correlation,
+    rank_correlation,
+)
 
 
 def test_accuracy_ignores_ties():
@@ -45,3 +53,23 @@ def test_calibration_does_not_depend_on_the_order_of_a_pair(pairs):
 
 def test_correlation_with_a_constant_is_nan():
     assert math.isnan(correlation([1, 1, 1], [1, 2, 3]))
+
+
+def test_rank_correlation_is_invariant_to_increasing_functions():
+    values = np.array([0.1, 3.0, -2.0, 5.0])
+    assert rank_correlation(values, np.exp(values)) == pytest.approx(1)
+    assert rank_correlation(values, -(values**3)) == pytest.approx(-1)
+
+
+def test_ties_share_their_mean_rank():
+    # Ranks 1.5, 1.5, 3 against 1, 2, 3.
+    assert rank_correlation([0, 0, 1], [1, 2, 3]) == pytest.approx(correlation([1.5, 1.5, 3], [1, 2, 3]))
+
+
+def test_rank_correlation_equals_that_of_scipy():
+    first, second = np.random.default_rng(0).integers(0, 20, size=(2, 100))
+    assert rank_correlation(first, second) == pytest.approx(spearmanr(first, second).statistic)
+
+
+def test_rank_correlation_with_nan_is_nan():
+    assert math.isnan(rank_correlation([0.5, math.nan, 2.0], [1, 2, 3]))

@@ -1,4 +1,4 @@
-"""Runs the migrations on the connection that `accord.store.database` hands over."""
+"""Runs the migrations on the connection that `accord.store.migrate` hands over."""
 
 from typing import Any, Literal
 

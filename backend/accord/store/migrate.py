@@ -1,0 +1,74 @@
+"""Migrates a database to the tables of this version.
+
+A module of its own, so that worker processes do not import Alembic.
+"""
+
+from pathlib import Path
+
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, text
+
+from accord.domain.errors import DatabaseTooNew
+from accord.store.database import Database
+
+_SCRIPTS = Path(__file__).parent / "migrations"
+#: an arbitrary number, the same in every version; the lock keeps two processes from migrating at once
+_POSTGRES_LOCK = 7_264_001
+
+
+def migrate(database: Database) -> None:
+    """Migrates the tables to this version; does nothing if they are up to date.
+
+    Raises:
+        DatabaseTooNew: if a newer version of Accord has migrated it.
+        DatabaseUnreachable: if it cannot be reached or written.
+    """
+    with database.connection() as connection:
+        _upgrade(connection)
+
+
+def is_current(database: Database) -> bool:
+    """Whether no migration is missing. Takes the write lock for a moment, but changes nothing.
+
+    Raises:
+        DatabaseTooNew, DatabaseUnreachable: as `migrate`.
+    """
+    with database.connection() as connection:
+        return _is_current(connection, ScriptDirectory.from_config(alembic_config(connection)))
+
+
+def alembic_config(connection: Connection) -> Config:
+    """Alembic's configuration for one connection; no alembic.ini is needed."""
+    made = Config()
+    made.set_main_option("script_location", str(_SCRIPTS).replace("%", "%%"))
+    made.set_main_option("path_separator", "os")
+    made.attributes["connection"] = connection
+    return made
+
+
+def _upgrade(connection: Connection) -> None:
+    """Runs the missing migrations within the connection's transaction.
+
+    Raises:
+        DatabaseTooNew: if the database holds a revision that this version does not know.
+    """
+    if connection.dialect.name == "postgresql":
+        connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _POSTGRES_LOCK})
+    settings = alembic_config(connection)
+    if not _is_current(connection, ScriptDirectory.from_config(settings)):
+        command.upgrade(settings, "head")
+
+
+def _is_current(connection: Connection, scripts: ScriptDirectory) -> bool:
+    """Whether the database is at the newest revision. Raises DatabaseTooNew as `_upgrade`."""
+    current = MigrationContext.configure(connection).get_current_revision()
+    known = {script.revision for script in scripts.walk_revisions()}
+    if current is not None and current not in known:
+        raise DatabaseTooNew(
+            f"The database is at revision {current!r}, which this version of Accord does not know: a newer version has "
+            "migrated it. Use that version, or choose another database with ACCORD_HOME or ACCORD_DATABASE_URL."
+        )
+    return current == scripts.get_current_head()
