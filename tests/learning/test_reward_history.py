@@ -44,6 +44,21 @@ def test_a_markov_reward_does_not_learn_steadiness() -> None:
     assert accuracy_on_test_pairs(MARKOV_CONFIG) < 0.6
 
 
+def test_attention_comes_into_use_as_labels_grow_and_stays() -> None:
+    config = RewardConfig(OBSERVATION_DIM, 1, N_AGENTS, hidden_dim=32)
+    settings, data = TrainConfig(device="cpu"), steadiness_preferences(1100, seed=0)
+    model, metrics, in_use = None, {}, []
+    for n_labels in (40, 900, 1100):
+        trained = train_reward_model(
+            data.take(np.arange(n_labels)), config, settings, initial=model, initial_metrics=metrics
+        )
+        model, metrics = trained.model, trained.metrics
+        in_use.append(metrics["attention"])
+    assert in_use == [0, 1, 1]
+    assert metrics["attention_gain"] > 2 * metrics["attention_gain_error"]
+    assert metrics["holdout_accuracy"] > 0.85
+
+
 @pytest.mark.parametrize("temporal", ["attention", "lstm"])
 def test_a_temporal_encoder_learns_steadiness(temporal: TemporalEncoder) -> None:
     config = RewardConfig(OBSERVATION_DIM, 1, N_AGENTS, hidden_dim=32, temporal=temporal)

@@ -155,7 +155,14 @@ class RewardVersion(Schema):
     label_watermark: int = Field(description="Label revision up to which it was trained.")
     label_count: int = Field(description="Number of labels it was trained on.")
     policy_steps: int = Field(description="Environment steps of the policy when it was published.")
-    metrics: dict[str, Any] = Field(description="Loss, accuracy and so on, on training and held-out labels.")
+    metrics: dict[str, Any] = Field(
+        description=(
+            "Loss, accuracy and so on, on training and held-out labels. attention is 1 if rewards depend on MAPT's "
+            "attention, else 0; attention_gain is the reduction of the held-out loss by attention, in nats, with its "
+            "standard error attention_gain_error over attention_gain_pairs pairs, at the latest trial; "
+            "attention_trial_seconds is the time that this version spent on a trial."
+        )
+    )
     created_at: datetime = Field(description="When it was published.")
 
 

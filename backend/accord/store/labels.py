@@ -43,6 +43,8 @@ class LabelledPair:
     """A label with the two segments it compares."""
 
     query_id: str
+    #: of the query within the experiment
+    query_number: int
     segment_0_id: str
     segment_1_id: str
     segment_0_blob: str
@@ -95,6 +97,7 @@ def up_to(session: Session, experiment_id: str, revision: int) -> list[LabelledP
     rows = session.execute(
         select(
             QueryRow.id,
+            QueryRow.number,
             QueryRow.segment_0_id,
             QueryRow.segment_1_id,
             segment_0.blob_key,
@@ -106,7 +109,6 @@ def up_to(session: Session, experiment_id: str, revision: int) -> list[LabelledP
         .join(segment_0, segment_0.id == QueryRow.segment_0_id)
         .join(segment_1, segment_1.id == QueryRow.segment_1_id)
         .where(LabelRow.experiment_id == experiment_id, LabelRow.revision <= revision, LabelRow.state == "label")
-        # by the time each was first given, so that a late label does not move others across the hold-out split
         .order_by(LabelRow.created_at, LabelRow.id)
     )
     return [LabelledPair(*row) for row in rows]

@@ -23,7 +23,8 @@ from mapt.preferences.dataset import PreferenceDataset
 from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.ensemble import train_reward_ensemble
 from mapt.rewards.model import RewardModel
-from mapt.rewards.trainer import TrainedReward, TrainProgress, train_reward_model
+from mapt.rewards.stage_trainer import TrainProgress
+from mapt.rewards.trainer import TrainedReward, train_reward_model
 from mapt.tasks import task_spec
 from mapt.training.preference_loop import RewardSettings, labelled_dataset
 
@@ -53,7 +54,8 @@ class SegmentCache:
         if experiment_id != self._experiment_id:
             self._experiment_id, self._arrays = experiment_id, {}
         pairs = [(label.segment_0_blob, label.segment_1_blob) for label in labels]
-        return labelled_dataset(pairs, [label.value for label in labels], self._read)
+        values, numbers = [label.value for label in labels], [label.query_number for label in labels]
+        return labelled_dataset(pairs, values, self._read, numbers)
 
     def _read(self, key: str) -> _Arrays:
         if key not in self._arrays:
@@ -171,6 +173,7 @@ class RewardWorker:
             config,
             training,
             initial=self._parent(newest, config),
+            initial_metrics=newest.metrics if newest else None,
             progress=self._reporter(f"reward version {number}", len(dataset)),
             stop=lambda: self._context.stop.requested or claim.lost,
         )

@@ -13,6 +13,9 @@ FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
+# Segments of the hold-out may be left out of the training if at least this fraction of its pairs remains.
+MIN_SEPARATE_FRACTION = 0.5
+
 
 @dataclass(frozen=True, slots=True)
 class SegmentArrays:
@@ -167,7 +170,7 @@ class PreferenceDataset:
     """Labelled pairs of segments, without skipped pairs.
 
     Raises:
-        ShapeError: if `pairs` or `labels` has the wrong shape.
+        ShapeError: if `pairs`, `labels` or `ids` has the wrong shape.
         InvalidPair, InvalidLabel: for the first pair that refers to a missing segment or has an invalid label.
     """
 
@@ -177,6 +180,8 @@ class PreferenceDataset:
     pairs: IntArray
     #: float32 (P,), P(segment 0 preferred)
     labels: FloatArray
+    #: int (P,), a number for each pair that never changes, such as its query's; by default its index
+    ids: IntArray = None  # pyright: ignore[reportAssignmentType]  (set by __post_init__)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pairs", np.asarray(self.pairs, dtype=np.int64))
@@ -185,6 +190,10 @@ class PreferenceDataset:
             raise ShapeError("pairs", self.pairs.shape, "(P, 2)")
         if self.labels.shape != self.pairs.shape[:1]:
             raise ShapeError("labels", self.labels.shape, f"{self.pairs.shape[:1]}")
+        ids = np.arange(len(self.pairs)) if self.ids is None else np.asarray(self.ids, dtype=np.int64)
+        if ids.shape != self.labels.shape:
+            raise ShapeError("ids", ids.shape, f"{self.labels.shape}")
+        object.__setattr__(self, "ids", ids)
         n_segments = len(self.segments)
         invalid = ((self.pairs < 0) | (self.pairs >= n_segments)).any(axis=1)
         invalid |= self.pairs[:, 0] == self.pairs[:, 1]
@@ -202,32 +211,60 @@ class PreferenceDataset:
     def take(self, indices: ArrayLike) -> "PreferenceDataset":
         """The pairs at `indices`; the segments are shared, not copied."""
         index = np.asarray(indices)
-        return PreferenceDataset(self.segments, self.pairs[index], self.labels[index])
+        return PreferenceDataset(self.segments, self.pairs[index], self.labels[index], self.ids[index])
 
-    def split(self, hold_out_fraction: float, seed: int) -> tuple["PreferenceDataset", "PreferenceDataset"]:
-        """Split the pairs into (train, hold-out).
+    def joined(self, other: "PreferenceDataset") -> "PreferenceDataset":
+        """These pairs followed by those of `other`, which has the same segments."""
+        return PreferenceDataset(
+            self.segments,
+            np.concatenate((self.pairs, other.pairs)),
+            np.concatenate((self.labels, other.labels)),
+            np.concatenate((self.ids, other.ids)),
+        )
 
-        One of every 1 / `hold_out_fraction` consecutive pairs is held out at random. When pairs are appended later,
-        every earlier pair stays on its side of the split, so that a warm-started model has never been trained on a
-        hold-out pair.
+    def held_out(self, fraction: float, seed: int) -> BoolArray:
+        """Whether each pair is held out, bool (P,): the hash of its id decides.
+
+        A pair keeps its side whatever labels are added, changed or undone, so that a model that continues from an
+        earlier one has never been trained on a hold-out pair.
 
         Raises:
             NotEnoughPairs: if there are fewer than two pairs.
         """
         if len(self) < 2:
             raise NotEnoughPairs(len(self), 2)
-        held_out = _held_out(len(self), hold_out_fraction, seed)
-        return self.take(np.flatnonzero(~held_out)), self.take(np.flatnonzero(held_out))
+        held_out = _uniform_hash(self.ids, 2 * seed) < fraction
+        # A few pairs may all be on one side; without pairs to train on, none is held out.
+        return held_out & ~held_out.all()
+
+    def folds(self, n_folds: int, seed: int) -> IntArray:
+        """Fold of each pair by the hash of its id, int (P,) in [0, `n_folds`), independent of `held_out`."""
+        return (_uniform_hash(self.ids, 2 * seed + 1) * n_folds).astype(np.int64)
+
+    def separate(self, held_out: BoolArray) -> tuple["PreferenceDataset", "PreferenceDataset"]:
+        """The pairs to train on, and those of `held_out`, bool (P,).
+
+        Pairs that share a segment with a held-out pair are left out of the training, or the hold-out would be
+        optimistic. If this left fewer than `MIN_SEPARATE_FRACTION` of the pairs to train on, all are kept.
+        """
+        shares = np.isin(self.pairs, self.pairs[held_out]).any(axis=1)
+        enough = (~shares).sum() >= MIN_SEPARATE_FRACTION * (~held_out).sum()
+        return self.take(np.flatnonzero(~shares if enough else ~held_out)), self.take(np.flatnonzero(held_out))
+
+    def split(self, hold_out_fraction: float, seed: int) -> tuple["PreferenceDataset", "PreferenceDataset"]:
+        """Split the pairs into (train, hold-out); see `held_out` and `separate`.
+
+        Raises:
+            NotEnoughPairs: if there are fewer than two pairs.
+        """
+        return self.separate(self.held_out(hold_out_fraction, seed))
 
 
-def _held_out(n_pairs: int, fraction: float, seed: int) -> BoolArray:
-    """Whether each pair is held out, bool (P,)."""
-    stratum = np.floor(np.arange(n_pairs) * fraction + 1e-9).astype(np.int64)
-    n_strata = int(stratum[-1]) + 1
-    first = np.ceil((np.arange(n_strata) - 1e-9) / fraction).astype(np.int64)
-    size = np.ceil((np.arange(1, n_strata + 1) - 1e-9) / fraction).astype(np.int64) - first
-    # One uniform draw per stratum, in order: the draws do not depend on how many strata follow.
-    chosen = first + (np.random.default_rng(seed).random(n_strata) * size).astype(np.int64)
-    held_out = np.zeros(n_pairs, dtype=np.bool_)
-    held_out[chosen[chosen < n_pairs]] = True
-    return held_out
+def _uniform_hash(ids: IntArray, salt: int) -> NDArray[np.float64]:
+    """A number in [0, 1) for each id and salt, the same on every machine (SplitMix64; Steele et al., 2014)."""
+    # Arrays of uint64 wrap around on overflow, as the algorithm wants.
+    x = ids.astype(np.uint64) + np.full(1, salt, np.uint64) * np.uint64(0xD1342543DE82EF95)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        x = x + np.uint64(0x9E3779B97F4A7C15)
+        x = (x ^ (x >> np.uint64(shift))) * np.uint64(factor)
+    return ((x ^ (x >> np.uint64(31))) >> np.uint64(11)).astype(np.float64) * 2.0**-53

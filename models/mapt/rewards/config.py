@@ -192,8 +192,22 @@ class TrainConfig(Settings):
         int, setting("Maximum epochs of the Markov stage when training continues from a model.", ge=0, unit="epochs")
     ] = 8
     warm_epochs: Annotated[
-        int, setting("Maximum epochs of the whole network when training continues from a model.", ge=1, unit="epochs")
-    ] = 1
+        int,
+        setting(
+            "Maximum epochs of the whole network when training continues from a model that uses it.",
+            ge=1,
+            unit="epochs",
+        ),
+    ] = 25
+    trial_folds: Annotated[
+        int, setting("Maximum folds over which a trial of the attention path is judged.", ge=1, le=20)
+    ] = 5
+    trial_growth: Annotated[
+        float,
+        setting(
+            "Factor by which the labels must grow before an attention path that was rejected is tried again.", ge=1
+        ),
+    ] = 1.3
     warm_share: Annotated[
         float,
         setting(

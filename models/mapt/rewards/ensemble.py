@@ -24,6 +24,7 @@ from mapt.device import resolve_device
 from mapt.errors import DamagedCheckpoint, InvalidConfig, MemberTrainingFailed, ModelMismatch
 from mapt.preferences.dataset import PreferenceDataset, SegmentSource, in_batches
 from mapt.processes import ParentConnection, run_jobs
+from mapt.rewards.attention_trial import IN_USE, TRIAL_LABELS
 from mapt.rewards.checkpoints import (
     POLARITY,
     SavedRewardModel,
@@ -47,7 +48,8 @@ from mapt.rewards.data import (
 )
 from mapt.rewards.metrics import evaluate_logits
 from mapt.rewards.model import RewardModel
-from mapt.rewards.trainer import TrainProgress, train_reward_model
+from mapt.rewards.stage_trainer import TrainProgress
+from mapt.rewards.trainer import train_reward_model
 
 FORMAT = "mapt.reward_ensemble"
 # 2 added `segment_steps` to the settings; see `mapt.rewards.checkpoints`.
@@ -55,7 +57,7 @@ FORMAT_VERSION = 2
 # A safetensors file begins with the length of its JSON header.
 _HEADER_LENGTH = struct.Struct("<Q")
 #: metrics of members that the ensemble's metrics average
-_AVERAGED_METRICS = ("loss", "accuracy", "holdout_loss", "holdout_accuracy")
+_AVERAGED_METRICS = ("loss", "accuracy", "holdout_loss", "holdout_accuracy", IN_USE, TRIAL_LABELS)
 
 
 class RewardEnsemble:
@@ -140,7 +142,8 @@ def train_reward_ensemble(
         stop: called before every step; true ends the training with each member's best weights so far.
 
     Returns:
-        The ensemble. Its metrics are means over members: `loss`, `accuracy`, `holdout_loss`, `holdout_accuracy`; those
+        The ensemble. Its metrics are means over members: `loss`, `accuracy`, `holdout_loss`, `holdout_accuracy`,
+        `attention` and `attention_trial_labels`; those
         of the members' mean probability: `ensemble_holdout_loss`, `ensemble_holdout_accuracy`; sums: `epochs`; and
         `members`, `labels`, `holdout_labels`, `holdout_reliable`, `stopped`, `seconds`. Undefined ones are left out.
 
@@ -160,12 +163,13 @@ def train_reward_ensemble(
         )
     started = time.perf_counter()
     train, hold_out = dataset.split(train_config.hold_out_fraction, train_config.seed)
-    shared = _Shared(train, hold_out, config, train_config, reference)
+    earlier = {} if initial is None else initial.metrics
+    shared = _Shared(train, hold_out, config, train_config, reference, earlier)
     jobs = [
         _Job(i, int(seed), None if initial is None else save_reward_model(initial.members[i], {}))
         for i, seed in enumerate(np.random.SeedSequence(train_config.seed).generate_state(members))
     ]
-    report = _TotalProgress(progress, members)
+    report = _TotalProgress(progress)
     if workers == 1 or members == 1:
         trained = [_train_member(shared, job, report, stop) for job in jobs]
     else:
@@ -200,6 +204,8 @@ class _Shared:
     config: RewardConfig
     train_config: TrainConfig
     reference: SegmentSource | None
+    #: metrics of the ensemble that it continues from
+    initial_metrics: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,6 +229,7 @@ def _train_member(
         shared.config,
         replace(shared.train_config, seed=job.seed),
         initial=None if job.initial is None else load_reward_model(job.initial.weights, job.initial.card).model,
+        initial_metrics=shared.initial_metrics,
         hold_out=shared.hold_out,
         reference=shared.reference,
         progress=progress,
@@ -260,8 +267,8 @@ def _train_in_process(shared: _Shared, job: _Job, parent: ParentConnection) -> S
 class _TotalProgress:
     """Forwards progress of members, with epochs counted over all of them."""
 
-    def __init__(self, progress: Callable[[TrainProgress], None] | None, members: int) -> None:
-        self._progress, self._members = progress, members
+    def __init__(self, progress: Callable[[TrainProgress], None] | None) -> None:
+        self._progress = progress
         self._started = time.perf_counter()
         self._epochs = 0
 
@@ -269,8 +276,7 @@ class _TotalProgress:
         self._epochs += 1
         if self._progress is not None:
             seconds = time.perf_counter() - self._started
-            total = replace(at, epoch=self._epochs, max_epochs=self._members * at.max_epochs, seconds=seconds)
-            self._progress(total)
+            self._progress(replace(at, epoch=self._epochs, seconds=seconds))
 
 
 def _mean_probability_metrics(

@@ -1,13 +1,13 @@
-"""The two stages of a reward model's training, and the tests on the hold-out that stop a stage or reject its result.
+"""The two stages of a reward model's training, and the tests on the hold-out that stop a stage or a version.
 
 1. The Markov path alone, with the rest of the network fixed. It takes a tenth of the time of the whole network, and is
    sufficient if the true reward is Markov.
 2. The whole network. A fully trained Markov path overfits preferences that no Markov reward explains, so this stage
-   continues from an early state of it. The result is accepted only if the hold-out loss is significantly lower than
-   that of the best Markov path. With a hold-out that is too small, the stage is skipped.
+   continues from an early state of it. Beside a Markov path, the result must win a trial (`attention_trial.py`).
+   With a hold-out that is too small, there is none.
 
 A model that continues from an earlier version shrinks the Markov path's weights and perturbs them with new ones
-(`RewardModel.shrink_and_perturb`).
+(`RewardModel.shrink_and_perturb`). It trains the whole network only if the earlier version uses it.
 
 An LSTM does not learn beside a trained Markov path: its gradient passes through layers that are still zero, and the
 Markov path leaves little loss to reduce. Stage 2 of a network with an LSTM starts from untrained weights with a
@@ -15,7 +15,7 @@ re-initialised head.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from torch import Tensor
 
@@ -45,8 +45,6 @@ class StageSettings:
     label_noise: float
     #: patience until accuracy is above chance; `patience` if that is more
     patience_at_chance: int = 0
-    #: accept the result only if it is significantly better than the weights before the stage
-    must_improve: bool = False
     #: fraction of the trained weights to start with; see `RewardModel.shrink_and_perturb`
     kept_fraction: float = 1.0
     #: start with the weights before any training and a re-initialised head
@@ -55,48 +53,26 @@ class StageSettings:
     early_epoch: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Schedule:
-    """Both stages; None where there is nothing to train."""
-
-    markov: StageSettings | None
-    network: StageSettings | None
-
-    @property
-    def max_epochs(self) -> int:
-        """Sum over both stages."""
-        return sum(stage.max_epochs for stage in (self.markov, self.network) if stage is not None)
-
-
-def plan_schedule(config: TrainConfig, network: RewardConfig, n_pairs: int, *, warm: bool, reliable: bool) -> Schedule:
-    """The stages of a training on `n_pairs` pairs.
+def network_stage(config: TrainConfig, network: RewardConfig, n_pairs: int, *, warm: bool) -> StageSettings:
+    """The training of the whole network on `n_pairs` pairs.
 
     Args:
-        warm: whether it continues from a trained model.
-        reliable: whether the hold-out is large enough to compare weights by.
+        warm: whether it continues from a trained network.
     """
-    markov = _markov_stage(config, n_pairs, warm=warm) if network.markov_path else None
-    # MA-MLP has no other path, and an unreliable hold-out cannot accept stage 2.
-    if markov is not None and (network.architecture == "mlp" or not reliable):
-        return Schedule(markov, None)
-    return Schedule(
-        markov,
-        StageSettings(
-            lr=config.lr,
-            weight_decay=config.weight_decay,
-            batch_pairs=config.batch_pairs,
-            max_epochs=_epochs(config.warm_epochs if warm else config.max_epochs, config.visits, n_pairs),
-            patience=config.patience,
-            patience_at_chance=PATIENCE_AT_CHANCE,
-            label_noise=config.label_noise,
-            # Without a Markov path there is no good model to return to.
-            must_improve=network.markov_path and reliable,
-            restart=network.markov_path and network.temporal == "lstm" and not warm,
-        ),
+    return StageSettings(
+        lr=config.lr,
+        weight_decay=config.weight_decay,
+        batch_pairs=config.batch_pairs,
+        max_epochs=_epochs(config.warm_epochs if warm else config.max_epochs, config.visits, n_pairs),
+        patience=config.patience,
+        patience_at_chance=PATIENCE_AT_CHANCE,
+        label_noise=config.label_noise,
+        restart=network.markov_path and network.temporal == "lstm" and not warm,
     )
 
 
-def _markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSettings | None:
+def markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSettings | None:
+    """The training of the Markov path alone on `n_pairs` pairs; None without epochs."""
     epochs = _epochs(config.warm_markov_epochs if warm else config.markov_epochs, config.markov_visits, n_pairs)
     if not epochs:
         return None
@@ -117,10 +93,13 @@ def _epochs(limit: int, visits: int, n_pairs: int) -> int:
     return min(limit, math.ceil(visits / n_pairs))
 
 
-def start_weights(stage: StageSettings | None, model: RewardModel) -> dict[str, Tensor] | None:
-    """The weights that a stage starts with, from those of the untrained `model`; None for the current ones."""
-    if stage is None:
-        return None
+def early_part(stage: StageSettings) -> StageSettings:
+    """The epochs of a Markov stage up to the state from which the whole network starts."""
+    return replace(stage, max_epochs=stage.early_epoch)
+
+
+def start_weights(stage: StageSettings, model: RewardModel) -> dict[str, Tensor] | None:
+    """The weights that a stage starts with, from those of `model`; None for the current ones."""
     if stage.restart:
         return model.with_new_head()
     return model.shrink_and_perturb(stage.kept_fraction) if stage.kept_fraction < 1.0 else None
@@ -131,12 +110,13 @@ def is_reliable(n_hold_out_pairs: int) -> bool:
     return n_hold_out_pairs >= MIN_HOLD_OUT_PAIRS
 
 
-def is_accepted(stage: StageSettings, before: Tensor, after: Tensor) -> bool:
-    """Whether a stage's weights replace those before it, given the losses (P,) of both."""
-    if stage.must_improve:
-        return is_significant(before - after)
-    # The earlier weights may have been trained on the hold-out: a higher loss is accepted unless it is above chance's.
-    return bool(after.mean() <= before.mean().clamp(min=math.log(2)))
+def replaces(before: Tensor, after: Tensor, *, markov: bool) -> bool:
+    """Whether a version replaces the one that it continues from, given the hold-out losses (P,) of both.
+
+    Neither has been trained on the hold-out. A network with attention must not be worse; a Markov path, which partly
+    starts anew for the sake of its rewards of single steps, must not be significantly worse.
+    """
+    return not is_significant(after - before) if markov else bool(after.mean() <= before.mean())
 
 
 def is_above_chance(losses: Tensor) -> bool:
@@ -156,8 +136,8 @@ def is_out_of_patience(stage: StageSettings, epochs_waited: int, above_chance: b
 
 
 def is_significant(gains: Tensor) -> bool:
-    """Whether the mean of `gains` (P,) is more than two standard errors above 0.
+    """Whether the mean of `gains` (P,) is more than two standard errors above 0; never so for one pair.
 
     The best of several epochs on a hundred pairs is better than the start by chance more often than not.
     """
-    return bool(gains.mean() > 2 * gains.std() / math.sqrt(len(gains)))
+    return len(gains) > 1 and bool(gains.mean() > 2 * gains.std() / math.sqrt(len(gains)))

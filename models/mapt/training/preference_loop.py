@@ -278,9 +278,17 @@ class PreferenceLoop:
             [(query.segment_0, query.segment_1) for query in labelled],
             [query.label or 0.0 for query in labelled],
             lambda index: (self.segments[index].observations, self.segments[index].actions),
+            # As in the service, queries are numbered from 1.
+            [number for number, query in enumerate(self.queries, 1) if query.counts],
         )
         config, train = self.reward.training(dataset, can_terminate=self.trainer.learner.task.spec.can_terminate)
-        trained = train_reward_model(dataset, config, train, initial=newest.model if newest else None)
+        trained = train_reward_model(
+            dataset,
+            config,
+            train,
+            initial=newest.model if newest else None,
+            initial_metrics=newest.metrics if newest else None,
+        )
         ensemble = None
         if needs_ensemble(self._selector) and self._counted_queries() < self.schedule.budget:
             ensemble = train_reward_ensemble(
@@ -363,6 +371,7 @@ def labelled_dataset(
     pairs: Sequence[tuple[SegmentKey, SegmentKey]],
     labels: Sequence[float],
     read: Callable[[SegmentKey], tuple[FloatArray, FloatArray]],
+    numbers: Sequence[int],
 ) -> PreferenceDataset:
     """Make a dataset of labelled pairs. It holds each segment once, in the order of first use.
 
@@ -370,13 +379,14 @@ def labelled_dataset(
         pairs: (segment 0, segment 1) of each label.
         labels: P(segment 0 preferred).
         read: observations (T, N, C) and actions (T, N, A) of a segment.
+        numbers: of each label's query, which decide the hold-out.
     """
     keys = [key for pair in pairs for key in pair]
     index_of = {key: index for index, key in enumerate(dict.fromkeys(keys))}
     arrays = [read(key) for key in index_of]
     segments = SegmentArrays.stack([each[0] for each in arrays], [each[1] for each in arrays])
     indices = np.array([index_of[key] for key in keys]).reshape(-1, 2)
-    return PreferenceDataset(segments, indices, np.array(labels, dtype=np.float32))
+    return PreferenceDataset(segments, indices, np.array(labels, dtype=np.float32), np.array(numbers))
 
 
 def _teacher_view(segment: Segment) -> dict[str, FloatArray]:

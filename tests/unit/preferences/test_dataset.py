@@ -100,22 +100,68 @@ def test_pairs_and_labels_of_different_lengths_are_refused(pairs, name):
     assert refused.value.name == name
 
 
+def unshared(n_pairs: int, ids=None) -> PreferenceDataset:
+    """Pairs that share no segment, all with the label 1."""
+    shape = (2 * n_pairs, 1, 1, 1)
+    arrays = SegmentArrays(np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.ones(shape[:2], np.bool_))
+    ids = np.arange(n_pairs) if ids is None else np.asarray(ids)
+    return PreferenceDataset(arrays, np.arange(2 * n_pairs).reshape(-1, 2), np.ones(n_pairs), ids)
+
+
 @given(st.integers(2, 300), st.sampled_from([0.1, 0.2, 0.25, 0.5]), st.integers(0, 5))
-def test_split_holds_out_its_fraction_and_keeps_every_pair(n_pairs, fraction, seed):
-    train, hold_out = dataset(n_pairs).split(fraction, seed)
-    assert len(train) + len(hold_out) == n_pairs
-    assert abs(len(hold_out) - fraction * n_pairs) <= 1
+def test_split_holds_out_about_its_fraction_and_keeps_every_pair(n_pairs, fraction, seed):
+    train, hold_out = unshared(n_pairs).split(fraction, seed)
+    assert len(train) >= 1
+    assert sorted([*train.ids, *hold_out.ids]) == list(range(n_pairs))
+    assert abs(len(hold_out) - fraction * n_pairs) <= 5 * np.sqrt(fraction * n_pairs) + 1
 
 
-@given(st.integers(2, 200), st.integers(0, 100), st.sampled_from([0.1, 0.2, 0.3]), st.integers(0, 5))
-def test_pairs_stay_on_their_side_as_labels_are_appended(n_pairs, n_more, fraction, seed):
-    def sides(n):
-        # The label encodes the index of the pair.
-        numbered = PreferenceDataset(segments(), np.tile([[0, 1]], (n, 1)), np.arange(n, dtype=np.float32) / 1000)
-        _, hold_out = numbered.split(fraction, seed)
-        return set(np.rint(hold_out.labels * 1000).astype(int).tolist())
+@given(st.lists(st.integers(0, 900), min_size=6, max_size=80, unique=True), st.data(), st.integers(0, 5))
+def test_pairs_stay_on_their_side_as_labels_are_added_undone_or_reordered(ids, data, seed):
+    some = data.draw(st.permutations(ids))[: max(2, len(ids) // 2)]
+    all_held, some_held = (
+        dict(zip(each, unshared(len(each), each).held_out(0.3, seed), strict=True)) for each in (ids, some)
+    )
+    # Unless all pairs are on one side.
+    if any(some_held.values()):
+        assert some_held == {id: all_held[id] for id in some}
 
-    assert {i for i in sides(n_pairs + n_more) if i < n_pairs} == sides(n_pairs)
+
+def test_training_pairs_share_no_segment_with_the_hold_out():
+    rng = np.random.default_rng(0)
+    pairs = np.array([rng.choice(400, 2, replace=False) for _ in range(300)])
+    arrays = unshared(200).segments
+    whole = PreferenceDataset(arrays, pairs, np.ones(300))
+    train, hold_out = whole.split(0.2, 0)
+    assert not np.isin(train.pairs, hold_out.pairs).any()
+    assert set(hold_out.ids) == set(np.flatnonzero(whole.held_out(0.2, 0)))
+    assert 120 <= len(train) < 300 - len(hold_out)
+
+
+def test_few_segments_are_shared_rather_than_left_out():
+    train, hold_out = dataset(100).split(0.2, 0)
+    assert len(train) + len(hold_out) == 100
+
+
+def test_folds_are_even_and_independent_of_the_hold_out():
+    whole = unshared(4000)
+    folds, held_out = whole.folds(4, 0), whole.held_out(0.2, 0)
+    counts = np.bincount(folds[held_out], minlength=4), np.bincount(folds[~held_out], minlength=4)
+    np.testing.assert_allclose(counts[0], 200, atol=60)
+    np.testing.assert_allclose(counts[1], 800, atol=120)
+
+
+def test_ids_of_another_number_are_refused():
+    with pytest.raises(ShapeError) as refused:
+        PreferenceDataset(unshared(2).segments, np.array([[0, 1]]), np.ones(1), np.arange(2))
+    assert refused.value.name == "ids"
+
+
+def test_pairs_of_two_sets_are_joined():
+    whole = unshared(6)
+    joined = whole.take([4, 1]).joined(whole.take([0]))
+    assert joined.ids.tolist() == [4, 1, 0]
+    np.testing.assert_array_equal(joined.pairs, whole.pairs[[4, 1, 0]])
 
 
 def test_split_depends_on_the_seed():

@@ -3,44 +3,39 @@ import torch
 
 from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.schedule import (
-    Schedule,
     StageSettings,
-    is_accepted,
+    early_part,
     is_out_of_patience,
     is_significant,
-    plan_schedule,
+    markov_stage,
+    network_stage,
+    replaces,
 )
 
 DIMENSIONS = {"observation_dim": 4, "action_dim": 2, "n_agents": 3, "segment_steps": 8}
 
 
-def schedule(name: str, *, warm: bool = False, reliable: bool = True, **training: int) -> Schedule:
-    network = RewardConfig.named(name, **DIMENSIONS)
-    return plan_schedule(TrainConfig(**training), network, 100, warm=warm, reliable=reliable)
+def stage(name: str, *, warm: bool = False, **training: int) -> StageSettings:
+    return network_stage(TrainConfig(**training), RewardConfig.named(name, **DIMENSIONS), 100, warm=warm)
 
 
 @pytest.mark.parametrize("name", ["MAPT*", "MAPT*-CPA"])
 def test_network_stage_of_an_lstm_restarts_unless_warm(name):
-    assert schedule(name).network.restart
-    assert not schedule(name, warm=True).network.restart
-    assert schedule(name, markov_epochs=0).network.restart
+    assert stage(name).restart
+    assert not stage(name, warm=True).restart
 
 
 @pytest.mark.parametrize("name", ["MAPT", "MAPT-TPA", "MA-LSTM"])
 def test_network_stage_of_other_models_continues(name):
-    assert not schedule(name).network.restart
+    assert not stage(name).restart
 
 
-def test_network_stage_must_improve_on_a_markov_path():
-    assert schedule("MAPT").network.must_improve
-    assert not schedule("MA-LSTM").network.must_improve
-
-
-@pytest.mark.parametrize(("name", "reliable"), [("MA-MLP", True), ("MAPT", False)])
-def test_only_the_markov_path_is_trained_without_another_path_or_a_reliable_hold_out(name, reliable):
-    planned = schedule(name, reliable=reliable)
-    assert planned.markov is not None
-    assert planned.network is None
+def test_warm_stages_have_their_own_epochs():
+    settings = {"max_epochs": 9, "warm_epochs": 4, "markov_epochs": 20, "warm_markov_epochs": 0}
+    assert (stage("MAPT", **settings).max_epochs, stage("MAPT", warm=True, **settings).max_epochs) == (9, 4)
+    cold, warm = (markov_stage(TrainConfig(**settings), 100, warm=warm) for warm in (False, True))
+    assert (cold.max_epochs, cold.early_epoch, early_part(cold).max_epochs) == (20, 6, 6)
+    assert warm is None
 
 
 def test_constant_gain_is_significant_and_a_single_outlier_is_not():
@@ -54,12 +49,18 @@ def test_zero_gain_is_not_significant():
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "accepted"),
-    [(0.1, 0.05, True), (0.1, 0.2, True), (0.1, 0.69, True), (0.1, 0.8, False), (0.9, 0.85, True)],
+    ("after", "markov", "replaced"),
+    [(0.2, False, True), (0.3, False, True), (0.31, False, False), (0.31, True, False), (0.29, True, True)],
 )
-def test_result_that_need_not_improve_is_accepted_up_to_the_loss_of_chance(before, after, accepted):
-    settings = StageSettings(1e-3, 0.0, 32, 1, 1, 0.0)
-    assert is_accepted(settings, torch.full((20,), before), torch.full((20,), after)) == accepted
+def test_a_worse_version_does_not_replace_its_parent(after, markov, replaced):
+    assert replaces(torch.full((20,), 0.3), torch.full((20,), after), markov=markov) == replaced
+
+
+def test_a_markov_version_that_is_worse_by_chance_replaces_its_parent():
+    before = torch.full((20,), 0.3)
+    after = before + torch.tensor([0.3, -0.28]).repeat(10)
+    assert replaces(before, after, markov=True)
+    assert not replaces(before, after, markov=False)
 
 
 @pytest.mark.parametrize(

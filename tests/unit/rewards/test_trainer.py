@@ -11,14 +11,16 @@ from mapt.preferences.loss import preference_losses
 from mapt.preferences.storage import SegmentFolder, SegmentWriter
 from mapt.preferences.storage_layout import SegmentLayout
 from mapt.preferences.teachers import OracleTeacher, TeacherView
+from mapt.rewards import attention_trial
 from mapt.rewards import data as reward_data
 from mapt.rewards.config import MODEL_NAMES, RewardConfig, TrainConfig
 from mapt.rewards.data import PairTensors, markov_scorer, network_scorer, segment_reader
 from mapt.rewards.mapt import MAPT
 from mapt.rewards.metrics import evaluate_logits
 from mapt.rewards.registry import build_reward_model
-from mapt.rewards.schedule import StageSettings
-from mapt.rewards.trainer import RewardTrainer, Stage, train_reward_model, weight_average
+from mapt.rewards.schedule import StageSettings, markov_stage, start_weights
+from mapt.rewards.stage_trainer import RewardTrainer, Stage, TrainingLog, weight_average
+from mapt.rewards.trainer import train_reward_model
 from support.tolerance import assert_float32_close
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 2, 4, 1
@@ -79,14 +81,18 @@ def test_metrics_have_the_documented_names():
     assert set(metrics) == {
         *("loss", "accuracy", "holdout_loss", "holdout_accuracy", "ece", "epochs", "seconds"),
         *("labels", "holdout_labels", "holdout_reliable", "stopped"),
+        *("attention", "attention_trial_seconds", "attention_trial_labels"),
+        *("attention_gain", "attention_gain_error", "attention_gain_pairs"),
     }
-    assert (metrics["labels"], metrics["holdout_labels"], metrics["holdout_reliable"]) == (60, 12, 1)
+    assert (metrics["labels"], metrics["holdout_reliable"], metrics["attention_trial_labels"]) == (60, 1, 60)
+    assert 10 <= metrics["holdout_labels"] <= metrics["attention_gain_pairs"] <= 60
     assert (metrics["stopped"], metrics["epochs"] >= 8) == (0, True)
 
 
 def test_twenty_labels_train_with_an_unreliable_hold_out():
     metrics = train_reward_model(preferences(20), CONFIG, QUICK).metrics
-    assert (metrics["holdout_labels"], metrics["holdout_reliable"]) == (4, 0)
+    assert metrics["holdout_labels"] < 10
+    assert (metrics["holdout_reliable"], metrics["attention"], metrics["attention_trial_seconds"]) == (0, 0, 0)
     assert metrics["accuracy"] > 0.6
 
 
@@ -208,16 +214,16 @@ def test_warm_start_continues_from_the_model_without_changing_it():
 
 
 def test_warm_start_keeps_warm_share_of_the_markov_path():
-    first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2)).model
-    tiny_steps = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1e-8, warm_share=0.25)
-    warm = train_reward_model(preferences(80), CONFIG, tiny_steps, initial=first).model
-    before, after = (model.markov.second.weight.detach().flatten() for model in (first, warm))
+    markov = replace(CONFIG, architecture="mlp", temporal="none")
+    first = train_reward_model(preferences(80), markov, QUICK).model
+    kept = start_weights(markov_stage(replace(QUICK, warm_share=0.25), 80, warm=True), first)
+    before, after = (weights["markov.second.weight"].flatten() for weights in (first.state_dict(), kept))
     # The new weights are small and independent of the old ones, so the projection is about `warm_share`.
     share = (before @ after) / (before @ before)
     assert 0.15 < share < 0.35
 
 
-def test_result_below_chance_does_not_replace_the_initial_model():
+def test_significantly_worse_markov_path_does_not_replace_the_initial_model():
     first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2))
     divergent = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1.0, warm_share=0.0)
     second = train_reward_model(preferences(80), CONFIG, divergent, initial=first.model)
@@ -261,11 +267,6 @@ def test_label_noise_lowers_the_test_loss_on_wrong_labels():
     assert loss_on_fresh_pairs(0.3) < 0.8 * loss_on_fresh_pairs(0.0)
 
 
-def test_visits_limit_the_epochs():
-    settings = TrainConfig(markov_epochs=20, max_epochs=10, markov_visits=96, visits=48, device="cpu")
-    assert train_reward_model(preferences(60), CONFIG, settings).metrics["epochs"] == 3
-
-
 def test_bfloat16_learns_the_same_preferences():
     config = replace(CONFIG, markov_path=False)
     settings = TrainConfig(max_epochs=6, device="cpu")
@@ -282,7 +283,6 @@ def test_progress_is_reported_after_every_epoch():
     trained = train_reward_model(preferences(60), CONFIG, QUICK, progress=seen.append)
     assert tuple(seen) == trained.history
     assert [at.epoch for at in seen] == list(range(1, len(seen) + 1))
-    assert all(at.max_epochs == 11 for at in seen)
     assert [at.seconds for at in seen] == sorted(at.seconds for at in seen)
 
 
@@ -320,12 +320,54 @@ def test_every_variant_trains(settings):
     assert trained.metrics["loss"] < 0.65
 
 
-def test_attention_path_is_accepted_only_with_a_lower_hold_out_loss():
-    metrics = [
-        train_reward_model(preferences(60), CONFIG, TrainConfig(markov_epochs=20, max_epochs=epochs)).metrics
-        for epochs in (1, 12)
-    ]
-    assert metrics[1]["holdout_loss"] <= metrics[0]["holdout_loss"]
+def test_rejected_attention_leaves_the_markov_path_alone():
+    coin_flips = np.random.default_rng(5).integers(0, 2, 80)
+    trained = train_reward_model(preferences(80, labels=coin_flips), CONFIG, QUICK)
+    assert trained.model.is_markov
+    assert (trained.metrics["attention"], trained.metrics["attention_trial_labels"]) == (0, 80)
+    assert trained.metrics["attention_trial_seconds"] > 0
+
+
+def test_attention_is_tried_again_when_labels_have_grown(monkeypatch):
+    tried = []
+
+    def reject(gains, *, is_last):
+        tried.append(len(gains))
+        return False
+
+    monkeypatch.setattr(attention_trial, "verdict", reject)
+    model, metrics = None, {}
+    for n_pairs in (80, 100, 110):
+        data = preferences(n_pairs, labels=np.random.default_rng(5).integers(0, 2, 110)[:n_pairs])
+        trained = train_reward_model(data, CONFIG, QUICK, initial=model, initial_metrics=metrics)
+        model, metrics = trained.model, trained.metrics
+    # 100 labels are fewer than 1.3 times 80.
+    assert len(tried) == 2
+    assert metrics["attention_trial_labels"] == 110
+
+
+def accepted(monkeypatch, n_pairs=80):
+    """A version that uses attention."""
+    monkeypatch.setattr(attention_trial, "verdict", lambda gains, is_last: True)
+    trained = train_reward_model(preferences(n_pairs), CONFIG, QUICK)
+    assert trained.metrics["attention"] == 1
+    assert not trained.model.is_markov
+    return trained
+
+
+def test_attention_in_use_is_trained_further_without_a_trial(monkeypatch):
+    first = accepted(monkeypatch)
+    second = train_reward_model(preferences(120), CONFIG, QUICK, initial=first.model, initial_metrics=first.metrics)
+    assert (second.metrics["attention"], second.metrics["attention_trial_seconds"]) == (1, 0)
+    assert second.metrics["attention_gain"] == first.metrics["attention_gain"]
+
+
+def test_attention_in_use_is_never_replaced_by_a_worse_version(monkeypatch):
+    first = accepted(monkeypatch)
+    divergent = replace(QUICK, lr=1.0, markov_lr=1.0, warm_share=0.0, warm_markov_epochs=1, warm_epochs=1)
+    second = train_reward_model(preferences(80), CONFIG, divergent, initial=first.model)
+    assert second.metrics["holdout_loss"] == pytest.approx(first.metrics["holdout_loss"], rel=1e-3)
+    assert second.metrics["attention"] == 1
 
 
 def test_untrained_markov_scorer_equals_the_network_scorer():
@@ -352,9 +394,9 @@ def test_early_weights_do_not_overfit():
 
     untrained = hold_out_loss()
     settings = StageSettings(2e-2, 0.0, 32, 80, 80, 0.0, early_epoch=80)
-    trainer = RewardTrainer(model, train, hold_out, seed=0, max_epochs=80)
-    trainer.run(Stage(settings, list(model.markov.parameters()), scorer))
-    assert trainer.history[-1].holdout_loss > untrained + 0.1
+    trainer = RewardTrainer(model, train, hold_out, seed=0)
+    losses = trainer.run(Stage(settings, list(model.markov.parameters()), scorer))
+    assert losses.epochs[-1].mean() > untrained + 0.1
     model.load_state_dict(trainer.early_weights)
     assert hold_out_loss() <= untrained
 
@@ -391,15 +433,16 @@ def scale_pairs() -> tuple[torch.Tensor, PairTensors]:
 @pytest.mark.parametrize(("first_useful_epoch", "learns"), [(3, True), (8, True), (40, False)])
 def test_stage_at_chance_is_continued_for_its_longer_patience(first_useful_epoch, learns):
     (quality, pairs), model = scale_pairs(), Scale()
-    trainer = RewardTrainer(model, pairs, pairs, seed=0, max_epochs=60)
+    log = TrainingLog()
+    trainer = RewardTrainer(model, pairs, pairs, seed=0, log=log)
 
     def score(model, index):
-        return model.weight.sum() * quality[index] * (len(trainer.history) >= first_useful_epoch)
+        return model.weight.sum() * quality[index] * (len(log.history) >= first_useful_epoch)
 
     settings = StageSettings(0.1, 0.0, 32, max_epochs=60, patience=3, label_noise=0.0, patience_at_chance=12)
     trainer.run(Stage(settings, list(model.parameters()), score))
     assert (model.weight.item() > 0) == learns
-    assert learns or len(trainer.history) == 12
+    assert learns or len(log.history) == 12
 
 
 def run_scale(progress, monkeypatch) -> tuple[Scale, list[float]]:
@@ -415,7 +458,8 @@ def run_scale(progress, monkeypatch) -> tuple[Scale, list[float]]:
 
     monkeypatch.setattr(torch.optim.AdamW, "step", step)
     settings = StageSettings(0.1, 0.0, 32, max_epochs=5, patience=5, label_noise=0.0)
-    trainer = RewardTrainer(model, pairs, pairs, seed=0, max_epochs=5, progress=lambda at: progress(model, trained))
+    log = TrainingLog(lambda at: progress(model, trained))
+    trainer = RewardTrainer(model, pairs, pairs, seed=0, log=log)
     trainer.run(Stage(settings, list(model.parameters()), lambda model, index: model.weight.sum() * quality[index]))
     return model, trained
 

@@ -18,11 +18,19 @@ export function pointsOf(metrics: Metrics | undefined, name: string): MetricPoin
   return metrics?.series.find((series) => series.name === name)?.points ?? null;
 }
 
+/** Names of a reward version's metrics that the page shows. */
+export type VersionMetric =
+  | "holdout_accuracy"
+  | "holdout_loss"
+  | "attention"
+  | "attention_gain"
+  | "attention_gain_error"
+  | "attention_gain_pairs"
+  | "attention_trial_labels"
+  | "attention_trial_seconds";
+
 /** A metric of a reward version; null when it was not measured. */
-export function versionMetric(
-  version: RewardVersion | undefined,
-  name: "holdout_accuracy" | "holdout_loss",
-): number | null {
+export function versionMetric(version: RewardVersion | undefined, name: VersionMetric): number | null {
   const value: unknown = version?.metrics[name];
   return typeof value === "number" && Number.isFinite(value) ? value : null;
 }

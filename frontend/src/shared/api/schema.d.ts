@@ -1217,7 +1217,7 @@ export interface components {
             policy_steps: number;
             /**
              * Metrics
-             * @description Loss, accuracy and so on, on training and held-out labels.
+             * @description Loss, accuracy and so on, on training and held-out labels. attention is 1 if rewards depend on MAPT's attention, else 0; attention_gain is the reduction of the held-out loss by attention, in nats, with its standard error attention_gain_error over attention_gain_pairs pairs, at the latest trial; attention_trial_seconds is the time that this version spent on a trial.
              */
             metrics: {
                 [key: string]: unknown;

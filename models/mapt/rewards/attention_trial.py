@@ -1,0 +1,110 @@
+"""Whether the attention path of a network earns its place beside the Markov path.
+
+While attention is inactive, a version may try it: over several folds, the Markov path and the whole network are trained
+from scratch on the same pairs, and their losses on the held-out fold are compared pair by pair. The first fold is the
+version's own hold-out, so that most trials end with one more training: a clear gain accepts attention and no gain
+rejects it; further folds decide between.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+# Standard errors by which the mean gain must exceed 0: after all folds, and, because it is looked at after every fold,
+# more before the last one.
+LAST_THRESHOLD = 2.0
+EARLY_THRESHOLD = 3.0
+# The gain is at most the loss of the Markov path. Below this many nats, as with an oracle's labels, there is no trial.
+MIN_MARKOV_LOSS = 0.1
+
+# Metrics of a version.
+#: 1 if its rewards depend on the attention path, else 0
+IN_USE = "attention"
+#: of the latest trial: mean reduction of the held-out loss in nats, its standard error, and the pairs it is a mean over
+GAIN, GAIN_ERROR, GAIN_PAIRS = "attention_gain", "attention_gain_error", "attention_gain_pairs"
+#: labels at the latest trial
+TRIAL_LABELS = "attention_trial_labels"
+#: seconds that this version spent on a trial
+TRIAL_SECONDS = "attention_trial_seconds"
+_KEPT = (GAIN, GAIN_ERROR, GAIN_PAIRS, TRIAL_LABELS)
+
+
+@dataclass(frozen=True, slots=True)
+class AttentionTrial:
+    """The result of a trial."""
+
+    accepted: bool
+    #: loss of the Markov path minus that of the whole network on each held-out pair, (P,)
+    gains: Tensor
+    #: labels of the version
+    labels: int
+    seconds: float
+
+    def metrics(self) -> dict[str, float]:
+        """Its metrics by name."""
+        return {
+            GAIN: self.gains.mean().item(),
+            GAIN_ERROR: standard_error(self.gains),
+            GAIN_PAIRS: float(len(self.gains)),
+            TRIAL_LABELS: float(self.labels),
+        }
+
+
+def trial_metrics(
+    trial: AttentionTrial | None, in_use: bool, initial: Mapping[str, float | None] | None
+) -> dict[str, float]:
+    """The metrics of a version, with those of the latest trial if this version made none.
+
+    Args:
+        initial: metrics of the version that it continues from.
+    """
+    earlier = {name: value for name in _KEPT if (value := (initial or {}).get(name)) is not None}
+    latest = earlier if trial is None else trial.metrics()
+    return {IN_USE: float(in_use), TRIAL_SECONDS: 0.0 if trial is None else trial.seconds, **latest}
+
+
+def is_due(labels: int, initial: Mapping[str, float | None] | None, growth: float) -> bool:
+    """Whether a version with this many labels tries attention.
+
+    Args:
+        initial: metrics of the version that it continues from; None without one.
+        growth: factor by which the labels must have grown since the latest trial.
+    """
+    tried_on = (initial or {}).get(TRIAL_LABELS)
+    return tried_on is None or labels >= growth * tried_on
+
+
+def verdict(gains: Tensor, *, is_last: bool) -> bool | None:
+    """Whether attention is accepted, given the gains (P,) of the folds so far; None if another fold must decide."""
+    mean, error = gains.mean().item(), standard_error(gains)
+    if mean > EARLY_THRESHOLD * error:
+        return True
+    if is_last:
+        return mean > LAST_THRESHOLD * error
+    return False if mean <= 0 else None
+
+
+def standard_error(gains: Tensor) -> float:
+    """Standard error of the mean of `gains` (P,); infinite for fewer than two."""
+    return gains.std().item() / math.sqrt(len(gains)) if len(gains) > 1 else math.inf
+
+
+def cross_selected(losses: Sequence[Tensor]) -> Tensor:
+    """The loss of each pair (P,) at the epoch that is best for the other half of the pairs.
+
+    The best epoch of many for some pairs is better on these pairs by chance.
+
+    Args:
+        losses: of each pair (P,) after each epoch.
+    """
+    by_epoch = torch.stack(tuple(losses))
+    half = torch.arange(by_epoch.shape[1], device=by_epoch.device) % 2
+    chosen = torch.empty_like(by_epoch[0])
+    for own in (0, 1):
+        others = by_epoch[:, half != own]
+        best = int(others.mean(dim=1).argmin()) if others.numel() else -1
+        chosen[half == own] = by_epoch[best, half == own]
+    return chosen

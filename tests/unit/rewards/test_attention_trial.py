@@ -1,0 +1,66 @@
+import math
+
+import pytest
+import torch
+
+from mapt.rewards.attention_trial import AttentionTrial, cross_selected, is_due, trial_metrics, verdict
+
+
+@pytest.mark.parametrize(
+    ("mean", "is_last", "expected"),
+    [(0.5, False, True), (0.1, False, None), (-0.1, False, False), (0.0, False, False), (0.1, True, False)],
+)
+def test_verdict_waits_only_for_an_uncertain_gain(mean, is_last, expected):
+    # The standard error of 101 gains of +1 and -1 around the mean is 0.1.
+    gains = mean + torch.tensor([1.0, -1.0] * 50 + [0.0])
+    assert verdict(gains, is_last=is_last) is expected
+
+
+def test_last_verdict_needs_two_standard_errors():
+    deviations = torch.tensor([1.0, -1.0] * 50 + [0.0])
+    assert verdict(0.25 + deviations, is_last=False) is None
+    assert verdict(0.25 + deviations, is_last=True) is True
+    assert verdict(0.15 + deviations, is_last=True) is False
+
+
+def test_one_pair_accepts_nothing():
+    assert verdict(torch.tensor([5.0]), is_last=True) is False
+
+
+def test_each_pair_is_judged_at_the_epoch_that_the_other_half_selects():
+    losses = [torch.tensor([0.5, 0.4, 0.5, 0.4]), torch.tensor([0.9, 0.1, 0.9, 0.1])]
+    # The second epoch is better for pairs 1 and 3, and selected for pairs 0 and 2, where it is worse.
+    assert cross_selected(losses).tolist() == pytest.approx([0.9, 0.4, 0.9, 0.4])
+
+
+def test_selection_among_noise_shows_no_gain():
+    noise = torch.randn(60, 2000, generator=torch.Generator().manual_seed(0))
+    assert noise.mean(dim=1).min() < -0.04
+    assert abs(cross_selected(list(noise)).mean().item()) < 4 / math.sqrt(2000)
+
+
+@pytest.mark.parametrize(("labels", "due"), [(100, False), (129, False), (130, True), (500, True)])
+def test_trial_is_due_when_labels_have_grown(labels, due):
+    assert is_due(labels, {"attention_trial_labels": 100.0}, 1.3) == due
+
+
+def test_first_trial_is_due():
+    assert is_due(20, None, 1.3)
+    assert is_due(20, {"attention_trial_labels": None}, 1.3)
+
+
+def test_metrics_of_the_latest_trial_are_kept():
+    trial = AttentionTrial(True, torch.tensor([0.1, 0.3]), labels=100, seconds=7.0)
+    first = trial_metrics(trial, True, None)
+    assert first == pytest.approx(
+        {
+            "attention": 1,
+            "attention_trial_seconds": 7,
+            "attention_gain": 0.2,
+            "attention_gain_error": 0.1,
+            "attention_gain_pairs": 2,
+            "attention_trial_labels": 100,
+        }
+    )
+    assert trial_metrics(None, True, first) == {**first, "attention_trial_seconds": 0.0}
+    assert trial_metrics(None, False, None) == {"attention": 0.0, "attention_trial_seconds": 0.0}
