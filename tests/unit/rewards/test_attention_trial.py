@@ -8,7 +8,7 @@ from mapt.rewards.attention_trial import AttentionTrial, cross_selected, is_due,
 
 @pytest.mark.parametrize(
     ("mean", "is_last", "expected"),
-    [(0.5, False, True), (0.1, False, None), (-0.1, False, False), (0.0, False, False), (0.1, True, False)],
+    [(0.5, False, True), (0.2, False, None), (0.05, False, False), (-0.1, False, False), (0.1, True, False)],
 )
 def test_verdict_waits_only_for_an_uncertain_gain(mean, is_last, expected):
     # The standard error of 101 gains of +1 and -1 around the mean is 0.1.
