@@ -251,9 +251,9 @@ def _return(row: Row | None, plan: PaperPlan) -> str:
     if row is None or not row.returns:
         return ""
     values = list(row.returns.values())
-    text = f"{mean(values):,.0f}"
+    text = f"{round(mean(values)):,}"
     if len(values) > 1:
-        text += f" ± {stdev(values):,.0f}"
+        text += f" ± {round(stdev(values)):,}"
     return text if len(values) == len(plan.seeds) else f"{text} ({len(values)})"
 
 

@@ -116,10 +116,10 @@ def paper(
         checkpoint_seconds=checkpoint_minutes * 60,
         physics_threads=physics_threads or cores_per_job(parallel_jobs(workers, n_baselines)),
     )
-    with RunFolder(output).locked():
-        if not dry_run:
+    if not dry_run:
+        with RunFolder(output).locked():
             _do_all(folder, workers, quiet=as_json)
-        results, paths = write(folder)
+    results, paths = write(folder)
     if as_json:
         print_json([row_values(row) for row in results.rows()])
     else:

@@ -118,7 +118,7 @@ def test_the_tables_have_the_returns_of_the_run_folders(whole):
         values = [returns[row["policy"], row["reward"], str(seed)] for seed in SEEDS]
         assert float(row["mean"]) == pytest.approx(mean(values))
         assert float(row["std"]) == pytest.approx(stdev(values))
-        assert f"{mean(values):,.0f} ± {stdev(values):,.0f}" in page
+        assert f"{round(mean(values)):,} ± {round(stdev(values)):,}" in page
     assert "results are missing" not in page
 
 
@@ -154,6 +154,15 @@ def test_a_dry_run_of_a_moved_output_lists_what_is_missing_of_more_seeds(tmp_pat
     page = (moved / "paper.md").read_text()
     assert f"**{N_RUNS // len(SEEDS)} results are missing**" in page
     assert page.count(", seed 2\n") == N_RUNS // len(SEEDS)
+
+
+def test_only_one_process_at_a_time_trains_in_a_folder(whole, mapt):
+    with RunFolder(whole).locked():
+        refused = mapt(*arguments(whole))
+        assert refused.status == 2
+        assert str(whole) in refused.errors
+        # A dry run only reads results, so it may run beside the process that computes them.
+        assert mapt(*arguments(whole, "--dry-run")).status == 0
 
 
 def test_a_dataset_with_other_settings_is_refused(whole, mapt):
