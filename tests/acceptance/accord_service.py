@@ -13,7 +13,11 @@ from typing import Any
 import httpx
 import psutil
 
+from accord.domain.enums import Role
+from accord.services import accounts
+from accord.store.database import Database
 from support import short_tasks
+from support.plain_http import PLAIN_HTTP
 from support.waiting import PATIENCE_SECONDS, until
 
 #: short episodes, frequent polling and short leases
@@ -60,7 +64,7 @@ class Accord:
         assert self.supervisor.is_running(), self.log.read_text()
         assert self.supervisor.status() != psutil.STATUS_ZOMBIE, self.log.read_text()
         with suppress(httpx.TransportError, FileNotFoundError):
-            return httpx.get(f"{self.url}/api/v1/health", trust_env=False, timeout=30.0).is_success
+            return httpx.get(f"{self.url}/api/v1/health", timeout=30.0, **PLAIN_HTTP).is_success
         return False
 
     @property
@@ -119,10 +123,13 @@ class Accord:
         )
 
     def token(self, name: str, role: str) -> str:
-        """Add a user; return their API token."""
-        done = self.run("user", "add", name, "--role", role)
-        assert done.returncode == 0, done.stderr
-        return dict(line.split() for line in done.stdout.splitlines())["token"]
+        """Add a user, as `accord user add` does; return their API token."""
+        database = Database.open(f"sqlite:///{self.home / 'accord.db'}")
+        try:
+            with database.transaction() as session:
+                return accounts.create_user(session, name, Role(role))[1]
+        finally:
+            database.close()
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         """Rows of the database, read directly."""
@@ -164,8 +171,8 @@ class Client:
                     json=body,
                     params=query,
                     headers=self._headers,
-                    trust_env=False,
                     timeout=60.0,
+                    **PLAIN_HTTP,
                 )
                 return None if response.status_code == 503 else response
             return None

@@ -2,34 +2,43 @@
 
 import signal
 
-import pytest
-
 from acceptance.accord_service import Accord, Client, alive
 from support.waiting import PATIENCE_SECONDS, until
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_one_signal_ends_all_processes_and_saves_a_checkpoint(accord: Accord, number: signal.Signals) -> None:
+def start_training(accord: Accord) -> None:
+    """Start the service and wait until its policy trains."""
     accord.start()
     client = Client(accord, accord.token("ada", "researcher"))
     client.create_experiment(reward_source="true", total_steps=10_000_000)
     until(lambda: accord.rows("SELECT 1 FROM metrics WHERE name = 'learned_return'"), "training has begun")
-    processes = list(until(accord.all_ready, "all processes handle signals").values())
-    accord.send_signal(number)
+
+
+def assert_stopped(accord: Accord, *, killed: set[str]) -> None:
+    """The service has ended with status 0, a checkpoint and the state `stopped` of each worker that was not killed."""
     assert accord.supervisor.wait(PATIENCE_SECONDS) == 0
-    until(lambda: not any(alive(process) for process in processes), "all have ended")
     assert accord.rows("SELECT 1 FROM policy_checkpoints"), "the policy stored no checkpoint"
-    assert accord.rows("SELECT DISTINCT state FROM workers") == [("stopped",)]
+    states = dict(accord.rows("SELECT id, state FROM workers"))
+    assert {id for id, state in states.items() if state != "stopped"} == killed
     assert not (accord.home / "url").exists()
 
 
-def test_a_worker_that_does_not_respond_is_killed(accord: Accord) -> None:
-    accord.start()
+def test_one_signal_ends_all_processes_and_saves_a_checkpoint(accord: Accord) -> None:
+    start_training(accord)
     processes = until(accord.all_ready, "all processes handle signals")
-    processes["policy"].suspend()
-    accord.send_signal()
-    assert accord.supervisor.wait(PATIENCE_SECONDS) == 0
-    assert "killed: policy-0" in accord.log.read_text()
+    accord.send_signal(signal.SIGINT)
+    assert_stopped(accord, killed=set())
+    assert "killed:" not in accord.log.read_text()
+    until(lambda: not any(alive(process) for process in processes.values()), "all have ended")
+
+
+def test_a_worker_that_does_not_respond_is_killed_and_the_others_save_their_work(accord: Accord) -> None:
+    start_training(accord)
+    processes = until(accord.all_ready, "all processes handle signals")
+    processes["render"].suspend()
+    accord.send_signal(signal.SIGTERM)
+    assert_stopped(accord, killed={"render-0"})
+    assert "killed: render-0\n" in accord.log.read_text()
     until(lambda: not any(alive(process) for process in processes.values()), "all have ended")
 
 

@@ -1,7 +1,7 @@
 """Fixtures for tests in real Chromium against the real service: page, API, workers, and clips rendered by EGL.
 
-The browser and the service stop after each module. Playwright keeps an event loop open in this thread, which prevents
-other tests from starting theirs, and the workers of the service would slow down later tests.
+The browser and the service stop after the last test of this folder. Playwright keeps an event loop open in this thread,
+which prevents other tests from starting theirs, and the workers of the service would slow down later tests.
 """
 
 import shutil
@@ -28,7 +28,7 @@ _FLAGS = (
 )
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
@@ -41,7 +41,7 @@ def browser() -> Iterator[Browser]:
         launched.close()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def service(tmp_path_factory: pytest.TempPathFactory, browser: Browser) -> Iterator[Service]:
     """A running service. Depends on `browser`, so that a test skipped without a browser does not start the service."""
     if not (FOLDER / "index.html").is_file():
@@ -52,7 +52,7 @@ def service(tmp_path_factory: pytest.TempPathFactory, browser: Browser) -> Itera
     service.stop()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def researcher(service: Service) -> str:
     """A researcher's bearer token."""
     return service.add_user("Rosa", "researcher")[0]

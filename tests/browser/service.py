@@ -16,6 +16,7 @@ import psutil
 from accord.domain.enums import Role
 from accord.services import accounts
 from accord.store.database import Database
+from support.plain_http import PLAIN_HTTP
 from support.ports import free_port
 from support.waiting import PATIENCE_SECONDS
 
@@ -50,7 +51,7 @@ class Service:
         deadline = time.monotonic() + PATIENCE_SECONDS
         while time.monotonic() < deadline and self._process.poll() is None:
             with suppress(httpx.TransportError):
-                if httpx.get(f"{self.url}/api/v1/health", trust_env=False).is_success:
+                if httpx.get(f"{self.url}/api/v1/health", **PLAIN_HTTP).is_success:
                     return
             time.sleep(0.05)
         raise AssertionError(f"accord up did not start:\n{(self.home / 'up.log').read_text()}")
@@ -89,7 +90,7 @@ class Service:
     def api(self, token: str) -> httpx.Client:
         """A client of the REST API with this bearer token."""
         headers = {"Authorization": f"Bearer {token}"}
-        return httpx.Client(base_url=f"{self.url}/api/v1", headers=headers, trust_env=False, timeout=PATIENCE_SECONDS)
+        return httpx.Client(base_url=f"{self.url}/api/v1", headers=headers, timeout=PATIENCE_SECONDS, **PLAIN_HTTP)
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         """Query the database directly, without the API."""

@@ -7,54 +7,46 @@ from playwright.sync_api import expect
 from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS, Labeller, Pair
 from browser.service import Service
+from support.waiting import PATIENCE_SECONDS
 
 #: the label of each key, as P(left preferred)
 LEFT_PREFERRED = {"ArrowLeft": 1.0, "ArrowRight": 0.0, "ArrowUp": 0.5}
-KEYS = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowLeft", "ArrowRight"] * 4
+KEYS = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowLeft", "ArrowRight"]
 
 
-def test_twenty_labels_with_an_undo_and_a_skip_train_a_reward_version(
+def test_labels_with_an_undo_and_a_skip_train_a_reward_version_and_the_policy(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
-    experiment = new_experiment("Twenty labels")
+    experiment = new_experiment("Ten labels", initial_labels=10)
     page = sign_in("Lena")
     labeller = Labeller(page)
     labeller.open(service.url, experiment)
 
     skipped = labeller.press("ArrowDown")
-    chosen = {labeller.press(key).query: key for key in KEYS[:10]}
+    chosen = {labeller.press(key).query: key for key in KEYS}
     undone = labeller.press("ArrowRight")
     labeller.undo(undone)
     assert labeller.press("ArrowLeft") == undone
     chosen[undone.query] = "ArrowLeft"
-    chosen |= {labeller.press(key).query: key for key in KEYS[11:]}
+    chosen |= {labeller.press(key).query: key for key in KEYS[1:]}
 
     expect(page.get_by_test_id("version-notice")).to_contain_text("Reward version 1", timeout=PATIENCE_MS)
     expect(page.get_by_test_id("reward-version")).to_contain_text("Reward version 1")
-    expect(page.get_by_test_id("own-labels")).to_have_text("20")
-    assert len(chosen) == 20
+    expect(page.get_by_test_id("own-labels")).to_have_text("10")
+    assert len(chosen) == 10
     assert {query: _stored_label(service, query) for query in chosen} == {
         q: LEFT_PREFERRED[key] for q, key in chosen.items()
     }
     assert _states(service, skipped) == ["skip"]
     assert _states(service, undone) == ["label", "undone", "label"]
 
-
-def test_the_policy_trains_on_the_reward_version_and_new_pairs_follow(
-    service: Service, new_experiment: NewExperiment, sign_in: SignIn
-) -> None:
-    experiment = new_experiment("Policy training continues")
-    labeller = Labeller(sign_in("Lena"))
-    labeller.open(service.url, experiment)
+    # Pairs from later segments appear automatically, possibly after a notice that there is none.
     for key in KEYS:
         labeller.press(key)
-    # Pairs from later segments appear automatically, possibly after a notice that there is none.
-    for key in KEYS[:4]:
-        labeller.press(key)
-    expect(labeller.page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "24")
-    deadline = time.monotonic() + PATIENCE_MS / 1000
+    expect(page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "15")
+    deadline = time.monotonic() + PATIENCE_SECONDS
     while not (trained := _steps_with_a_version(service, experiment)) and time.monotonic() < deadline:
-        labeller.page.wait_for_timeout(250)
+        page.wait_for_timeout(250)
     assert trained > 0
 
 

@@ -13,6 +13,7 @@ from accord.api.app import create_app
 from accord.api.listener import address_of, listen
 from accord.domain.enums import Role
 from accord.settings import Settings
+from support.plain_http import PLAIN_HTTP
 from support.sample_experiments import user
 from support.stores import Stores
 from support.waiting import PATIENCE_SECONDS, until
@@ -41,7 +42,7 @@ class ApiServer:
 
 def client(url: str, token: str | None, **options: object) -> httpx.Client:
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
-    return httpx.Client(base_url=url, headers=headers, trust_env=False, timeout=PATIENCE_SECONDS, **options)  # type: ignore[arg-type]
+    return httpx.Client(base_url=url, headers=headers, timeout=PATIENCE_SECONDS, **PLAIN_HTTP, **options)  # type: ignore[arg-type]
 
 
 @contextmanager

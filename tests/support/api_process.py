@@ -12,6 +12,7 @@ from pathlib import Path
 
 import httpx
 
+from support.plain_http import PLAIN_HTTP
 from support.waiting import PATIENCE_SECONDS
 
 
@@ -76,7 +77,7 @@ def _until_answers(process: subprocess.Popen[bytes], url: str, log: Path) -> Non
     deadline = time.monotonic() + PATIENCE_SECONDS
     while time.monotonic() < deadline and process.poll() is None:
         with suppress(httpx.TransportError):
-            if httpx.get(f"{url}/api/v1/health", trust_env=False).is_success:
+            if httpx.get(f"{url}/api/v1/health", **PLAIN_HTTP).is_success:
                 return
         time.sleep(0.01)
     raise AssertionError(f"the server does not respond:\n{log.read_text()}")

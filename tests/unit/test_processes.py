@@ -1,6 +1,7 @@
 """Worker processes: what they tell, and how they are ended."""
 
 import os
+import signal
 import time
 from multiprocessing import active_children
 
@@ -58,6 +59,31 @@ def test_an_error_of_this_library_is_its_sentence_another_says_where(job, failur
     (done,) = run_jobs(fail, [job], 1)
     assert (done.failure or "").startswith(failure)
     assert done.result is None
+
+
+def kill_itself(job: str, parent: ParentConnection) -> str:
+    if job == "killed":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return f"{job} ended"
+
+
+def test_a_killed_worker_fails_only_its_own_job():
+    killed, other = run_jobs(kill_itself, ["killed", "other"], 1)
+    assert (killed.job, killed.result) == ("killed", None)
+    assert "killed by SIGKILL" in (killed.failure or "")
+    assert (other.result, other.failure) == ("other ended", None)
+
+
+def return_or_wait(job: str, parent: ParentConnection) -> str:
+    return job if job == "quick" else wait_until_cancelled(job, parent)
+
+
+def test_closing_the_iterator_ends_the_workers():
+    running = run_jobs(return_or_wait, ["quick", "long"], 2)
+    assert next(running).result == "quick"
+    assert active_children()
+    running.close()
+    assert not active_children()
 
 
 def test_leaving_early_ends_the_workers():

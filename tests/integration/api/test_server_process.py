@@ -20,6 +20,7 @@ from accord.store.migrate import migrate
 from accord.store.tables import LabelRow
 from support.api_in_thread import client
 from support.api_process import running_server
+from support.plain_http import PLAIN_HTTP
 from support.sample_experiments import create_sample, user
 from support.waiting import PATIENCE_SECONDS
 
@@ -148,7 +149,7 @@ def test_server_of_accord_up_closes_its_database_on_sigterm(tmp_path: Path) -> N
             pass_fds=[listener.fileno()],
         )
         try:
-            assert httpx.get(f"{address_of(listener)}/api/v1/health", timeout=PATIENCE_SECONDS).status_code == 200
+            assert httpx.get(f"{address_of(listener)}/api/v1/health", timeout=PATIENCE_SECONDS, **PLAIN_HTTP).is_success
             process.terminate()
             assert process.wait(PATIENCE_SECONDS) == 0
         finally:

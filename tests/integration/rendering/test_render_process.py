@@ -134,14 +134,18 @@ def test_hung_process_is_killed_and_replaced(process: RenderProcess, tmp_path: P
     assert_renders(process, tmp_path)
 
 
-def test_hung_process_does_not_block_its_parent_with_a_long_job(process: RenderProcess, tmp_path: Path) -> None:
-    hung = process.pid
-    assert_renders(process, tmp_path)
-    os.kill(hung, signal.SIGSTOP)
-    with pytest.raises(RenderTimedOut):  # 7 MB do not fit into the socket's buffer
-        process.render(job(tmp_path, steps=50_000), limit_seconds=0.5)
-    assert is_gone(hung)
-    assert_renders(process, tmp_path)
+def test_hung_process_does_not_block_its_parent_with_a_long_job(
+    backend: Backend, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("accord.rendering.process.SEND_LIMIT_SECONDS", 1)
+    with RenderProcess(backend) as process:
+        hung = process.pid
+        assert_renders(process, tmp_path)
+        os.kill(hung, signal.SIGSTOP)
+        with pytest.raises(RenderTimedOut):  # 7 MB do not fit into the socket's buffer
+            process.render(job(tmp_path, steps=50_000), limit_seconds=0.5)
+        assert is_gone(hung)
+        assert_renders(process, tmp_path)
 
 
 def test_hang_during_a_clip_leaves_no_file(process: RenderProcess, tmp_path: Path) -> None:

@@ -18,7 +18,8 @@ from support.waiting import until
 pytestmark = pytest.mark.usefixtures("short_episodes")
 
 STEPS_PER_ITERATION = 4 * 24
-ITERATIONS = 40
+#: enough to kill the run long before its end
+ITERATIONS = 28
 ENVIRONMENT = os.environ | short_tasks.ENVIRONMENT | {"OMP_NUM_THREADS": "1"}
 #: close to the duration of an iteration, so that only some iterations have a checkpoint
 CHECKPOINT_MINUTES = "0.003"
@@ -73,7 +74,7 @@ def metrics_without_timings(folder: RunFolder) -> list[Metrics]:
 def test_a_killed_run_resumes_and_ends_with_the_files_of_an_uninterrupted_run(tmp_path):
     reward = tmp_path / "reward"
     write_reward(reward, reward_model())
-    for lines in (4, 15):
+    for lines in (4, 10):
         assert kill_after(lines, tmp_path / "killed", reward) == -signal.SIGKILL
     killed = finish(tmp_path / "killed", reward)
     whole = finish(tmp_path / "whole", reward)

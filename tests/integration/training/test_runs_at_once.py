@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from integration.training.test_killed_run import ENVIRONMENT, ITERATIONS, command
+from integration.training.test_killed_run import ENVIRONMENT, ITERATIONS, STEPS_PER_ITERATION, command
 from mapt.errors import RunBusy
 from mapt.training.metrics import read_metrics
 from mapt.training.run_folder import RunFolder
@@ -17,10 +17,12 @@ from support.training_runs import reward_model, write_reward
 from support.waiting import until
 
 SEEDS = (3, 4)
+#: for runs that are not interrupted
+SHORT = ("--steps", str(8 * STEPS_PER_ITERATION))
 
 
-def parallel_command(tmp_path: Path, name: str) -> list[str]:
-    return command(tmp_path / name, tmp_path / "reward", "--seeds", "3,4", "--workers", "2")
+def parallel_command(tmp_path: Path, name: str, *more: str) -> list[str]:
+    return command(tmp_path / name, tmp_path / "reward", "--seeds", "3,4", "--workers", "2", *more)
 
 
 def folders(tmp_path: Path, name: str) -> list[RunFolder]:
@@ -82,10 +84,10 @@ def stored_reward(tmp_path: Path, short_episodes: None) -> None:
 
 
 def test_parallel_seeds_give_the_same_files_as_sequential_seeds(tmp_path):
-    parallel = completed(parallel_command(tmp_path, "parallel"))
+    parallel = completed(parallel_command(tmp_path, "parallel", *SHORT))
     assert parallel.returncode == 0, parallel.stderr
     assert parallel.stdout.count("over 32 episodes") == len(SEEDS)
-    sequential = completed([*parallel_command(tmp_path, "sequential"), "--workers", "1"])
+    sequential = completed(parallel_command(tmp_path, "sequential", *SHORT, "--workers", "1"))
     assert sequential.returncode == 0, sequential.stderr
     for first, second in zip(folders(tmp_path, "parallel"), folders(tmp_path, "sequential"), strict=True):
         assert first.checkpoint.read_bytes() == second.checkpoint.read_bytes()
@@ -129,7 +131,7 @@ def test_a_seed_that_cannot_start_is_reported_in_one_line(tmp_path):
     broken, other = folders(tmp_path, "runs")
     broken.path.mkdir(parents=True)
     (broken.path / "run.json").write_text("{}")
-    failed = completed(parallel_command(tmp_path, "runs"))
+    failed = completed(parallel_command(tmp_path, "runs", *SHORT))
     assert failed.returncode == 2
     assert failed.stderr.count("\n") == 1
     assert "seed 3:" in failed.stderr

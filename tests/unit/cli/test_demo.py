@@ -2,15 +2,18 @@
 
 import json
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from io import StringIO
 from pathlib import Path
 
 import pytest
 from matplotlib.image import imread
+from rich.console import Console
 
-from accord.cli.demo import rows_of, write_results
-from accord.cli.demo_runs import DemoRun, Grid, RunPlan, write_metrics
+from accord.cli.demo import rows_of, table, write_results
+from accord.cli.demo_runs import DemoRun, Grid, RunPlan, check_known, write_metrics
 from accord.cli.teach import TeacherChoice
+from accord.domain.errors import Invalid
 from mapt.training.evaluation import Evaluation
 from mapt.training.results import RunResult, find_runs, grouped
 from mapt.training.run_folder import RunFolder
@@ -93,6 +96,23 @@ def test_a_grid_of_another_size_has_other_experiments_and_run_settings():
     assert small.name != paper.name
     settings = [each.settings(TeacherChoice()) for each in (small, paper)]
     assert settings[1].differences(settings[0]) == ["reward.preset: paper, not small"]
+
+
+def test_a_run_that_exists_with_other_settings_is_refused():
+    [one, other] = [plan(seed, "preferences") for seed in (0, 1)]
+    check_known([one, other], {one.name: {"config": asdict(one)}})
+    with pytest.raises(Invalid, match=f"total_steps is {STEPS}, not 5000"):
+        check_known([replace(one, total_steps=5000), other], {one.name: {"config": asdict(one)}})
+
+
+def test_the_table_has_a_line_for_each_row_and_names_its_columns():
+    capture = Console(width=200, record=True, file=StringIO())
+    capture.print(table(rows_of([run(0, "true", 100.0), run(0, "preferences", 80.0)]), "returns"))
+    text = capture.export_text()
+    for heading in ("labels", "untrained", "true reward", "learned reward", "share", "versions"):
+        assert heading in text
+    [line] = [line for line in text.splitlines() if "MAPT" in line]
+    assert "80%" in line
 
 
 def test_models_with_a_star_have_separate_folders():

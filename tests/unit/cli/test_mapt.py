@@ -49,7 +49,7 @@ def test_a_killed_table_resumes_with_the_same_results(tmp_path, replays, mapt):
     process.kill()
     process.wait()
     finished = {path: path.stat().st_mtime_ns for path in cells.glob("*.json")}
-    resumed = mapt(*table_arguments(replays, tmp_path / "killed"))
+    resumed = mapt(*table_arguments(replays, tmp_path / "killed"), "--workers", "1")
     assert resumed.status == 0, resumed.errors
     assert {path: path.stat().st_mtime_ns for path in finished} == finished
     whole = mapt(*table_arguments(replays, tmp_path / "whole"), "--workers", "2", "--keep-models")
@@ -70,7 +70,7 @@ def test_a_dry_run_trains_nothing_and_writes_an_empty_table(tmp_path, replays, m
 
 def test_missing_results_exit_with_status_1(tmp_path, replays, mapt):
     # A teacher who skips every pair never gives 30 labels.
-    failed = mapt(*table_arguments(replays, tmp_path), "--teachers", "skip:skip=1000")
+    failed = mapt(*table_arguments(replays, tmp_path), "--teachers", "skip:skip=1000", "--workers", "1")
     assert failed.status == 1
     assert "gave 0 of 30 labels" in failed.errors
     assert "4 results are missing" in failed.errors
@@ -129,7 +129,7 @@ def training(output: Path, *more: str | Path) -> list[str | Path]:
 
 
 def test_runs_are_trained_evaluated_and_compared(mapt, tmp_path):
-    trained = mapt(*training(tmp_path / "runs", "--seeds", "0,1"))
+    trained = mapt(*training(tmp_path / "runs", "--seeds", "0,1", "--workers", "1"))
     assert trained.status == 0, trained.errors
     assert trained.printed.count("true return") >= 2
     for seed in (0, 1):

@@ -12,17 +12,18 @@ from mapt.preferences.teachers import make_teacher
 REWARDS = st.lists(st.floats(-10, 10), min_size=3, max_size=3)
 
 
+#: one for all examples: it loads the certificates; no request is sent
+_API = Api("http://localhost", "none")
+
+
 def query(rewards_0: list[float], rewards_1: list[float], left: int) -> dict:
     sides = [{"index": 0, "true_rewards": rewards_0}, {"index": 1, "true_rewards": rewards_1}]
     return {"left": sides[left], "right": sides[1 - left]}
 
 
 def labels_of(*queries: dict, name: str = "oracle", **parameters: object) -> list[float | None]:
-    teacher, api = make_teacher(name, **parameters), Api("http://localhost", "none")
-    try:
-        return judge(teacher, SegmentReader(api, teacher), queries)
-    finally:
-        api.close()
+    teacher = make_teacher(name, **parameters)
+    return judge(teacher, SegmentReader(_API, teacher), queries)
 
 
 @given(REWARDS, REWARDS, st.integers(0, 1))
