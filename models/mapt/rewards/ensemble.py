@@ -227,7 +227,8 @@ def _train_member(
     trained = train_reward_model(
         shared.train.take(sample),
         shared.config,
-        replace(shared.train_config, seed=job.seed),
+        # Members serve to score pairs: one fold decides about their attention, instead of a trial each over all folds.
+        replace(shared.train_config, seed=job.seed, trial_folds=1),
         initial=None if job.initial is None else load_reward_model(job.initial.weights, job.initial.card).model,
         initial_metrics=shared.initial_metrics,
         hold_out=shared.hold_out,

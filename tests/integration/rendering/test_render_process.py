@@ -138,7 +138,7 @@ def test_hung_process_does_not_block_its_parent_with_a_long_job(
     backend: Backend, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("accord.rendering.process.SEND_LIMIT_SECONDS", 1)
-    with RenderProcess(backend) as process:
+    with closing(RenderProcess(backend)) as process:
         hung = process.pid
         assert_renders(process, tmp_path)
         os.kill(hung, signal.SIGSTOP)
