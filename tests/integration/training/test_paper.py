@@ -24,9 +24,9 @@ TASK = short_tasks.SHORTEST_NAME
 TRAINING = "hidden_dim=8:train.markov_epochs=1:train.max_epochs=1"
 MODELS = [f"MAPT:{TRAINING}", f"MA-MLP:{TRAINING}"]
 TINY = "n_envs=4:rollout_steps=24:minibatches=2:epochs=2:hidden=[8]"
-POLICIES = [f"mappo:{TINY}", f"mat_dec:{TINY}:width=8"]
+POLICIES = [f"mat_dec:{TINY}:width=8"]
 SEEDS = [0, 1]
-STEPS = 12 * STEPS_PER_ITERATION
+STEPS = 6 * STEPS_PER_ITERATION
 #: policies that are untrained, trained on the true reward, and trained on each model
 N_RUNS = len(SEEDS) * len(POLICIES) * (2 + len(MODELS))
 
