@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
 from mapt.errors import InvalidConfig
@@ -20,6 +20,10 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 GREY = "#8D99A6"
 #: Maximum number of bins in which a curve is averaged; more would not be visible.
 MAX_BINS = 150
+#: Lines with points at the same count are drawn this far apart, as a fraction of the count.
+_SHIFT = 0.03
+#: Space beside the smallest and the largest count, as a factor.
+_MARGIN = 1.5
 _DPI = 130
 
 
@@ -67,6 +71,39 @@ def outside_legend(figure: Figure, axes: Axes) -> None:
     """Put the legend of one panel to the right of all panels."""
     handles, names = axes.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside right center", frameon=False, fontsize="small")
+
+
+def draw_by_count(
+    axes: Axes, counts: Sequence[int], values: ArrayLike, errors: ArrayLike, *, label: str, index: int, n_lines: int
+) -> None:
+    """Draw line number `index` of `n_lines`, shifted so that the error bars of the lines do not overlap.
+
+    Args:
+        counts: numbers of labels, (K,).
+        values: (K,).
+        errors: lengths of the error bars, (K,), or (2, K) downwards and upwards.
+    """
+    style, shift = line_style(index), 1 + _SHIFT * (index - (n_lines - 1) / 2)
+    axes.errorbar(
+        [count * shift for count in counts],
+        values,
+        yerr=errors,
+        label=label,
+        capsize=2,
+        markersize=5,
+        linewidth=1.2,
+        color=style.colour,
+        marker=style.marker,
+        linestyle=style.dashes,
+    )
+
+
+def format_counts(axes: Axes, counts: Sequence[int]) -> None:
+    """Make the x axis logarithmic, with ticks at these ascending numbers of labels."""
+    axes.set_xscale("log")
+    axes.set_xlim(counts[0] / _MARGIN, counts[-1] * _MARGIN)
+    axes.set_xticks(counts, [f"{count:,}" for count in counts])
+    axes.xaxis.set_minor_locator(NullLocator())
 
 
 def short_number(value: float) -> str:

@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from mapt.benchmarks.reward_analysis import SHOWN_RANKS, RewardAnalysis, Sample
 from mapt.benchmarks.tables import Summary
 from mapt.plotting import (
     GREY,
+    draw_by_count,
+    format_counts,
     line_style,
     outside_legend,
     panel_grid,
@@ -30,10 +32,6 @@ _MAX_POINTS = 20_000
 _PERCENTILES = (5, 25, 50, 75, 95)
 #: Colours span at least this fraction of a uniform attention weight, so that noise looks like noise.
 _MIN_COLOUR_RANGE = 0.25
-#: Models at the same number of labels are drawn this far apart, as a fraction of the labels.
-_SHIFT = 0.03
-#: Space beside the smallest and the largest number of labels, as a factor.
-_MARGIN = 1.5
 
 
 def draw_table(summary: Summary, path: Path) -> None:
@@ -59,23 +57,12 @@ def _draw_teacher(axes: Axes, summary: Summary, teacher: str) -> None:
         found = [(line.labels, line.metrics["accuracy"]) for line in lines if "accuracy" in line.metrics]
         if not found:
             continue
-        style, shift = line_style(index), 1 + _SHIFT * (index - (len(models) - 1) / 2)
-        axes.errorbar(
-            [labels * shift for labels, _ in found],
-            [100 * max(1 - accuracy.mean, minimum) for _, accuracy in found],
-            yerr=[100 * accuracy.std for _, accuracy in found],
-            label=model,
-            capsize=2,
-            markersize=5,
-            linewidth=1.2,
-            color=style.colour,
-            marker=style.marker,
-            linestyle=style.dashes,
+        errors = [100 * max(1 - accuracy.mean, minimum) for _, accuracy in found]
+        deviations = [100 * accuracy.std for _, accuracy in found]
+        draw_by_count(
+            axes, [labels for labels, _ in found], errors, deviations, label=model, index=index, n_lines=len(models)
         )
-    axes.set_xscale("log")
-    axes.set_xlim(counts[0] / _MARGIN, counts[-1] * _MARGIN)
-    axes.set_xticks(counts, [f"{labels:,}" for labels in counts])
-    axes.xaxis.set_minor_locator(NullLocator())
+    format_counts(axes, counts)
     if axes.has_data():
         axes.set_yscale("log")
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

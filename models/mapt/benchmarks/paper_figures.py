@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import NullLocator, PercentFormatter
+from matplotlib.ticker import PercentFormatter
 
 from mapt.benchmarks.figures import draw_histograms, draw_time_series
 from mapt.benchmarks.job import CellJob, path_name
@@ -15,7 +15,7 @@ from mapt.benchmarks.paper_tables import PaperResults, Row
 from mapt.benchmarks.recorded_dataset import RecordedDataset, record_episodes
 from mapt.benchmarks.report import agent_names
 from mapt.benchmarks.reward_analysis import Sample, analyse, draw_sample, episode_series
-from mapt.plotting import GREY, line_style, outside_legend, panel_grid, save_figure
+from mapt.plotting import GREY, draw_by_count, format_counts, outside_legend, panel_grid, save_figure
 from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model
 from mapt.rewards.model import RewardModel
 from mapt.training.curves import draw_curves
@@ -24,10 +24,6 @@ from mapt.training.run_folder import load_policy
 
 #: The model whose policies play the rollouts of figure 5; the first model of the plan if it has no such model.
 _SHOWN_MODEL = "MAPT"
-#: Models at the same number of pairs are drawn this far apart, as a fraction of the pairs.
-_SHIFT = 0.03
-#: Space beside the smallest and the largest number of pairs, as a factor.
-_MARGIN = 1.5
 
 
 def draw_figures(results: PaperResults, models: Sequence[CellJob], folder: Path) -> list[tuple[str, Path]]:
@@ -59,26 +55,13 @@ def _draw_scores(axes: Axes, rows: Sequence[Row], models: Sequence[str]) -> None
     counts = sorted({row.pairs for row in rows if row.pairs is not None})
     for index, model in enumerate(models):
         found = [(row.pairs, score) for row in rows if row.reward == model and row.pairs and (score := row.score)]
-        style, shift = line_style(index), 1 + _SHIFT * (index - (len(models) - 1) / 2)
+        # One seed has no interval: a NaN draws no bar.
+        bars = np.abs([[score.value - score.low, score.high - score.value] for _, score in found]).reshape(-1, 2).T
         # A model without results is in the legend, so that the first panel's legend is that of all panels.
-        axes.errorbar(
-            [pairs * shift for pairs, _ in found],
-            [score.value for _, score in found],
-            # One seed has no interval: a NaN draws no bar.
-            yerr=np.abs([[score.value - score.low, score.high - score.value] for _, score in found]).reshape(-1, 2).T,
-            label=model,
-            capsize=2,
-            markersize=5,
-            linewidth=1.2,
-            color=style.colour,
-            marker=style.marker,
-            linestyle=style.dashes,
-        )
+        values = [score.value for _, score in found]
+        draw_by_count(axes, [pairs for pairs, _ in found], values, bars, label=model, index=index, n_lines=len(models))
     axes.axhline(1, color=GREY, linestyle=":", label="true reward")
-    axes.set_xscale("log")
-    axes.set_xlim(counts[0] / _MARGIN, counts[-1] * _MARGIN)
-    axes.set_xticks(counts, [f"{pairs:,}" for pairs in counts])
-    axes.xaxis.set_minor_locator(NullLocator())
+    format_counts(axes, counts)
     axes.yaxis.set_major_formatter(PercentFormatter(1))
     axes.grid(alpha=0.25)
     axes.set_xlabel("labelled pairs")
