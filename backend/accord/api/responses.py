@@ -10,9 +10,11 @@ from accord.domain.enums import ExperimentStatus, Phase, Role, WorkerRole, Worke
 from accord.domain.permissions import may_see_returns
 from accord.services import experiments, metrics
 from accord.services.collect import load_arrays
+from accord.services.experiments import LabelCounts
 from accord.services.label import LabelOutcome
 from accord.services.lease import LeasedQuery
-from accord.services.metrics import Series
+from accord.services.metrics import EvaluatedReturns, Series
+from accord.services.waiting import waiting
 from accord.store.blobs import BlobStore
 from accord.store.queries import QuerySegment
 from accord.store.tables import ExperimentRow, RewardVersionRow, WorkerRow, utc_now
@@ -41,28 +43,48 @@ def task_responses() -> list[schemas.TaskSchema]:
 
 
 def experiment_responses(session: Session, rows: Sequence[ExperimentRow], role: Role) -> list[schemas.Experiment]:
-    """Response schemas of any number of experiments, with three SQL statements."""
+    """Response schemas of any number of experiments, with a fixed number of SQL statements."""
     counts = experiments.label_counts_of(session, rows)
-    numbers = experiments.reward_numbers(session, rows)
+    versions = experiments.newest_versions(session, rows)
+    sees_returns = may_see_returns(role)
+    returns = metrics.evaluated_returns(session, [row.id for row in rows]) if sees_returns else {}
     return [
-        schemas.Experiment(
-            id=row.id,
-            name=row.name,
-            task=task_response(row.config["task"]),
-            instructions=row.instructions,
-            config=row.config,
-            status=ExperimentStatus(row.status),
-            phase=Phase(row.phase),
-            # text of the policy worker, which may contain true returns
-            phase_detail=row.phase_detail if may_see_returns(role) else "",
-            steps=row.steps,
-            labels=schemas.LabelCounts.model_validate(counts[row.id]),
-            reward_version=numbers.get(row.id),
-            created_at=row.created_at,
-            ended_at=row.ended_at,
-        )
+        _experiment_response(row, counts[row.id], versions.get(row.id), returns.get(row.id), sees_returns=sees_returns)
         for row in rows
     ]
+
+
+def _experiment_response(
+    row: ExperimentRow,
+    counts: LabelCounts,
+    newest: RewardVersionRow | None,
+    returns: EvaluatedReturns | None,
+    *,
+    sees_returns: bool,
+) -> schemas.Experiment:
+    state = waiting(row, counts, newest)
+    # What the policy worker writes may contain true returns.
+    hidden = state.detail == row.phase_detail and not sees_returns
+    return schemas.Experiment(
+        id=row.id,
+        name=row.name,
+        task=task_response(row.config["task"]),
+        instructions=row.instructions,
+        config=row.config,
+        status=ExperimentStatus(row.status),
+        phase=Phase(row.phase),
+        phase_detail="" if hidden else state.detail,
+        waiting_for=state.waiting_for,
+        estimated_seconds=state.seconds,
+        steps=row.steps,
+        steps_per_second=row.steps_per_second,
+        labels=schemas.LabelCounts.model_validate(counts),
+        reward_version=newest.number if newest else None,
+        returns=None if returns is None else schemas.EvaluatedReturns.model_validate(returns),
+        created_at=row.created_at,
+        ended_at=row.ended_at,
+        archived_at=row.archived_at,
+    )
 
 
 def experiment_response(session: Session, row: ExperimentRow, role: Role) -> schemas.Experiment:

@@ -98,6 +98,22 @@ class LabelCounts(Schema):
     rendering_queries: int = Field(description="Queries whose clips are not rendered yet.")
 
 
+class EvaluatedReturn(Schema):
+    """True return of whole episodes with mean actions."""
+
+    mean: float = Field(description="Mean over the episodes.")
+    std: float | None = Field(description="Standard deviation over the episodes.")
+    min: float | None = Field(description="Lowest return of an episode.")
+    max: float | None = Field(description="Highest return of an episode.")
+
+
+class EvaluatedReturns(Schema):
+    """True returns of the policy before and after training."""
+
+    untrained: EvaluatedReturn | None = Field(description="Before the first update; null until it is measured.")
+    final: EvaluatedReturn | None = Field(description="After the last update; null until it is measured.")
+
+
 class Experiment(Schema):
     """An experiment with its current state."""
 
@@ -108,12 +124,58 @@ class Experiment(Schema):
     config: dict[str, Any] = Field(description="Every setting; they never change.")
     status: ExperimentStatus = Field(description="Whether it runs, and how it ended.")
     phase: Phase = Field(description="What the policy worker is doing.")
-    phase_detail: str = Field(description="One sentence about the phase, or why it failed; empty for labellers.")
-    steps: int = Field(description="Environment steps the policy has taken.")
+    phase_detail: str = Field(
+        description="One sentence about the phase, or why it failed. Labellers get it only while the experiment waits."
+    )
+    waiting_for: Literal["", "policy_worker", "labels", "reward_version"] = Field(
+        description="What the policy waits for; empty while it trains, and unless the experiment is running."
+    )
+    estimated_seconds: float | None = Field(
+        description="Estimated seconds until the reward version is trained, or until the training policy needs more "
+        "labels; null if unknown, or if there are labels to give."
+    )
+    steps: int = Field(description="Environment steps the policy has taken; the last rollout may exceed total_steps.")
+    steps_per_second: float | None = Field(description="Speed of the policy's last iteration, without waiting.")
     labels: LabelCounts = Field(description="Progress of the labelling.")
     reward_version: int | None = Field(description="Number of the newest reward version.")
+    returns: EvaluatedReturns | None = Field(description="For teachers, researchers and admins; null for labellers.")
     created_at: datetime = Field(description="When it was started.")
     ended_at: datetime | None = Field(description="When it finished, failed or was cancelled.")
+    archived_at: datetime | None = Field(description="When it was archived; null if it is not.")
+
+
+class ExperimentChanges(Schema):
+    """What may be changed after an experiment is started."""
+
+    instructions: str = Field(max_length=4000, description="Shown to labellers; if empty, those of the task.")
+
+
+class Costs(Schema):
+    """What an experiment has cost so far."""
+
+    person_answers: int = Field(description="Labels and skips that people gave in the page.")
+    people: int = Field(description="Number of people who gave them.")
+    person_seconds: float = Field(
+        description="Sum of the times from the start of both clips to the answer, where they were measured."
+    )
+    program_labels: int = Field(description="Labels that programs gave.")
+    policy_seconds: float = Field(description="Collecting, relabelling and updating, without waiting and evaluations.")
+    reward_seconds: float = Field(description="Training of the reward versions, without ensembles.")
+    segments: int = Field(description="Stored segments.")
+    clips: int = Field(description="Rendered clips.")
+    clip_bytes: int = Field(description="Size of the clips.")
+
+
+class Deletion(Schema):
+    """The record of a deleted experiment."""
+
+    id: str = Field(description="del_...")
+    deleted_id: str = Field(description="Id of the experiment.")
+    name: str = Field(description="Its name.")
+    config: dict[str, Any] = Field(description="Its settings.")
+    deleted_by: str = Field(description="Name of the user who deleted it.")
+    rows: dict[str, int] = Field(description="Table to number of deleted rows, for example labels.")
+    created_at: datetime = Field(description="When it was deleted.")
 
 
 class ExperimentPage(Schema):

@@ -7,7 +7,7 @@
     ├── NotFound                      the object does not exist
     │   └── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound, UserNotFound
     ├── WrongState                    the object is in a state that does not allow it
-    │   └── ExperimentNotActive, QueryClosed, LabelConflict, NameTaken
+    │   └── ExperimentNotActive, ExperimentInUse, QueryClosed, LabelConflict, NameTaken
     ├── LeaseLost                     the caller holds no lease on the query
     ├── Invalid                       a value is not valid
     │   └── InvalidLabel, InvalidId, InvalidExperiment, UnknownTask
@@ -108,6 +108,13 @@ class ExperimentNotActive(WrongState):
 
     def __init__(self, id: str, status: str, wanted: str) -> None:
         super().__init__(f"Experiment {id!r} is {status}; it must be {wanted}.")
+
+
+class ExperimentInUse(WrongState):
+    code = "experiment_in_use"
+
+    def __init__(self, id: str) -> None:
+        super().__init__(f"A worker still works on experiment {id!r}. Try again in a few seconds.")
 
 
 class QueryClosed(WrongState):

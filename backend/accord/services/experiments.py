@@ -11,7 +11,7 @@ from accord.domain.ids import new_id
 from accord.services.experiment_config import ExperimentConfig
 from accord.services.validation import check_line, check_lines
 from accord.store import experiments
-from accord.store.tables import ExperimentRow, utc_now
+from accord.store.tables import ExperimentRow, RewardVersionRow, utc_now
 from mapt.errors import UnknownTask as UnknownMaptTask
 from mapt.tasks import task_names, task_spec
 
@@ -91,9 +91,9 @@ def config_of(row: ExperimentRow) -> ExperimentConfig:
     return ExperimentConfig.from_stored(row.config)
 
 
-def list_page(session: Session, limit: int, cursor: str | None) -> ExperimentPage:
-    """At most `limit` experiments, newest first, from `cursor` on."""
-    rows = experiments.newest(session, limit + 1, cursor)
+def list_page(session: Session, limit: int, cursor: str | None, archived: bool | None = None) -> ExperimentPage:
+    """At most `limit` experiments, newest first, from `cursor` on; None lists archived ones and others."""
+    rows = experiments.newest(session, limit + 1, cursor, archived=archived)
     more = len(rows) > limit
     return ExperimentPage(rows[:limit], rows[limit - 1].id if more else None)
 
@@ -125,9 +125,9 @@ def label_counts_of(session: Session, rows: Sequence[ExperimentRow]) -> dict[str
     }
 
 
-def reward_numbers(session: Session, rows: Sequence[ExperimentRow]) -> dict[str, int]:
-    """Experiment id -> number of the newest reward version, where there is one."""
-    return experiments.reward_numbers(session, [row.id for row in rows])
+def newest_versions(session: Session, rows: Sequence[ExperimentRow]) -> dict[str, RewardVersionRow]:
+    """Experiment id -> newest reward version, where there is one."""
+    return experiments.newest_versions(session, [row.id for row in rows])
 
 
 def labels_due(row: ExperimentRow) -> int:
@@ -142,9 +142,14 @@ def pause(session: Session, experiment_id: str) -> ExperimentRow:
 
 
 def resume(session: Session, experiment_id: str) -> ExperimentRow:
-    """Resumes it from the newest checkpoint, also after a failure. Raises ExperimentNotFound, ExperimentNotActive."""
+    """Resumes it from the newest checkpoint, also after a failure or from the archive.
+
+    Raises:
+        ExperimentNotFound: if there is no such experiment.
+        ExperimentNotActive: if it has finished or was cancelled.
+    """
     row = _change(session, experiment_id, ExperimentStatus.RUNNING, (ExperimentStatus.PAUSED, ExperimentStatus.FAILED))
-    row.ended_at = None
+    row.ended_at = row.archived_at = None
     return row
 
 
@@ -157,7 +162,38 @@ def cancel(session: Session, experiment_id: str) -> ExperimentRow:
     return row
 
 
-def report(session: Session, experiment_id: str, *, phase: Phase, detail: str = "", steps: int | None = None) -> bool:
+def edit_instructions(session: Session, experiment_id: str, instructions: str) -> ExperimentRow:
+    """Changes what labellers read; the task's own instructions if empty. Raises ExperimentNotFound, Invalid."""
+    row = _locked(session, experiment_id)
+    row.instructions = check_lines(instructions, "instructions", 4000) or task_spec(config_of(row).task).instructions
+    return row
+
+
+def archive(session: Session, experiment_id: str) -> ExperimentRow:
+    """Moves it out of the list of experiments; everything is kept. Raises ExperimentNotFound, ExperimentNotActive."""
+    row = _locked(session, experiment_id)
+    if row.status == ExperimentStatus.RUNNING:
+        raise ExperimentNotActive(row.id, row.status, "paused or over")
+    row.archived_at = row.archived_at or utc_now()
+    return row
+
+
+def restore(session: Session, experiment_id: str) -> ExperimentRow:
+    """Moves it back from the archive into the list of experiments. Raises ExperimentNotFound."""
+    row = _locked(session, experiment_id)
+    row.archived_at = None
+    return row
+
+
+def report(
+    session: Session,
+    experiment_id: str,
+    *,
+    phase: Phase,
+    detail: str = "",
+    steps: int | None = None,
+    steps_per_second: float | None = None,
+) -> bool:
     """Stores the policy worker's progress. Returns False, and changes nothing, unless the experiment is running."""
     row = _locked(session, experiment_id)
     if row.status != ExperimentStatus.RUNNING:
@@ -166,6 +202,8 @@ def report(session: Session, experiment_id: str, *, phase: Phase, detail: str = 
     row.phase_detail = detail
     if steps is not None:
         row.steps = steps
+    if steps_per_second is not None:
+        row.steps_per_second = steps_per_second
     return True
 
 

@@ -17,7 +17,22 @@ _TRUE_PREFIX = "true_"
 #: also hidden from labellers if the policy learns from the true reward, which these would reveal
 _TRUE_IF_LEARNED_FROM = frozenset({"learned_return", "value_loss"})
 #: metrics of a reward version that labellers may see; rank correlation, for example, reveals true returns
-_OPEN_VERSION_METRICS = frozenset({"loss", "accuracy", "holdout_loss", "holdout_accuracy", "ece", "seconds", "epochs"})
+_OPEN_VERSION_METRICS = frozenset(
+    {
+        "loss",
+        "accuracy",
+        "holdout_loss",
+        "holdout_accuracy",
+        "holdout_labels",
+        "holdout_strict_labels",
+        "holdout_reliable",
+        "ece",
+        "seconds",
+        "epochs",
+    }
+)
+#: metrics of one point: true return before the first update, and after the last one
+UNTRAINED, FINAL = "true_return_untrained", "true_return_final"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +41,41 @@ class Series:
 
     name: str
     points: list[MetricRow]
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluatedReturn:
+    """True return of whole episodes with mean actions."""
+
+    mean: float
+    #: standard deviation, minimum and maximum over the episodes
+    std: float | None
+    min: float | None
+    max: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluatedReturns:
+    """True returns of the policy before and after training; None until they are measured."""
+
+    untrained: EvaluatedReturn | None
+    final: EvaluatedReturn | None
+
+
+def evaluated_returns(session: Session, experiment_ids: Sequence[str]) -> dict[str, EvaluatedReturns]:
+    """Experiment id -> returns of the untrained and the trained policy, with one statement."""
+    names = [f"{name}{suffix}" for name in (UNTRAINED, FINAL) for suffix in ("", "_std", "_min", "_max")]
+    values = metrics.newest_values(session, experiment_ids, names)
+    return {
+        each: EvaluatedReturns(*(_evaluated(values.get(each, {}), name) for name in (UNTRAINED, FINAL)))
+        for each in experiment_ids
+    }
+
+
+def _evaluated(values: Mapping[str, float], name: str) -> EvaluatedReturn | None:
+    if name not in values:
+        return None
+    return EvaluatedReturn(values[name], *(values.get(f"{name}_{suffix}") for suffix in ("std", "min", "max")))
 
 
 def record(

@@ -89,3 +89,13 @@ def versions(session: Session, experiment_id: str) -> list[RewardVersionRow]:
     """Oldest first. Raises ExperimentNotFound."""
     experiment_service.get(session, experiment_id)
     return rewards.versions(session, experiment_id)
+
+
+def card_key(weights_key: str) -> str:
+    """Key of the description of the reward model whose weights have this key."""
+    return weights_key.removesuffix(".safetensors") + ".json"
+
+
+def ensemble_key(weights_key: str) -> str:
+    """Key of the ensemble of the reward version whose weights have this key; no row names it."""
+    return weights_key.removesuffix(".safetensors") + ".ensemble.safetensors"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import bindparam, func, select
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import Session, aliased
 
 from accord.store.tables import ExperimentRow, LabelRow, QueryRow, RewardVersionRow
 
@@ -43,9 +43,11 @@ def by_name(session: Session, name: str) -> ExperimentRow | None:
     return session.scalar(select(ExperimentRow).where(ExperimentRow.name == name))
 
 
-def newest(session: Session, limit: int, before_id: str | None) -> list[ExperimentRow]:
-    """Newest first; identifiers sort by time of creation."""
+def newest(session: Session, limit: int, before_id: str | None, *, archived: bool | None) -> list[ExperimentRow]:
+    """Newest first; identifiers sort by time of creation. With `archived` None, archived ones and others."""
     statement = select(ExperimentRow).order_by(ExperimentRow.id.desc()).limit(limit)
+    if archived is not None:
+        statement = statement.where(ExperimentRow.archived_at.is_not(None) == archived)
     if before_id is not None:
         statement = statement.where(ExperimentRow.id < before_id)
     return list(session.scalars(statement))
@@ -77,11 +79,15 @@ def skip_counts(session: Session, experiment_ids: Sequence[str]) -> dict[str, in
     return dict(rows.all())
 
 
-def reward_numbers(session: Session, experiment_ids: Sequence[str]) -> dict[str, int]:
-    """Experiment id -> number of its newest reward version."""
-    rows = session.execute(
-        select(RewardVersionRow.experiment_id, func.max(RewardVersionRow.number))
-        .where(RewardVersionRow.experiment_id.in_(experiment_ids))
-        .group_by(RewardVersionRow.experiment_id)
+def newest_versions(session: Session, experiment_ids: Sequence[str]) -> dict[str, RewardVersionRow]:
+    """Experiment id -> newest reward version."""
+    other = aliased(RewardVersionRow)
+    newest_number = (
+        select(func.max(other.number)).where(other.experiment_id == RewardVersionRow.experiment_id).scalar_subquery()
     )
-    return dict(rows.all())
+    rows = session.scalars(
+        select(RewardVersionRow).where(
+            RewardVersionRow.experiment_id.in_(experiment_ids), RewardVersionRow.number == newest_number
+        )
+    )
+    return {row.experiment_id: row for row in rows}

@@ -39,3 +39,16 @@ def points(session: Session, experiment_id: str, names: Sequence[str] | None, af
     if names is not None:
         statement = statement.where(MetricRow.name.in_(names))
     return list(session.scalars(statement.order_by(MetricRow.name, MetricRow.step)))
+
+
+def newest_values(session: Session, experiment_ids: Sequence[str], names: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Experiment id -> name -> value at the latest step."""
+    rows = session.execute(
+        select(MetricRow.experiment_id, MetricRow.name, MetricRow.value)
+        .where(MetricRow.experiment_id.in_(experiment_ids), MetricRow.name.in_(names))
+        .order_by(MetricRow.step)
+    )
+    found: dict[str, dict[str, float]] = {}
+    for experiment_id, name, value in rows:
+        found.setdefault(experiment_id, {})[name] = value
+    return found

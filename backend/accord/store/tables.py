@@ -90,12 +90,32 @@ class ExperimentRow(Base):
     phase_detail: Mapped[str] = mapped_column(default="")
     #: environment steps the policy has taken
     steps: Mapped[int] = mapped_column(default=0)
+    #: of the policy's last iteration, without the time it waited; None before the first one
+    steps_per_second: Mapped[float | None] = mapped_column(default=None)
     #: incremented with every label written, changed or undone
     label_revision: Mapped[int] = mapped_column(default=0)
     #: labels, without skips and undone ones
     label_count: Mapped[int] = mapped_column(default=0)
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
     ended_at: Mapped[datetime | None] = mapped_column(default=None)
+    #: when it was moved out of the list of experiments
+    archived_at: Mapped[datetime | None] = mapped_column(default=None)
+
+
+class DeletionRow(Base):
+    """The record of a deleted experiment. It refers to no other row, so that it outlives all of them."""
+
+    __tablename__ = "deletions"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    #: the deleted experiment's id, name and settings
+    deleted_id: Mapped[str] = mapped_column(String(32))
+    name: Mapped[str] = mapped_column(String(200))
+    config: Mapped[dict[str, Any]]
+    #: name of the user who deleted it
+    deleted_by: Mapped[str] = mapped_column(String(100))
+    #: table -> number of deleted rows, for example {"labels": 500}
+    rows: Mapped[dict[str, Any]]
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
 
 
 class PolicyCheckpointRow(Base):
@@ -228,7 +248,7 @@ class LabelRow(Base):
 
 
 class LabelRevisionRow(Base):
-    """The history of labels: rows are never updated or deleted."""
+    """The history of labels: rows are never updated, and deleted only with their experiment."""
 
     __tablename__ = "label_revisions"
     experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), primary_key=True)

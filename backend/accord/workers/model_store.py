@@ -6,6 +6,7 @@ import threading
 from collections.abc import Mapping
 
 from accord.domain.ids import new_id
+from accord.services.publish import card_key, ensemble_key
 from accord.store.blobs import BlobStore
 from accord.store.tables import RewardVersionRow
 from mapt.errors import DamagedCheckpoint
@@ -15,8 +16,6 @@ from mapt.rewards.model import RewardModel
 from mapt.training.run_folder import PolicyCheckpoint
 
 log = logging.getLogger(__name__)
-
-_WEIGHTS, _CARD = ".safetensors", ".json"
 
 
 def store_reward_model(
@@ -28,10 +27,10 @@ def store_reward_model(
         BlobsNotWritable: if the blobs are read-only or full.
     """
     saved = save_reward_model(model, metrics, segment_steps=segment_steps)
-    stem = f"rewards/{experiment_id}/{new_id('rwb')}"
-    blobs.put(stem + _CARD, saved.card)
-    blobs.put(stem + _WEIGHTS, saved.weights)
-    return stem + _WEIGHTS
+    key = f"rewards/{experiment_id}/{new_id('rwb')}.safetensors"
+    blobs.put(card_key(key), saved.card)
+    blobs.put(key, saved.weights)
+    return key
 
 
 def read_reward_model(blobs: BlobStore, weights_key: str) -> RewardModel:
@@ -41,8 +40,7 @@ def read_reward_model(blobs: BlobStore, weights_key: str) -> RewardModel:
         BlobMissing: if a blob is missing.
         CheckpointError: if it is damaged, or newer than this program.
     """
-    card_key = weights_key.removesuffix(_WEIGHTS) + _CARD
-    return load_reward_model(blobs.read(weights_key), blobs.read(card_key)).model
+    return load_reward_model(blobs.read(weights_key), blobs.read(card_key(weights_key))).model
 
 
 def store_checkpoint(blobs: BlobStore, experiment_id: str, steps: int, checkpoint: PolicyCheckpoint) -> str:
@@ -78,7 +76,7 @@ class EnsembleStore:
     def has(self, version: RewardVersionRow) -> bool:
         """Whether the version's ensemble is stored."""
         with self._lock:
-            if version.id not in self._stored and self._blobs.exists(_ensemble_key(version)):
+            if version.id not in self._stored and self._blobs.exists(ensemble_key(version.blob_key)):
                 self._stored.add(version.id)
             return version.id in self._stored
 
@@ -90,7 +88,7 @@ class EnsembleStore:
         """
         if not self.has(version):
             return None
-        key = _ensemble_key(version)
+        key = ensemble_key(version.blob_key)
         try:
             return load_reward_ensemble(self._blobs.read(key))
         except DamagedCheckpoint:
@@ -106,8 +104,4 @@ class EnsembleStore:
         Raises:
             BlobsNotWritable: if the blobs are read-only or full.
         """
-        self._blobs.put(_ensemble_key(version), save_reward_ensemble(ensemble))
-
-
-def _ensemble_key(version: RewardVersionRow) -> str:
-    return version.blob_key.rpartition(".")[0] + ".ensemble.safetensors"
+        self._blobs.put(ensemble_key(version.blob_key), save_reward_ensemble(ensemble))

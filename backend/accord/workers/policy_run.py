@@ -18,6 +18,7 @@ from accord.domain.errors import InvalidExperiment
 from accord.services import checkpoints, collect, experiments, metrics, publish, select
 from accord.services.collect import NewSegment
 from accord.services.experiment_config import ExperimentConfig
+from accord.services.metrics import FINAL, UNTRAINED
 from accord.store.tables import ExperimentRow, RewardVersionRow
 from accord.workers.heartbeat import Claim
 from accord.workers.model_store import read_checkpoint, read_reward_model, store_checkpoint
@@ -38,8 +39,6 @@ log = logging.getLogger(__name__)
 #: most seconds and iterations between two checkpoints
 CHECKPOINT_SECONDS = 30.0
 CHECKPOINT_ITERATIONS = 20
-#: metrics of one point: true return before the first update, and after the last one
-UNTRAINED, FINAL = "true_return_untrained", "true_return_final"
 
 
 class Interrupted(Exception):
@@ -244,7 +243,13 @@ class PolicyRun:
         with self._context.database.transaction() as session:
             self._claim.check_within(session)
             metrics.record(session, self._id, trainer.steps, values, trainer.source.version)
-            experiments.report(session, self._id, phase=Phase.TRAINING, steps=trainer.steps)
+            experiments.report(
+                session,
+                self._id,
+                phase=Phase.TRAINING,
+                steps=trainer.steps,
+                steps_per_second=values["steps_per_second"],
+            )
         self._reported = Phase.TRAINING, "", trainer.steps
 
     def _show_progress(self) -> None:

@@ -273,9 +273,9 @@ def train_reward_model(
     Returns:
         The model and its metrics: `loss` and `accuracy` on the first 500 training pairs; `holdout_loss`,
         `holdout_accuracy` and `ece` on the hold-out; `epochs`, `seconds`, `labels`, `holdout_labels`,
-        `holdout_reliable` (1 if the hold-out was large enough to compare weights by, else 0), `stopped` (1 if
-        `stop` ended the training), and those of `attention_trial`. Undefined metrics, such as the accuracy over ties
-        alone, are left out.
+        `holdout_strict_labels` (those that are not ties, over which accuracy is measured), `holdout_reliable` (1 if
+        the hold-out was large enough to compare weights by, else 0), `stopped` (1 if `stop` ended the training), and
+        those of `attention_trial`. Undefined metrics, such as the accuracy over ties alone, are left out.
 
     Raises:
         NotEnoughPairs: with fewer than two pairs.
@@ -313,6 +313,7 @@ def train_reward_model(
         "epochs": float(len(log.history)),
         "labels": float(len(pairs)),
         "holdout_labels": float(len(hold_out)),
+        "holdout_strict_labels": float((fold.hold_out.labels != 0.5).sum()),
         "holdout_reliable": float(fold.is_reliable),
         "stopped": float(log.stopped),
         **trial_metrics(trial, not model.is_markov, initial_metrics),

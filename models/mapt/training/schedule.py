@@ -4,6 +4,7 @@
 before training work badly, since the policy leaves the labelled states (Christiano et al. 2017).
 """
 
+from bisect import bisect_left
 from dataclasses import dataclass
 from math import ceil, floor, log1p
 from typing import Literal
@@ -14,6 +15,8 @@ SEGMENT_STREAM, QUERY_STREAM = 7, 11
 #: How labels accumulate over a run. power: the rate falls slowly, as progress^-0.3; constant: the rate stays;
 #: decaying: the rate falls as 1 / (steps + a tenth of the run) (Christiano et al. 2017).
 LabelScheduleName = Literal["power", "constant", "decaying"]
+#: what the policy waits for
+WaitsFor = Literal["labels", "reward_version"]
 # Without a number: labels that arrive during the training are for the next version.
 _TRAINING = "The reward model is being trained on the labels."
 
@@ -108,21 +111,40 @@ class LabelSchedule:
         # A labeller changed earlier labels. Once the budget is used up, every change gives a new version.
         return changed >= self.per_version or labels >= self.budget
 
-    def waiting_reason(self, progress: Progress) -> str | None:
-        """The reason why the policy must wait, as a sentence for users; None if it may train."""
+    def waits_for(self, progress: Progress) -> WaitsFor | None:
+        """What the policy must wait for; None if it may train."""
+        if progress.trained_on is None:
+            return "labels" if progress.labels < self.initial else "reward_version"
+        if not self.wait:
+            return None
         due = self.due(progress.steps)
         if progress.exhausted:
             # No label can come before the next rollout brings segments.
             due = min(due, progress.labels)
-        if progress.trained_on is None:
-            return _missing(progress.labels, self.initial, "The first reward version is trained")
-        if not self.wait:
-            return None
         if progress.labels < due:
-            return _missing(progress.labels, due, "Training continues")
-        if self.version_labels(progress.trained_on) < self.version_labels(due):
-            return _TRAINING
-        return None
+            return "labels"
+        return "reward_version" if self.version_labels(progress.trained_on) < self.version_labels(due) else None
+
+    def waiting_reason(self, progress: Progress) -> str | None:
+        """The reason why the policy must wait, as a sentence for users; None if it may train."""
+        waits_for = self.waits_for(progress)
+        if waits_for != "labels":
+            return None if waits_for is None else _TRAINING
+        first = progress.trained_on is None
+        wanted = self.initial if first else self.due(progress.steps)
+        event = "The first reward version is trained" if first else "Training continues"
+        return f"{event} after {wanted} labels; {progress.labels} are in."
+
+    def next_query_at(self, steps: int, existing: int) -> int | None:
+        """Environment steps, from `steps` on, after which the next query is created; None if there is none left.
+
+        Args:
+            existing: as for `queries_wanted`.
+        """
+        if existing >= self.budget:
+            return None
+        last = max(steps, ceil(self.last_at * self.total_steps))
+        return steps + bisect_left(range(steps, last), existing + 1 - self.lookahead, key=self.due)
 
     def cannot_start(self, progress: Progress) -> bool:
         """Whether the first rollout holds too few pairs for the first reward version."""
@@ -144,7 +166,3 @@ class LabelSchedule:
             return min(available, first)
         later_rollouts = max(1, ceil(self.total_steps / rollout_steps) - 1)
         return min(available, max(2, ceil((4 * self.budget - first) / later_rollouts)))
-
-
-def _missing(labels: int, wanted: int, event: str) -> str:
-    return f"{event} after {wanted} labels; {labels} are in." if labels < wanted else _TRAINING

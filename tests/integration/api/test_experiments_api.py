@@ -107,6 +107,58 @@ def test_metrics_reward_versions_and_workers_are_read(api_per_database: ApiServe
     assert 0 <= worker["heartbeat_age_seconds"] < 60
 
 
+def test_experiments_are_changed_archived_and_deleted_by_researchers(api_per_database: ApiServer) -> None:
+    api = api_per_database
+    id = api.researcher.post("/api/v1/experiments", json=NEW).json()["id"]
+    path = f"/api/v1/experiments/{id}"
+    assert api.researcher.patch(path, json={"instructions": "Run."}).json()["instructions"] == "Run."
+    assert api.researcher.post(f"{path}/archive").status_code == 409
+    api.researcher.post(f"{path}/cancel")
+    assert api.researcher.post(f"{path}/archive").json()["archived_at"] is not None
+    listed = {
+        which: len(api.labeller.get("/api/v1/experiments", params={"archived": which}).json()["items"])
+        for which in ("true", "false")
+    }
+    assert listed == {"true": 1, "false": 0}
+    refused = [
+        api.labeller.patch(path, json={"instructions": "Stop."}),
+        api.labeller.delete(path, params={"name": "one"}),
+        api.labeller.get(f"{path}/costs"),
+        api.labeller.get("/api/v1/deletions"),
+        api.teacher.delete(path, params={"name": "one"}),
+    ]
+    assert {response.status_code for response in refused} == {403}
+    assert api.researcher.delete(path).status_code == 422
+    assert api.researcher.get(f"{path}/costs").json()["person_answers"] == 0
+    deleted = api.researcher.delete(path, params={"name": "one"})
+    assert (deleted.status_code, deleted.json()["rows"]) == (200, {})
+    assert api.researcher.get(path).status_code == 404
+    assert api.admin.get("/api/v1/deletions").json() == [deleted.json()]
+
+
+def test_only_its_researcher_and_admins_delete_an_experiment(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    path = f"/api/v1/experiments/{sample.experiment.id}"
+    confirmation = {"name": sample.experiment.name}
+    api.researcher.post(f"{path}/cancel")
+    assert api.researcher.delete(path, params=confirmation).status_code == 403
+    assert api.admin.delete(path, params=confirmation).json()["rows"]["segments"] == 5
+
+
+def test_evaluated_returns_are_hidden_from_labellers(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    with api.stores.database.transaction() as session:
+        for step, name, mean in ((0, metrics.UNTRAINED, -200.0), (10_000, metrics.FINAL, 375.0)):
+            metrics.record(session, sample.experiment.id, step, {name: mean, f"{name}_std": 20.0})
+    path = f"/api/v1/experiments/{sample.experiment.id}"
+    found = api.teacher.get(path).json()["returns"]
+    assert {name: (each["mean"], each["std"], each["min"]) for name, each in found.items()} == {
+        "untrained": (-200.0, 20.0, None),
+        "final": (375.0, 20.0, None),
+    }
+    assert api.labeller.get(path).json()["returns"] is None
+
+
 def test_health_needs_no_sign_in(api_per_database: ApiServer) -> None:
     assert api_per_database.anyone.get("/api/v1/health").json() == {"status": "ok"}
 

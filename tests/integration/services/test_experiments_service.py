@@ -192,7 +192,31 @@ def test_number_of_statements_does_not_depend_on_the_number_of_experiments(sqlit
             rows = experiments.list_page(session, limit, None).rows
             statements.clear()
             experiments.label_counts_of(session, rows)
-            experiments.reward_numbers(session, rows)
+            experiments.newest_versions(session, rows)
         return len(statements)
 
     assert count(1) == count(6) == 3
+
+
+def test_the_archive_takes_experiments_that_do_not_run(stores: Stores) -> None:
+    archived, listed = create(stores, "one"), create(stores, "two")
+    with stores.database.transaction() as session, pytest.raises(ExperimentNotActive):
+        experiments.archive(session, archived)
+    with stores.database.transaction() as session:
+        experiments.pause(session, archived)
+        since = experiments.archive(session, archived).archived_at
+        assert experiments.archive(session, archived).archived_at == since
+        pages = [experiments.list_page(session, 9, None, which).rows for which in (None, True, False)]
+        assert [[row.id for row in rows] for rows in pages] == [[listed, archived], [archived], [listed]]
+        assert experiments.restore(session, archived).archived_at is None
+        experiments.archive(session, archived)
+        assert experiments.resume(session, archived).archived_at is None
+
+
+def test_instructions_can_be_changed_and_reset(stores: Stores) -> None:
+    experiment_id = create(stores, instructions="Run.")
+    with stores.database.transaction() as session:
+        assert experiments.edit_instructions(session, experiment_id, " Run fast. ").instructions == "Run fast."
+        assert "cheetah" in experiments.edit_instructions(session, experiment_id, "").instructions
+        with pytest.raises(Invalid):
+            experiments.edit_instructions(session, experiment_id, "Run.\0")

@@ -36,7 +36,8 @@ def test_reward_versions_are_numbered_and_store_their_parents(stores: Stores) ->
         newest = publish.newest(session, sample.experiment.id)
         assert newest is not None
         assert (newest.number, newest.label_watermark, newest.policy_steps) == (3, 12, 120)
-        assert experiments.reward_numbers(session, [sample.experiment, other.experiment]) == {
+        newest_of = experiments.newest_versions(session, [sample.experiment, other.experiment])
+        assert {each: row.number for each, row in newest_of.items()} == {
             sample.experiment.id: 3,
             other.experiment.id: 1,
         }

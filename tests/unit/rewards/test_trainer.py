@@ -80,7 +80,7 @@ def test_metrics_have_the_documented_names():
     metrics = train_reward_model(preferences(60), CONFIG, QUICK).metrics
     assert set(metrics) == {
         *("loss", "accuracy", "holdout_loss", "holdout_accuracy", "ece", "epochs", "seconds"),
-        *("labels", "holdout_labels", "holdout_reliable", "stopped"),
+        *("labels", "holdout_labels", "holdout_strict_labels", "holdout_reliable", "stopped"),
         *("attention", "attention_trial_seconds", "attention_trial_labels"),
         *("attention_gain", "attention_gain_error", "attention_gain_pairs"),
     }

@@ -123,3 +123,13 @@ def test_first_rollout_stores_enough_segments_for_the_first_queries():
     assert paced().segments_to_store(iteration=0, rollout_steps=100, available=500) == 64
     assert paced(initial=90).segments_to_store(iteration=0, rollout_steps=100, available=500) == 196
     assert paced().segments_to_store(iteration=0, rollout_steps=100, available=10) == 10
+
+
+@given(schedules(), st.integers(0, 2000), st.integers(0, 320))
+def test_the_next_query_comes_at_the_first_step_that_wants_one(plan, steps, existing):
+    at = plan.next_query_at(steps, existing)
+    if at is None:
+        assert plan.queries_wanted(10**6, existing) == 0
+        return
+    assert plan.queries_wanted(at, existing) > 0
+    assert at == steps or plan.queries_wanted(at - 1, existing) == 0

@@ -1,4 +1,4 @@
-"""Experiments: start, list, read, pause, resume, cancel; their metrics and reward versions; workers."""
+"""Experiments: start, list, read, change, end, archive and delete them; their metrics, reward versions and costs."""
 
 from collections.abc import Callable
 from typing import Annotated
@@ -8,9 +8,11 @@ from sqlalchemy.orm import Session
 
 from accord.api import responses, schemas
 from accord.api.dependencies import Auth, AuthDep, ExperimentId
+from accord.domain.enums import Role
+from accord.domain.errors import Forbidden
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_run_experiments, require
-from accord.services import experiments, metrics, publish, workers
+from accord.services import costs, deletion, experiments, metrics, publish, workers
 from accord.services.experiment_config import read_config
 from accord.store.tables import ExperimentRow
 
@@ -39,12 +41,13 @@ def list_experiments(
     auth: AuthDep,
     limit: Annotated[int, Query(ge=1, le=100, description="Most experiments to return.")] = 20,
     cursor: Annotated[str | None, Query(description="`next_cursor` of the previous page.")] = None,
+    archived: Annotated[bool | None, Query(description="Only archived ones, or only others; all by default.")] = None,
 ) -> schemas.ExperimentPage:
     """Lists experiments a page at a time, newest first."""
     if cursor is not None:
         check_id(cursor, "exp")
     with auth.reading() as caller:
-        page = experiments.list_page(caller.session, limit, cursor)
+        page = experiments.list_page(caller.session, limit, cursor, archived)
         items = responses.experiment_responses(caller.session, page.rows, caller.role)
         return schemas.ExperimentPage(items=items, next_cursor=page.next_cursor)
 
@@ -73,6 +76,68 @@ def resume_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Exp
 def cancel_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
     """Ends it for good. Its labels, segments and metrics are kept."""
     return _change_status(auth, experiment_id, experiments.cancel, "cancel experiments")
+
+
+@router.patch("/experiments/{experiment_id}", summary="Change an experiment")
+def change_experiment(
+    experiment_id: ExperimentId, body: schemas.ExperimentChanges, auth: AuthDep
+) -> schemas.Experiment:
+    """Changes the instructions that labellers read. For researchers and admins; the settings never change."""
+    with auth.writing() as caller:
+        require(may_run_experiments(caller.role), caller.role, "change experiments")
+        row = experiments.edit_instructions(caller.session, experiment_id, body.instructions)
+        return responses.experiment_response(caller.session, row, caller.role)
+
+
+@router.post("/experiments/{experiment_id}/archive", summary="Archive an experiment")
+def archive_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
+    """Moves an experiment that is not running out of the list of experiments. Everything is kept."""
+    return _change_status(auth, experiment_id, experiments.archive, "archive experiments")
+
+
+@router.post("/experiments/{experiment_id}/restore", summary="Restore an experiment from the archive")
+def restore_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
+    """Moves an archived experiment back into the list. Its status does not change."""
+    return _change_status(auth, experiment_id, experiments.restore, "restore experiments")
+
+
+@router.delete("/experiments/{experiment_id}", summary="Delete an experiment")
+def delete_experiment(
+    experiment_id: ExperimentId,
+    name: Annotated[str, Query(max_length=200, description="The experiment's name, as a confirmation.")],
+    auth: AuthDep,
+) -> schemas.Deletion:
+    """Deletes an experiment that is over, with its labels and everything else. To keep them, archive it instead.
+
+    For admins and the researcher who started it. Returns the record that remains; GET /deletions lists all of them.
+    """
+    with auth.writing() as caller:
+        require(may_run_experiments(caller.role), caller.role, "delete experiments")
+        row = experiments.get(caller.session, experiment_id)
+        if caller.role is not Role.ADMIN and row.owner_id != caller.user.id:
+            raise Forbidden("Only an admin and the researcher who started an experiment may delete it.")
+        record, keys = deletion.delete(caller.session, experiment_id, name, caller.user.name)
+        response = schemas.Deletion.model_validate(record)
+    deletion.delete_blobs(auth.app.blobs, keys)
+    return response
+
+
+@router.get("/deletions", summary="List deleted experiments")
+def list_deletions(
+    auth: AuthDep, limit: Annotated[int, Query(ge=1, le=100, description="Most records to return.")] = 100
+) -> list[schemas.Deletion]:
+    """Lists what was deleted, when and by whom, newest first. For researchers and admins."""
+    with auth.reading() as caller:
+        require(may_run_experiments(caller.role), caller.role, "list deleted experiments")
+        return [schemas.Deletion.model_validate(row) for row in deletion.records(caller.session, limit)]
+
+
+@router.get("/experiments/{experiment_id}/costs", summary="Get the costs of an experiment")
+def get_costs(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Costs:
+    """Labels, the time of people and the time of machines so far. For researchers and admins."""
+    with auth.reading() as caller:
+        require(may_run_experiments(caller.role), caller.role, "see the costs of experiments")
+        return schemas.Costs.model_validate(costs.costs_of(caller.session, experiment_id))
 
 
 @router.get("/experiments/{experiment_id}/metrics", summary="Get metrics")

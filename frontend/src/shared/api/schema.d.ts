@@ -196,10 +196,20 @@ export interface paths {
         get: operations["get_experiment"];
         put?: never;
         post?: never;
-        delete?: never;
+        /**
+         * Delete an experiment
+         * @description Deletes an experiment that is over, with its labels and everything else. To keep them, archive it instead.
+         *
+         *     For admins and the researcher who started it. Returns the record that remains; GET /deletions lists all of them.
+         */
+        delete: operations["delete_experiment"];
         options?: never;
         head?: never;
-        patch?: never;
+        /**
+         * Change an experiment
+         * @description Changes the instructions that labellers read. For researchers and admins; the settings never change.
+         */
+        patch: operations["change_experiment"];
         trace?: never;
     };
     "/api/v1/experiments/{experiment_id}/pause": {
@@ -256,6 +266,86 @@ export interface paths {
          * @description Ends it for good. Its labels, segments and metrics are kept.
          */
         post: operations["cancel_experiment"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/archive": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Archive an experiment
+         * @description Moves an experiment that is not running out of the list of experiments. Everything is kept.
+         */
+        post: operations["archive_experiment"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/restore": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Restore an experiment from the archive
+         * @description Moves an archived experiment back into the list. Its status does not change.
+         */
+        post: operations["restore_experiment"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/deletions": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List deleted experiments
+         * @description Lists what was deleted, when and by whom, newest first. For researchers and admins.
+         */
+        get: operations["list_deletions"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/costs": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get the costs of an experiment
+         * @description Labels, the time of people and the time of machines so far. For researchers and admins.
+         */
+        get: operations["get_costs"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -493,6 +583,57 @@ export interface components {
             message?: string | null;
         };
         /**
+         * Costs
+         * @description What an experiment has cost so far.
+         */
+        Costs: {
+            /**
+             * Person Answers
+             * @description Labels and skips that people gave in the page.
+             */
+            person_answers: number;
+            /**
+             * People
+             * @description Number of people who gave them.
+             */
+            people: number;
+            /**
+             * Person Seconds
+             * @description Sum of the times from the start of both clips to the answer, where they were measured.
+             */
+            person_seconds: number;
+            /**
+             * Program Labels
+             * @description Labels that programs gave.
+             */
+            program_labels: number;
+            /**
+             * Policy Seconds
+             * @description Collecting, relabelling and updating, without waiting and evaluations.
+             */
+            policy_seconds: number;
+            /**
+             * Reward Seconds
+             * @description Training of the reward versions, without ensembles.
+             */
+            reward_seconds: number;
+            /**
+             * Segments
+             * @description Stored segments.
+             */
+            segments: number;
+            /**
+             * Clips
+             * @description Rendered clips.
+             */
+            clips: number;
+            /**
+             * Clip Bytes
+             * @description Size of the clips.
+             */
+            clip_bytes: number;
+        };
+        /**
          * CreatedUser
          * @description A new user and their token.
          */
@@ -519,6 +660,52 @@ export interface components {
              * @description Signs a browser in as this user. Works once.
              */
             sign_in_url: string;
+        };
+        /**
+         * Deletion
+         * @description The record of a deleted experiment.
+         */
+        Deletion: {
+            /**
+             * Id
+             * @description del_...
+             */
+            id: string;
+            /**
+             * Deleted Id
+             * @description Id of the experiment.
+             */
+            deleted_id: string;
+            /**
+             * Name
+             * @description Its name.
+             */
+            name: string;
+            /**
+             * Config
+             * @description Its settings.
+             */
+            config: {
+                [key: string]: unknown;
+            };
+            /**
+             * Deleted By
+             * @description Name of the user who deleted it.
+             */
+            deleted_by: string;
+            /**
+             * Rows
+             * @description Table to number of deleted rows, for example labels.
+             */
+            rows: {
+                [key: string]: number;
+            };
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was deleted.
+             */
+            created_at: string;
         };
         /**
          * ErrorBody
@@ -550,6 +737,42 @@ export interface components {
         ErrorResponse: {
             /** @description Description of the error. */
             error: components["schemas"]["ErrorBody"];
+        };
+        /**
+         * EvaluatedReturn
+         * @description True return of whole episodes with mean actions.
+         */
+        EvaluatedReturn: {
+            /**
+             * Mean
+             * @description Mean over the episodes.
+             */
+            mean: number;
+            /**
+             * Std
+             * @description Standard deviation over the episodes.
+             */
+            std: number | null;
+            /**
+             * Min
+             * @description Lowest return of an episode.
+             */
+            min: number | null;
+            /**
+             * Max
+             * @description Highest return of an episode.
+             */
+            max: number | null;
+        };
+        /**
+         * EvaluatedReturns
+         * @description True returns of the policy before and after training.
+         */
+        EvaluatedReturns: {
+            /** @description Before the first update; null until it is measured. */
+            untrained: components["schemas"]["EvaluatedReturn"] | null;
+            /** @description After the last update; null until it is measured. */
+            final: components["schemas"]["EvaluatedReturn"] | null;
         };
         /**
          * Experiment
@@ -586,14 +809,30 @@ export interface components {
             phase: components["schemas"]["Phase"];
             /**
              * Phase Detail
-             * @description One sentence about the phase, or why it failed; empty for labellers.
+             * @description One sentence about the phase, or why it failed. Labellers get it only while the experiment waits.
              */
             phase_detail: string;
             /**
+             * Waiting For
+             * @description What the policy waits for; empty while it trains, and unless the experiment is running.
+             * @enum {string}
+             */
+            waiting_for: "" | "policy_worker" | "labels" | "reward_version";
+            /**
+             * Estimated Seconds
+             * @description Estimated seconds until the reward version is trained, or until the training policy needs more labels; null if unknown, or if there are labels to give.
+             */
+            estimated_seconds: number | null;
+            /**
              * Steps
-             * @description Environment steps the policy has taken.
+             * @description Environment steps the policy has taken; the last rollout may exceed total_steps.
              */
             steps: number;
+            /**
+             * Steps Per Second
+             * @description Speed of the policy's last iteration, without waiting.
+             */
+            steps_per_second: number | null;
             /** @description Progress of the labelling. */
             labels: components["schemas"]["LabelCounts"];
             /**
@@ -601,6 +840,8 @@ export interface components {
              * @description Number of the newest reward version.
              */
             reward_version: number | null;
+            /** @description For teachers, researchers and admins; null for labellers. */
+            returns: components["schemas"]["EvaluatedReturns"] | null;
             /**
              * Created At
              * Format: date-time
@@ -612,6 +853,22 @@ export interface components {
              * @description When it finished, failed or was cancelled.
              */
             ended_at: string | null;
+            /**
+             * Archived At
+             * @description When it was archived; null if it is not.
+             */
+            archived_at: string | null;
+        };
+        /**
+         * ExperimentChanges
+         * @description What may be changed after an experiment is started.
+         */
+        ExperimentChanges: {
+            /**
+             * Instructions
+             * @description Shown to labellers; if empty, those of the task.
+             */
+            instructions: string;
         };
         /**
          * ExperimentPage
@@ -1732,6 +1989,8 @@ export interface operations {
                 limit?: number;
                 /** @description `next_cursor` of the previous page. */
                 cursor?: string | null;
+                /** @description Only archived ones, or only others; all by default. */
+                archived?: boolean | null;
             };
             header?: never;
             path?: never;
@@ -1803,6 +2062,77 @@ export interface operations {
             cookie?: never;
         };
         requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Experiment"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    delete_experiment: {
+        parameters: {
+            query: {
+                /** @description The experiment's name, as a confirmation. */
+                name: string;
+            };
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Deletion"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    change_experiment: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ExperimentChanges"];
+            };
+        };
         responses: {
             /** @description Successful Response */
             200: {
@@ -1907,6 +2237,134 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Experiment"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    archive_experiment: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Experiment"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    restore_experiment: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Experiment"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    list_deletions: {
+        parameters: {
+            query?: {
+                /** @description Most records to return. */
+                limit?: number;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Deletion"][];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    get_costs: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Costs"];
                 };
             };
             /** @description A stable code, a message, and the invalid field. */

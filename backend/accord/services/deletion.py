@@ -1,0 +1,61 @@
+"""Deletion of an experiment with everything that belongs to it. A record of what was deleted remains."""
+
+from collections.abc import Sequence
+
+from sqlalchemy.orm import Session
+
+from accord.domain.enums import ExperimentStatus
+from accord.domain.errors import ExperimentInUse, ExperimentNotActive, ExperimentNotFound, Invalid
+from accord.domain.ids import new_id
+from accord.services.publish import card_key, ensemble_key
+from accord.store import deletions, experiments
+from accord.store.blobs import BlobStore
+from accord.store.tables import DeletionRow, utc_now
+
+
+def delete(session: Session, experiment_id: str, name: str, deleted_by: str) -> tuple[DeletionRow, list[str]]:
+    """Deletes all rows of an experiment that is over, labels included.
+
+    Args:
+        name: its name, as a confirmation.
+        deleted_by: name of the user.
+
+    Returns:
+        The record of the deletion, and the keys of the blobs to delete once the transaction is committed.
+
+    Raises:
+        ExperimentNotFound: if there is no such experiment.
+        ExperimentNotActive: if it is running or paused.
+        ExperimentInUse: if a worker has not noticed yet that it is over.
+        Invalid: if `name` is not its name.
+    """
+    row = experiments.lock(session, experiment_id)
+    if row is None:
+        raise ExperimentNotFound(experiment_id)
+    if row.status in {ExperimentStatus.RUNNING, ExperimentStatus.PAUSED}:
+        raise ExperimentNotActive(row.id, row.status, "finished, failed or cancelled")
+    if name != row.name:
+        raise Invalid(f"The name of this experiment is {row.name!r}. Send it exactly to confirm the deletion.", "name")
+    if deletions.is_claimed(session, experiment_id, utc_now()):
+        raise ExperimentInUse(experiment_id)
+    keys, weights = deletions.blob_keys(session, experiment_id)
+    keys += [key for each in weights for key in (each, card_key(each), ensemble_key(each))]
+    record = DeletionRow(
+        id=new_id("del"), deleted_id=row.id, name=row.name, config=row.config, deleted_by=deleted_by, rows={}
+    )
+    session.expunge(row)
+    record.rows = deletions.delete_rows(session, experiment_id)
+    session.add(record)
+    session.flush()
+    return record, keys
+
+
+def delete_blobs(blobs: BlobStore, keys: Sequence[str]) -> None:
+    """Deletes blobs that no row refers to any more. If this is interrupted, the rest stay as orphans."""
+    for key in keys:
+        blobs.delete(key)
+
+
+def records(session: Session, limit: int) -> list[DeletionRow]:
+    """Records of deletions, newest first."""
+    return deletions.newest(session, limit)

@@ -1,0 +1,61 @@
+"""What a running experiment waits for, and for how long, computed from its rows.
+
+What the policy worker wrote when it began to wait becomes outdated with the next label, and while the worker trains
+another experiment.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from accord.domain.enums import ExperimentStatus, Phase
+from accord.services.experiments import LabelCounts, config_of
+from accord.store.tables import ExperimentRow, RewardVersionRow
+from mapt.training.schedule import LabelSchedule, Progress
+
+WaitingFor = Literal["", "policy_worker", "labels", "reward_version"]
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """What an experiment waits for."""
+
+    #: empty while the policy trains, and unless the experiment is running
+    waiting_for: WaitingFor
+    #: a sentence for users
+    detail: str
+    #: Estimated seconds until the reward version is trained, or until the policy that trains needs more labels;
+    #: None if unknown, or if there are labels to give.
+    seconds: float | None
+
+
+def waiting(row: ExperimentRow, counts: LabelCounts, newest: RewardVersionRow | None) -> Waiting:
+    """What the experiment waits for.
+
+    Args:
+        newest: its newest reward version.
+    """
+    if row.status != ExperimentStatus.RUNNING:
+        return Waiting("", row.phase_detail, None)
+    if row.phase == Phase.QUEUED:
+        return Waiting("policy_worker", "It starts when a policy worker is free.", None)
+    config = config_of(row)
+    if config.reward_source == "true":
+        return Waiting("", row.phase_detail, None)
+    schedule = config.schedule
+    if row.phase != Phase.WAITING_FOR_LABELS:
+        return Waiting("", row.phase_detail, _until_next_query(row, counts, schedule))
+    progress = Progress(row.steps, row.label_count, newest.label_count if newest else None)
+    waits_for = schedule.waits_for(progress)
+    if waits_for is None:
+        return Waiting("policy_worker", "It continues when a policy worker is free.", None)
+    seconds = None if waits_for == "labels" or newest is None else newest.metrics.get("seconds")
+    return Waiting(waits_for, schedule.waiting_reason(progress) or "", seconds)
+
+
+def _until_next_query(row: ExperimentRow, counts: LabelCounts, schedule: LabelSchedule) -> float | None:
+    """Seconds until the policy has trained as far as the next query; None if one is open or the speed is unknown."""
+    ready = counts.open_queries + counts.rendering_queries
+    if ready or not row.steps_per_second:
+        return None
+    at = schedule.next_query_at(row.steps, counts.labels)
+    return None if at is None else (at - row.steps) / row.steps_per_second

@@ -1,0 +1,75 @@
+"""Deletes every row of an experiment, and reads the records of deletions."""
+
+from collections.abc import Iterator
+from datetime import datetime
+
+from sqlalchemy import ColumnElement, Table, delete, func, select
+from sqlalchemy.orm import Session
+
+from accord.store.tables import (
+    Base,
+    ClaimRow,
+    ClipRow,
+    DeletionRow,
+    ExperimentRow,
+    PolicyCheckpointRow,
+    RewardVersionRow,
+    SegmentRow,
+)
+
+
+def delete_rows(session: Session, experiment_id: str) -> dict[str, int]:
+    """Deletes the experiment and everything that refers to it. Returns table -> number of deleted rows."""
+    deleted = {
+        table.name: _count(session, table, condition) for table, condition in _tables_of_experiments(experiment_id)
+    }
+    for table, condition in _tables_of_experiments(experiment_id):
+        session.execute(delete(table).where(condition))
+    session.execute(delete(ExperimentRow).where(ExperimentRow.id == experiment_id))
+    return {name: count for name, count in deleted.items() if count}
+
+
+def blob_keys(session: Session, experiment_id: str) -> tuple[list[str], list[str]]:
+    """Keys of the experiment's own blobs (of reward versions: the weights'), and of reward versions alone.
+
+    A clip is left out if another experiment shows the same one.
+    """
+    others = select(ClipRow.blob_key).where(ClipRow.experiment_id != experiment_id, ClipRow.blob_key.is_not(None))
+    own_clips = ClipRow.blob_key.is_not(None) & ClipRow.blob_key.not_in(others)
+    statements = (
+        select(SegmentRow.blob_key).where(SegmentRow.experiment_id == experiment_id),
+        select(PolicyCheckpointRow.blob_key).where(PolicyCheckpointRow.experiment_id == experiment_id),
+        select(ClipRow.blob_key).where(ClipRow.experiment_id == experiment_id, own_clips),
+    )
+    rewards = session.scalars(select(RewardVersionRow.blob_key).where(RewardVersionRow.experiment_id == experiment_id))
+    return [key for each in statements for key in session.scalars(each) if key is not None], list(rewards)
+
+
+def is_claimed(session: Session, experiment_id: str, now: datetime) -> bool:
+    """Whether a worker is working on the experiment."""
+    claims = select(ClaimRow.subject).where(
+        ClaimRow.subject.endswith(f":{experiment_id}", autoescape=True), ClaimRow.expires_at > now
+    )
+    return session.scalar(claims.limit(1)) is not None
+
+
+def newest(session: Session, limit: int) -> list[DeletionRow]:
+    """Records of deletions, newest first."""
+    return list(session.scalars(select(DeletionRow).order_by(DeletionRow.id.desc()).limit(limit)))
+
+
+def _tables_of_experiments(experiment_id: str) -> Iterator[tuple[Table, ColumnElement[bool]]]:
+    """Every table with rows of experiments, and the condition of those of this one; referring tables come first."""
+    for table in reversed(Base.metadata.sorted_tables):
+        if "experiment_id" in table.c:
+            yield table, table.c.experiment_id == experiment_id
+            continue
+        for key in table.foreign_keys:
+            owner = key.column.table
+            if "experiment_id" in owner.c:
+                yield table, key.parent.in_(select(key.column).where(owner.c.experiment_id == experiment_id))
+                break
+
+
+def _count(session: Session, table: Table, condition: ColumnElement[bool]) -> int:
+    return session.scalar(select(func.count()).select_from(table).where(condition)) or 0
