@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from support.ci import IN_CI
-from support.stores import Stores, empty_postgres_database, missing_for_postgres, open_stores, run_postgres
+from support.stores import Stores, migrated_postgres_database, missing_for_postgres, open_stores, run_postgres
 
 
 @pytest.fixture(scope="session")
@@ -33,7 +33,10 @@ def stores(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[Stores]:
             yield opened
         return
     server: str = request.getfixturevalue("postgres_server")
-    with empty_postgres_database(server, f"test_{secrets.token_hex(6)}") as url, open_stores(tmp_path, url) as opened:
+    with (
+        migrated_postgres_database(server, f"test_{secrets.token_hex(6)}") as url,
+        open_stores(tmp_path, url) as opened,
+    ):
         yield opened
 
 

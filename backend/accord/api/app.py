@@ -23,7 +23,7 @@ Sign in with `Authorization: Bearer <token>`. Every error has the same body: a s
 
 def create_app(settings: Settings, database: Database, blobs: BlobStore) -> FastAPI:
     """The application over a migrated database. The caller opens and closes both stores."""
-    app = FastAPI(
+    app = _App(
         title="Accord",
         version="1",
         description=_DESCRIPTION,
@@ -42,7 +42,6 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
     app.router.default = Page()
     errors.install(app)
     app.add_middleware(BodyLimit, limit_bytes=settings.max_body_bytes)
-    _describe_sign_in(app)
     return app
 
 
@@ -51,13 +50,17 @@ def _operation_id(route: APIRoute) -> str:
     return route.name
 
 
-def _describe_sign_in(app: FastAPI) -> None:
-    """Adds both authentication methods to the OpenAPI document."""
-    document = app.openapi()
-    components: dict[str, Any] = document.setdefault("components", {})
-    components["securitySchemes"] = {
-        "bearer": {"type": "http", "scheme": "bearer"},
-        "cookie": {"type": "apiKey", "in": "cookie", "name": "accord_session"},
-    }
-    document["security"] = [{"bearer": []}, {"cookie": []}]
-    document["paths"][f"{PREFIX}/health"]["get"]["security"] = []
+class _App(FastAPI):
+    def openapi(self) -> dict[str, Any]:
+        """The OpenAPI document with both authentication methods, created when it is first requested."""
+        created = self.openapi_schema is None
+        document = super().openapi()
+        if created:
+            components: dict[str, Any] = document.setdefault("components", {})
+            components["securitySchemes"] = {
+                "bearer": {"type": "http", "scheme": "bearer"},
+                "cookie": {"type": "apiKey", "in": "cookie", "name": "accord_session"},
+            }
+            document["security"] = [{"bearer": []}, {"cookie": []}]
+            document["paths"][f"{PREFIX}/health"]["get"]["security"] = []
+        return document
