@@ -23,7 +23,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from mapt.preferences.loss import preference_loss
 from mapt.rewards.config import Precision, PresetName, RewardConfig
-from mapt.rewards.kernels import autocast
+from mapt.rewards.layers import autocast
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.relabelling import RewardStream, RolloutRelabeller
 

@@ -14,9 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.rendering.appearance import has_squares, styled_model
-from mapt.rendering.camera import LOOK_DOWN_DEGREES, SMOOTHING_SECONDS, BodyKinematics, Framing, camera_path, frame_body
-from mapt.rendering.overlays import (
+from mapt.rendering.appearance import (
     BACKDROP_DISTANCE,
     add_backdrop,
     add_grid,
@@ -25,7 +23,10 @@ from mapt.rendering.overlays import (
     add_rings,
     add_shadows,
     add_start_line,
+    has_squares,
+    styled_model,
 )
+from mapt.rendering.camera import LOOK_DOWN_DEGREES, SMOOTHING_SECONDS, BodyKinematics, Framing, camera_path, frame_body
 from mapt.rendering.settings import RenderSettings
 
 FloatArray = NDArray[np.float64]

@@ -5,8 +5,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.kernels import LocalAttention, drop_context
-from mapt.rewards.layers import LinearHead, MarkovPath, TemporalEncoder, zero_init
+from mapt.rewards.layers import LinearHead, LocalAttention, MarkovPath, TemporalEncoder, drop_context, zero_init
 from mapt.rewards.mapt import TemporalAwareAttention
 from mapt.rewards.model import REWARD_GAIN, FirstLayers, RewardModel
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from mapt.errors import ModelMismatch
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays, SegmentSource
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.kernels import autocast
+from mapt.rewards.layers import autocast
 from mapt.rewards.model import RewardModel
 
 # Segments in one forward pass without gradients, so few that activations stay in the CPU's cache: at d = 64 and T = 50,

@@ -1,15 +1,15 @@
 """Faster ways to compute what the plain network computes, each with the benchmark that justifies it.
 
+A training step in float32 uses none of them.
+
 - `BandedAttention` relabels a rollout in one pass; the plain way runs the network on each step's window, which takes
   about T times as long (`bench_rewards.py --rows relabelling`).
 - `KVCache` computes one step in a stream of steps; the plain way runs the whole window for each step, about T times
   the work (`bench_rewards.py --rows streaming`).
-- `autocast` multiplies in bfloat16: a training step at d = 256 takes 7.8 s of CPU time instead of 14.9 s
-  (`bench_rewards.py --rows training --sizes paper`), and `float32_on_cpu` excepts attention from it.
+- `resolve_precision` chooses bfloat16 products where the processor has them: a training step at d = 256 takes 7.8 s of
+  CPU time instead of 14.9 s (`bench_rewards.py --rows training --sizes paper`).
 """
 
-from abc import ABC, abstractmethod
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import get_args
 
@@ -19,6 +19,7 @@ from torch import Tensor
 
 from mapt.errors import InvalidConfig
 from mapt.rewards.config import Precision
+from mapt.rewards.layers import LocalAttention
 
 # Below this d, converting to bfloat16 costs as much as the faster products save.
 MIN_BFLOAT16_DIM = 128
@@ -49,47 +50,6 @@ def supports_bfloat16(device: torch.device) -> bool:
         return torch.cuda.is_bf16_supported(including_emulation=False)
     # There is no public function for this.
     return device.type == "cpu" and torch.ops.mkldnn._is_mkldnn_bf16_supported()
-
-
-def autocast(dtype: torch.dtype, device: torch.device) -> AbstractContextManager[object]:
-    """Context in which layers multiply in `dtype`; parameters, gradients and the optimiser stay float32."""
-    return nullcontext() if dtype == torch.float32 else torch.autocast(device.type, dtype)
-
-
-def float32_on_cpu(device: torch.device) -> AbstractContextManager[object]:
-    """Context in which a CPU computes attention in float32 even within `autocast`.
-
-    Over few agents or steps, bfloat16 attention takes 9% longer (a training step at d = 256), and its error in
-    relabelled rewards is above 2% of their standard deviation.
-    """
-    return torch.autocast("cpu", enabled=False) if device.type == "cpu" else nullcontext()
-
-
-class LocalAttention(ABC):
-    """Causal attention over a bounded past, in place of a whole segment's."""
-
-    @property
-    def context_steps(self) -> int:
-        """K, leading steps that serve as keys and values only: the output begins after them."""
-        return 0
-
-    @abstractmethod
-    def positions(self, n_steps: int) -> Tensor:
-        """Positions of T steps for the rotary embedding, float64 (T,); only differences matter."""
-
-    @abstractmethod
-    def attend(self, query: Tensor, key: Tensor, value: Tensor) -> Tensor:
-        """Attention of each step over its past, (S, T - K, G, X); the G groups (agents times heads) are independent.
-
-        Args:
-            query: (S, T - K, G, X).
-            key, value: (S, T, G, X).
-        """
-
-
-def drop_context(steps: Tensor, local: LocalAttention | None) -> Tensor:
-    """`steps` (S, T, ...) without the K steps of context: (S, T - K, ...)."""
-    return steps if local is None else steps[:, local.context_steps :]
 
 
 @dataclass(frozen=True, slots=True)

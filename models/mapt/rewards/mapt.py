@@ -16,11 +16,11 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.kernels import LocalAttention
 from mapt.rewards.layers import (
     AgentAttention,
     FeedForward,
     LinearHead,
+    LocalAttention,
     MarkovPath,
     RewardHead,
     ScalarLinear,

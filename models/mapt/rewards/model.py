@@ -11,8 +11,15 @@ from torch import Tensor, nn
 
 from mapt.errors import ShapeError
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.kernels import LocalAttention, drop_context
-from mapt.rewards.layers import InputNormaliser, MarkovPath, RewardHead, equal_weights, mean_attention
+from mapt.rewards.layers import (
+    InputNormaliser,
+    LocalAttention,
+    MarkovPath,
+    RewardHead,
+    drop_context,
+    equal_weights,
+    mean_attention,
+)
 
 # Factor of every reward. The score of a whole segment is a mean over steps and agents, so it starts near 0, while the
 # logit of a clear preference is about 5.

@@ -15,7 +15,8 @@ from torch import Tensor
 from mapt.device import resolve_device
 from mapt.errors import InvalidConfig, InvalidRollout, ModelMismatch
 from mapt.rewards.config import Precision
-from mapt.rewards.kernels import BandedAttention, KVCache, autocast, resolve_precision
+from mapt.rewards.kernels import BandedAttention, KVCache, resolve_precision
+from mapt.rewards.layers import autocast
 from mapt.rewards.model import PolicyReward, RewardModel
 
 #: "shared" gives every agent the mean over agents, "individual" each its own reward.

@@ -2,7 +2,8 @@ import pytest
 import torch
 
 from mapt.errors import InvalidConfig
-from mapt.rewards.kernels import autocast, resolve_precision, supports_bfloat16
+from mapt.rewards.kernels import resolve_precision, supports_bfloat16
+from mapt.rewards.layers import autocast
 
 pytestmark = pytest.mark.numerics
 

@@ -1,8 +1,7 @@
 import { type RefObject, useCallback, useEffect, useRef, useState } from "react";
 import { type Clip, type ClipSource, ClipUnreachable } from "./clip";
 import type { ClipCache } from "./clipCache";
-import { defaultSpeed } from "./pairClock";
-import { PairPlayer } from "./pairPlayer";
+import { defaultSpeed, PairPlayer } from "./pairPlayer";
 
 type Canvas = RefObject<HTMLCanvasElement | null>;
 

@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { defaultSpeed, frameAt, HOLD_SECONDS, PairClock } from "./pairClock";
+import { defaultSpeed, frameAt, HOLD_SECONDS, PairClock } from "./pairPlayer";
 
 const play = (clock: PairClock, seconds: number, hz = 60) => {
   for (let tick = 0; tick < Math.round(seconds * hz); tick++) clock.tick(1 / hz);
