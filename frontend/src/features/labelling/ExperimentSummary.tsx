@@ -1,8 +1,8 @@
 import { useQuery } from "@tanstack/react-query";
-import { versionMetric } from "@/shared/api/metrics";
 import { rewardVersionsQuery, workersQuery } from "@/shared/api/queries";
 import type { Experiment } from "@/shared/api/types";
-import { formatCompact, formatCount, formatPercent, plural } from "@/shared/ui/format";
+import { formatCount, formatSteps, plural } from "@/shared/ui/format";
+import { heldOutAccuracy, heldOutText } from "@/shared/ui/heldOut";
 import { ProgressBar } from "@/shared/ui/ProgressBar";
 import { isOver, phaseText, workerWarning } from "@/shared/ui/status";
 
@@ -75,7 +75,7 @@ function PolicyStatus({ experiment, connected }: { experiment: Experiment; conne
   const total = Number(experiment.config.total_steps);
   const number = experiment.reward_version;
   const version = versions?.items.find((item) => item.number === number);
-  const accuracy = versionMetric(version, "holdout_accuracy");
+  const accuracy = heldOutAccuracy(version);
   return (
     <section className="card" aria-labelledby="policy-title">
       <h2 id="policy-title">
@@ -85,12 +85,12 @@ function PolicyStatus({ experiment, connected }: { experiment: Experiment; conne
         label="Training steps"
         value={experiment.steps}
         max={total}
-        text={`${formatCompact(experiment.steps)} of ${formatCompact(total)}`}
+        text={formatSteps(experiment.steps, total)}
       />
       <p className="summary-line" data-testid="reward-version">
         {number === null
           ? "No reward version yet"
-          : `Reward version ${number}${accuracy === null ? "" : `, ${formatPercent(accuracy)} held-out accuracy`}`}
+          : `Reward version ${number}${accuracy === null ? "" : `; held-out labels: ${heldOutText(accuracy)}`}`}
       </p>
       <p className="summary-line muted" role="status">
         {connected ? (warning ?? experiment.phase_detail) : "Reconnecting to the server…"}

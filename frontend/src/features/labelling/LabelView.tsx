@@ -11,6 +11,7 @@ import { type Command, useKeyboardCommands } from "./commands";
 import { ExperimentSummary } from "./ExperimentSummary";
 import { NoPair } from "./NoPair";
 import { PlaybackControls } from "./PlaybackControls";
+import { usePairNotification } from "./pairNotification";
 import { StatusLine } from "./StatusLine";
 import { useLabellingSession } from "./useLabellingSession";
 
@@ -70,6 +71,7 @@ export function LabelView({ experiment, me, connected }: LabelViewProps) {
     [choose, session, player],
   );
   useKeyboardCommands(run);
+  usePairNotification(experiment.name, current !== null);
 
   return (
     <main className="label-view" id="content">

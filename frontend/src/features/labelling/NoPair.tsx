@@ -1,7 +1,9 @@
 import type { Experiment } from "@/shared/api/types";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
-import { formatCount } from "@/shared/ui/format";
+import { formatCount, formatSteps } from "@/shared/ui/format";
+import { estimateText, isOver } from "@/shared/ui/status";
+import { PairNotificationSwitch } from "./pairNotification";
 import type { SessionView } from "./session";
 
 interface NoPairProps {
@@ -24,6 +26,7 @@ export function NoPair({ experiment, reason, error, aspectRatio }: NoPairProps) 
       <div role="status" aria-live="polite">
         <h2>{title}</h2>
         <p>{text}</p>
+        {!isOver(experiment) && reason !== "all_labelled" && <PairNotificationSwitch />}
         <p>
           <Link to={paths.experiment(experiment.id)}>View the experiment</Link>
         </p>
@@ -79,22 +82,14 @@ function explain(
 const APPEARS = "The next pair appears here automatically. You can leave this page open.";
 
 /** Why no pair can be labelled although the experiment runs and its clips are rendered. */
-function whyNoPair({ phase, steps, config, labels }: Experiment): string {
-  switch (phase) {
-    case "queued":
-      return "The experiment waits for a free policy worker.";
-    case "collecting":
-      return "The policy is collecting the first clips.";
-    case "waiting_for_labels":
-      return labels.labels < labels.due
-        ? "Other labellers have the open pairs, or new pairs are being chosen."
-        : "The reward model is being trained on the labels.";
-    case "training":
-    case "evaluating":
-    case "done":
-      return (
-        `The policy has enough labels for now and is training (${formatCount(steps)} of ` +
-        `${formatCount(Number(config.total_steps))} steps).`
-      );
+function whyNoPair(experiment: Experiment): string {
+  const { phase, waiting_for, steps, config } = experiment;
+  if (waiting_for === "policy_worker") return "The experiment waits for a free policy worker.";
+  if (waiting_for === "labels") return "Other labellers have the open pairs, or new pairs are being chosen.";
+  if (waiting_for === "reward_version") {
+    return `The reward model is being trained on the labels. ${estimateText(experiment)}`;
   }
+  if (phase === "collecting") return "The policy is collecting the first clips.";
+  const done = formatSteps(steps, Number(config.total_steps));
+  return `The policy has enough labels for now and is training (${done} steps). ${estimateText(experiment)}`;
 }

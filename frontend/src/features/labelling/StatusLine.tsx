@@ -1,9 +1,9 @@
 import { useQuery } from "@tanstack/react-query";
 import { useEffect, useRef, useState } from "react";
-import { versionMetric } from "@/shared/api/metrics";
 import { rewardVersionsQuery } from "@/shared/api/queries";
 import type { Experiment } from "@/shared/api/types";
-import { formatCount, formatPercent } from "@/shared/ui/format";
+import { formatCount } from "@/shared/ui/format";
+import { heldOutAccuracy, heldOutText } from "@/shared/ui/heldOut";
 import { CHOICE_TEXT } from "./choices";
 import type { SessionView } from "./session";
 
@@ -46,8 +46,8 @@ function useVersionNotice(experiment: Experiment): string {
   }, [current]);
   if (announced === null) return "";
   const version = data?.items.find(({ number }) => number === announced);
-  const accuracy = versionMetric(version, "holdout_accuracy");
+  const accuracy = heldOutAccuracy(version);
   const trained = version ? ` was trained on ${formatCount(version.label_count)} labels.` : " is ready.";
-  const detail = accuracy === null ? "" : ` It predicts ${formatPercent(accuracy)} of held-out labels.`;
+  const detail = accuracy?.reliable ? ` It predicts ${heldOutText(accuracy)} of held-out labels.` : "";
   return `Reward version ${announced}${trained}${detail}`;
 }

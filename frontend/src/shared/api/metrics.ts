@@ -22,6 +22,10 @@ export function pointsOf(metrics: Metrics | undefined, name: string): MetricPoin
 export type VersionMetric =
   | "holdout_accuracy"
   | "holdout_loss"
+  | "holdout_labels"
+  | "holdout_strict_labels"
+  | "holdout_reliable"
+  | "ece"
   | "attention"
   | "attention_gain"
   | "attention_gain_error"

@@ -1,8 +1,16 @@
 import { expect, test } from "vitest";
-import { formatValue, plural } from "./format";
+import { formatDuration, formatSteps, formatValue, plural } from "./format";
 
 test("values are formatted with about three significant digits", () => {
   expect([0.8412, 12.34, 123.4, 45_000].map(formatValue)).toEqual(["0.841", "12.3", "123", "45K"]);
   expect(plural(1, "label")).toBe("1 label");
   expect(plural(1200, "label")).toBe("1,200 labels");
+});
+
+test("durations have one unit", () => {
+  expect([0.2, 45, 200, 7200].map(formatDuration)).toEqual(["1 s", "45 s", "3 min", "2.0 h"]);
+});
+
+test("steps never exceed their total", () => {
+  expect([formatSteps(400, 60_000), formatSteps(61_440, 60_000)]).toEqual(["400 of 60K", "all 60K"]);
 });

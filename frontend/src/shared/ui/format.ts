@@ -15,6 +15,20 @@ export function formatValue(value: number): string {
   return value.toFixed(size >= 100 ? 0 : size >= 10 ? 1 : 3);
 }
 
+/** A duration with about one significant unit: "5 s", "3 min", "1.5 h". */
+export function formatDuration(seconds: number): string {
+  if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
+  if (seconds < 90 * 60) return `${Math.round(seconds / 60)} min`;
+  return `${(seconds / 3600).toFixed(1)} h`;
+}
+
+/** Progress of a policy: the last rollout may exceed the total, which then is all of it. */
+export function formatSteps(steps: number, total: number): string {
+  return steps >= total
+    ? `all ${compact.format(total)}`
+    : `${compact.format(steps)} of ${compact.format(total)}`;
+}
+
 export function plural(amount: number, singular: string, many = `${singular}s`): string {
   return `${formatCount(amount)} ${amount === 1 ? singular : many}`;
 }

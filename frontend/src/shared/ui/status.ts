@@ -1,4 +1,5 @@
 import type { Experiment, Worker } from "@/shared/api/types";
+import { formatDuration } from "./format";
 
 const PHASES: Readonly<Record<Experiment["phase"], string>> = {
   queued: "Queued",
@@ -22,12 +23,25 @@ export function isOver({ status }: Experiment): boolean {
   return status === "cancelled" || status === "finished" || status === "failed";
 }
 
-/** The phase of a running experiment, or the status of any other, for display. */
-export function phaseText({ status, phase, labels }: Experiment): string {
+const WAITS: Readonly<Record<Exclude<Experiment["waiting_for"], "">, string>> = {
+  policy_worker: "Queued",
+  labels: "Waiting for labels",
+  reward_version: "Training the reward model",
+};
+
+/** What a running experiment does or waits for, or the status of any other, for display. */
+export function phaseText({ status, phase, waiting_for }: Experiment): string {
   if (status !== "running") return STATUSES[status];
-  // The policy also waits while the reward model is trained on the labels that were due.
-  if (phase === "waiting_for_labels" && labels.labels >= labels.due) return "Waiting for the reward model";
-  return PHASES[phase];
+  return waiting_for ? WAITS[waiting_for] : PHASES[phase];
+}
+
+/** How long the experiment may keep a labeller waiting: a sentence, or nothing when it cannot be estimated. */
+export function estimateText({ waiting_for, estimated_seconds }: Experiment): string {
+  if (estimated_seconds === null) return "";
+  const duration = formatDuration(estimated_seconds);
+  return waiting_for === "reward_version"
+    ? `The last training took ${duration}.`
+    : `It needs more labels in about ${duration}.`;
 }
 
 /** A worker without a heartbeat for this long counts as not responding. */

@@ -1,0 +1,54 @@
+import { expect, test } from "vitest";
+import type { RewardVersion } from "@/shared/api/types";
+import { heldOutAccuracy, heldOutDetail, heldOutText, wilsonInterval } from "./heldOut";
+
+const version = (metrics: Record<string, number>): RewardVersion => ({
+  id: "rwv_1",
+  number: 1,
+  parent_id: null,
+  label_watermark: 30,
+  label_count: 30,
+  policy_steps: 0,
+  metrics,
+  created_at: "2026-01-01T00:00:00Z",
+});
+
+const textOf = (metrics: Record<string, number>): string[] => {
+  const accuracy = heldOutAccuracy(version(metrics));
+  return accuracy ? [heldOutText(accuracy), heldOutDetail(accuracy)] : [];
+};
+
+test("the Wilson interval has the published values", () => {
+  // Newcombe (1998), table I: 81 of 263, 15 of 148, 0 of 20, 1 of 29
+  const intervals = [
+    wilsonInterval(81, 263),
+    wilsonInterval(15, 148),
+    wilsonInterval(0, 20),
+    wilsonInterval(1, 29),
+  ];
+  expect(intervals.flat().map((limit) => Number(limit.toFixed(4)))).toEqual([
+    0.2553, 0.3662, 0.0624, 0.1605, 0, 0.1611, 0.0061, 0.1718,
+  ]);
+});
+
+test("few held-out labels are counted, not shown as a percentage", () => {
+  expect(textOf({ holdout_accuracy: 1, holdout_labels: 6, holdout_reliable: 0 })).toEqual([
+    "6 of 6, too few to judge",
+    "95% interval 61% to 100%",
+  ]);
+});
+
+test("ties among the held-out labels are not trials", () => {
+  const metrics = {
+    holdout_accuracy: 0.75,
+    holdout_labels: 25,
+    holdout_strict_labels: 20,
+    holdout_reliable: 1,
+  };
+  expect(textOf(metrics)).toEqual(["75%", "15 of 20, 95% interval 53% to 89%"]);
+});
+
+test("counts that do not fit the accuracy are left out", () => {
+  expect(textOf({ holdout_accuracy: 0.75, holdout_labels: 25, holdout_reliable: 1 })).toEqual(["75%", ""]);
+  expect(textOf({})).toEqual([]);
+});

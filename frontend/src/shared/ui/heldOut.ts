@@ -1,0 +1,63 @@
+import { versionMetric } from "@/shared/api/metrics";
+import type { RewardVersion } from "@/shared/api/types";
+import { formatCount, formatPercent } from "./format";
+
+/** z of a 95% interval. */
+const Z = 1.96;
+
+/** How well a reward version predicts labels that it was not trained on. */
+export interface HeldOutAccuracy {
+  fraction: number;
+  /** number of right predictions and of labels that are not ties; null when they are unknown */
+  counts: { right: number; of: number } | null;
+  /** 95% Wilson interval of the fraction; null when the counts are unknown */
+  interval: [number, number] | null;
+  /** whether there were enough held-out labels to judge by */
+  reliable: boolean;
+}
+
+/** The accuracy of a version on held-out labels; null when it was not measured. */
+export function heldOutAccuracy(version: RewardVersion | undefined): HeldOutAccuracy | null {
+  const fraction = versionMetric(version, "holdout_accuracy");
+  if (fraction === null) return null;
+  const counts = countsOf(version, fraction);
+  return {
+    fraction,
+    counts,
+    interval: counts && wilsonInterval(counts.right, counts.of),
+    reliable: versionMetric(version, "holdout_reliable") === 1,
+  };
+}
+
+function countsOf(version: RewardVersion | undefined, fraction: number): HeldOutAccuracy["counts"] {
+  // Versions from before `holdout_strict_labels` count ties among `holdout_labels`, which then do not fit the fraction.
+  const of = versionMetric(version, "holdout_strict_labels") ?? versionMetric(version, "holdout_labels");
+  if (of === null || of < 1) return null;
+  const right = Math.round(fraction * of);
+  return Math.abs(right - fraction * of) < 1e-3 ? { right, of } : null;
+}
+
+/** The 95% interval of a proportion (Wilson 1927), which stays within 0 and 1 and is wide for few trials. */
+export function wilsonInterval(right: number, of: number): [number, number] {
+  const share = right / of;
+  const scale = 1 + Z ** 2 / of;
+  const centre = (share + Z ** 2 / (2 * of)) / scale;
+  const half = (Z / scale) * Math.sqrt((share * (1 - share)) / of + Z ** 2 / (4 * of ** 2));
+  return [Math.max(0, centre - half), Math.min(1, centre + half)];
+}
+
+/** The accuracy in a few words: "83%" or, of too few labels, "6 of 6, too few to judge". */
+export function heldOutText({ fraction, counts, reliable }: HeldOutAccuracy): string {
+  if (reliable) return formatPercent(fraction);
+  const share = counts
+    ? `${formatCount(counts.right)} of ${formatCount(counts.of)}`
+    : formatPercent(fraction);
+  return `${share}, too few to judge`;
+}
+
+/** The counts and the interval behind `heldOutText`; empty when they are unknown. */
+export function heldOutDetail({ counts, interval, reliable }: HeldOutAccuracy): string {
+  if (!counts || !interval) return "";
+  const share = reliable ? `${formatCount(counts.right)} of ${formatCount(counts.of)}, ` : "";
+  return `${share}95% interval ${formatPercent(interval[0])} to ${formatPercent(interval[1])}`;
+}
