@@ -118,7 +118,31 @@ class DatasetTeacher:
         return TeacherView(dataset.rewards[indices], dataset.mask[indices], **arrays)
 
 
+@dataclass(frozen=True, slots=True)
+class LabelledPairs:
+    """Labelled pairs of a recorded dataset."""
+
+    #: positions in the dataset, int64 (P, 2)
+    pairs: IntArray
+    #: P(segment 0 preferred), float32 (P,)
+    labels: NDArray[np.float32]
+
+    def first(self, n_pairs: int) -> "LabelledPairs":
+        """The first `n_pairs` pairs."""
+        return LabelledPairs(self.pairs[:n_pairs], self.labels[:n_pairs])
+
+    def dataset(self, recorded: RecordedDataset) -> PreferenceDataset:
+        """The pairs with their segments, and no others, of the dataset that they are of."""
+        used, positions = np.unique(self.pairs, return_inverse=True)
+        return PreferenceDataset(recorded.subset(used), positions.reshape(-1, 2), self.labels)
+
+
 def labelled_dataset(teacher: DatasetTeacher, dataset: RecordedDataset, n_labels: int, seed: int) -> PreferenceDataset:
+    """The pairs of `label_pairs` with their segments."""
+    return label_pairs(teacher, dataset, n_labels, seed).dataset(dataset)
+
+
+def label_pairs(teacher: DatasetTeacher, dataset: RecordedDataset, n_labels: int, seed: int) -> LabelledPairs:
     """Exactly `n_labels` labelled pairs of training segments; a skipped pair is replaced by another.
 
     Raises:
@@ -132,8 +156,7 @@ def labelled_dataset(teacher: DatasetTeacher, dataset: RecordedDataset, n_labels
         more = training_pairs(len(dataset), len(labels) + n_labels - given, seed)[len(labels) :]
         pairs, labels = np.concatenate((pairs, more)), np.concatenate((labels, teacher.labels(more)))
     kept = np.flatnonzero(np.isfinite(labels))
-    used, positions = np.unique(pairs[kept], return_inverse=True)
-    return PreferenceDataset(dataset.subset(used), positions.reshape(-1, 2), labels[kept])
+    return LabelledPairs(pairs[kept], labels[kept])
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ import hashlib
 import json
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -17,12 +17,13 @@ from safetensors.numpy import load_file, save
 
 import mapt.preferences
 import mapt.rewards
-from mapt.benchmarks.evaluate import DatasetTeacher, ModelEvaluation, evaluate_model, labelled_dataset, split_dataset
+from mapt.benchmarks.evaluate import DatasetTeacher, ModelEvaluation, evaluate_model, label_pairs, split_dataset
 from mapt.benchmarks.recorded_dataset import RecordedDataset
 from mapt.errors import DamagedCell, InvalidConfig
 from mapt.io import atomic_write
 from mapt.preferences.storage_layout import SegmentLayout
 from mapt.processes import ParentConnection
+from mapt.rewards.attention_trial import IN_USE
 from mapt.rewards.checkpoints import save_reward_model
 from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
 from mapt.rewards.model import RewardModel
@@ -56,16 +57,66 @@ class CellSettings:
     seed: int
     #: number of test pairs
     test_pairs: int
+    #: label counts of the versions before it, each of which continues from the one before; empty: from scratch
+    earlier: tuple[int, ...] = ()
 
     @property
     def key(self) -> str:
         """A hash of the settings."""
-        text = json.dumps(asdict(self), sort_keys=True, allow_nan=False)
+        text = json.dumps(self.to_dict(), sort_keys=True, allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
     def to_dict(self) -> dict[str, object]:
         """Plain values for JSON."""
-        return asdict(self)
+        # Without versions before it, a cell keeps the key that it had before this field existed.
+        return {name: value for name, value in asdict(self).items() if name != "earlier" or value}
+
+    @property
+    def versions(self) -> tuple["CellSettings", ...]:
+        """The cells of the versions before it, and itself, in ascending order of labels."""
+        counts = (*self.earlier, self.labels)
+        return tuple(replace(self, labels=count, earlier=counts[:n]) for n, count in enumerate(counts))
+
+
+def run_versions(
+    settings: CellSettings,
+    dataset: RecordedDataset,
+    stop: Callable[[], bool] | None = None,
+    keep: Callable[[TrainedReward], None] | None = None,
+) -> Iterator[tuple[CellSettings, ModelEvaluation]]:
+    """Label pairs, train the model's versions one after another, and evaluate each; fewer if stopped.
+
+    Besides those of `ModelEvaluation`, the metrics are `train_holdout_accuracy`, `train_holdout_loss`, `train_epochs`,
+    those of `attention_trial`, `parameters`, `seconds` and `cpu_seconds`. Costs are of one version.
+
+    Args:
+        stop: called during the training; true stops it.
+        keep: called with each trained version, for example to save it.
+    """
+    teacher = DatasetTeacher(settings.teacher, dataset, settings.seed)
+    labelled = label_pairs(teacher, dataset, settings.labels, settings.seed)
+    network, training = RewardConfig.from_dict(settings.network), TrainConfig.from_dict(settings.training)
+    previous: TrainedReward | None = None
+    for version in settings.versions:
+        pairs = labelled.first(version.labels).dataset(dataset)
+        started, started_cpu = time.perf_counter(), time.process_time()
+        trained = train_reward_model(
+            pairs,
+            network,
+            training,
+            initial=previous.model if previous else None,
+            initial_metrics=previous.metrics if previous else None,
+            stop=stop,
+        )
+        cost = {"seconds": time.perf_counter() - started, "cpu_seconds": time.process_time() - started_cpu}
+        if trained.metrics["stopped"]:
+            return
+        if keep is not None:
+            keep(trained)
+        evaluation = evaluate_model(trained.model, dataset, version.teacher, version.test_pairs, version.seed)
+        cost["parameters"] = float(count_parameters(trained.model))
+        yield version, replace(evaluation, metrics={**evaluation.metrics, **_training_metrics(trained), **cost})
+        previous = trained
 
 
 def run_cell(
@@ -74,33 +125,14 @@ def run_cell(
     stop: Callable[[], bool] | None = None,
     keep: Callable[[TrainedReward], None] | None = None,
 ) -> ModelEvaluation | None:
-    """Label pairs, train the model and evaluate it.
+    """The result of the last of `run_versions`; None if the training was stopped."""
+    return next((result for each, result in run_versions(settings, dataset, stop, keep) if each == settings), None)
 
-    Besides those of `ModelEvaluation`, the metrics are `train_holdout_accuracy`, `train_holdout_loss`, `train_epochs`,
-    `parameters`, `seconds` and `cpu_seconds`.
 
-    Args:
-        stop: called during the training; true stops it.
-        keep: called with the trained model, for example to save it.
-
-    Returns:
-        None if the training was stopped.
-    """
-    teacher = DatasetTeacher(settings.teacher, dataset, settings.seed)
-    labelled = labelled_dataset(teacher, dataset, settings.labels, settings.seed)
-    started, started_cpu = time.perf_counter(), time.process_time()
-    network, training = RewardConfig.from_dict(settings.network), TrainConfig.from_dict(settings.training)
-    trained = train_reward_model(labelled, network, training, stop=stop)
-    seconds, cpu_seconds = time.perf_counter() - started, time.process_time() - started_cpu
-    if trained.metrics["stopped"]:
-        return None
-    if keep is not None:
-        keep(trained)
-    evaluation = evaluate_model(trained.model, dataset, settings.teacher, settings.test_pairs, settings.seed)
+def _training_metrics(trained: TrainedReward) -> dict[str, float]:
     copied = ("holdout_accuracy", "holdout_loss", "epochs")
-    training_metrics = {f"train_{name}": trained.metrics[name] for name in copied if name in trained.metrics}
-    cost = {"parameters": float(count_parameters(trained.model)), "seconds": seconds, "cpu_seconds": cpu_seconds}
-    return replace(evaluation, metrics={**evaluation.metrics, **training_metrics, **cost})
+    from_training = {f"train_{name}": trained.metrics[name] for name in copied if name in trained.metrics}
+    return from_training | {name: value for name, value in trained.metrics.items() if name.startswith(IN_USE)}
 
 
 def count_parameters(model: RewardModel) -> int:
@@ -150,7 +182,7 @@ class CellFolder:
         card_path, arrays_path = self._paths(settings)
         card = {
             "format_version": FORMAT_VERSION,
-            "settings": asdict(settings),
+            "settings": settings.to_dict(),
             "metrics": dict(result.metrics),
             "code": code,
         }
@@ -182,16 +214,19 @@ class CellJob:
     settings: CellSettings
     #: folder of the recorded dataset
     dataset: Path
-    #: folder for the trained model; None does not save it
+    #: folder for the trained model (of the last version); None does not save it
     model: Path | None = None
 
 
 def make_cell(cells: Path, job: CellJob, parent: ParentConnection) -> None:
-    """Compute a cell in a worker of `run_jobs` and store it in `cells`, unless the parent cancels the job."""
+    """Compute a cell and the versions before it in a worker of `run_jobs`, and store each in `cells`.
+
+    Stops if the parent cancels the job.
+    """
     dataset, code = RecordedDataset.open(job.dataset), code_fingerprint()
-    result = run_cell(job.settings, dataset, parent.cancelled, partial(_save_model, job.model, dataset.source.n_steps))
-    if result is not None:
-        CellFolder(cells).write(job.settings, result, code)
+    keep = partial(_save_model, job.model, dataset.source.n_steps)
+    for settings, result in run_versions(job.settings, dataset, parent.cancelled, keep):
+        CellFolder(cells).write(settings, result, code)
 
 
 def _save_model(folder: Path | None, segment_steps: int, trained: TrainedReward) -> None:
@@ -252,6 +287,8 @@ class TablePlan:
     device: str
     #: model that the other models are compared with
     baseline: str
+    #: train the numbers of labels one after another, each from the model of the previous one
+    warm_start: bool = False
 
     def __post_init__(self) -> None:
         for name in ("models", "teachers", "labels", "seeds"):
@@ -285,6 +322,8 @@ def path_name(text: str) -> str:
 def table_jobs(plan: TablePlan, datasets: Mapping[int, RecordedDataset], models: Path | None = None) -> list[CellJob]:
     """The cells of `plan`, in ascending order of labels, so that an unfinished table is useful.
 
+    With `warm_start`, one job computes the cells of all numbers of labels.
+
     Args:
         datasets: recorded datasets of the task by seed.
         models: folder for the trained models; None does not save them.
@@ -301,20 +340,22 @@ def table_jobs(plan: TablePlan, datasets: Mapping[int, RecordedDataset], models:
         # Raises InvalidConfig before any training if the dataset is too small to split.
         split_dataset(len(dataset), 0)
     fingerprints = {seed: dataset.fingerprint() for seed, dataset in datasets.items()}
+    counts = sorted(plan.labels)
     cells = [
         CellSettings(
             task=plan.task,
             replay=fingerprints[seed],
             model=model,
             network=network_of(model, plan.preset, datasets[seed].source.layout).to_dict(),
-            training=_without_warm_start(training_of(model, plan.preset, seed, plan.device)),
+            training=_relevant(training_of(model, plan.preset, seed, plan.device), warm_start=plan.warm_start),
             teacher=teacher,
             teacher_parameters=DatasetTeacher(teacher, datasets[seed], seed).parameters(),
             labels=labels,
             seed=seed,
             test_pairs=plan.test_pairs,
+            earlier=tuple(counts[:-1]) if plan.warm_start else (),
         )
-        for labels in sorted(plan.labels)
+        for labels in (counts[-1:] if plan.warm_start else counts)
         for seed in plan.seeds
         for teacher in plan.teachers
         for model in plan.models
@@ -325,6 +366,6 @@ def table_jobs(plan: TablePlan, datasets: Mapping[int, RecordedDataset], models:
     ]
 
 
-def _without_warm_start(training: TrainConfig) -> dict[str, object]:
-    # Every cell is trained from scratch: settings of warm starts do not affect it, and must not change its key.
-    return {name: value for name, value in training.to_dict().items() if not name.startswith("warm_")}
+def _relevant(training: TrainConfig, *, warm_start: bool) -> dict[str, object]:
+    # Settings of warm starts do not affect a cell that is trained from scratch, and must not change its key.
+    return {name: value for name, value in training.to_dict().items() if warm_start or not name.startswith("warm_")}

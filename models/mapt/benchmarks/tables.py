@@ -27,6 +27,9 @@ _COLUMNS: tuple[tuple[str, str, str, bool, float], ...] = (
     ("within", "step_correlation_within", ".3f", False, 1),
     ("minutes", "seconds", ".1f", False, 1 / 60),
     ("CPU minutes", "cpu_seconds", ".1f", False, 1 / 60),
+    ("attention in use", "attention", ".2f", False, 1),
+    ("its gain", "attention_gain", ".3f", False, 1),
+    ("standard error", "attention_gain_error", ".3f", False, 1),
     ("parameters", "parameters", ",.0f", False, 1),
 )
 _SETTINGS = ("task", "teacher", "labels", "model", "seed")
@@ -191,8 +194,11 @@ def markdown(summary: Summary) -> str:
         "`label accuracy`, loss and ECE are against the labels it gives. `rank` is Spearman's correlation "
         "of scores with true returns (`late`: over the newest fifth of the segments) and with the teacher's scores; "
         "`steps` is Pearson's correlation of step rewards with the true rewards (`within`: after subtracting each "
-        "segment's mean). Minutes are training time.",
+        "segment's mean). Minutes are training time. `attention in use` is the fraction of seeds whose rewards depend "
+        "on the attention path; `its gain` is the reduction of the held-out loss, in nats, in the latest trial.",
     ]
+    if plan.warm_start:
+        parts.append("Each number of labels continues from the model of the previous one.")
     if summary.missing:
         parts.append(f"**{summary.missing} results are missing.**")
     if len(summary.codes) > 1:

@@ -124,8 +124,19 @@ def table(
     test_pairs: TestPairs = 4000,
     device: Device = "cpu",
     workers: Workers = 0,
+    warm_start: Annotated[
+        bool,
+        typer.Option(
+            "--warm-start",
+            help="Train the numbers of labels one after another, each from the model of the previous one, as the "
+            "service trains reward versions.",
+        ),
+    ] = False,
     keep_models: Annotated[
-        bool, typer.Option("--keep-models", help="Save every trained model in OUTPUT/models.")
+        bool,
+        typer.Option(
+            "--keep-models", help="Save every trained model in OUTPUT/models; with --warm-start, the last version."
+        ),
     ] = False,
     same_code: Annotated[
         bool, typer.Option("--same-code", help="Recompute results that another version of the code produced.")
@@ -152,6 +163,7 @@ def table(
         test_pairs=test_pairs,
         device=device,
         baseline=baseline or ("MA-MLP" if "MA-MLP" in names else names[0]),
+        warm_start=warm_start,
     )
     root = datasets or _default_datasets(output)
     recordings = [Recording(task, steps, segment_steps, segments, seed) for seed in plan.seeds]
@@ -160,7 +172,8 @@ def table(
     folder = CellFolder(output / "cells")
     if not dry_run:
         train_cells(jobs, folder, workers, same_code, quiet=as_json)
-    summary = summarise(plan, [cell for job in jobs if (cell := folder.read(job.settings)) is not None])
+    cells = (folder.read(settings) for job in jobs for settings in job.settings.versions)
+    summary = summarise(plan, [cell for cell in cells if cell is not None])
     paths = write(summary, output)
     if as_json:
         print_json(rows(summary))
@@ -229,9 +242,10 @@ def train_cells(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_
 
 
 def _finished(job: CellJob, folder: CellFolder, same_code: bool) -> bool:
-    cell = folder.read(job.settings)
-    if cell is None or (same_code and cell.code != code_fingerprint()):
-        return False
+    for settings in job.settings.versions:
+        cell = folder.read(settings)
+        if cell is None or (same_code and cell.code != code_fingerprint()):
+            return False
     return job.model is None or (job.model / CARD_FILE).exists()
 
 

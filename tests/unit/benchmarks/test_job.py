@@ -16,6 +16,7 @@ from mapt.benchmarks.job import (
     make_cell,
     network_of,
     run_cell,
+    run_versions,
     table_jobs,
     training_of,
 )
@@ -89,6 +90,7 @@ def test_a_cell_reads_back_as_it_was_written(tmp_path, replay, settings):
         {"network": {"hidden_dim": 16}},
         {"training": {"lr": 1.0}},
         {"teacher_parameters": {"mistake": 0.2}},
+        {"earlier": (20,)},
     ],
     ids=lambda changes: next(iter(changes)),
 )
@@ -145,6 +147,20 @@ def test_a_worker_computes_the_same_cell_although_another_fails(tmp_path, replay
     np.testing.assert_array_equal(
         CellFolder(tmp_path / "cells").read(good.settings).result.logits, run_cell(good.settings, replay).logits
     )
+
+
+def test_a_warm_started_version_continues_from_the_one_before(replay):
+    plan = replace(PLAN, models=(QUICK,), baseline=QUICK, labels=(40, 20), warm_start=True)
+    (job,) = table_jobs(plan, {0: replay})
+    results = list(run_versions(job.settings, replay))
+    assert [(settings.labels, settings.earlier) for settings, _ in results] == [(20, ()), (40, (20,))]
+    scratch = table_jobs(replace(plan, warm_start=False), {0: replay})
+    equal = [
+        np.array_equal(result.logits, run_cell(other.settings, replay).logits)
+        for (_, result), other in zip(results, scratch, strict=True)
+    ]
+    assert equal == [True, False]
+    assert results[1][1].metrics["attention"] == 0
 
 
 LAYOUT = SegmentLayout(n_steps=6, n_agents=2, observation_dim=3, action_dim=1)
