@@ -31,7 +31,7 @@ MaptError
 │   ├── NotEnoughPairs
 │   ├── NotOneHot
 │   ├── UnknownSelector
-│   ├── MissingView
+│   ├── MissingArray
 │   ├── InvalidTeacher
 │   │   └── UnknownTeacher
 │   └── FileError
@@ -283,7 +283,7 @@ class UnknownSelector(PreferenceError):
         self.known = tuple(known)
 
 
-class MissingView(PreferenceError):
+class MissingArray(PreferenceError):
     """A selector or teacher was not given an array that it reads."""
 
     def __init__(self, what: str) -> None:

@@ -15,6 +15,8 @@ from support.short_tasks import SHORTEST_NAME
 #: environments times rollout steps
 STEPS_PER_ITERATION = 4 * 24
 SEGMENT_STEPS = 5
+#: metrics that differ between runs with equal settings
+TIMINGS = ("time", "steps_per_second", "seconds_physics", "seconds_inference", "seconds_reward", "seconds_update")
 
 
 def reward_model(seed: int = 0, mean: float = 0.0, deviation: float = 1.0) -> RewardModel:

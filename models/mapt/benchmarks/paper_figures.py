@@ -37,21 +37,26 @@ def draw_figures(results: PaperResults, models: Sequence[CellJob], folder: Path)
 
 
 def _scores(results: PaperResults, folder: Path) -> Iterator[tuple[str, Path]]:
-    rows = [row for row in results.rows() if row.pairs is not None and row.score is not None]
+    rows = [row for row in results.rows if row.pairs is not None and row.score is not None]
     shown = list(dict.fromkeys((row.task, row.policy) for row in rows))
     if not shown:
         return
     figure, panels = panel_grid(len(shown), width=4.5, height=3.6)
     for axes, (task, policy) in zip(panels, shown, strict=True):
         axes.set_title(f"{task}, {policy}")
-        _draw_scores(axes, [row for row in rows if (row.task, row.policy) == (task, policy)], results.plan.models)
+        draw_scores(axes, [row for row in rows if (row.task, row.policy) == (task, policy)], results.plan.models)
     outside_legend(figure, panels[0])
     path = folder / "scores.png"
     save_figure(figure, path)
     yield "Normalised scores: interquartile mean over seeds and 95% interval", path
 
 
-def _draw_scores(axes: Axes, rows: Sequence[Row], models: Sequence[str]) -> None:
+def draw_scores(axes: Axes, rows: Sequence[Row], models: Sequence[str]) -> None:
+    """Draw the scores of each model over its number of labelled pairs, with their intervals.
+
+    Args:
+        rows: of one task and policy.
+    """
     counts = sorted({row.pairs for row in rows if row.pairs is not None})
     for index, model in enumerate(models):
         found = [(row.pairs, score) for row in rows if row.reward == model and row.pairs and (score := row.score)]

@@ -4,6 +4,7 @@ import csv
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from statistics import mean, stdev
 
@@ -55,7 +56,7 @@ _EXPLANATION = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Row:
     """Results of one reward for one policy, over seeds; over tasks too where `task` is None."""
 
@@ -70,14 +71,14 @@ class Row:
     #: normalised scores by task and seed; see `normalised_score`
     scores: Mapping[str, Mapping[int, float]]
 
-    @property
+    @cached_property
     def score(self) -> InterquartileMean | None:
         """Interquartile mean of the normalised scores; None without any."""
         samples = [list(by_seed.values()) for by_seed in self.scores.values() if by_seed]
         return interquartile_mean_with_interval(samples) if samples else None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class PaperResults:
     """Everything that is done of a plan."""
 
@@ -85,7 +86,7 @@ class PaperResults:
     policies: tuple[PolicyResult, ...]
     cells: tuple[Cell, ...]
 
-    @property
+    @cached_property
     def missing(self) -> list[str]:
         """Names of the policies that are missing."""
         done = {(one.job.task, one.job.policy, one.job.reward, one.job.pairs, one.job.seed) for one in self.policies}
@@ -98,6 +99,7 @@ class PaperResults:
             if (task, policy, reward, pairs, seed) not in done
         ]
 
+    @cached_property
     def rows(self) -> list[Row]:
         """One row per task, policy, reward and number of pairs, in the order of the plan."""
         returns: dict[tuple[str, str, str, int | None], dict[int, float]] = {}
@@ -123,6 +125,16 @@ class PaperResults:
             for policy in self.plan.policies
             for pairs, reward in self._rewards()
         ]
+
+    @cached_property
+    def rows_over_tasks(self) -> list[Row]:
+        """One row per policy, reward and number of pairs, with the scores of all tasks; empty for a single task."""
+        if len(self.plan.tasks) == 1:
+            return []
+        found: dict[tuple[str, str, int | None], dict[str, Mapping[int, float]]] = {}
+        for row in self.rows:
+            found.setdefault((row.policy, row.reward, row.pairs), {}).update(row.scores)
+        return [Row(None, *key, {}, scores) for key, scores in found.items()]
 
     def _rewards(self) -> list[tuple[int | None, str]]:
         """Number of pairs and name of every reward, in ascending order of pairs."""
@@ -158,21 +170,13 @@ def _normalised(
     return {seed: score for seed, score in scores.items() if score is not None}
 
 
-def over_tasks(rows: Iterable[Row]) -> list[Row]:
-    """One row per policy, reward and number of pairs, with the scores of all tasks."""
-    found: dict[tuple[str, str, int | None], dict[str, Mapping[int, float]]] = {}
-    for row in rows:
-        found.setdefault((row.policy, row.reward, row.pairs), {}).update(row.scores)
-    return [Row(None, *key, {}, scores) for key, scores in found.items()]
-
-
 def markdown(results: PaperResults, figures: Sequence[tuple[str, str]] = ()) -> str:
     """All tables in Markdown.
 
     Args:
         figures: title and path, relative to the page, of figures to show.
     """
-    plan, rows = results.plan, results.rows()
+    plan = results.plan
     parts = [
         "# The paper's experiments",
         f"Reward models of the preset `{plan.preset}` train on pairs of a recorded dataset, labelled by the teacher "
@@ -188,15 +192,13 @@ def markdown(results: PaperResults, figures: Sequence[tuple[str, str]] = ()) -> 
         parts.append(f"**The reward models come from {len(codes)} versions of the code.**")
     columns = (UNTRAINED, TRUE, *plan.models)
     for policy in plan.policies:
-        parts.append(f"## Table 1: {policy}\n\n{_returns(plan, rows, policy, columns)}")
-        parts.append(_scores(plan, rows, policy, plan.models))
+        parts.append(f"## Table 1: {policy}\n\n{_returns(results, policy, columns)}")
+        parts.append(_scores(results, policy, plan.models))
     for title, models in _ABLATIONS.items():
         if len(shown := [model for model in models if model in plan.models]) > 1:
             parts.append(f"## {title}")
             for policy in plan.policies:
-                parts.append(
-                    f"{policy}:\n\n{_returns(plan, rows, policy, shown)}\n\n{_scores(plan, rows, policy, shown)}"
-                )
+                parts.append(f"{policy}:\n\n{_returns(results, policy, shown)}\n\n{_scores(results, policy, shown)}")
     parts.append(f"## Reward models\n\n{_models(results)}")
     if figures:
         parts.append("## Figures")
@@ -206,12 +208,12 @@ def markdown(results: PaperResults, figures: Sequence[tuple[str, str]] = ()) -> 
     return "\n\n".join(parts) + "\n"
 
 
-def _returns(plan: PaperPlan, rows: Sequence[Row], policy: str, columns: Sequence[str]) -> str:
+def _returns(results: PaperResults, policy: str, columns: Sequence[str]) -> str:
     """Returns by task and number of pairs, one column per reward; the paper's below them."""
-    lines: list[list[str]] = []
+    plan, lines = results.plan, list[list[str]]()
     for task in plan.tasks:
         for pairs in sorted(plan.pairs):
-            found = _by_reward(rows, task, policy, pairs)
+            found = _by_reward(results.rows, task, policy, pairs)
             lines.append([task, f"{pairs:,}", *(_return(found.get(reward), plan) for reward in columns)])
         if task in PAPER_RETURNS:
             paper = PAPER_RETURNS[task]
@@ -223,14 +225,14 @@ def _returns(plan: PaperPlan, rows: Sequence[Row], policy: str, columns: Sequenc
     return grid(["return", "pairs", *(_heading(reward) for reward in columns)], lines)
 
 
-def _scores(plan: PaperPlan, rows: Sequence[Row], policy: str, columns: Sequence[str]) -> str:
+def _scores(results: PaperResults, policy: str, columns: Sequence[str]) -> str:
     """Normalised scores, and those over all tasks below them."""
-    tasks: list[str | None] = [*plan.tasks, *([None] if len(plan.tasks) > 1 else [])]
-    everything = [*rows, *over_tasks(rows)]
-    lines: list[list[str]] = []
+    plan, lines = results.plan, list[list[str]]()
+    tasks = [*plan.tasks, *([None] if results.rows_over_tasks else [])]
+    rows = [*results.rows, *results.rows_over_tasks]
     for task in tasks:
         for pairs in sorted(plan.pairs):
-            found = _by_reward(everything, task, policy, pairs)
+            found = _by_reward(rows, task, policy, pairs)
             lines.append([task or "all tasks", f"{pairs:,}", *(_score(found.get(reward)) for reward in columns)])
     return grid(["score", "pairs", *columns], lines)
 
@@ -290,7 +292,7 @@ def write_runs(results: PaperResults, path: Path, root: Path) -> None:
     """Write a CSV file with one line per policy; folders are relative to `root`."""
     scores = {
         (row.task, row.policy, row.reward, row.pairs, seed): score
-        for row in results.rows()
+        for row in results.rows
         for by_seed in row.scores.values()
         for seed, score in by_seed.items()
     }
@@ -318,11 +320,10 @@ def write_runs(results: PaperResults, path: Path, root: Path) -> None:
 
 def write_rows(results: PaperResults, path: Path) -> None:
     """Write a CSV file with one line per task, policy, reward and number of pairs; over all tasks without a task."""
-    rows = results.rows()
     with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
         lines = csv.DictWriter(file, _ROW_COLUMNS)
         lines.writeheader()
-        lines.writerows(row_values(row) for row in [*rows, *(over_tasks(rows) if len(results.plan.tasks) > 1 else ())])
+        lines.writerows(row_values(row) for row in [*results.rows, *results.rows_over_tasks])
 
 
 def row_values(row: Row) -> dict[str, object]:

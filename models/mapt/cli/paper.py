@@ -121,7 +121,7 @@ def paper(
             _do_all(folder, workers, quiet=as_json)
     results, paths = write(folder)
     if as_json:
-        print_json([row_values(row) for row in results.rows()])
+        print_json([row_values(row) for row in results.rows])
     else:
         print_paths(*paths)
     if results.missing and not dry_run:

@@ -14,9 +14,6 @@ from mapt.errors import DamagedRun
 from mapt.policies import Rollout
 from mapt.rewards.metrics import correlation
 
-#: metrics that differ between runs with equal settings
-TIMINGS = ("time", "steps_per_second", "seconds_physics", "seconds_inference", "seconds_reward", "seconds_update")
-
 #: the metrics of one iteration by name
 Metrics = dict[str, float | str]
 

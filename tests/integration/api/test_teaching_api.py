@@ -13,7 +13,7 @@ from accord.domain.enums import Role
 from accord.services import collect, metrics, select
 from accord.services.collect import NewSegment, load_arrays
 from accord.store.tables import LabelRow, QueryRow, SegmentRow
-from mapt.errors import MissingView
+from mapt.errors import MissingArray
 from mapt.preferences.teachers import RULES, TeacherView, make_teacher, teacher_names
 from support.api_in_thread import ApiServer
 from support.sample_experiments import AGENTS, NQ, NV, OBSERVATION, STEPS, SampleExperiment, create_sample
@@ -140,7 +140,7 @@ def test_labeller_may_not_run_a_scripted_teacher(api: ApiServer, sample: SampleE
 
 
 def test_error_for_a_missing_column_names_it(api: ApiServer, teacher_api: Api, sample: SampleExperiment) -> None:
-    with pytest.raises(MissingView) as refused:
+    with pytest.raises(MissingArray) as refused:
         teach(teacher_api, sample, "phase", "column=77")
     assert "column 77" in refused.value.what
     assert labelled(api) == []

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from mapt.training.metrics import EVENTS, TIMINGS, Metrics, read_metrics
+from mapt.training.metrics import EVENTS, Metrics, read_metrics
 from mapt.training.run_folder import RunFolder
 from support import short_tasks
-from support.training_runs import reward_model, write_reward
+from support.training_runs import TIMINGS, reward_model, write_reward
 from support.waiting import until
 
 pytestmark = pytest.mark.usefixtures("short_episodes")

@@ -4,12 +4,12 @@ import pytest
 import torch
 
 from mapt.benchmarks.recorded_dataset import RecordedDataset
-from unit.benchmarks.tiny_replay import write_replay
+from unit.benchmarks.tiny_dataset import write_dataset
 
 
 @pytest.fixture
-def replay(tmp_path: Path) -> RecordedDataset:
-    return write_replay(tmp_path / "replay")
+def recorded(tmp_path: Path) -> RecordedDataset:
+    return write_dataset(tmp_path / "recorded")
 
 
 @pytest.fixture(autouse=True)

@@ -16,33 +16,33 @@ from mapt.benchmarks.evaluate import (
     training_pairs,
 )
 from mapt.errors import InvalidConfig, InvalidTeacher, TooFewLabels, UnknownTeacher
-from unit.benchmarks.tiny_replay import TrueRewardModel, write_replay
+from unit.benchmarks.tiny_dataset import TrueRewardModel, write_dataset
 
 
-def test_a_model_of_the_true_reward_is_accurate(replay):
-    evaluation = evaluate_model(TrueRewardModel(), replay, "oracle", 500, seed=0)
+def test_a_model_of_the_true_reward_is_accurate(recorded):
+    evaluation = evaluate_model(TrueRewardModel(), recorded, "oracle", 500, seed=0)
     metrics = evaluation.metrics
     for name in ("accuracy", "label_accuracy", "rank_correlation", "rank_correlation_teacher", "step_correlation"):
         assert metrics[name] == pytest.approx(1.0)
     assert metrics["step_correlation_within"] == pytest.approx(1.0)
-    assert set(evaluation.pairs.ravel()) <= set(split_dataset(len(replay), 0).test)
+    assert set(evaluation.pairs.ravel()) <= set(split_dataset(len(recorded), 0).test)
 
 
-def test_a_model_of_the_negated_reward_has_no_accuracy(replay):
-    metrics = evaluate_model(TrueRewardModel(-1.0), replay, "oracle", 500, seed=0).metrics
+def test_a_model_of_the_negated_reward_has_no_accuracy(recorded):
+    metrics = evaluate_model(TrueRewardModel(-1.0), recorded, "oracle", 500, seed=0).metrics
     assert metrics["accuracy"] == metrics["label_accuracy"] == 0
     assert metrics["rank_correlation"] == pytest.approx(-1.0)
     assert metrics["loss"] > np.log(2)
 
 
-def test_mistakes_lower_label_accuracy_but_not_accuracy(replay):
-    metrics = evaluate_model(TrueRewardModel(), replay, "mistake:mistake=0.2", 2000, seed=0).metrics
+def test_mistakes_lower_label_accuracy_but_not_accuracy(recorded):
+    metrics = evaluate_model(TrueRewardModel(), recorded, "mistake:mistake=0.2", 2000, seed=0).metrics
     assert metrics["accuracy"] == 1.0
     assert 0.77 < metrics["label_accuracy"] < 0.83
 
 
-def test_seeds_test_on_different_segments(replay):
-    first, second = (evaluate_model(TrueRewardModel(), replay, "oracle", 50, seed) for seed in (0, 1))
+def test_seeds_test_on_different_segments(recorded):
+    first, second = (evaluate_model(TrueRewardModel(), recorded, "oracle", 50, seed) for seed in (0, 1))
     assert not np.array_equal(first.pairs, second.pairs)
 
 
@@ -76,79 +76,79 @@ def test_correlation_within_segments_ignores_their_means():
     assert quality["step_correlation_within"] == pytest.approx(1.0, abs=1e-4)
 
 
-def test_predictions_do_not_depend_on_the_batch_size(replay):
+def test_predictions_do_not_depend_on_the_batch_size(recorded):
     whole, single = (
-        predict(TrueRewardModel(), replay.segments(range(80))),
-        predict(TrueRewardModel(), replay.segments([79])),
+        predict(TrueRewardModel(), recorded.segments(range(80))),
+        predict(TrueRewardModel(), recorded.segments([79])),
     )
     np.testing.assert_array_equal(whole.scores[79:], single.scores)
     assert whole.agent_rewards.shape == (80, 6, 2)
 
 
-def test_the_oracle_judges_by_the_true_return(replay):
-    pairs = training_pairs(len(replay), 200, seed=0)
-    better = np.subtract(*replay.returns[pairs].T) > 0
-    teacher = DatasetTeacher("oracle", replay, seed=0)
+def test_the_oracle_judges_by_the_true_return(recorded):
+    pairs = training_pairs(len(recorded), 200, seed=0)
+    better = np.subtract(*recorded.returns[pairs].T) > 0
+    teacher = DatasetTeacher("oracle", recorded, seed=0)
     np.testing.assert_array_equal(teacher.labels(pairs) == 1, better)
-    np.testing.assert_allclose(teacher.scores(np.arange(10)), replay.returns[:10])
+    np.testing.assert_allclose(teacher.scores(np.arange(10)), recorded.returns[:10])
 
 
-def test_a_myopic_teacher_scores_late_steps_higher(replay):
-    scores = DatasetTeacher("myopic", replay, seed=0).scores(np.arange(5))
-    discounts = 0.9 ** np.arange(replay.source.n_steps)[::-1]
-    np.testing.assert_allclose(scores, (replay.rewards[:5] * discounts).sum(axis=1))
+def test_a_myopic_teacher_scores_late_steps_higher(recorded):
+    scores = DatasetTeacher("myopic", recorded, seed=0).scores(np.arange(5))
+    discounts = 0.9 ** np.arange(recorded.source.n_steps)[::-1]
+    np.testing.assert_allclose(scores, (recorded.rewards[:5] * discounts).sum(axis=1))
 
 
-def test_deterministic_labels_follow_the_scores(replay):
-    pairs = training_pairs(len(replay), 200, seed=0)
+def test_deterministic_labels_follow_the_scores(recorded):
+    pairs = training_pairs(len(recorded), 200, seed=0)
     for name in ("oracle", "myopic", "smoothness"):
-        teacher = DatasetTeacher(name, replay, seed=0)
-        scores = teacher.scores(np.arange(len(replay)))
+        teacher = DatasetTeacher(name, recorded, seed=0)
+        scores = teacher.scores(np.arange(len(recorded)))
         np.testing.assert_array_equal(teacher.labels(pairs), 0.5 + 0.5 * np.sign(np.subtract(*scores[pairs].T)))
 
 
-def test_parameters_in_the_name_configure_the_teacher(replay):
-    pairs = training_pairs(len(replay), 400, seed=0)
-    exact, noisy = (DatasetTeacher(name, replay, seed=0) for name in ("oracle", "mistake:mistake=0.4"))
+def test_parameters_in_the_name_configure_the_teacher(recorded):
+    pairs = training_pairs(len(recorded), 400, seed=0)
+    exact, noisy = (DatasetTeacher(name, recorded, seed=0) for name in ("oracle", "mistake:mistake=0.4"))
     assert noisy.parameters()["mistake"] == 0.4
     assert 0.3 < (exact.labels(pairs) != noisy.labels(pairs)).mean() < 0.5
 
 
-def test_labels_do_not_depend_on_the_batch_size(replay):
-    pairs = training_pairs(len(replay), 1600, seed=0)
-    at_once = DatasetTeacher("stochastic", replay, seed=3).labels(pairs)
-    one_by_one = DatasetTeacher("stochastic", replay, seed=3)
+def test_labels_do_not_depend_on_the_batch_size(recorded):
+    pairs = training_pairs(len(recorded), 1600, seed=0)
+    at_once = DatasetTeacher("stochastic", recorded, seed=3).labels(pairs)
+    one_by_one = DatasetTeacher("stochastic", recorded, seed=3)
     np.testing.assert_array_equal(
         at_once, np.concatenate([one_by_one.labels(part) for part in pairs.reshape(8, -1, 2)])
     )
 
 
-def test_skipped_pairs_are_replaced(replay):
+def test_skipped_pairs_are_replaced(recorded):
     skipping = "skip:skip=1.2"
-    dataset = labelled_dataset(DatasetTeacher(skipping, replay, seed=0), replay, 150, seed=0)
+    dataset = labelled_dataset(DatasetTeacher(skipping, recorded, seed=0), recorded, 150, seed=0)
     assert len(dataset) == 150
     assert np.isfinite(dataset.labels).all()
-    labels = DatasetTeacher(skipping, replay, seed=0).labels(training_pairs(len(replay), 150, seed=0))
+    labels = DatasetTeacher(skipping, recorded, seed=0).labels(training_pairs(len(recorded), 150, seed=0))
     assert np.isnan(labels).any()
 
 
-def test_labels_stay_with_their_segments(replay):
-    dataset = labelled_dataset(DatasetTeacher("oracle", replay, seed=0), replay, 100, seed=0)
+def test_labels_stay_with_their_segments(recorded):
+    dataset = labelled_dataset(DatasetTeacher("oracle", recorded, seed=0), recorded, 100, seed=0)
     returns = dataset.segments.take(np.arange(len(dataset.segments))).observations[..., 0].mean(axis=2).sum(axis=1)
     np.testing.assert_array_equal(dataset.labels == 1, np.subtract(*returns[dataset.pairs].T) > 0)
 
 
 def test_a_teacher_that_skips_every_pair_is_refused(tmp_path):
-    replay = write_replay(tmp_path / "small")
+    recorded = write_dataset(tmp_path / "small")
     with pytest.raises(TooFewLabels) as caught:
-        labelled_dataset(DatasetTeacher("skip:skip=1000", replay, seed=0), replay, 10, seed=0)
+        labelled_dataset(DatasetTeacher("skip:skip=1000", recorded, seed=0), recorded, 10, seed=0)
     assert (caught.value.teacher, caught.value.labels, caught.value.given) == ("skip:skip=1000", 10, 0)
 
 
 @pytest.mark.parametrize(("name", "error"), [("nobody", UnknownTeacher), ("oracle:age=3", InvalidTeacher)])
-def test_an_unknown_teacher_or_parameter_is_refused(replay, name, error):
+def test_an_unknown_teacher_or_parameter_is_refused(recorded, name, error):
     with pytest.raises(error):
-        DatasetTeacher(name, replay, seed=0)
+        DatasetTeacher(name, recorded, seed=0)
 
 
 def test_training_and_test_segments_are_disjoint():

@@ -25,7 +25,7 @@ from mapt.preferences.storage_layout import SegmentLayout
 from mapt.processes import run_jobs
 from mapt.rewards.config import MODEL_NAMES, TrainConfig
 from mapt.settings import NamedSettings
-from unit.benchmarks.tiny_replay import TASK
+from unit.benchmarks.tiny_dataset import TASK
 
 PLAN = TablePlan(
     task=TASK,
@@ -41,33 +41,33 @@ PLAN = TablePlan(
 
 
 @pytest.fixture
-def settings(replay) -> CellSettings:
-    return table_jobs(PLAN, {0: replay})[0].settings
+def settings(recorded) -> CellSettings:
+    return table_jobs(PLAN, {0: recorded})[0].settings
 
 
-def test_a_cell_has_every_metric_of_the_table(replay, settings):
-    metrics = run_cell(settings, replay).metrics
+def test_a_cell_has_every_metric_of_the_table(recorded, settings):
+    metrics = run_cell(settings, recorded).metrics
     expected = {"accuracy", "label_accuracy", "loss", "ece", "rank_correlation", "rank_correlation_teacher"}
     expected |= {"step_correlation", "step_correlation_within", "parameters", "seconds", "cpu_seconds"}
     assert expected <= metrics.keys()
     assert all(np.isfinite(value) for value in metrics.values())
 
 
-def test_the_same_settings_give_the_same_cell(replay, settings):
-    first, second = (run_cell(settings, replay) for _ in range(2))
+def test_the_same_settings_give_the_same_cell(recorded, settings):
+    first, second = (run_cell(settings, recorded) for _ in range(2))
     np.testing.assert_array_equal(first.logits, second.logits)
 
 
-def test_a_cell_is_tested_on_held_out_segments(replay, settings):
-    assert set(run_cell(settings, replay).pairs.ravel()) <= set(split_dataset(len(replay), settings.seed).test)
+def test_a_cell_is_tested_on_held_out_segments(recorded, settings):
+    assert set(run_cell(settings, recorded).pairs.ravel()) <= set(split_dataset(len(recorded), settings.seed).test)
 
 
-def test_a_stopped_cell_has_no_result(replay, settings):
-    assert run_cell(settings, replay, stop=lambda: True) is None
+def test_a_stopped_cell_has_no_result(recorded, settings):
+    assert run_cell(settings, recorded, stop=lambda: True) is None
 
 
-def test_a_cell_reads_back_as_it_was_written(tmp_path, replay, settings):
-    folder, evaluation = CellFolder(tmp_path / "cells"), run_cell(settings, replay)
+def test_a_cell_reads_back_as_it_was_written(tmp_path, recorded, settings):
+    folder, evaluation = CellFolder(tmp_path / "cells"), run_cell(settings, recorded)
     assert folder.read(settings) is None
     folder.write(settings, evaluation, "abc")
     cell = folder.read(settings)
@@ -94,15 +94,15 @@ def test_a_cell_reads_back_as_it_was_written(tmp_path, replay, settings):
     ],
     ids=lambda changes: next(iter(changes)),
 )
-def test_a_cell_is_not_found_under_other_settings(tmp_path, replay, settings, changes):
+def test_a_cell_is_not_found_under_other_settings(tmp_path, recorded, settings, changes):
     folder = CellFolder(tmp_path / "cells")
-    folder.write(settings, run_cell(settings, replay), "abc")
+    folder.write(settings, run_cell(settings, recorded), "abc")
     assert folder.read(replace(settings, **changes)) is None
 
 
-def test_a_file_whose_settings_do_not_match_its_name_is_refused(tmp_path, replay, settings):
+def test_a_file_whose_settings_do_not_match_its_name_is_refused(tmp_path, recorded, settings):
     folder = CellFolder(tmp_path / "cells")
-    folder.write(settings, run_cell(settings, replay), "abc")
+    folder.write(settings, run_cell(settings, recorded), "abc")
     path = folder.path / f"{settings.key}.json"
     card = json.loads(path.read_text())
     card["settings"]["training"]["lr"] = 0.5
@@ -112,18 +112,18 @@ def test_a_file_whose_settings_do_not_match_its_name_is_refused(tmp_path, replay
 
 
 @pytest.mark.parametrize("suffix", ["json", "safetensors"])
-def test_a_truncated_file_is_refused(tmp_path, replay, settings, suffix):
+def test_a_truncated_file_is_refused(tmp_path, recorded, settings, suffix):
     folder = CellFolder(tmp_path / "cells")
-    folder.write(settings, run_cell(settings, replay), "abc")
+    folder.write(settings, run_cell(settings, recorded), "abc")
     path = folder.path / f"{settings.key}.{suffix}"
     path.write_bytes(path.read_bytes()[:-20])
     with pytest.raises(DamagedCell):
         folder.read(settings)
 
 
-def test_a_cell_without_its_json_file_is_not_found(tmp_path, replay, settings):
+def test_a_cell_without_its_json_file_is_not_found(tmp_path, recorded, settings):
     folder = CellFolder(tmp_path / "cells")
-    folder.write(settings, run_cell(settings, replay), "abc")
+    folder.write(settings, run_cell(settings, recorded), "abc")
     (folder.path / f"{settings.key}.json").unlink()
     assert folder.read(settings) is None
 
@@ -131,13 +131,13 @@ def test_a_cell_without_its_json_file_is_not_found(tmp_path, replay, settings):
 QUICK = "MA-MLP:hidden_dim=8:train.markov_epochs=1"
 
 
-def jobs_of(replay, *models: str) -> list[CellJob]:
+def jobs_of(recorded, *models: str) -> list[CellJob]:
     plan = TablePlan(TASK, models, ("oracle",), (30,), (0,), "small", 50, "cpu", models[0])
-    return table_jobs(plan, {0: replay})
+    return table_jobs(plan, {0: recorded})
 
 
-def test_a_worker_computes_the_same_cell_although_another_fails(tmp_path, replay):
-    (good,) = jobs_of(replay, QUICK)
+def test_a_worker_computes_the_same_cell_although_another_fails(tmp_path, recorded):
+    (good,) = jobs_of(recorded, QUICK)
     bad = CellJob(replace(good.settings, teacher="nobody"), good.dataset)
     started: list[CellJob] = []
     done = list(run_jobs(partial(make_cell, tmp_path / "cells"), [bad, good], 1, on_start=started.append))
@@ -145,7 +145,7 @@ def test_a_worker_computes_the_same_cell_although_another_fails(tmp_path, replay
     assert "No teacher is called 'nobody'" in done[0].failure
     assert done[1].failure is None
     np.testing.assert_array_equal(
-        CellFolder(tmp_path / "cells").read(good.settings).result.logits, run_cell(good.settings, replay).logits
+        CellFolder(tmp_path / "cells").read(good.settings).result.logits, run_cell(good.settings, recorded).logits
     )
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from mapt.benchmarks.paper import UNTRAINED, PaperPlan, PolicyJob, PolicyResult
-from mapt.benchmarks.paper_tables import PaperResults, markdown, normalised_score, over_tasks, row_values
+from mapt.benchmarks.paper_tables import PaperResults, markdown, normalised_score, row_values
 from mapt.policies import PolicyConfig
 from mapt.training.run import RunJob
 from mapt.training.settings import TRUE, RunSettings
@@ -53,7 +53,7 @@ def results(*policies: PolicyResult) -> PaperResults:
 
 
 def row_of(found: PaperResults, task: str | None, reward: str, pairs: int | None) -> dict[str, object]:
-    rows = [*found.rows(), *over_tasks(found.rows())]
+    rows = [*found.rows, *found.rows_over_tasks]
     return next(row_values(row) for row in rows if (row.task, row.reward, row.pairs) == (task, reward, pairs))
 
 

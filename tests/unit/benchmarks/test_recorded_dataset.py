@@ -24,7 +24,7 @@ from mapt.preferences.storage_layout import SegmentLayout
 from mapt.processes import run_jobs
 from mapt.tasks import make_task
 from support.waiting import until
-from unit.benchmarks.tiny_replay import N_SEGMENTS, N_STEPS, write_replay
+from unit.benchmarks.tiny_dataset import N_SEGMENTS, N_STEPS, write_dataset
 
 # Two rollouts of 32 environments and 128 steps.
 SHORT = Recording("HalfCheetah-2x3", policy_steps=8192, segment_steps=40, segments=30, seed=3)
@@ -50,39 +50,39 @@ def test_segments_are_drawn_in_chronological_order():
 
 def test_episodes_that_end_early_give_shorter_segments(tmp_path):
     recording = Recording("Hopper-3x1", policy_steps=4096, segment_steps=20, segments=100, seed=0)
-    replay = record_dataset(recording, tmp_path)
-    n_steps = replay.mask.sum(axis=1)
+    recorded = record_dataset(recording, tmp_path)
+    n_steps = recorded.mask.sum(axis=1)
     assert n_steps.max() == 20
     short = np.flatnonzero(n_steps < 20)
     assert len(short)
     assert n_steps.min() >= MIN_EPISODE_FRACTION * 20
-    arrays = replay.segments(short)
-    for values in (replay.rewards[short], replay.source.qpos(short), arrays.observations, arrays.actions):
-        assert not values[~replay.mask[short]].any()
-        assert values[replay.mask[short]].any()
+    arrays = recorded.segments(short)
+    for values in (recorded.rewards[short], recorded.source.qpos(short), arrays.observations, arrays.actions):
+        assert not values[~recorded.mask[short]].any()
+        assert values[recorded.mask[short]].any()
     # The hopper starts upright. The episode ends when it leans by 0.2 radians.
-    lean = np.abs(replay.source.qpos(short)[..., 2])
+    lean = np.abs(recorded.source.qpos(short)[..., 2])
     assert lean[:, 0].max() < 0.01
     assert lean[np.arange(len(short)), n_steps[short] - 1].min() > 0.15
 
 
 def test_a_recording_has_segments_with_simulator_states_and_whole_episodes(tmp_path):
     reported_steps: list[int] = []
-    replay = record_dataset(SHORT, tmp_path / "replay", lambda steps, _reward: reported_steps.append(steps))
+    recorded = record_dataset(SHORT, tmp_path / "recorded", lambda steps, _reward: reported_steps.append(steps))
     assert reported_steps == [4096, 8192]
-    assert len(replay) == 30
-    assert replay.mask.all()
-    assert replay.origin["task"] == "HalfCheetah-2x3"
+    assert len(recorded) == 30
+    assert recorded.mask.all()
+    assert recorded.origin["task"] == "HalfCheetah-2x3"
     task = make_task("HalfCheetah-2x3", 1)
     spec = task.spec
     task.close()
-    assert replay.source.qpos([0]).shape == (1, 40, spec.nq)
+    assert recorded.source.qpos([0]).shape == (1, 40, spec.nq)
     # The reward of a step of 0.05 s is its forward speed minus the cost of the actions.
-    x, actions = replay.source.qpos(np.arange(30))[..., 0], replay.segments(np.arange(30)).actions
+    x, actions = recorded.source.qpos(np.arange(30))[..., 0], recorded.segments(np.arange(30)).actions
     speed = np.diff(x, axis=1) / spec.step_seconds
     cost = 0.1 * (actions.astype(float) ** 2).sum(axis=(2, 3))[:, :-1]
-    np.testing.assert_allclose(replay.rewards[:, :-1], speed - cost, atol=1e-5)
-    episodes = RecordedDataset.open(episodes_path(replay.path))
+    np.testing.assert_allclose(recorded.rewards[:, :-1], speed - cost, atol=1e-5)
+    episodes = RecordedDataset.open(episodes_path(recorded.path))
     assert episodes.rewards.shape == (EPISODES, spec.horizon_steps)
     assert episodes.mask.all()
 
@@ -93,9 +93,9 @@ def test_equal_recordings_have_equal_fingerprints(tmp_path):
     assert first.fingerprint() == second.fingerprint()
 
 
-def test_an_existing_dataset_is_never_overwritten(tmp_path, replay):
+def test_an_existing_dataset_is_never_overwritten(tmp_path, recorded):
     with pytest.raises(AlreadyExists):
-        record_dataset(SHORT, replay.path)
+        record_dataset(SHORT, recorded.path)
 
 
 @pytest.mark.parametrize("changes", [{"segment_steps": 129}, {"segment_steps": 0}, {"segments": 0}])
@@ -106,38 +106,38 @@ def test_a_recording_with_a_setting_out_of_range_is_refused(tmp_path, changes):
 
 def test_an_unknown_task_is_refused_without_creating_a_folder(tmp_path):
     with pytest.raises(UnknownTask):
-        record_dataset(Recording("Nothing", 4096, 40, 30, 0), tmp_path / "replay")
-    assert not (tmp_path / "replay").exists()
+        record_dataset(Recording("Nothing", 4096, 40, 30, 0), tmp_path / "recorded")
+    assert not (tmp_path / "recorded").exists()
 
 
-def test_a_dataset_reads_back_as_it_was_written(replay):
-    assert len(replay) == N_SEGMENTS
-    assert replay.rewards.shape == replay.mask.shape == (N_SEGMENTS, N_STEPS)
+def test_a_dataset_reads_back_as_it_was_written(recorded):
+    assert len(recorded) == N_SEGMENTS
+    assert recorded.rewards.shape == recorded.mask.shape == (N_SEGMENTS, N_STEPS)
     np.testing.assert_allclose(
-        replay.rewards[[5, 2]], replay.segments([5, 2]).observations[..., 0].mean(axis=2), atol=1e-6
+        recorded.rewards[[5, 2]], recorded.segments([5, 2]).observations[..., 0].mean(axis=2), atol=1e-6
     )
-    np.testing.assert_allclose(replay.returns, replay.rewards.sum(axis=1))
+    np.testing.assert_allclose(recorded.returns, recorded.rewards.sum(axis=1))
 
 
-def test_a_subset_has_the_given_segments_in_the_given_order(replay):
-    subset = replay.subset([7, 3, 11])
+def test_a_subset_has_the_given_segments_in_the_given_order(recorded):
+    subset = recorded.subset([7, 3, 11])
     assert len(subset) == 3
     dimensions = (subset.n_steps, subset.n_agents, subset.observation_dim, subset.action_dim)
     assert dimensions == (N_STEPS, 2, 3, 1)
-    np.testing.assert_array_equal(subset.take([2, 0]).observations, replay.segments([11, 7]).observations)
+    np.testing.assert_array_equal(subset.take([2, 0]).observations, recorded.segments([11, 7]).observations)
 
 
 def test_the_fingerprint_depends_only_on_the_arrays(tmp_path):
-    first, copy = write_replay(tmp_path / "a"), write_replay(tmp_path / "b")
-    assert first.fingerprint() == copy.fingerprint() != write_replay(tmp_path / "c", seed=1).fingerprint()
+    first, copy = write_dataset(tmp_path / "a"), write_dataset(tmp_path / "b")
+    assert first.fingerprint() == copy.fingerprint() != write_dataset(tmp_path / "c", seed=1).fingerprint()
 
 
-def test_one_changed_number_changes_the_fingerprint(replay):
-    before = replay.fingerprint()
-    with (replay.path / "actions.bin").open("r+b") as file:
+def test_one_changed_number_changes_the_fingerprint(recorded):
+    before = recorded.fingerprint()
+    with (recorded.path / "actions.bin").open("r+b") as file:
         file.seek(-4, 2)
         file.write(np.float32(1.5).tobytes())
-    assert replay.fingerprint() != before
+    assert recorded.fingerprint() != before
 
 
 def test_an_empty_folder_is_refused(tmp_path):
@@ -145,16 +145,16 @@ def test_an_empty_folder_is_refused(tmp_path):
         RecordedDataset.open(tmp_path)
 
 
-def test_a_truncated_dataset_is_refused(replay):
-    with (replay.path / "rewards.bin").open("r+b") as file:
+def test_a_truncated_dataset_is_refused(recorded):
+    with (recorded.path / "rewards.bin").open("r+b") as file:
         file.truncate(100)
     with pytest.raises(FileError):
-        RecordedDataset.open(replay.path)
+        RecordedDataset.open(recorded.path)
 
 
-def test_segments_without_true_rewards_are_refused(tmp_path, replay):
+def test_segments_without_true_rewards_are_refused(tmp_path, recorded):
     with SegmentWriter.create(tmp_path / "bare", SegmentLayout(N_STEPS, 2, 3, 1)) as writer:
-        writer.append(replay.segments(range(4)))
+        writer.append(recorded.segments(range(4)))
     with pytest.raises(NoTrueRewards):
         RecordedDataset.open(tmp_path / "bare")
 
@@ -180,7 +180,7 @@ def test_a_stopped_recording_leaves_no_files(tmp_path):
     messages: list[RecordingProgress] = []
     (done,) = run_jobs(
         run_recording,
-        [RecordingJob(Recording("HalfCheetah-2x3", 10**9, 30, 12, 1), tmp_path / "replay")],
+        [RecordingJob(Recording("HalfCheetah-2x3", 10**9, 30, 12, 1), tmp_path / "recorded")],
         1,
         on_message=lambda job, progress: messages.append(progress),
         should_stop=lambda: bool(messages),
@@ -191,13 +191,13 @@ def test_a_stopped_recording_leaves_no_files(tmp_path):
 
 def test_a_killed_recording_starts_again(tmp_path):
     long = Recording("HalfCheetah-2x3", 10**9, 30, 12, 1)
-    worker = multiprocessing.get_context("spawn").Process(target=record_dataset, args=(long, tmp_path / "replay"))
+    worker = multiprocessing.get_context("spawn").Process(target=record_dataset, args=(long, tmp_path / "recorded"))
     worker.start()
     try:
-        until(lambda: list(tmp_path.glob(".replay.partial/*")), "the first files")
+        until(lambda: list(tmp_path.glob(".recorded.partial/*")), "the first files")
     finally:
         worker.kill()
         worker.join()
-    assert not (tmp_path / "replay").exists()
-    assert len(record_dataset(IN_WORKER, tmp_path / "replay")) == 12
-    assert [path.name for path in tmp_path.iterdir()] == ["replay"]
+    assert not (tmp_path / "recorded").exists()
+    assert len(record_dataset(IN_WORKER, tmp_path / "recorded")) == 12
+    assert [path.name for path in tmp_path.iterdir()] == ["recorded"]

@@ -43,13 +43,13 @@ FILES_WITHOUT_ATTENTION = {
 }
 
 
-def model_of(name, replay):
-    return build_reward_model(network_of(f"{name}:hidden_dim=8", "small", replay.source.layout)).eval()
+def model_of(name, recorded):
+    return build_reward_model(network_of(f"{name}:hidden_dim=8", "small", recorded.source.layout)).eval()
 
 
-def test_a_report_of_several_models_has_every_figure(tmp_path, replay):
-    models = {name: model_of(name, replay) for name in ("MAPT", "MA-MLP", "MA-Transformer")}
-    paths = make_report(models, replay, PLAN, tmp_path / "report")
+def test_a_report_of_several_models_has_every_figure(tmp_path, recorded):
+    models = {name: model_of(name, recorded) for name in ("MAPT", "MA-MLP", "MA-Transformer")}
+    paths = make_report(models, recorded, PLAN, tmp_path / "report")
     assert {path.name for path in paths} == FILES_WITHOUT_ATTENTION | {"step-attention.png", "agent-attention.png"}
     page = (tmp_path / "report" / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 7
@@ -59,53 +59,53 @@ def test_a_report_of_several_models_has_every_figure(tmp_path, replay):
     assert all(np.isfinite(value) for model in numbers["models"] for value in model["metrics"].values())
 
 
-def test_a_report_without_attention_omits_its_figures(tmp_path, replay):
-    paths = make_report({"<MLP> & co": model_of("MA-MLP", replay)}, replay, PLAN, tmp_path)
+def test_a_report_without_attention_omits_its_figures(tmp_path, recorded):
+    paths = make_report({"<MLP> & co": model_of("MA-MLP", recorded)}, recorded, PLAN, tmp_path)
     assert {path.name for path in paths} == FILES_WITHOUT_ATTENTION
     assert "&lt;MLP&gt; &amp; co" in (tmp_path / "report.html").read_text()
 
 
-def test_a_model_of_other_dimensions_is_refused_before_writing(tmp_path, replay):
-    layout = replay.source.layout
+def test_a_model_of_other_dimensions_is_refused_before_writing(tmp_path, recorded):
+    layout = recorded.source.layout
     other = build_reward_model(network_of("MA-MLP", "small", type(layout)(6, 2, 5, 1)))
     with pytest.raises(ModelMismatch):
-        make_report({"other": other}, replay, PLAN, tmp_path / "report")
+        make_report({"other": other}, recorded, PLAN, tmp_path / "report")
     assert not (tmp_path / "report").exists()
 
 
-def test_series_use_segments_if_no_episode_was_recorded(replay):
-    model = model_of("MAPT", replay)
-    series = rollout_series(replay, {"MAPT": model})
+def test_series_use_segments_if_no_episode_was_recorded(recorded):
+    model = model_of("MAPT", recorded)
+    series = rollout_series(recorded, {"MAPT": model})
     assert series.breaks == (6, 12, 18, 24)
     assert series.true.shape == series.learned["MAPT"].shape == (30,)
 
 
-def test_series_along_an_episode_show_normalised_rewards(replay):
+def test_series_along_an_episode_show_normalised_rewards(recorded):
     rng = np.random.default_rng(0)
     observations, actions = rng.normal(size=(1, 20, 2, 3)), rng.normal(size=(1, 20, 2, 1))
     episode = SegmentArrays(observations.astype(np.float32), actions.astype(np.float32), np.arange(20)[None] < 15)
-    layout = type(replay.source.layout)(20, 2, 3, 1, rewards=True)
-    with SegmentWriter.create(episodes_path(replay.path), layout) as writer:
+    layout = type(recorded.source.layout)(20, 2, 3, 1, rewards=True)
+    with SegmentWriter.create(episodes_path(recorded.path), layout) as writer:
         writer.append(episode, rewards=rng.normal(size=(1, 20)))
-    model = model_of("MA-MLP", replay)
-    series = rollout_series(replay, {"MLP": model})
+    model = model_of("MA-MLP", recorded)
+    series = rollout_series(recorded, {"MLP": model})
     assert series.true.shape == (15,)
     expected = (predict(model, episode).rewards[0, :15] - model.reward_mean.item()) / model.reward_deviation.item()
     assert_float32_close(series.learned["MLP"], expected)
 
 
-def test_agents_of_known_tasks_have_names(replay):
-    assert agent_names(replay) == ["agent 0", "agent 1"]
-    replay.origin["task"] = "HalfCheetah-2x3"
-    assert agent_names(replay) == ["back leg", "front leg"]
+def test_agents_of_known_tasks_have_names(recorded):
+    assert agent_names(recorded) == ["agent 0", "agent 1"]
+    recorded.origin["task"] = "HalfCheetah-2x3"
+    assert agent_names(recorded) == ["back leg", "front leg"]
 
 
-def test_the_command_loads_and_names_checkpoints(tmp_path, replay, monkeypatch):
-    save_reward_model(model_of("MAPT-TPA", replay), {}).write(tmp_path / "a=b")
+def test_the_command_loads_and_names_checkpoints(tmp_path, recorded, monkeypatch):
+    save_reward_model(model_of("MAPT-TPA", recorded), {}).write(tmp_path / "a=b")
     assert list(load_models([str(tmp_path / "a=b")])) == ["a=b"]
     with pytest.raises(InvalidConfig):
         load_models([str(tmp_path / "a=b"), str(tmp_path / "a=b")])
-    arguments = ["--dataset", replay.path, "--output", tmp_path / "report", "--test-pairs", 40]
+    arguments = ["--dataset", recorded.path, "--output", tmp_path / "report", "--test-pairs", 40]
     monkeypatch.setattr(sys, "argv", ["mapt", "report", f"MAPT-TPA={tmp_path / 'a=b'}", *map(str, arguments)])
     with pytest.raises(SystemExit) as caught:
         main()
@@ -113,8 +113,8 @@ def test_the_command_loads_and_names_checkpoints(tmp_path, replay, monkeypatch):
     assert "MAPT-TPA" in (tmp_path / "report" / "report.html").read_text()
 
 
-def test_a_missing_checkpoint_is_reported_in_one_line(tmp_path, replay, monkeypatch, capsys):
-    arguments = [tmp_path / "nothing", "--dataset", replay.path, "--output", tmp_path / "report"]
+def test_a_missing_checkpoint_is_reported_in_one_line(tmp_path, recorded, monkeypatch, capsys):
+    arguments = [tmp_path / "nothing", "--dataset", recorded.path, "--output", tmp_path / "report"]
     monkeypatch.setattr(sys, "argv", ["mapt", "report", *map(str, arguments)])
     with pytest.raises(SystemExit) as caught:
         main()
@@ -126,9 +126,9 @@ WITH_AGENTS = {"MAPT", "MAPT-paper", "MAPT-TPA", "MAPT*"}
 WITH_STEPS = {"MAPT", "MAPT-paper", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-Transformer"}
 
 
-def random_model(name: str, replay: RecordedDataset) -> RewardModel:
+def random_model(name: str, recorded: RecordedDataset) -> RewardModel:
     """A small model with random parameters, so that no layer is zero-initialised."""
-    model = build_reward_model(network_of(f"{name}:hidden_dim=8", "small", replay.source.layout)).eval()
+    model = build_reward_model(network_of(f"{name}:hidden_dim=8", "small", recorded.source.layout)).eval()
     generator = torch.Generator().manual_seed(0)
     with torch.no_grad():
         for parameter in model.parameters():
@@ -137,8 +137,8 @@ def random_model(name: str, replay: RecordedDataset) -> RewardModel:
 
 
 @pytest.mark.parametrize("name", MODEL_NAMES)
-def test_attention_is_recorded_where_a_model_has_it(replay, name):
-    model, segments = random_model(name, replay), replay.segments(range(5))
+def test_attention_is_recorded_where_a_model_has_it(recorded, name):
+    model, segments = random_model(name, recorded), recorded.segments(range(5))
     maps = attention_maps(model, segments)
     assert (maps.agents is not None) == (name in WITH_AGENTS)
     assert (maps.steps is not None) == (name in WITH_STEPS)
@@ -150,16 +150,16 @@ def test_attention_is_recorded_where_a_model_has_it(replay, name):
         assert_float32_close(maps.steps.mean(axis=1), predict(model, segments).weights)
 
 
-def test_recording_attention_leaves_no_hooks(replay):
-    model = random_model("MAPT", replay)
-    attention_maps(model, replay.segments(range(2)))
+def test_recording_attention_leaves_no_hooks(recorded):
+    model = random_model("MAPT", recorded)
+    attention_maps(model, recorded.segments(range(2)))
     assert all(not module._forward_hooks for module in model.modules())
 
 
-def test_padding_has_no_attention(replay):
-    whole = replay.segments(range(4))
+def test_padding_has_no_attention(recorded):
+    whole = recorded.segments(range(4))
     mask = np.arange(6) < np.array([6, 3, 2, 5])[:, None]
-    maps = attention_maps(random_model("MAPT", replay), SegmentArrays(whole.observations, whole.actions, mask))
+    maps = attention_maps(random_model("MAPT", recorded), SegmentArrays(whole.observations, whole.actions, mask))
     assert maps.steps is not None
     assert (maps.steps.transpose(0, 2, 1)[~mask] == 0).all()
 
@@ -178,24 +178,24 @@ def test_breadth_is_half_for_uniform_rewards_and_less_for_peaked_ones():
     assert np.isnan(breadth(np.ones(10)))
 
 
-def test_a_sample_has_at_most_the_papers_number_of_state_actions(replay):
-    sample = draw_sample(replay, "oracle", 50, None)
-    assert len(sample.indices) == len(replay)
+def test_a_sample_has_at_most_the_papers_number_of_state_actions(recorded):
+    sample = draw_sample(recorded, "oracle", 50, None)
+    assert len(sample.indices) == len(recorded)
     assert sample.mask.sum() <= STATE_ACTIONS
     np.testing.assert_array_equal(sample.labels == 1, np.subtract(*sample.returns[sample.pairs].T) > 0)
     shown = sample.returns[sample.shown]
     assert shown[0] < shown[1] < shown[2]
 
 
-def test_a_sample_can_be_restricted_to_held_out_segments(replay):
-    sample = draw_sample(replay, "oracle", 50, held_out_seed=3)
-    np.testing.assert_array_equal(sample.indices, split_dataset(len(replay), 3).test)
+def test_a_sample_can_be_restricted_to_held_out_segments(recorded):
+    sample = draw_sample(recorded, "oracle", 50, held_out_seed=3)
+    np.testing.assert_array_equal(sample.indices, split_dataset(len(recorded), 3).test)
 
 
-def test_past_share_is_0_for_a_markov_model_and_1_without_a_markov_path(replay):
-    sample = draw_sample(replay, "oracle", 50, None)
+def test_past_share_is_0_for_a_markov_model_and_1_without_a_markov_path(recorded):
+    sample = draw_sample(recorded, "oracle", 50, None)
     share = {
-        name: analyse(name, random_model(name, replay), sample).metrics["past_share"]
+        name: analyse(name, random_model(name, recorded), sample).metrics["past_share"]
         for name in ("MA-MLP", "MAPT", "MAPT:markov_path=false")
     }
     assert share["MA-MLP"] == pytest.approx(0.0, abs=1e-9)
@@ -203,10 +203,10 @@ def test_past_share_is_0_for_a_markov_model_and_1_without_a_markov_path(replay):
     assert share["MAPT:markov_path=false"] == 1.0
 
 
-def test_a_joint_reward_has_no_spread_across_agents(replay):
-    sample = draw_sample(replay, "oracle", 50, None)
-    joint = analyse("joint", random_model("MA-Transformer:markov_path=false", replay), sample)
-    individual = analyse("individual", random_model("MA-MLP", replay), sample)
+def test_a_joint_reward_has_no_spread_across_agents(recorded):
+    sample = draw_sample(recorded, "oracle", 50, None)
+    joint = analyse("joint", random_model("MA-Transformer:markov_path=false", recorded), sample)
+    individual = analyse("individual", random_model("MA-MLP", recorded), sample)
     assert joint.metrics["spread_across_agents"] == pytest.approx(0.0, abs=1e-5)
     assert individual.metrics["spread_across_agents"] > 0.1
     assert individual.agent_attention is None

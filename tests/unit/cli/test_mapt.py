@@ -13,7 +13,7 @@ from mapt.training.run_folder import RunFolder
 from support.short_tasks import SHORTEST_NAME
 from support.training_runs import STEPS_PER_ITERATION, reward_model, write_reward
 from support.waiting import until
-from unit.benchmarks.tiny_replay import TASK, write_replay
+from unit.benchmarks.tiny_dataset import TASK, write_dataset
 
 MODELS = "MA-MLP:hidden_dim=8:train.markov_epochs=1,MAPT-paper:hidden_dim=8:train.max_epochs=1"
 
@@ -23,25 +23,25 @@ def command(*arguments: str | Path) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def replays(tmp_path_factory) -> Path:
-    root = tmp_path_factory.mktemp("replays")
+def datasets(tmp_path_factory) -> Path:
+    root = tmp_path_factory.mktemp("datasets")
     for seed in (0, 1):
-        write_replay(root / f"seed-{seed}", seed)
+        write_dataset(root / f"seed-{seed}", seed)
     return root
 
 
-def table_arguments(replays: Path, output: Path) -> list[str | Path]:
+def table_arguments(datasets: Path, output: Path) -> list[str | Path]:
     plan = ["--task", TASK, "--models", MODELS, "--labels", "30", "--seeds", "0,1", "--test-pairs", "100"]
-    return ["table", *plan, "--datasets", replays, "--output", output]
+    return ["table", *plan, "--datasets", datasets, "--output", output]
 
 
 def arrays(output: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted((output / "cells").glob("*.safetensors"))}
 
 
-def test_a_killed_table_resumes_with_the_same_results(tmp_path, replays, mapt):
+def test_a_killed_table_resumes_with_the_same_results(tmp_path, datasets, mapt):
     process = subprocess.Popen(
-        command(*table_arguments(replays, tmp_path / "killed"), "--workers", "1"), stdout=subprocess.DEVNULL
+        command(*table_arguments(datasets, tmp_path / "killed"), "--workers", "1"), stdout=subprocess.DEVNULL
     )
     cells = tmp_path / "killed" / "cells"
     until(lambda: process.poll() is not None or list(cells.glob("*.json")), "a finished cell")
@@ -49,10 +49,10 @@ def test_a_killed_table_resumes_with_the_same_results(tmp_path, replays, mapt):
     process.kill()
     process.wait()
     finished = {path: path.stat().st_mtime_ns for path in cells.glob("*.json")}
-    resumed = mapt(*table_arguments(replays, tmp_path / "killed"), "--workers", "1")
+    resumed = mapt(*table_arguments(datasets, tmp_path / "killed"), "--workers", "1")
     assert resumed.status == 0, resumed.errors
     assert {path: path.stat().st_mtime_ns for path in finished} == finished
-    whole = mapt(*table_arguments(replays, tmp_path / "whole"), "--workers", "2", "--keep-models")
+    whole = mapt(*table_arguments(datasets, tmp_path / "whole"), "--workers", "2", "--keep-models")
     assert whole.status == 0, whole.errors
     assert len(arrays(tmp_path / "whole")) == 4
     assert arrays(tmp_path / "killed") == arrays(tmp_path / "whole")
@@ -60,17 +60,17 @@ def test_a_killed_table_resumes_with_the_same_results(tmp_path, replays, mapt):
     assert len(list((tmp_path / "whole" / "models").glob("*/reward.json"))) == 4
 
 
-def test_a_dry_run_trains_nothing_and_writes_an_empty_table(tmp_path, replays, mapt):
-    assert mapt(*table_arguments(replays, tmp_path), "--dry-run").status == 0
+def test_a_dry_run_trains_nothing_and_writes_an_empty_table(tmp_path, datasets, mapt):
+    assert mapt(*table_arguments(datasets, tmp_path), "--dry-run").status == 0
     assert not (tmp_path / "cells").exists()
     assert "4 results are missing" in (tmp_path / "table.md").read_text()
     assert len((tmp_path / "cells.csv").read_text().splitlines()) == 1
     assert (tmp_path / "table.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_missing_results_exit_with_status_1(tmp_path, replays, mapt):
+def test_missing_results_exit_with_status_1(tmp_path, datasets, mapt):
     # A teacher who skips every pair never gives 30 labels.
-    failed = mapt(*table_arguments(replays, tmp_path), "--teachers", "skip:skip=1000", "--workers", "1")
+    failed = mapt(*table_arguments(datasets, tmp_path), "--teachers", "skip:skip=1000", "--workers", "1")
     assert failed.status == 1
     assert "gave 0 of 30 labels" in failed.errors
     assert "4 results are missing" in failed.errors
@@ -86,8 +86,8 @@ def test_missing_results_exit_with_status_1(tmp_path, replays, mapt):
         (["--task", "HalfCheetah-6x1"], "is of Tiny"),
     ],
 )
-def test_invalid_arguments_of_table_are_refused_in_one_line(tmp_path, replays, mapt, arguments, message):
-    refused = mapt(*table_arguments(replays, tmp_path), *arguments)
+def test_invalid_arguments_of_table_are_refused_in_one_line(tmp_path, datasets, mapt, arguments, message):
+    refused = mapt(*table_arguments(datasets, tmp_path), *arguments)
     assert refused.status == 2
     assert refused.errors.startswith("mapt: ")
     assert message in refused.errors

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapt.errors import MissingView, NotFinite, ShapeError
+from mapt.errors import MissingArray, NotFinite, ShapeError
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.selection import SegmentView, make_selector, segment_features
 from mapt.preferences.selection.criteria import disagreement, entropy, k_center
@@ -93,7 +93,7 @@ def test_most_uncertain_candidates_are_chosen():
     ],
 )
 def test_missing_array_is_named(name, view, what):
-    with pytest.raises(MissingView) as refused:
+    with pytest.raises(MissingArray) as refused:
         make_selector(name, np.random.default_rng(0)).select(range(9), [], 2, view)
     assert refused.value.what == what
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapt.errors import InvalidTeacher, MissingView
+from mapt.errors import InvalidTeacher, MissingArray
 from mapt.preferences.teachers import (
     RULES,
     BestWindow,
@@ -182,7 +182,7 @@ def test_rules_read_exactly_the_arrays_they_declare(rule):
     np.testing.assert_array_equal(rule.scores(TeacherView(rewards, view.mask, **arrays)), rule.scores(view))
     for name in arrays:
         rest = {other: array for other, array in arrays.items() if other != name}
-        with pytest.raises(MissingView):
+        with pytest.raises(MissingArray):
             rule.scores(TeacherView(rewards, view.mask, **rest))
 
 

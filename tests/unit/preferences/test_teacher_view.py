@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mapt.errors import InvalidMask, MissingView, NotFinite, ShapeError
+from mapt.errors import InvalidMask, MissingArray, NotFinite, ShapeError
 from mapt.preferences.teachers import TeacherView
 
 
@@ -24,7 +24,7 @@ def test_segments_of_different_lengths_are_padded_at_the_end():
 def test_arrays_that_a_segment_lacks_are_left_out():
     view = TeacherView.stack([segment(2), {"rewards": np.zeros(2)}])
     assert view.observations is None
-    with pytest.raises(MissingView) as refused:
+    with pytest.raises(MissingArray) as refused:
         view.require("observations")
     assert refused.value.what == "observations"
 
@@ -34,7 +34,7 @@ def test_unknown_arrays_are_ignored():
 
 
 def test_segments_without_rewards_are_refused():
-    with pytest.raises(MissingView) as refused:
+    with pytest.raises(MissingArray) as refused:
         TeacherView.stack([{"actions": np.zeros((2, 1, 1))}])
     assert refused.value.what == "rewards"
 
@@ -91,5 +91,5 @@ def test_columns_are_zero_in_the_padding():
 
 @pytest.mark.parametrize(("columns", "agents"), [((4,), None), ((-1,), None), ((0,), (2,)), ((0,), (-1,))])
 def test_missing_columns_and_agents_are_refused(columns, agents):
-    with pytest.raises(MissingView):
+    with pytest.raises(MissingArray):
         TeacherView.stack([segment(2)]).columns(columns, agents)

@@ -8,12 +8,12 @@ from mapt.errors import DamagedCheckpoint, ModelMismatch
 from mapt.policies import Learner
 from mapt.policies.checkpoint import unpack
 from mapt.training.evaluation import evaluate_policy
-from mapt.training.metrics import TIMINGS, read_metrics
+from mapt.training.metrics import read_metrics
 from mapt.training.run import Run, RunCallbacks, complete_run
 from mapt.training.run_folder import PolicyCheckpoint, RunFolder, load_policy
 from mapt.training.settings import LearnedRewardSettings
 from support.short_tasks import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
-from support.training_runs import STEPS_PER_ITERATION, reward_model, write_reward
+from support.training_runs import STEPS_PER_ITERATION, TIMINGS, reward_model, write_reward
 
 
 def lines(folder: RunFolder) -> list[dict[str, float | str]]:

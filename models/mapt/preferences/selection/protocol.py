@@ -95,7 +95,7 @@ class QuerySelector(Protocol):
             k different pairs, or all that are left.
 
         Raises:
-            MissingView: if `view` lacks an array that the selector needs.
+            MissingArray: if `view` lacks an array that the selector needs.
             ShapeError: if `view` holds another number of segments.
         """
         ...

@@ -7,7 +7,7 @@ from typing import Generic
 
 import numpy as np
 
-from mapt.errors import InvalidConfig, MissingView, UnknownSelector
+from mapt.errors import InvalidConfig, MissingArray, UnknownSelector
 from mapt.preferences.selection.criteria import disagreement, entropy, k_center, standardized
 from mapt.preferences.selection.protocol import (
     FloatArray,
@@ -148,7 +148,7 @@ def most_uncertain(criterion: Callable[[FloatArray, IntArray], FloatArray]) -> S
 
     def keep(view: SegmentView, pairs: IntArray, queried: IntArray, k: int) -> IntArray:
         if view.scores is None:
-            raise MissingView("scores")
+            raise MissingArray("scores")
         # Stable: among equal candidates, the one drawn first.
         return np.argsort(-criterion(view.scores, pairs), kind="stable")[:k]
 
@@ -158,7 +158,7 @@ def most_uncertain(criterion: Callable[[FloatArray, IntArray], FloatArray]) -> S
 def farthest(view: SegmentView, pairs: IntArray, queried: IntArray, k: int) -> IntArray:
     """The stage that keeps the pairs chosen by `k_center`."""
     if view.features is None:
-        raise MissingView("features")
+        raise MissingArray("features")
     centers = view.features[queried] if view.queried is None else view.queried
     features, centers = standardized(view.features, centers)
     return k_center(features[pairs], centers, k)

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from mapt.errors import InvalidTeacher, MissingView
+from mapt.errors import InvalidTeacher, MissingArray
 from mapt.preferences.dataset import BoolArray
 from mapt.preferences.teachers.view import Float64s, TeacherView
 
@@ -30,7 +30,7 @@ class Rule(ABC):
         """Score of each segment, float64 (B,). Independent of padding.
 
         Raises:
-            MissingView: if the view lacks an array that the rule reads.
+            MissingArray: if the view lacks an array that the rule reads.
         """
 
 
@@ -330,6 +330,6 @@ def _efforts(view: TeacherView, effort: Effort) -> Float64s:
         return np.abs(actions).sum(axis=3)
     n_joints = actions.shape[3]
     if view.require("observations").shape[3] < 2 * n_joints:
-        raise MissingView(f"the velocities of {n_joints} joints")
+        raise MissingArray(f"the velocities of {n_joints} joints")
     velocities = view.columns(range(1, 2 * n_joints, 2))
     return np.abs(velocities if effort == "speed" else actions * velocities).sum(axis=3)

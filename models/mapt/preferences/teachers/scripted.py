@@ -38,7 +38,7 @@ class Teacher(Protocol):
 
         Raises:
             ShapeError: if the two views hold different numbers of segments.
-            MissingView: if they lack an array that the teacher needs.
+            MissingArray: if they lack an array that the teacher needs.
         """
         ...
 
@@ -174,7 +174,7 @@ class ScriptedTeacher:
         """Score of each segment with discounted rewards, float64 (B,).
 
         Raises:
-            MissingView: if the view lacks an array that the rule reads.
+            MissingArray: if the view lacks an array that the rule reads.
         """
         if self.bpref.gamma == 1:
             return self.rule.scores(view)

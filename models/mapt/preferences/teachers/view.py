@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.errors import MissingView, NotFinite, ShapeError
+from mapt.errors import MissingArray, NotFinite, ShapeError
 from mapt.preferences.dataset import BoolArray, check_mask, length_mask, pad
 
 FloatArray = NDArray[np.floating[Any]]
@@ -66,12 +66,12 @@ class TeacherView:
 
         Raises:
             ShapeError: if there is no segment, or the shapes of its arrays disagree.
-            MissingView: if a segment has no rewards.
+            MissingArray: if a segment has no rewards.
         """
         if not segments:
             raise ShapeError("segments", (0,), "at least one")
         if any("rewards" not in segment for segment in segments):
-            raise MissingView("rewards")
+            raise MissingArray("rewards")
         names = {field.name for field in fields(cls)} - {"mask"}
         for segment in segments:
             names &= segment.keys()
@@ -104,24 +104,24 @@ class TeacherView:
         """The array of the field `name`.
 
         Raises:
-            MissingView: if it was not given.
+            MissingArray: if it was not given.
         """
         array = getattr(self, name)
         if array is None:
-            raise MissingView(name)
+            raise MissingArray(name)
         return array
 
     def columns(self, columns: Sequence[int], agents: Sequence[int] | None = None) -> Float64s:
         """Columns of the observations of some agents, or of all: float64 (B, T, agents, columns), 0 in the padding.
 
         Raises:
-            MissingView: if there are no observations, or no such agent or column.
+            MissingArray: if there are no observations, or no such agent or column.
         """
         observations = self.require("observations")
         n_agents, n_columns = observations.shape[2:]
         chosen = range(n_agents) if agents is None else agents
         for what, wanted, size in (("agent", chosen, n_agents), ("column", columns, n_columns)):
             if any(not 0 <= index < size for index in wanted):
-                raise MissingView(f"{what} {max(wanted)} of {size} in observations")
+                raise MissingArray(f"{what} {max(wanted)} of {size} in observations")
         values = observations[:, :, list(chosen)][..., list(columns)].astype(np.float64)
         return np.where(self.mask[:, :, None, None], values, 0.0)

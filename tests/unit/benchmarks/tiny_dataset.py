@@ -1,4 +1,4 @@
-"""A small replay whose true reward is a function of the observations, and a model that computes this function."""
+"""A small dataset whose true reward is a function of the observations, and a model that computes this function."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ N_SEGMENTS, N_STEPS, N_AGENTS, OBSERVATION_DIM = 80, 6, 2, 3
 TASK = "Tiny"
 
 
-def write_replay(path: Path, seed: int = 0, n_segments: int = N_SEGMENTS) -> RecordedDataset:
+def write_dataset(path: Path, seed: int = 0, n_segments: int = N_SEGMENTS) -> RecordedDataset:
     """Record random segments. The reward of a step is the mean over agents of the first observed number."""
     rng = np.random.default_rng(seed)
     observations = rng.normal(size=(n_segments, N_STEPS, N_AGENTS, OBSERVATION_DIM)).astype(np.float32)
