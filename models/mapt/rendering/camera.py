@@ -1,7 +1,7 @@
 """The camera: its direction and distance for each task, and its path for each clip.
 
 The framing is computed from the model's joints and reach, so that it also suits tasks that users register. It is the
-same in all clips of a task. A labeller judges a gait by the body's motion within the frame, and speed by the floor's
+same in all clips of a task, so that two clips of a pair never differ in scale. A labeller judges a gait by the body's motion within the frame, and speed by the floor's
 motion. The camera therefore keeps its height, distance and direction, and follows the body's smoothed path. It deviates
 from that path, smoothly, only where the body would leave the view.
 """
@@ -39,6 +39,7 @@ SQUARES_IN_VIEW = 5.0
 
 #: random poses from which the reach of a body is estimated
 SAMPLED_POSES = 200
+ORIENTATIONS_PER_POSE = 3
 
 
 class BodyKinematics:
@@ -65,15 +66,20 @@ class BodyKinematics:
         centre = self.data.geom_xpos[self._geoms] @ axes.T + np.einsum("gij,gj->gi", rotation, centre)
         return centre, np.einsum("gij,gj->gi", np.abs(rotation), half)
 
-    def extents(self, qpos: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest corners (T, 3) in metres of the box around all geoms in each pose (T, nq)."""
-        corners = np.empty((2, len(qpos), 3))
+    def geom_extents(self, qpos: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corners (T, G, 3) in metres of the box around each geom in each pose (T, nq)."""
+        corners = np.empty((2, len(qpos), len(self._geoms), 3))
         for step, state in enumerate(qpos):
             self.set_pose(state)
             centre, half = self.boxes(axes)
-            corners[0, step] = (centre - half).min(axis=0)
-            corners[1, step] = (centre + half).max(axis=0)
+            corners[0, step] = centre - half
+            corners[1, step] = centre + half
         return corners[0], corners[1]
+
+    def extents(self, qpos: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corners (T, 3) in metres of the box around all geoms in each pose (T, nq)."""
+        lowest, highest = self.geom_extents(qpos, axes)
+        return lowest.min(axis=1), highest.max(axis=1)
 
     def sample_poses(self) -> FloatArray:
         """(P, nq): the model's default pose, and random poses of all driven hinges. The same in every call."""
@@ -85,11 +91,28 @@ class BodyKinematics:
             poses[1:, model.jnt_qposadr[joint]] = rng.uniform(low, high, SAMPLED_POSES)
         return poses
 
+    def sample_orientations(self, poses: FloatArray) -> FloatArray:
+        """(R * P, nq): the poses (P, nq), each in R random orientations of the whole body, as when it falls over."""
+        model, rng = self.model, np.random.default_rng(1)
+        turned = np.repeat(poses, ORIENTATIONS_PER_POSE, axis=0)
+        driven = model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, 0]
+        for joint in np.setdiff1d(np.arange(model.njnt), driven):
+            address = model.jnt_qposadr[joint]
+            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+                quaternions = rng.normal(size=(len(turned), 4))
+                turned[:, address + 3 : address + 7] = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+            elif model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
+                low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.pi, np.pi)
+                turned[:, address] = rng.uniform(low, high, len(turned))
+        return turned
+
 
 #: half width of the window that smooths the body's path
 SMOOTHING_SECONDS = 0.4
 #: share of the view that the body may fill
 FILLED_SHARE = 0.94
+#: size of a body relative to the view up to which its outermost parts are cut off instead of zooming out
+CUT_OFF = 1.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,13 +192,23 @@ class Framing:
         """Distance in metres from the camera to its target."""
         return self.view.half_height / float(np.tan(np.radians(VIEW_ANGLE_DEGREES / 2)))
 
+    def excess(self, lowest: FloatArray, highest: FloatArray) -> float:
+        """Largest size of the body (corners (T, 2)) in the image, relative to the image's: above 1 it does not fit."""
+        size = 2 * np.array([self.view.half_width, self.view.half_height])
+        return float(((highest - lowest) / size).max())
+
+    def enlarged(self, factor: float) -> "Framing":
+        """This framing from farther away, with a view `factor` times as large."""
+        return replace(self, view=View(self.view.half_width * factor, self.view.half_height * factor))
+
     def zoomed_out_for(self, lowest: FloatArray, highest: FloatArray) -> "Framing":
-        """This framing, from farther away if the body (corners (T, 2)) is ever larger than the view."""
-        available = 2 * FILLED_SHARE * np.array([self.view.half_width, self.view.half_height])
-        excess = float(((highest - lowest) / available).max())
-        if excess <= 1:
-            return self
-        return replace(self, view=View(self.view.half_width * excess, self.view.half_height * excess))
+        """This framing, or one 2, 4, ... times as large if the body (corners (T, 2)) is much larger than the image.
+
+        The framing fits a body in any orientation, so this happens only where parts move away from each other.
+        Steps of two are easy to see: nobody mistakes such a clip for one with a smaller or slower body.
+        """
+        excess = self.excess(lowest, highest) / CUT_OFF
+        return self if excess <= 1 else self.enlarged(2.0 ** np.ceil(np.log2(excess)))
 
     def desired_path(self, lowest: FloatArray, highest: FloatArray, window: int) -> FloatArray:
         """(T, 3) along the axes: the targets of the camera if the body always fits.
@@ -194,16 +227,20 @@ class Framing:
     def in_perspective(
         self, lowest: FloatArray, highest: FloatArray, desired: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Corners (T, 2) projected onto the plane through the camera's target: right, up.
+        """Corners (T, 2) of the body projected onto the plane through the camera's target: right, up.
 
-        The whole body is magnified as much as its nearest part, so the result is never too small.
+        Each geom is magnified as much as its nearest part, so the result is never too small.
+
+        Args:
+            lowest, highest: (T, G, 3), corners of the geoms' boxes along the axes.
+            desired: (T, 3), targets of the camera along the axes.
         """
-        nearer = np.clip(desired[:, 2] - lowest[:, 2], 0.0, self.distance / 2)
-        scale = (self.distance / (self.distance - nearer))[:, None]
-        around = desired[:, :2]
-        low, high = around + (lowest[:, :2] - around) * scale, around + (highest[:, :2] - around) * scale
+        nearer = np.clip(desired[:, None, 2] - lowest[..., 2], 0.0, self.distance / 2)
+        scale = (self.distance / (self.distance - nearer))[..., None]
+        around = desired[:, None, :2]
+        low, high = around + (lowest[..., :2] - around) * scale, around + (highest[..., :2] - around) * scale
         # Perspective moves parts beyond the target inwards, so take the outer of both positions.
-        return np.minimum(low, lowest[:, :2]), np.maximum(high, highest[:, :2])
+        return np.minimum(low, lowest[..., :2]).min(axis=1), np.maximum(high, highest[..., :2]).max(axis=1)
 
 
 def frame_body(body: BodyKinematics, aspect: float) -> Framing:
@@ -227,11 +264,21 @@ def frame_body(body: BodyKinematics, aspect: float) -> Framing:
         centre = (least + most) / 2 @ axes
     half_width = float(max(width, height * aspect) / 2)
     view = View(half_width, half_width / aspect)
+    framing = Framing(kind, view, axes, centre, follows, floor, _square(2 * half_width))
+    if follows:
+        framing = framing.enlarged(max(1.0, _excess_in_any_orientation(body, framing, poses)))
     if kind == "side":
-        centre[2] = floor + max(view.half_height * (1 - 2 * FLOOR_SHARE), centre[2] - floor)
+        centre[2] = floor + max(framing.view.half_height * (1 - 2 * FLOOR_SHARE), centre[2] - floor)
     elif kind == "slanted" and follows:
         centre[2] = floor + (world[1] - world[0])[:, 2].max() / 2
-    return Framing(kind, view, axes, centre, follows, floor, _square(2 * half_width))
+    return replace(framing, centre=centre)
+
+
+def _excess_in_any_orientation(body: BodyKinematics, framing: Framing, poses: FloatArray) -> float:
+    """`Framing.excess` over poses (P, nq) in random orientations, with the camera aimed at the body's middle."""
+    lowest, highest = body.geom_extents(body.sample_orientations(poses), framing.axes)
+    middle = (lowest.min(axis=1) + highest.max(axis=1)) / 2
+    return framing.excess(*framing.in_perspective(lowest, highest, middle))
 
 
 def camera_axes(look_down_degrees: float) -> FloatArray:

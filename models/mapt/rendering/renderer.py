@@ -84,8 +84,8 @@ class ClipRenderer:
             ValueError: if there are no states, or they do not fit the model or are not finite.
         """
         self._check(qpos, qvel)
-        lowest, highest = self._body.extents(qpos, self._framing.axes)
-        start = (lowest[0] + highest[0]) / 2 @ self._framing.axes
+        lowest, highest = self._body.geom_extents(qpos, self._framing.axes)
+        start = (lowest[0].min(axis=0) + highest[0].max(axis=0)) / 2 @ self._framing.axes
         framing, targets = self._targets(lowest, highest)
         self._camera.distance = framing.distance
         for state, target in zip(qpos, targets, strict=True):
@@ -96,12 +96,12 @@ class ClipRenderer:
             yield self._renderer.render()
 
     def _targets(self, lowest: FloatArray, highest: FloatArray) -> tuple[Framing, FloatArray]:
-        """The framing for these corners (T, 3) along its axes, and the camera's targets (T, 3) in the world."""
+        """The framing for these corners (T, G, 3) along its axes, and the camera's targets (T, 3) in the world."""
         window = round(SMOOTHING_SECONDS * self._settings.frame_rate_hz)
-        targets = self._framing.desired_path(lowest, highest, window)
+        targets = self._framing.desired_path(lowest.min(axis=1), highest.max(axis=1), window)
         framing = self._framing.zoomed_out_for(*self._framing.in_perspective(lowest, highest, targets))
-        lowest, highest = framing.in_perspective(lowest, highest, targets)
-        targets[:, :2] = camera_path(lowest, highest, targets[:, :2], framing.view, window)
+        corners = framing.in_perspective(lowest, highest, targets)
+        targets[:, :2] = camera_path(*corners, targets[:, :2], framing.view, window)
         return framing, targets @ framing.axes
 
     def _add_overlays(self, framing: Framing, target: FloatArray, start: FloatArray) -> None:

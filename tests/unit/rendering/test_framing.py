@@ -61,18 +61,30 @@ def test_camera_axes_are_orthonormal_with_x_to_the_right() -> None:
     assert axes[2, 2] < 0  # and the camera looks down
 
 
-def test_view_zooms_out_for_a_body_larger_than_the_view() -> None:
+@pytest.mark.parametrize("task", ["HalfCheetah-6x1", "Ant-4x2", "Swimmer-2x1", "CoupledHalfCheetah-1p1"])
+def test_a_body_fits_the_same_view_in_any_orientation(task: str) -> None:
+    body = BodyKinematics(load_model(task))
+    framing = frame_body(body, ASPECT)
+    poses = body.sample_orientations(body.sample_poses()[::-1])  # other combinations than `frame_body` samples
+    lowest, highest = body.geom_extents(poses, framing.axes)
+    middle = (lowest.min(axis=1) + highest.max(axis=1)) / 2
+    corners = framing.in_perspective(lowest, highest, middle)
+    assert 0.8 < framing.excess(*corners) < 1.05
+    assert framing.zoomed_out_for(*corners) is framing
+
+
+def test_view_doubles_when_parts_move_apart() -> None:
     framing = framing_of("CoupledHalfCheetah-1p1")
-    reach = 2.0 * framing.view.half_width
+    reach = 1.3 * framing.view.half_width
     seen = framing.zoomed_out_for(np.array([[-reach, 0.0]]), np.array([[reach, 0.5]]))
-    assert seen.view.half_width > reach
-    assert seen.distance / framing.distance == pytest.approx(seen.view.half_width / framing.view.half_width)
-    assert framing.zoomed_out_for(np.zeros((1, 2)), np.full((1, 2), 0.1)) is framing
+    assert seen.view.half_width == 2 * framing.view.half_width
+    assert seen.distance == pytest.approx(2 * framing.distance)
 
 
 def test_parts_nearer_to_the_camera_are_larger() -> None:
     framing = framing_of("Ant-4x2")
-    lowest, highest, middle = np.array([[-1.0, -0.5, -1.0]]), np.array([[1.0, 0.5, 1.0]]), np.zeros((1, 3))
-    low, high = framing.in_perspective(lowest, highest, middle)
+    lowest = np.array([[[-1.0, -0.5, -1.0], [-1.0, -0.2, 1.0]]])
+    highest = np.array([[[0.0, 0.5, 0.0], [1.0, 0.2, 2.0]]])
+    low, high = framing.in_perspective(lowest, highest, np.zeros((1, 3)))
     scale = framing.distance / (framing.distance - 1.0)
-    np.testing.assert_allclose((low[0, 0], high[0, 0]), (-scale, scale))
+    np.testing.assert_allclose((low[0], high[0]), ((-scale, -0.5 * scale), (1.0, 0.5 * scale)))
