@@ -21,6 +21,7 @@ MaptError
 │   └── InvalidSnapshot
 ├── RenderingError
 │   ├── ClipNotWritten
+│   ├── ClipNotRead
 │   └── NoRenderer
 ├── PreferenceError
 │   ├── ShapeError
@@ -201,6 +202,10 @@ class RenderingError(MaptError):
 
 class ClipNotWritten(RenderingError):
     """There are no frames, their sizes differ, or the encoder or the disk failed. No partial file is left."""
+
+
+class ClipNotRead(RenderingError):
+    """A file is not a video, or a part of it is missing."""
 
 
 class NoRenderer(RenderingError):

@@ -6,16 +6,18 @@ from functools import cache
 from sqlalchemy.orm import Session
 
 from accord.api import schemas
-from accord.domain.enums import ExperimentStatus, Phase, Role, WorkerRole, WorkerState
+from accord.domain.enums import ExperimentStatus, Phase, QueryStatus, Role, WorkerRole, WorkerState
 from accord.domain.permissions import may_see_returns
 from accord.services import experiments, metrics
 from accord.services.collect import load_arrays
 from accord.services.experiments import LabelCounts
 from accord.services.label import LabelOutcome
+from accord.services.label_history import OwnLabels, QueryPage
 from accord.services.lease import LeasedQuery
 from accord.services.metrics import EvaluatedReturns, Series
 from accord.services.waiting import waiting
 from accord.store.blobs import BlobStore
+from accord.store.label_history import RecordedLabel, RecordedQuery
 from accord.store.queries import QuerySegment
 from accord.store.tables import ExperimentRow, RewardVersionRow, WorkerRow, utc_now
 from mapt.rendering.appearance import agent_colour
@@ -157,6 +159,87 @@ def label_response(outcome: LabelOutcome) -> schemas.Label:
     )
 
 
+def own_labels_response(found: OwnLabels, lease_seconds: float) -> schemas.OwnLabels:
+    return schemas.OwnLabels(
+        items=[
+            schemas.OwnLabel.model_validate(
+                {
+                    "query": query_response(item.query, found.task, lease_seconds),
+                    "label": item.value,
+                    "state": item.state,
+                    "revision": item.revision,
+                    "response_seconds": item.response_seconds,
+                    "updated_at": item.updated_at,
+                }
+            )
+            for item in found.items
+        ],
+        labels=found.counts.labels,
+        skips=found.counts.skips,
+        next_before=found.next_before,
+    )
+
+
+def query_page_response(page: QueryPage) -> schemas.QueryPage:
+    return schemas.QueryPage(
+        items=[_recorded_query(query) for query in page.items],
+        authors=[schemas.LabelAuthor.model_validate(author) for author in page.authors],
+        next_before=page.next_before,
+    )
+
+
+def _recorded_query(query: RecordedQuery) -> schemas.RecordedQuery:
+    return schemas.RecordedQuery(
+        id=query.id,
+        number=query.number,
+        status=QueryStatus(query.status),
+        selector=query.selector,
+        created_at=query.created_at,
+        segments=[
+            schemas.RecordedSegment(
+                segment_id=segment.id,
+                policy_steps=segment.policy_steps,
+                true_return=segment.true_return,
+                clip_url=_clip_url(segment.clip_id),
+                thumbnail_url=_thumbnail_url(segment.clip_id),
+            )
+            for segment in query.segments
+        ],
+        labels=[_recorded_label(label) for label in query.labels],
+    )
+
+
+def _recorded_label(label: RecordedLabel) -> schemas.RecordedLabel:
+    return schemas.RecordedLabel(
+        id=label.id,
+        user_id=label.user_id,
+        user_name=label.user_name,
+        role=Role(label.role),
+        teacher=label.teacher,
+        revisions=[
+            schemas.LabelRevision.model_validate(
+                {
+                    "revision": each.revision,
+                    "label": each.value,
+                    "state": each.state,
+                    "left_segment": each.left_segment,
+                    "response_seconds": each.response_seconds,
+                    "created_at": each.created_at,
+                }
+            )
+            for each in label.revisions
+        ],
+    )
+
+
+def _clip_url(clip_id: str | None) -> str | None:
+    return None if clip_id is None else f"/api/v1/clips/{clip_id}.mp4"
+
+
+def _thumbnail_url(clip_id: str | None) -> str | None:
+    return None if clip_id is None else f"/api/v1/clips/{clip_id}.jpg"
+
+
 def _segment_response(index: int, side: QuerySegment, task: str, blobs: BlobStore | None) -> schemas.SegmentView:
     seconds, frames = side.clip_seconds, side.clip_frames
     if seconds is None or frames is None:
@@ -165,7 +248,8 @@ def _segment_response(index: int, side: QuerySegment, task: str, blobs: BlobStor
     return schemas.SegmentView(
         index=1 if index else 0,
         segment_id=side.segment_id,
-        clip_url=None if side.clip_id is None else f"/api/v1/clips/{side.clip_id}.mp4",
+        clip_url=_clip_url(side.clip_id),
+        thumbnail_url=_thumbnail_url(side.clip_id),
         seconds=seconds,
         frames=frames,
         true_return=None if blobs is None else side.true_return,

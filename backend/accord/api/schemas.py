@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from accord.domain.enums import ExperimentStatus, Phase, Role, WorkerRole, WorkerState
+from accord.domain.enums import ExperimentStatus, Phase, QueryStatus, Role, WorkerRole, WorkerState
 from accord.services.experiment_config import ExperimentConfig
 from mapt.settings import json_schema
 
@@ -263,6 +263,7 @@ class SegmentView(Schema):
     index: Literal[0, 1] = Field(description="The segment's number within the query: label 1 prefers 0.")
     segment_id: str = Field(description="seg_...")
     clip_url: str | None = Field(description="Path of the MP4 file; null if the experiment renders no clips.")
+    thumbnail_url: str | None = Field(description="Path of a still image of the clip; null if there is no clip.")
     seconds: float = Field(description="Duration of the clip.")
     frames: int = Field(description="Frames of the clip, one per step.")
     true_return: float | None = Field(
@@ -310,6 +311,12 @@ class NewLabel(Schema):
     teacher: dict[str, Any] = Field(
         default_factory=dict[str, Any], description="A scripted teacher's name and parameters."
     )
+    replaces: int | None = Field(
+        default=None,
+        ge=0,
+        description="Revision of your label that this one replaces; 0 if you have not labelled the query. If it has "
+        "another one, the response is 409 label_changed. Without it, any label is replaced.",
+    )
 
 
 class Label(Schema):
@@ -323,6 +330,86 @@ class Label(Schema):
         description="Label revision of the experiment: one more with every label written, changed or undone."
     )
     created: bool = Field(description="False if the same label was already stored.")
+
+
+class OwnLabel(Schema):
+    """A label or skip of the caller, with the query on the sides that the caller saw."""
+
+    query: Query = Field(description="The query. The caller does not hold it.")
+    label: float | None = Field(description="In segment order: 1 means that segment 0 is better; null is a skip.")
+    state: Literal["label", "skip"] = Field(description="Undone labels are not listed.")
+    revision: int = Field(description="Pass it as `replaces` to change or undo the label.")
+    response_seconds: float | None = Field(description="Seconds from the start of both clips to the label.")
+    updated_at: datetime = Field(description="When it was given or last changed.")
+
+
+class OwnLabels(Schema):
+    """The caller's labels and skips in one experiment."""
+
+    items: list[OwnLabel] = Field(description="Newest first.")
+    labels: int = Field(description="How many labels the caller has given, without skips.")
+    skips: int = Field(description="How many queries the caller has skipped.")
+    next_before: int | None = Field(description="Pass it as `before` to get older ones; null at the end.")
+
+
+class LabelRevision(Schema):
+    """One entry of a label's history."""
+
+    revision: int = Field(description="Label revision of the experiment.")
+    label: float | None = Field(description="In segment order; null for a skip and for an undone label.")
+    state: Literal["label", "skip", "undone"] = Field(description="What the labeller did.")
+    left_segment: int | None = Field(description="The segment shown on the left; null for a program.")
+    response_seconds: float | None = Field(description="Seconds from the start of both clips to the label.")
+    created_at: datetime = Field(description="When it was given.")
+
+
+class RecordedLabel(Schema):
+    """A label with its author and history."""
+
+    id: str = Field(description="lbl_...")
+    user_id: str = Field(description="usr_...")
+    user_name: str = Field(description="Who gave it.")
+    role: Role = Field(description="The author's role.")
+    teacher: dict[str, Any] = Field(description="A scripted teacher's name and parameters.")
+    revisions: list[LabelRevision] = Field(description="Oldest first; the last one is the current label.")
+
+
+class RecordedSegment(Schema):
+    """A segment of a query."""
+
+    segment_id: str = Field(description="seg_...")
+    policy_steps: int = Field(description="Environment steps of the policy that produced it.")
+    true_return: float = Field(description="Sum of its true rewards.")
+    clip_url: str | None = Field(description="Path of the MP4 file; null if there is none (yet).")
+    thumbnail_url: str | None = Field(description="Path of a still image; null if there is no clip.")
+
+
+class RecordedQuery(Schema):
+    """A query with all of its labels."""
+
+    id: str = Field(description="qry_...")
+    number: int = Field(description="1, 2, 3, ... within the experiment.")
+    status: QueryStatus = Field(description="Whether it can be labelled.")
+    selector: str = Field(description="Name of the query selector that chose it.")
+    created_at: datetime = Field(description="When it was created.")
+    segments: list[RecordedSegment] = Field(description="Segments 0 and 1.")
+    labels: list[RecordedLabel] = Field(description="In the order in which they were first given.")
+
+
+class LabelAuthor(Schema):
+    """A user who has labelled an experiment."""
+
+    id: str = Field(description="usr_...")
+    name: str = Field(description="Unique name.")
+    labels: int = Field(description="Labels in the experiment, without skips.")
+
+
+class QueryPage(Schema):
+    """Some queries of an experiment with their labels."""
+
+    items: list[RecordedQuery] = Field(description="Newest first.")
+    authors: list[LabelAuthor] = Field(description="Everyone who has labelled the experiment, by name.")
+    next_before: int | None = Field(description="Pass it as `before` to get older ones; null at the end.")
 
 
 class BatchLabel(NewLabel):

@@ -7,7 +7,7 @@
     ├── NotFound                      the object does not exist
     │   └── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound, UserNotFound
     ├── WrongState                    the object is in a state that does not allow it
-    │   └── ExperimentNotActive, ExperimentInUse, QueryClosed, LabelConflict, NameTaken
+    │   └── ExperimentNotActive, ExperimentInUse, QueryClosed, LabelConflict, LabelChanged, NameTaken
     ├── LeaseLost                     the caller holds no lease on the query
     ├── Invalid                       a value is not valid
     │   └── InvalidLabel, InvalidId, InvalidExperiment, UnknownTask
@@ -126,6 +126,16 @@ class QueryClosed(WrongState):
 
 class LabelConflict(WrongState):
     code = "label_conflict"
+
+
+class LabelChanged(WrongState):
+    """The caller's label on the query is not the one that the request replaces."""
+
+    code = "label_changed"
+
+    def __init__(self, id: str) -> None:
+        super().__init__(f"Your label on query {id!r} was changed elsewhere, for example in another tab.")
+        self.id = id
 
 
 class NameTaken(WrongState):

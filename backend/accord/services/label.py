@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 from accord.domain.enums import LABEL_VALUES, QueryStatus, Role
 from accord.domain.errors import (
     InvalidLabel,
+    LabelChanged,
     LabelConflict,
     LabelNotFound,
     LeaseLost,
@@ -53,6 +54,7 @@ def put_label(
     response_seconds: float | None = None,
     teacher: dict[str, Any] | None = None,
     experiment_id: str | None = None,
+    replaces: int | None = None,
 ) -> LabelOutcome:
     """Writes or changes a user's label on a query; sending the same label again changes nothing.
 
@@ -62,15 +64,18 @@ def put_label(
         value: 1, 0 or 0.5; None skips.
         order: `segments`: 1 prefers segment 0. `shown`: 1 prefers the left clip, and is converted to segment order.
         experiment_id: when given, the query must be of this experiment.
+        replaces: revision of the user's label that this one replaces, 0 for none. None replaces any.
 
     Raises:
         InvalidLabel: for any other value.
         Invalid: if `teacher` is too long or not JSON.
         QueryNotFound: if there is no such query (in this experiment).
         ExperimentNotActive: if the experiment is over.
+        LabelChanged: if the user's label has another revision than `replaces`: another tab has written it.
         QueryClosed: if another user has labelled it.
         LabelConflict: if its clips are not ready, or could not be rendered.
-        LeaseLost: if another user holds it; if a labeller never held it; or if `shown` is sent for a query never shown.
+        LeaseLost: if another user holds it; if it was never shown to a labeller; or if `shown` is sent for such a
+            query.
     """
     if value is not None and value not in LABEL_VALUES:
         raise InvalidLabel(value)
@@ -88,6 +93,7 @@ def put_label(
         and (previous.state, previous.value) == (response.state, response.value)
     ):
         return LabelOutcome(_stored(found, user, label_id, found.label_revision, previous), created=False)
+    _require_revision(found, replaces)
     _require_labellable(user, found)
     row = _write(session, user, found, response)
     status = QueryStatus.CLOSED if response.state == "label" else QueryStatus.OPEN
@@ -95,22 +101,36 @@ def put_label(
     return LabelOutcome(row, created=True)
 
 
-def undo(session: Session, user: Caller, query_id: str, lease_seconds: float = 60.0) -> StoredLabel:
-    """Undoes a user's label or skip; the query is open again, and leased to the user.
+def undo(
+    session: Session,
+    user: Caller,
+    query_id: str,
+    lease_seconds: float = 60.0,
+    *,
+    tab: str = "",
+    replaces: int | None = None,
+) -> StoredLabel:
+    """Undoes a user's label or skip; the query is open again, and leased to this tab of the user.
+
+    Args:
+        tab: as in `lease.next_queries`.
+        replaces: revision of the label to undo; None for any.
 
     Raises:
         QueryNotFound: if there is no such query.
         LabelNotFound: if the user has no label on it.
+        LabelChanged: if the label has another revision than `replaces`.
         ExperimentNotActive: if the experiment is over.
         QueryClosed, LeaseLost: if, after a skip, another user has labelled it or holds it.
     """
     found = _locked(session, user, query_id, None)
     if found.response is None or found.response.state not in _GIVEN:
         raise LabelNotFound(query_id)
+    _require_revision(found, replaces)
     _require_labellable(user, found)
     row = _write(session, user, found, replace(found.response, value=None, state="undone"))
     _, until = now_and_end(lease_seconds)
-    queries.set_lease(session, query_id, QueryStatus.OPEN.value, user.id, until)
+    queries.set_lease(session, query_id, QueryStatus.OPEN.value, user.id, until, tab=tab)
     return row
 
 
@@ -119,6 +139,12 @@ def _locked(session: Session, user: Caller, query_id: str, experiment_id: str | 
     if found is None or (experiment_id is not None and found.experiment_id != experiment_id):
         raise QueryNotFound(query_id)
     return found
+
+
+def _require_revision(found: LockedQuery, replaces: int | None) -> None:
+    given = found.response is not None and found.response.state in _GIVEN
+    if replaces is not None and replaces != (found.label_revision if given else 0):
+        raise LabelChanged(found.query_id)
 
 
 def _require_labellable(user: Caller, found: LockedQuery) -> None:
@@ -136,7 +162,10 @@ def _require_labellable(user: Caller, found: LockedQuery) -> None:
         return
     if found.leased_until is not None and found.leased_until > utc_now():
         raise LeaseLost(found.query_id)
-    if previous_state != "skip" and not may_label_in_batches(Role(user.role)):
+    # A released query that nobody holds may be labelled by whoever has seen it: the page that showed it was closed
+    # while its label was on the way.
+    shown = found.left_segment is not None
+    if not shown and previous_state != "skip" and not may_label_in_batches(Role(user.role)):
         raise LeaseLost(found.query_id)
 
 

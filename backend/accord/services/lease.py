@@ -1,5 +1,8 @@
 """Leases of queries: each query is reserved for one labeller at a time, who sees its segments on random sides.
 
+A labeller with several tabs has separate leases in each, so that two tabs never show the same pair. `tab` names the
+tab; clients that name none share the leases of the empty name.
+
 Other leases share `now_and_end`.
 """
 
@@ -16,7 +19,7 @@ from accord.domain.errors import ExperimentNotFound, LeaseLost, QueryClosed, Que
 from accord.services.accounts import Caller
 from accord.store import experiments, queries
 from accord.store.experiments import LabellingState
-from accord.store.queries import QuerySegment
+from accord.store.queries import QuerySegment, ShownQuery
 from accord.store.tables import utc_now
 
 Reason = Literal["", "rendering", "policy_training", "all_labelled", "experiment_over", "paused"]
@@ -46,8 +49,10 @@ class Leased:
     reason: Reason
 
 
-def next_queries(session: Session, user: Caller, experiment_id: str, count: int, lease_seconds: float) -> Leased:
-    """Leases up to `count` queries to a user: first those the user holds already, then free ones, by number.
+def next_queries(
+    session: Session, user: Caller, experiment_id: str, count: int, lease_seconds: float, *, tab: str = ""
+) -> Leased:
+    """Leases up to `count` queries to a user: first those this tab holds already, then free ones, by number.
 
     A query keeps the sides it was first shown with, so that reloading the page changes nothing.
 
@@ -62,12 +67,12 @@ def next_queries(session: Session, user: Caller, experiment_id: str, count: int,
     if closed:
         return Leased(task, [], closed)
     now, until = now_and_end(lease_seconds)
-    ids = queries.leased_ids(session, user.id, experiment_id, now, count)
+    ids = queries.leased_ids(session, user.id, experiment_id, now, count, tab=tab)
     if len(ids) < count:
         ids += queries.lock_free_ids(session, user.id, experiment_id, now, count - len(ids))
     if not ids:
         return Leased(task, [], _waiting_reason(session, experiment_id))
-    queries.lease(session, ids, user.id, until)
+    queries.lease(session, ids, user.id, until, tab)
     items = _with_sides(session, user.id, ids)
     return Leased(task, items, "" if len(items) == count else _waiting_reason(session, experiment_id))
 
@@ -77,13 +82,21 @@ def leased_query(session: Session, user: Caller, query_id: str) -> LeasedQuery:
     return _with_sides(session, user.id, [query_id])[0]
 
 
-def heartbeat(session: Session, user: Caller, query_id: str, lease_seconds: float) -> None:
+def shown_queries(session: Session, user: Caller, query_ids: Sequence[str]) -> list[LeasedQuery]:
+    """Queries with the sides on which the user saw them, by number; segment 0 is left where the user saw none.
+
+    A read-only session is enough.
+    """
+    return [_placed(row, row.left_segment or 0) for row in queries.with_sides(session, query_ids, user.id)]
+
+
+def heartbeat(session: Session, user: Caller, query_id: str, lease_seconds: float, tab: str = "") -> None:
     """Renews a lease.
 
     Raises:
         QueryNotFound: if there is no such query.
         QueryClosed: if it is labelled already.
-        LeaseLost: if another user holds it, or this user never did.
+        LeaseLost: if another user or tab holds it, or this tab never did.
     """
     _, until = now_and_end(lease_seconds)
     found = queries.lock(session, query_id, user.id)
@@ -92,13 +105,13 @@ def heartbeat(session: Session, user: Caller, query_id: str, lease_seconds: floa
     if found.status == QueryStatus.CLOSED:
         raise QueryClosed(query_id)
     # An expired lease that no other user has taken is still valid: a laptop that slept must not lose its pair.
-    if found.leased_by != user.id:
+    if (found.leased_by, found.leased_tab) != (user.id, tab):
         raise LeaseLost(query_id)
-    queries.set_lease(session, query_id, found.status, user.id, until)
+    queries.set_lease(session, query_id, found.status, user.id, until, tab=tab)
 
 
-def release(session: Session, user: Caller, query_id: str) -> None:
-    """Ends a lease; does nothing if the user holds none.
+def release(session: Session, user: Caller, query_id: str, tab: str = "") -> None:
+    """Ends a lease; does nothing if this tab holds none.
 
     Raises:
         QueryNotFound: if there is no such query.
@@ -106,7 +119,7 @@ def release(session: Session, user: Caller, query_id: str) -> None:
     found = queries.lock(session, query_id, user.id)
     if found is None:
         raise QueryNotFound(query_id)
-    if found.leased_by == user.id:
+    if (found.leased_by, found.leased_tab) == (user.id, tab):
         queries.set_lease(session, query_id, found.status, None, None)
 
 
@@ -116,16 +129,17 @@ def _with_sides(session: Session, user_id: str, ids: Sequence[str]) -> list[Leas
     drawn = {row.query_id: secrets.randbelow(2) for row in rows if row.left_segment is None}
     if drawn:
         queries.add_presentations(session, user_id, drawn, utc_now())
-    return [
-        LeasedQuery(
-            id=row.query_id,
-            experiment_id=row.experiment_id,
-            number=row.number,
-            left_segment=drawn[row.query_id] if row.left_segment is None else row.left_segment,
-            segments=row.segments,
-        )
-        for row in rows
-    ]
+    return [_placed(row, drawn[row.query_id] if row.left_segment is None else row.left_segment) for row in rows]
+
+
+def _placed(row: ShownQuery, left_segment: int) -> LeasedQuery:
+    return LeasedQuery(
+        id=row.query_id,
+        experiment_id=row.experiment_id,
+        number=row.number,
+        left_segment=left_segment,
+        segments=row.segments,
+    )
 
 
 def _closed_reason(state: LabellingState) -> Reason:

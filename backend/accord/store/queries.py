@@ -68,6 +68,8 @@ class LockedQuery:
     status: str
     leased_by: str | None
     leased_until: datetime | None
+    #: the tab of the user that holds it; empty if the client named none
+    leased_tab: str
     #: the segment shown to the user on the left; None if the query was never shown to the user
     left_segment: int | None
     #: the user's own label and its content; None if there is none
@@ -84,6 +86,7 @@ _LOCK = (
         QueryRow.status,
         QueryRow.leased_by,
         QueryRow.leased_until,
+        QueryRow.leased_tab,
         PresentationRow.left_segment,
         LabelRow.id,
         LabelRow.revision,
@@ -109,6 +112,7 @@ _LEASED = (
         # No condition on the status: only open queries are leased, and with one SQLite would scan all open queries
         # instead of this user's.
         QueryRow.leased_until > bindparam("now"),
+        QueryRow.leased_tab == bindparam("tab"),
     )
     .order_by(QueryRow.number)
     .limit(bindparam("limit"))
@@ -171,16 +175,17 @@ def lock(session: Session, query_id: str, user_id: str) -> LockedQuery | None:
         status=found[3],
         leased_by=found[4],
         leased_until=found[5],
-        left_segment=found[6],
-        label_id=found[7],
-        label_revision=found[8] or 0,
-        response=None if found[7] is None else Response(*found[9:]),
+        leased_tab=found[6],
+        left_segment=found[7],
+        label_id=found[8],
+        label_revision=found[9] or 0,
+        response=None if found[8] is None else Response(*found[10:]),
     )
 
 
-def leased_ids(session: Session, user_id: str, experiment_id: str, now: datetime, limit: int) -> list[str]:
-    """Queries on which a user holds an unexpired lease, by number."""
-    values = {"user": user_id, "experiment": experiment_id, "now": now, "limit": limit}
+def leased_ids(session: Session, user_id: str, experiment_id: str, now: datetime, limit: int, *, tab: str) -> list[str]:
+    """Queries on which a tab of a user holds an unexpired lease, by number."""
+    values = {"user": user_id, "tab": tab, "experiment": experiment_id, "now": now, "limit": limit}
     return list(session.connection().scalars(_LEASED, values))
 
 
@@ -190,17 +195,21 @@ def lock_free_ids(session: Session, user_id: str, experiment_id: str, now: datet
     return list(session.connection().scalars(_FREE, values))
 
 
-def lease(session: Session, query_ids: Sequence[str], user_id: str, until: datetime) -> None:
-    """Leases open queries to a user."""
+def lease(session: Session, query_ids: Sequence[str], user_id: str, until: datetime, tab: str) -> None:
+    """Leases open queries to a tab of a user."""
     session.connection().execute(
-        _SET, [{"query": query_id, "leased_by": user_id, "leased_until": until} for query_id in query_ids]
+        _SET,
+        [{"query": query_id, "leased_by": user_id, "leased_until": until, "leased_tab": tab} for query_id in query_ids],
     )
 
 
-def set_lease(session: Session, query_id: str, status: str, leased_by: str | None, until: datetime | None) -> None:
+def set_lease(
+    session: Session, query_id: str, status: str, leased_by: str | None, until: datetime | None, *, tab: str = ""
+) -> None:
     """Sets the status and the lease of a locked query."""
     session.connection().execute(
-        _SET, {"query": query_id, "status": status, "leased_by": leased_by, "leased_until": until}
+        _SET,
+        {"query": query_id, "status": status, "leased_by": leased_by, "leased_until": until, "leased_tab": tab},
     )
 
 

@@ -197,6 +197,8 @@ class QueryRow(Base):
     reward_version_id: Mapped[str | None] = mapped_column(ForeignKey("reward_versions.id"), default=None)
     leased_by: Mapped[str | None] = mapped_column(ForeignKey("users.id"), default=None)
     leased_until: Mapped[datetime | None] = mapped_column(default=None)
+    #: the tab or process of that user, so that two tabs show different pairs; empty if the client names none
+    leased_tab: Mapped[str] = mapped_column(String(40), default="", server_default="")
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
     __table_args__ = (
         UniqueConstraint("experiment_id", "number"),

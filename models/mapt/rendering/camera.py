@@ -1,9 +1,10 @@
 """The camera: its direction and distance for each task, and its path for each clip.
 
 The framing is computed from the model's joints and reach, so that it also suits tasks that users register. It is the
-same in all clips of a task, so that two clips of a pair never differ in scale. A labeller judges a gait by the body's motion within the frame, and speed by the floor's
-motion. The camera therefore keeps its height, distance and direction, and follows the body's smoothed path. It deviates
-from that path, smoothly, only where the body would leave the view.
+same in all clips of a task, so that the two clips of a pair never differ in scale. A labeller judges a gait by the
+body's motion within the frame, and speed by the floor's motion. The camera therefore keeps its height, distance and
+direction, and follows the body's smoothed path. It deviates from that path, smoothly, only where the body would leave
+the view.
 """
 
 # mujoco is compiled and ships no stubs.

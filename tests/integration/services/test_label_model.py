@@ -41,6 +41,7 @@ class LabellingMachine(RuleBasedStateMachine):
             self.teachers = [user(session, f"teacher {n}", role)[0] for n, role in enumerate(roles)]
         self.labels: dict[tuple[int, int], float | str | None] = {}
         self.holder: dict[int, int] = {}
+        self.shown: set[tuple[int, int]] = set()
         self.revisions: list[tuple[int, int, float | str | None]] = []
 
     def closed_by(self, query: int) -> int | None:
@@ -65,6 +66,7 @@ class LabellingMachine(RuleBasedStateMachine):
             found = lease.next_queries(session, self.teachers[who], self.experiment_id, count, 3600.0)
         assert [self.query_ids.index(item.id) for item in found.items] == expected
         self.holder |= dict.fromkeys(expected, who)
+        self.shown |= {(who, query) for query in expected}
 
     @rule(who=st.integers(0, TEACHERS - 1), query=st.integers(0, QUERIES - 1))
     def release(self, who: int, query: int) -> None:
@@ -81,7 +83,10 @@ class LabellingMachine(RuleBasedStateMachine):
             if self.closed_by(query) is not None:
                 expected = QueryClosed
             elif self.holder.get(query, who) != who or (
-                query not in self.holder and before == "undone" and who != TEACHERS - 1
+                query not in self.holder
+                and before == "undone"
+                and (who, query) not in self.shown
+                and who != TEACHERS - 1
             ):
                 expected = LeaseLost
         with self.stores.database.transaction() as session, raises(expected):

@@ -10,6 +10,7 @@ from accord.domain.errors import (
     ExperimentNotActive,
     Invalid,
     InvalidLabel,
+    LabelChanged,
     LabelConflict,
     LabelNotFound,
     LeaseLost,
@@ -166,6 +167,35 @@ def test_every_role_but_labellers_may_label_without_a_lease(sqlite: Stores, role
             put(sqlite, someone, sample.query_ids[0], 1.0)
     else:
         assert put(sqlite, someone, sample.query_ids[0], 1.0).row.left_segment is None
+
+
+def test_label_with_replaces_never_overwrites_another_revision(stores: Stores) -> None:
+    sample, ada = create_sample(stores.database, stores.blobs, queries=1), person(stores, "ada")
+    (query,) = leased(stores, ada, sample)
+    first = put(stores, ada, query.id, 1.0, replaces=0).row.revision
+    # A second tab shows the pair as unlabelled. The same answer again changes nothing; another one is refused.
+    assert not put(stores, ada, query.id, 1.0, replaces=0).created
+    with pytest.raises(LabelChanged):
+        put(stores, ada, query.id, 0.0, replaces=0)
+    second = put(stores, ada, query.id, 0.0, replaces=first).row.revision
+    with stores.database.transaction() as session, pytest.raises(LabelChanged):
+        label.undo(session, ada, query.id, replaces=first)
+    with stores.database.transaction() as session:
+        label.undo(session, ada, query.id, replaces=second)
+    with pytest.raises(LabelChanged):
+        put(stores, ada, query.id, 0.5, replaces=second)
+    assert put(stores, ada, query.id, 0.5, replaces=0).row.revision == 4
+
+
+def test_released_query_may_be_labelled_by_whoever_has_seen_it(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=1)
+    ada, bob = person(stores, "ada"), person(stores, "bob")
+    (query,) = leased(stores, ada, sample)
+    with stores.database.transaction() as session:
+        lease.release(session, ada, query.id)
+    with pytest.raises(LeaseLost):
+        put(stores, bob, query.id, 1.0)
+    assert put(stores, ada, query.id, 1.0, order="shown").created
 
 
 def test_label_in_shown_order_requires_a_lease(sqlite: Stores) -> None:

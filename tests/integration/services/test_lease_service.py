@@ -68,6 +68,25 @@ def test_leased_query_is_not_leased_to_another_user(stores: Stores) -> None:
     assert ids(lease_next(stores, bob, sample, 3)) == sample.query_ids[3:]
 
 
+def test_two_tabs_of_one_user_lease_different_queries(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=4)
+    ada = person(stores, "ada")
+
+    def lease_in(tab: str, count: int = 2) -> list[str]:
+        with stores.database.transaction() as session:
+            return ids(lease.next_queries(session, ada, sample.experiment.id, count, 60.0, tab=tab))
+
+    assert (lease_in("one"), lease_in("two")) == (sample.query_ids[:2], sample.query_ids[2:])
+    assert lease_in("one", 4) == sample.query_ids[:2]  # those of the other tab are not free
+    with stores.database.transaction() as session, pytest.raises(LeaseLost):
+        lease.heartbeat(session, ada, sample.query_ids[0], 60.0, "two")
+    with stores.database.transaction() as session:
+        lease.release(session, ada, sample.query_ids[0], "two")  # does nothing: this tab does not hold it
+        lease.heartbeat(session, ada, sample.query_ids[0], 60.0, "one")
+        lease.release(session, ada, sample.query_ids[0], "one")
+    assert lease_in("two", 4) == [sample.query_ids[0], *sample.query_ids[2:]]
+
+
 def test_expired_lease_passes_to_the_next_user(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=1)
     ada, bob = person(stores, "ada"), person(stores, "bob")

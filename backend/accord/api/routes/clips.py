@@ -1,5 +1,6 @@
 """Clips, with HTTP range requests, so that a browser can seek."""
 
+import logging
 import re
 from dataclasses import dataclass
 
@@ -7,8 +8,12 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from accord.api.dependencies import AuthDep, ClipId
+from accord.domain.errors import ClipNotFound
 from accord.services import clips
+from mapt.errors import ClipNotRead
+from mapt.rendering.stills import thumbnail
 
+log = logging.getLogger(__name__)
 router = APIRouter(tags=["clips"])
 _RANGE = re.compile(r"bytes=(\d*)-(\d*)")
 
@@ -52,6 +57,33 @@ def get_clip(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
     headers["Content-Range"] = f"bytes {wanted.start}-{wanted.stop - 1}/{size}"
     content = auth.app.blobs.read_range(key, wanted.start, wanted.stop)
     return Response(content, 206, headers, media_type="video/mp4")
+
+
+@router.get(
+    "/clips/{clip_id}.jpg",
+    response_class=Response,
+    responses={
+        200: {"content": {"image/jpeg": {}}, "description": "The still image."},
+        304: {"description": "The image in the browser's cache is current."},
+    },
+    summary="Get a still of a clip",
+)
+def get_thumbnail(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
+    """The frame in the middle of a clip as a small JPEG. It never changes, so browsers may cache it."""
+    with auth.reading() as caller:
+        row = clips.get(caller.session, clip_id)
+        key, middle = row.blob_key, row.frames // 2
+    assert key is not None  # a ready clip has a blob
+    etag = f'"{clip_id}-still"'
+    headers = {"ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
+    if etag in request.headers.get("if-none-match", ""):
+        return Response(status_code=304, headers=headers)
+    try:
+        image = thumbnail(auth.app.blobs.read(key), middle)
+    except ClipNotRead as error:
+        log.warning("%s: %s", clip_id, error)
+        raise ClipNotFound(clip_id) from error
+    return Response(image, 200, headers, media_type="image/jpeg")
 
 
 def parse_range(header: str, size: int) -> ByteRange | None:

@@ -13,6 +13,14 @@ from accord.domain.permissions import may_label_in_batches, require, require_ret
 from accord.services import experiments, label, lease
 
 router = APIRouter(tags=["labelling"])
+Tab = Annotated[
+    str,
+    Query(
+        max_length=40,
+        description="Any name that is unique to a tab or process of the caller. Each has leases of its own, so that "
+        "two tabs of one person get different queries.",
+    ),
+]
 
 
 @router.post(
@@ -23,8 +31,9 @@ def next_queries(
     auth: AuthDep,
     count: Annotated[int, Query(ge=1, le=16, description="Queries to lease.")] = 1,
     returns: Annotated[bool, Query(description="Include true returns and rewards; not for labellers.")] = False,
+    tab: Tab = "",
 ) -> Response:
-    """Leases queries to the caller. Those that the caller already holds come first, on the same sides as before.
+    """Leases queries to the caller. Those that the caller's tab already holds come first, on the same sides as before.
 
     If there are fewer than `count`, `reason` says why.
     """
@@ -33,26 +42,26 @@ def next_queries(
     with auth.writing() as caller:
         if returns:
             require_returns(caller.role)
-        found = lease.next_queries(caller.session, caller.user, experiment_id, count, lease_seconds)
+        found = lease.next_queries(caller.session, caller.user, experiment_id, count, lease_seconds, tab=tab)
         blobs = app.blobs if returns else None
         items = [responses.query_response(item, found.task, lease_seconds, blobs) for item in found.items]
         return json_response(schemas.Queries(items=items, reason=found.reason))
 
 
 @router.put("/queries/{query_id}/lease", summary="Renew a lease")
-def heartbeat(query_id: QueryId, auth: AuthDep) -> schemas.Lease:
+def heartbeat(query_id: QueryId, auth: AuthDep, tab: Tab = "") -> schemas.Lease:
     """Renews the caller's lease of a query."""
     lease_seconds = auth.app.settings.lease_seconds
     with auth.writing() as caller:
-        lease.heartbeat(caller.session, caller.user, query_id, lease_seconds)
+        lease.heartbeat(caller.session, caller.user, query_id, lease_seconds, tab)
         return schemas.Lease(query_id=query_id, lease_seconds=lease_seconds)
 
 
 @router.delete("/queries/{query_id}/lease", status_code=204, summary="Release a query")
-def release(query_id: QueryId, auth: AuthDep) -> Response:
+def release(query_id: QueryId, auth: AuthDep, tab: Tab = "") -> Response:
     """Ends the caller's lease, so that another user may get the query at once."""
     with auth.writing() as caller:
-        lease.release(caller.session, caller.user, query_id)
+        lease.release(caller.session, caller.user, query_id, tab)
         return Response(status_code=204)
 
 
@@ -63,18 +72,28 @@ def release(query_id: QueryId, auth: AuthDep) -> Response:
     summary="Label or skip a query",
 )
 def put_label(query_id: QueryId, body: schemas.NewLabel, auth: AuthDep) -> Response:
-    """Creates or changes the caller's label. 201 if something changed, 200 if the same label was already stored."""
+    """Creates or changes the caller's label. 201 if something changed, 200 if the same label was already stored.
+
+    `replaces` protects a label that was changed elsewhere from being overwritten.
+    """
     with auth.writing() as caller:
         outcome = _put(caller, query_id, body, None)
         return json_response(responses.label_response(outcome), 201 if outcome.created else 200)
 
 
 @router.delete("/queries/{query_id}/label", response_model=schemas.Query, summary="Undo a label")
-def undo_label(query_id: QueryId, auth: AuthDep) -> Response:
+def undo_label(
+    query_id: QueryId,
+    auth: AuthDep,
+    tab: Tab = "",
+    replaces: Annotated[
+        int | None, Query(ge=1, description="Revision of the label to undo; without it, any. As for `Label a query`.")
+    ] = None,
+) -> Response:
     """Undoes the caller's label or skip, and leases the query to the caller again."""
     lease_seconds = auth.app.settings.lease_seconds
     with auth.writing() as caller:
-        row = label.undo(caller.session, caller.user, query_id, lease_seconds)
+        row = label.undo(caller.session, caller.user, query_id, lease_seconds, tab=tab, replaces=replaces)
         item = lease.leased_query(caller.session, caller.user, query_id)
         task = experiments.get(caller.session, row.experiment_id).config["task"]
         return json_response(responses.query_response(item, task, lease_seconds))
@@ -115,4 +134,5 @@ def _put(caller: CallerSession, query_id: str, body: schemas.NewLabel, experimen
         response_seconds=body.response_seconds,
         teacher=body.teacher,
         experiment_id=experiment_id,
+        replaces=body.replaces,
     )

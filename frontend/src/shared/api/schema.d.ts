@@ -15,7 +15,7 @@ export interface paths {
         put?: never;
         /**
          * Get the next queries
-         * @description Leases queries to the caller. Those that the caller already holds come first, on the same sides as before.
+         * @description Leases queries to the caller. Those that the caller's tab already holds come first, on the same sides as before.
          *
          *     If there are fewer than `count`, `reason` says why.
          */
@@ -61,6 +61,8 @@ export interface paths {
         /**
          * Label or skip a query
          * @description Creates or changes the caller's label. 201 if something changed, 200 if the same label was already stored.
+         *
+         *     `replaces` protects a label that was changed elsewhere from being overwritten.
          */
         put: operations["put_label"];
         post?: never;
@@ -108,6 +110,86 @@ export interface paths {
          * @description H.264 video in MP4. A clip never changes, so browsers may cache it.
          */
         get: operations["get_clip"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/clips/{clip_id}.jpg": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get a still of a clip
+         * @description The frame in the middle of a clip as a small JPEG. It never changes, so browsers may cache it.
+         */
+        get: operations["get_thumbnail"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/labels/mine": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List your own labels
+         * @description Lists the caller's labels and skips, newest first, and how many there are.
+         */
+        get: operations["list_own_labels"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/queries": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List queries with their labels
+         * @description Lists queries, newest first, with every label and its revisions. For researchers and admins.
+         */
+        get: operations["list_queries"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/queries.csv": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Download queries with their labels
+         * @description All queries that pass the filters, oldest first, as CSV; a query without labels has one row.
+         */
+        get: operations["download_queries"];
         put?: never;
         post?: never;
         delete?: never;
@@ -549,6 +631,11 @@ export interface components {
                 [key: string]: unknown;
             };
             /**
+             * Replaces
+             * @description Revision of your label that this one replaces; 0 if you have not labelled the query. If it has another one, the response is 409 label_changed. Without it, any label is replaced.
+             */
+            replaces?: number | null;
+            /**
              * Query Id
              * @description qry_...
              */
@@ -942,6 +1029,27 @@ export interface components {
             created: boolean;
         };
         /**
+         * LabelAuthor
+         * @description A user who has labelled an experiment.
+         */
+        LabelAuthor: {
+            /**
+             * Id
+             * @description usr_...
+             */
+            id: string;
+            /**
+             * Name
+             * @description Unique name.
+             */
+            name: string;
+            /**
+             * Labels
+             * @description Labels in the experiment, without skips.
+             */
+            labels: number;
+        };
+        /**
          * LabelBatch
          * @description Labels to write in one transaction.
          */
@@ -998,6 +1106,44 @@ export interface components {
              * @description Queries whose clips are not rendered yet.
              */
             rendering_queries: number;
+        };
+        /**
+         * LabelRevision
+         * @description One entry of a label's history.
+         */
+        LabelRevision: {
+            /**
+             * Revision
+             * @description Label revision of the experiment.
+             */
+            revision: number;
+            /**
+             * Label
+             * @description In segment order; null for a skip and for an undone label.
+             */
+            label: number | null;
+            /**
+             * State
+             * @description What the labeller did.
+             * @enum {string}
+             */
+            state: "label" | "skip" | "undone";
+            /**
+             * Left Segment
+             * @description The segment shown on the left; null for a program.
+             */
+            left_segment: number | null;
+            /**
+             * Response Seconds
+             * @description Seconds from the start of both clips to the label.
+             */
+            response_seconds: number | null;
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was given.
+             */
+            created_at: string;
         };
         /**
          * Lease
@@ -1369,6 +1515,11 @@ export interface components {
             teacher?: {
                 [key: string]: unknown;
             };
+            /**
+             * Replaces
+             * @description Revision of your label that this one replaces; 0 if you have not labelled the query. If it has another one, the response is 409 label_changed. Without it, any label is replaced.
+             */
+            replaces?: number | null;
         };
         /**
          * NewUser
@@ -1382,6 +1533,67 @@ export interface components {
             name: string;
             /** @description labeller: a person who labels. teacher: a program that labels and may read true returns. researcher: also runs experiments. admin: also adds users. */
             role: components["schemas"]["Role"];
+        };
+        /**
+         * OwnLabel
+         * @description A label or skip of the caller, with the query on the sides that the caller saw.
+         */
+        OwnLabel: {
+            /** @description The query. The caller does not hold it. */
+            query: components["schemas"]["Query"];
+            /**
+             * Label
+             * @description In segment order: 1 means that segment 0 is better; null is a skip.
+             */
+            label: number | null;
+            /**
+             * State
+             * @description Undone labels are not listed.
+             * @enum {string}
+             */
+            state: "label" | "skip";
+            /**
+             * Revision
+             * @description Pass it as `replaces` to change or undo the label.
+             */
+            revision: number;
+            /**
+             * Response Seconds
+             * @description Seconds from the start of both clips to the label.
+             */
+            response_seconds: number | null;
+            /**
+             * Updated At
+             * Format: date-time
+             * @description When it was given or last changed.
+             */
+            updated_at: string;
+        };
+        /**
+         * OwnLabels
+         * @description The caller's labels and skips in one experiment.
+         */
+        OwnLabels: {
+            /**
+             * Items
+             * @description Newest first.
+             */
+            items: components["schemas"]["OwnLabel"][];
+            /**
+             * Labels
+             * @description How many labels the caller has given, without skips.
+             */
+            labels: number;
+            /**
+             * Skips
+             * @description How many queries the caller has skipped.
+             */
+            skips: number;
+            /**
+             * Next Before
+             * @description Pass it as `before` to get older ones; null at the end.
+             */
+            next_before: number | null;
         };
         /**
          * Phase
@@ -1436,6 +1648,138 @@ export interface components {
              * @description The lease expires after this many seconds without a heartbeat or a label.
              */
             lease_seconds: number;
+        };
+        /**
+         * QueryPage
+         * @description Some queries of an experiment with their labels.
+         */
+        QueryPage: {
+            /**
+             * Items
+             * @description Newest first.
+             */
+            items: components["schemas"]["RecordedQuery"][];
+            /**
+             * Authors
+             * @description Everyone who has labelled the experiment, by name.
+             */
+            authors: components["schemas"]["LabelAuthor"][];
+            /**
+             * Next Before
+             * @description Pass it as `before` to get older ones; null at the end.
+             */
+            next_before: number | null;
+        };
+        /**
+         * QueryStatus
+         * @description State of a query: waiting for its clips, ready to label, labelled, or failed.
+         * @enum {string}
+         */
+        QueryStatus: "rendering" | "open" | "closed" | "failed";
+        /**
+         * RecordedLabel
+         * @description A label with its author and history.
+         */
+        RecordedLabel: {
+            /**
+             * Id
+             * @description lbl_...
+             */
+            id: string;
+            /**
+             * User Id
+             * @description usr_...
+             */
+            user_id: string;
+            /**
+             * User Name
+             * @description Who gave it.
+             */
+            user_name: string;
+            /** @description The author's role. */
+            role: components["schemas"]["Role"];
+            /**
+             * Teacher
+             * @description A scripted teacher's name and parameters.
+             */
+            teacher: {
+                [key: string]: unknown;
+            };
+            /**
+             * Revisions
+             * @description Oldest first; the last one is the current label.
+             */
+            revisions: components["schemas"]["LabelRevision"][];
+        };
+        /**
+         * RecordedQuery
+         * @description A query with all of its labels.
+         */
+        RecordedQuery: {
+            /**
+             * Id
+             * @description qry_...
+             */
+            id: string;
+            /**
+             * Number
+             * @description 1, 2, 3, ... within the experiment.
+             */
+            number: number;
+            /** @description Whether it can be labelled. */
+            status: components["schemas"]["QueryStatus"];
+            /**
+             * Selector
+             * @description Name of the query selector that chose it.
+             */
+            selector: string;
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was created.
+             */
+            created_at: string;
+            /**
+             * Segments
+             * @description Segments 0 and 1.
+             */
+            segments: components["schemas"]["RecordedSegment"][];
+            /**
+             * Labels
+             * @description In the order in which they were first given.
+             */
+            labels: components["schemas"]["RecordedLabel"][];
+        };
+        /**
+         * RecordedSegment
+         * @description A segment of a query.
+         */
+        RecordedSegment: {
+            /**
+             * Segment Id
+             * @description seg_...
+             */
+            segment_id: string;
+            /**
+             * Policy Steps
+             * @description Environment steps of the policy that produced it.
+             */
+            policy_steps: number;
+            /**
+             * True Return
+             * @description Sum of its true rewards.
+             */
+            true_return: number;
+            /**
+             * Clip Url
+             * @description Path of the MP4 file; null if there is none (yet).
+             */
+            clip_url: string | null;
+            /**
+             * Thumbnail Url
+             * @description Path of a still image; null if there is no clip.
+             */
+            thumbnail_url: string | null;
         };
         /**
          * RewardVersion
@@ -1524,6 +1868,11 @@ export interface components {
              * @description Path of the MP4 file; null if the experiment renders no clips.
              */
             clip_url: string | null;
+            /**
+             * Thumbnail Url
+             * @description Path of a still image of the clip; null if there is no clip.
+             */
+            thumbnail_url: string | null;
             /**
              * Seconds
              * @description Duration of the clip.
@@ -1654,6 +2003,8 @@ export interface operations {
                 count?: number;
                 /** @description Include true returns and rewards; not for labellers. */
                 returns?: boolean;
+                /** @description Any name that is unique to a tab or process of the caller. Each has leases of its own, so that two tabs of one person get different queries. */
+                tab?: string;
             };
             header?: never;
             path: {
@@ -1686,7 +2037,10 @@ export interface operations {
     };
     heartbeat: {
         parameters: {
-            query?: never;
+            query?: {
+                /** @description Any name that is unique to a tab or process of the caller. Each has leases of its own, so that two tabs of one person get different queries. */
+                tab?: string;
+            };
             header?: never;
             path: {
                 /** @description The query, qry_... */
@@ -1718,7 +2072,10 @@ export interface operations {
     };
     release: {
         parameters: {
-            query?: never;
+            query?: {
+                /** @description Any name that is unique to a tab or process of the caller. Each has leases of its own, so that two tabs of one person get different queries. */
+                tab?: string;
+            };
             header?: never;
             path: {
                 /** @description The query, qry_... */
@@ -1793,7 +2150,12 @@ export interface operations {
     };
     undo_label: {
         parameters: {
-            query?: never;
+            query?: {
+                /** @description Any name that is unique to a tab or process of the caller. Each has leases of its own, so that two tabs of one person get different queries. */
+                tab?: string;
+                /** @description Revision of the label to undo; without it, any. As for `Label a query`. */
+                replaces?: number | null;
+            };
             header?: never;
             path: {
                 /** @description The query, qry_... */
@@ -1902,6 +2264,168 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content?: never;
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    get_thumbnail: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The clip, clp_... */
+                clip_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The still image. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/jpeg": unknown;
+                };
+            };
+            /** @description The image in the browser's cache is current. */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    list_own_labels: {
+        parameters: {
+            query?: {
+                /** @description Most items to return. */
+                limit?: number;
+                /** @description `next_before` of the previous page. */
+                before?: number | null;
+            };
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["OwnLabels"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    list_queries: {
+        parameters: {
+            query?: {
+                /** @description Most items to return. */
+                limit?: number;
+                /** @description `next_before` of the previous page. */
+                before?: number | null;
+                /** @description Only queries with this status. */
+                status?: components["schemas"]["QueryStatus"] | null;
+                /** @description Only queries that this user has labelled, usr_... */
+                user?: string | null;
+                /** @description Only queries with this label, in segment order; with `user`, given by that user. */
+                label?: ("1" | "0" | "0.5" | "skip" | "undone") | null;
+                /** @description Only queries with (true) or without (false) a label that was changed. */
+                changed?: boolean | null;
+            };
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["QueryPage"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    download_queries: {
+        parameters: {
+            query?: {
+                /** @description Only queries with this status. */
+                status?: components["schemas"]["QueryStatus"] | null;
+                /** @description Only queries that this user has labelled, usr_... */
+                user?: string | null;
+                /** @description Only queries with this label, in segment order; with `user`, given by that user. */
+                label?: ("1" | "0" | "0.5" | "skip" | "undone") | null;
+                /** @description Only queries with (true) or without (false) a label that was changed. */
+                changed?: boolean | null;
+            };
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description One row per label revision. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/csv": unknown;
+                };
             };
             /** @description A stable code, a message, and the invalid field. */
             default: {

@@ -1,0 +1,83 @@
+"""What the caller has labelled, and the table of all queries, labels and revisions."""
+
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Depends, Query
+from fastapi.responses import Response
+
+from accord.api import responses, schemas
+from accord.api.dependencies import AuthDep, ExperimentId
+from accord.domain.enums import QueryStatus
+from accord.domain.ids import check_id
+from accord.domain.permissions import may_run_experiments, require
+from accord.services import label_history
+from accord.store.label_history import Filters
+
+router = APIRouter(tags=["labelling"])
+_READING = "read other people's labels"
+_CONTENT: dict[str, tuple[str, float | None]] = {
+    "1": ("label", 1.0),
+    "0": ("label", 0.0),
+    "0.5": ("label", 0.5),
+    "skip": ("skip", None),
+    "undone": ("undone", None),
+}
+
+Limit = Annotated[int, Query(ge=1, le=200, description="Most items to return.")]
+Before = Annotated[int | None, Query(ge=1, description="`next_before` of the previous page.")]
+
+
+def _filters(
+    status: Annotated[QueryStatus | None, Query(description="Only queries with this status.")] = None,
+    user: Annotated[str | None, Query(description="Only queries that this user has labelled, usr_...")] = None,
+    label: Annotated[
+        Literal["1", "0", "0.5", "skip", "undone"] | None,
+        Query(description="Only queries with this label, in segment order; with `user`, given by that user."),
+    ] = None,
+    changed: Annotated[
+        bool | None, Query(description="Only queries with (true) or without (false) a label that was changed.")
+    ] = None,
+) -> Filters:
+    if user is not None:
+        check_id(user, "usr")
+    state, value = (None, None) if label is None else _CONTENT[label]
+    return Filters(None if status is None else status.value, user, state, value, changed)
+
+
+FiltersDep = Annotated[Filters, Depends(_filters)]
+
+
+@router.get("/experiments/{experiment_id}/labels/mine", summary="List your own labels")
+def list_own_labels(
+    experiment_id: ExperimentId, auth: AuthDep, limit: Limit = 20, before: Before = None
+) -> schemas.OwnLabels:
+    """Lists the caller's labels and skips, newest first, and how many there are."""
+    with auth.reading() as caller:
+        found = label_history.own(caller.session, caller.user, experiment_id, limit, before)
+        return responses.own_labels_response(found, auth.app.settings.lease_seconds)
+
+
+@router.get("/experiments/{experiment_id}/queries", summary="List queries with their labels")
+def list_queries(
+    experiment_id: ExperimentId, auth: AuthDep, filters: FiltersDep, limit: Limit = 50, before: Before = None
+) -> schemas.QueryPage:
+    """Lists queries, newest first, with every label and its revisions. For researchers and admins."""
+    with auth.reading() as caller:
+        require(may_run_experiments(caller.role), caller.role, _READING)
+        page = label_history.table(caller.session, experiment_id, filters, limit, before)
+        return responses.query_page_response(page)
+
+
+@router.get(
+    "/experiments/{experiment_id}/queries.csv",
+    response_class=Response,
+    responses={200: {"content": {"text/csv": {}}, "description": "One row per label revision."}},
+    summary="Download queries with their labels",
+)
+def download_queries(experiment_id: ExperimentId, auth: AuthDep, filters: FiltersDep) -> Response:
+    """All queries that pass the filters, oldest first, as CSV; a query without labels has one row."""
+    with auth.reading() as caller:
+        require(may_run_experiments(caller.role), caller.role, _READING)
+        text = label_history.table_as_csv(caller.session, experiment_id, filters)
+    headers = {"Content-Disposition": f'attachment; filename="labels-{experiment_id}.csv"', "Cache-Control": "no-store"}
+    return Response(text, headers=headers, media_type="text/csv")

@@ -1,0 +1,150 @@
+"""The label history: what a user has labelled, and the table of queries, labels and revisions for researchers."""
+
+import csv
+import io
+import json
+from dataclasses import dataclass
+from datetime import datetime
+
+from sqlalchemy.orm import Session
+
+from accord.services import experiments, lease
+from accord.services.accounts import Caller
+from accord.services.lease import LeasedQuery
+from accord.store import label_history
+from accord.store.label_history import Author, Filters, OwnCounts, RecordedLabel, RecordedQuery
+
+#: queries read at once for a table of all queries
+_CHUNK = 500
+COLUMNS = (
+    "query_number",
+    "query_id",
+    "status",
+    "selector",
+    "segment_0_id",
+    "segment_1_id",
+    "true_return_0",
+    "true_return_1",
+    "labeller",
+    "role",
+    "teacher",
+    "label",
+    "state",
+    "left_segment",
+    "response_seconds",
+    "revision",
+    "created_at",
+    "current",
+)
+#: a spreadsheet runs a cell that begins with one of these as a formula
+_FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
+
+
+@dataclass(frozen=True, slots=True)
+class OwnLabel:
+    """A user's label or skip with the query on the sides that the user saw."""
+
+    query: LeasedQuery
+    #: P(segment 0 is preferred); None for a skip
+    value: float | None
+    state: str
+    revision: int
+    response_seconds: float | None
+    updated_at: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class OwnLabels:
+    """Some of a user's labels in one experiment, newest first, and how many there are."""
+
+    task: str
+    items: list[OwnLabel]
+    counts: OwnCounts
+    #: pass it as `before` to get older ones; None at the end
+    next_before: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class QueryPage:
+    """Some queries with their labels, newest first."""
+
+    items: list[RecordedQuery]
+    #: everyone who has labelled the experiment
+    authors: list[Author]
+    next_before: int | None
+
+
+def own(session: Session, user: Caller, experiment_id: str, limit: int, before: int | None) -> OwnLabels:
+    """A user's labels and skips. A read-only session is enough.
+
+    Raises:
+        ExperimentNotFound: if there is no such experiment.
+    """
+    experiment = experiments.get(session, experiment_id)
+    rows = label_history.own_labels(session, experiment_id, user.id, limit, before)
+    shown = {query.id: query for query in lease.shown_queries(session, user, [row.query_id for row in rows])}
+    items = [
+        OwnLabel(
+            shown[row.query_id],
+            row.response.value,
+            row.response.state,
+            row.revision,
+            row.response.response_seconds,
+            row.updated_at,
+        )
+        for row in rows
+    ]
+    counts = label_history.own_counts(session, experiment_id, user.id)
+    return OwnLabels(
+        experiment.config["task"], items, counts, rows[-1].revision if rows and len(rows) == limit else None
+    )
+
+
+def table(session: Session, experiment_id: str, filters: Filters, limit: int, before: int | None) -> QueryPage:
+    """Queries with their labels and revisions. A read-only session is enough.
+
+    Raises:
+        ExperimentNotFound: if there is no such experiment.
+    """
+    experiments.get(session, experiment_id)
+    items = label_history.queries(session, experiment_id, filters, limit, before)
+    following = items[-1].number if items and len(items) == limit else None
+    return QueryPage(items, label_history.authors(session, experiment_id), following)
+
+
+def table_as_csv(session: Session, experiment_id: str, filters: Filters) -> str:
+    """All queries that pass the filters, oldest first, one row per label revision; a query without labels has one.
+
+    Raises:
+        ExperimentNotFound: if there is no such experiment.
+    """
+    experiments.get(session, experiment_id)
+    found: list[RecordedQuery] = []
+    before: int | None = None
+    while chunk := label_history.queries(session, experiment_id, filters, _CHUNK, before):
+        found += chunk
+        before = chunk[-1].number
+    output = io.StringIO()
+    writer = csv.writer(output)
+    writer.writerow(COLUMNS)
+    for query in reversed(found):
+        first, second = query.segments
+        cells = [query.number, query.id, query.status, query.selector, first.id, second.id]
+        cells += [first.true_return, second.true_return]
+        for label in query.labels:
+            writer.writerows([*cells, *row] for row in _revision_cells(label))
+        if not query.labels:
+            writer.writerow([*cells, *([""] * (len(COLUMNS) - len(cells)))])
+    return output.getvalue()
+
+
+def _revision_cells(label: RecordedLabel) -> list[list[object]]:
+    name = f"'{label.user_name}" if label.user_name.startswith(_FORMULA_STARTS) else label.user_name
+    teacher = json.dumps(label.teacher, sort_keys=True) if label.teacher else ""
+    return [
+        [
+            *(name, label.role, teacher, each.value, each.state, each.left_segment, each.response_seconds),
+            *(each.revision, each.created_at.isoformat(), each is label.revisions[-1]),
+        ]
+        for each in label.revisions
+    ]

@@ -1,0 +1,247 @@
+"""Rows of the label history: what one user has labelled, and every query with its labels and their revisions."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import ColumnElement, exists, func, select
+from sqlalchemy.orm import Session, aliased
+
+from accord.store.queries import Response
+from accord.store.tables import ClipRow, LabelRevisionRow, LabelRow, QueryRow, SegmentRow, UserRow
+
+
+@dataclass(frozen=True, slots=True)
+class OwnLabel:
+    """A user's current label or skip on a query."""
+
+    query_id: str
+    revision: int
+    response: Response
+    updated_at: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class OwnCounts:
+    """How many labels and skips of an experiment are one user's."""
+
+    labels: int
+    skips: int
+
+
+@dataclass(frozen=True, slots=True)
+class Revision:
+    """One entry of a label's history."""
+
+    revision: int
+    value: float | None
+    #: label | skip | undone
+    state: str
+    left_segment: int | None
+    response_seconds: float | None
+    created_at: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedLabel:
+    """A teacher's label on a query with its author and its history."""
+
+    id: str
+    user_id: str
+    user_name: str
+    role: str
+    teacher: dict[str, Any]
+    #: oldest first; the last one is the current label
+    revisions: list[Revision]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedSegment:
+    """A segment of a query."""
+
+    id: str
+    policy_steps: int
+    true_return: float
+    #: None until it is rendered, and in experiments without clips
+    clip_id: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedQuery:
+    """A query with its segments and all of its labels."""
+
+    id: str
+    number: int
+    status: str
+    selector: str
+    created_at: datetime
+    segments: tuple[RecordedSegment, RecordedSegment]
+    #: by the time they were first given
+    labels: list[RecordedLabel]
+
+
+@dataclass(frozen=True, slots=True)
+class Author:
+    """A user who has labelled an experiment."""
+
+    id: str
+    name: str
+    labels: int
+
+
+@dataclass(frozen=True, slots=True)
+class Filters:
+    """Which queries to return; None does not filter."""
+
+    #: a QueryStatus
+    status: str | None = None
+    #: with a label of this user
+    user_id: str | None = None
+    #: with a label in this state
+    state: str | None = None
+    #: with a label of this value
+    value: float | None = None
+    #: with a label that was changed or undone (True), or with none (False)
+    changed: bool | None = None
+
+
+def own_labels(
+    session: Session, experiment_id: str, user_id: str, limit: int, before: int | None = None
+) -> list[OwnLabel]:
+    """A user's labels and skips, newest first; those with a revision below `before`."""
+    statement = (
+        select(
+            LabelRow.query_id,
+            LabelRow.revision,
+            LabelRow.value,
+            LabelRow.state,
+            LabelRow.left_segment,
+            LabelRow.response_seconds,
+            LabelRow.teacher,
+            LabelRow.updated_at,
+        )
+        .where(_given_by(experiment_id, user_id))
+        .order_by(LabelRow.revision.desc())
+        .limit(limit)
+    )
+    if before is not None:
+        statement = statement.where(LabelRow.revision < before)
+    return [OwnLabel(row[0], row[1], Response(*row[2:7]), row[7]) for row in session.execute(statement)]
+
+
+def own_counts(session: Session, experiment_id: str, user_id: str) -> OwnCounts:
+    rows = session.execute(
+        select(LabelRow.state, func.count()).where(_given_by(experiment_id, user_id)).group_by(LabelRow.state)
+    )
+    counts: dict[str, int] = {row[0]: row[1] for row in rows}
+    return OwnCounts(counts.get("label", 0), counts.get("skip", 0))
+
+
+def _given_by(experiment_id: str, user_id: str) -> ColumnElement[bool]:
+    return (
+        (LabelRow.experiment_id == experiment_id)
+        & (LabelRow.user_id == user_id)
+        & LabelRow.state.in_(("label", "skip"))
+    )
+
+
+def authors(session: Session, experiment_id: str) -> list[Author]:
+    """Every user with a label, skip or undone label, by name. Counts labels only."""
+    labels = func.count().filter(LabelRow.state == "label")
+    rows = session.execute(
+        select(UserRow.id, UserRow.name, labels)
+        .join(LabelRow, LabelRow.user_id == UserRow.id)
+        .where(LabelRow.experiment_id == experiment_id)
+        .group_by(UserRow.id, UserRow.name)
+        .order_by(UserRow.name)
+    )
+    return [Author(*row) for row in rows]
+
+
+def queries(
+    session: Session, experiment_id: str, filters: Filters, limit: int | None = None, before: int | None = None
+) -> list[RecordedQuery]:
+    """Queries with their labels, newest first; those with a number below `before`."""
+    segment_0, segment_1, clip_0, clip_1 = aliased(SegmentRow), aliased(SegmentRow), aliased(ClipRow), aliased(ClipRow)
+    columns: list[Any] = [
+        *(QueryRow.id, QueryRow.number, QueryRow.status, QueryRow.selector, QueryRow.created_at),
+        *(segment_0.id, segment_0.policy_steps, segment_0.true_return, clip_0.id),
+        *(segment_1.id, segment_1.policy_steps, segment_1.true_return, clip_1.id),
+    ]
+    statement = (
+        select(*columns)
+        .join(segment_0, segment_0.id == QueryRow.segment_0_id)
+        .join(segment_1, segment_1.id == QueryRow.segment_1_id)
+        .outerjoin(clip_0, (clip_0.segment_id == QueryRow.segment_0_id) & (clip_0.status == "ready"))
+        .outerjoin(clip_1, (clip_1.segment_id == QueryRow.segment_1_id) & (clip_1.status == "ready"))
+        .where(QueryRow.experiment_id == experiment_id, *_conditions(filters))
+        .order_by(QueryRow.number.desc())
+        .limit(limit)
+    )
+    if before is not None:
+        statement = statement.where(QueryRow.number < before)
+    rows = session.execute(statement).all()
+    labels = _labels_of(session, [row[0] for row in rows])
+    return [
+        RecordedQuery(*row[:5], (RecordedSegment(*row[5:9]), RecordedSegment(*row[9:13])), labels[row[0]])
+        for row in rows
+    ]
+
+
+def _conditions(filters: Filters) -> list[ColumnElement[bool]]:
+    conditions: list[ColumnElement[bool]] = []
+    if filters.status is not None:
+        conditions.append(QueryRow.status == filters.status)
+    # One label must satisfy all three: "Ada skipped it", not "Ada labelled it and somebody skipped it".
+    of_label: list[ColumnElement[bool]] = []
+    if filters.user_id is not None:
+        of_label.append(LabelRow.user_id == filters.user_id)
+    if filters.state is not None:
+        of_label.append(LabelRow.state == filters.state)
+    if filters.value is not None:
+        of_label.append(LabelRow.value == filters.value)
+    if of_label:
+        conditions.append(exists().where(LabelRow.query_id == QueryRow.id, *of_label))
+    if filters.changed is not None:
+        # A label's newest revision equals its only one unless it was changed.
+        changed = exists().where(
+            LabelRow.query_id == QueryRow.id,
+            LabelRevisionRow.label_id == LabelRow.id,
+            LabelRevisionRow.revision < LabelRow.revision,
+        )
+        conditions.append(changed if filters.changed else ~changed)
+    return conditions
+
+
+def _labels_of(session: Session, query_ids: Sequence[str]) -> dict[str, list[RecordedLabel]]:
+    """The labels of these queries with their revisions, by query."""
+    rows = session.execute(
+        select(
+            LabelRow.query_id,
+            LabelRow.id,
+            UserRow.id,
+            UserRow.name,
+            UserRow.role,
+            LabelRow.teacher,
+            LabelRevisionRow.revision,
+            LabelRevisionRow.value,
+            LabelRevisionRow.state,
+            LabelRevisionRow.left_segment,
+            LabelRevisionRow.response_seconds,
+            LabelRevisionRow.created_at,
+        )
+        .join(UserRow, UserRow.id == LabelRow.user_id)
+        .join(LabelRevisionRow, LabelRevisionRow.label_id == LabelRow.id)
+        .where(LabelRow.query_id.in_(query_ids))
+        .order_by(LabelRow.created_at, LabelRow.id, LabelRevisionRow.revision)
+    )
+    found: dict[str, list[RecordedLabel]] = defaultdict(list)
+    row: Any
+    for row in rows:
+        labels = found[row[0]]
+        if not labels or labels[-1].id != row[1]:
+            labels.append(RecordedLabel(row[1], row[2], row[3], row[4], row[5], []))
+        labels[-1].revisions.append(Revision(*row[6:]))
+    return found
