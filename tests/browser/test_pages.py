@@ -73,11 +73,25 @@ def test_a_labeller_never_receives_true_returns(
     true_return = researcher.get_by_role("region", name=re.compile("True return"))
     expect(true_return).to_have_attribute("data-points", re.compile("[1-9]"), timeout=PATIENCE_MS)
     labeller.reload()
-    expect(labeller.get_by_role("region", name=re.compile("Labels"))).to_be_visible()
+    expect(labeller.get_by_role("region", name=re.compile("Learned return"))).to_be_visible()
     expect(labeller.get_by_role("region", name=re.compile("True return"))).to_have_count(0)
     expect(labeller.get_by_role("button", name="Cancel")).to_have_count(0)
     assert responses
     assert not any("true_return" in text for text in responses)
+
+    researcher.goto(service.url)
+    researcher.get_by_label("Select Hidden returns for comparison").check()
+    researcher.get_by_role("link", name="Compare 1 selected").click()
+    expect(researcher.get_by_role("region", name=re.compile("True return"))).to_be_visible()
+    with researcher.expect_download() as download:
+        researcher.get_by_role("button", name=re.compile("as CSV")).click()
+    header, *rows = download.value.path().read_text().splitlines()
+    assert header.startswith("curve,")
+    assert rows
+    assert all(row.startswith('"Hidden returns",') for row in rows)
+    with researcher.expect_download() as download:
+        researcher.get_by_role("button", name=re.compile("as SVG")).click()
+    assert "<path" in download.value.path().read_text()
 
 
 def test_a_researcher_starts_pauses_and_cancels_an_experiment(service: Service, sign_in: SignIn) -> None:
@@ -87,7 +101,7 @@ def test_a_researcher_starts_pauses_and_cancels_an_experiment(service: Service, 
     page.get_by_label("Task", exact=True).select_option(SMALL["task"])
     page.get_by_label("Labels before the first reward model").fill("900")
     page.get_by_role("button", name="Start").click()
-    expect(page.get_by_role("alert")).to_contain_text("initial_labels is 900")
+    expect(page.get_by_role("alert")).to_contain_text("“Labels before the first reward model” is 900")
     expect(page.get_by_label("Labels before the first reward model")).to_have_attribute("aria-invalid", "true")
     page.get_by_label("Labels before the first reward model").fill("20")
     page.get_by_text("Policy settings").click()
@@ -108,7 +122,43 @@ def test_a_researcher_starts_pauses_and_cancels_an_experiment(service: Service, 
     page.get_by_role("button", name="Cancel").click()
     page.get_by_role("dialog").get_by_role("button", name="Cancel experiment").click()
     expect(page.get_by_role("button", name="Resume")).to_have_count(0)
-    expect(page.locator(".stat-value").first).to_have_text("Cancelled")
+    expect(page.get_by_text("Cancelled", exact=True)).to_be_visible()
+
+
+def test_a_researcher_edits_clones_archives_and_deletes_an_experiment(
+    service: Service, researcher: str, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    name = "To be deleted"
+    experiment = new_experiment(name, policy={"n_envs": 8, "n_threads": 1})
+    with service.api(researcher) as api:
+        api.post(f"/experiments/{experiment}/cancel")
+    page = sign_in("Ada", "admin")
+    page.goto(f"{service.url}/experiments/{experiment}")
+    page.get_by_role("button", name="Edit instructions").click()
+    page.get_by_role("dialog").get_by_label("Instructions for labellers").fill("Run on two legs.")
+    page.get_by_role("dialog").get_by_role("button", name="Save").click()
+    expect(page.get_by_text("Run on two legs.")).to_be_visible()
+
+    page.get_by_role("link", name="Clone").click()
+    expect(page.get_by_label("Name", exact=True)).to_have_value(f"Copy of {name}")
+    expect(page.get_by_label("Instructions for labellers")).to_have_value("Run on two legs.")
+    expect(page.get_by_label("Parallel environments")).to_have_value("8")
+    expect(page.get_by_label("Label budget")).to_have_value(str(SMALL["label_budget"]))
+    page.go_back()
+
+    expect(page.get_by_role("button", name="Delete")).to_have_count(0)
+    page.get_by_role("button", name="Archive").click()
+    page.get_by_role("dialog").get_by_role("button", name="Archive").click()
+    page.get_by_role("button", name="Delete").click()
+    confirm = page.get_by_role("dialog").get_by_role("button", name="Delete for good")
+    expect(confirm).to_be_disabled()
+    page.get_by_role("dialog").get_by_label("To confirm").fill(name)
+    confirm.click()
+    expect(page.get_by_role("heading", name="Experiments", exact=True)).to_be_visible()
+    page.get_by_role("button", name="Show archive").click()
+    expect(page.get_by_text("The archive is empty.")).to_be_visible()
+    assert service.rows("select name, deleted_by from deletions")[0][0] == name
+    assert service.rows("select id from experiments where id = ?", experiment) == []
 
 
 def test_an_unknown_experiment_and_an_unknown_page_show_an_error(service: Service, sign_in: SignIn) -> None:

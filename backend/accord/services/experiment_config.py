@@ -47,8 +47,8 @@ class ExperimentConfig(Settings):
     segment_steps: Annotated[
         int,
         setting(
-            "Steps of a segment, T; at most the task's horizon_steps. An episode that ends earlier gives a shorter "
-            "segment, if it has at least a fifth of T.",
+            "Steps of a segment, T; at most the length of the task's episodes. An episode that ends earlier gives a "
+            "shorter segment, if it has at least a fifth of T.",
             ge=2,
             le=10_000,
             unit="steps",

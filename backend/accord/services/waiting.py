@@ -35,7 +35,8 @@ def waiting(row: ExperimentRow, counts: LabelCounts, newest: RewardVersionRow | 
         newest: its newest reward version.
     """
     if row.status != ExperimentStatus.RUNNING:
-        return Waiting("", row.phase_detail, None)
+        # Only the reason of a failure is still true.
+        return Waiting("", row.phase_detail if row.status == ExperimentStatus.FAILED else "", None)
     if row.phase == Phase.QUEUED:
         return Waiting("policy_worker", "It starts when a policy worker is free.", None)
     config = config_of(row)

@@ -1,3 +1,4 @@
+import { ComparePage } from "@/features/compare/ComparePage";
 import { ExperimentPage } from "@/features/experiment/ExperimentPage";
 import { ExperimentList } from "@/features/experiment-list/ExperimentList";
 import { LabelPage } from "@/features/labelling/LabelPage";
@@ -19,6 +20,8 @@ export function Routes({ me }: { me: Me }) {
       return <ExperimentPage key={route.id} id={route.id} me={me} />;
     case "label":
       return <LabelPage key={route.id} id={route.id} me={me} />;
+    case "compare":
+      return <ComparePage key={route.ids.join()} ids={route.ids} />;
     case "missing":
       return (
         <Message title="Page not found">

@@ -71,5 +71,6 @@ def test_without_labels_left_to_give_there_is_no_next_pair() -> None:
     assert state(experiment(Phase.TRAINING, labels=20, steps=1000), version(20)).seconds is None
     true = experiment(Phase.TRAINING, reward_source="true")
     assert state(true, None) == Waiting("", true.phase_detail, None)
-    true.status = "failed"
-    assert state(true, None).detail == true.phase_detail
+    for status, detail in (("failed", true.phase_detail), ("paused", "")):
+        true.status = status
+        assert state(true, None) == Waiting("", detail, None)

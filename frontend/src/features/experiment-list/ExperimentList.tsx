@@ -1,34 +1,51 @@
 import { useInfiniteQuery } from "@tanstack/react-query";
+import { useState } from "react";
 import { errorMessage } from "@/shared/api/errors";
 import { experimentsQuery } from "@/shared/api/queries";
-import { canManageExperiments, type Experiment, type Me } from "@/shared/api/types";
+import { canManageExperiments, canSeeReturns, type Me } from "@/shared/api/types";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
-import { formatCompact, formatCount } from "@/shared/ui/format";
 import { Alert } from "@/shared/ui/Message";
-import { ProgressBar } from "@/shared/ui/ProgressBar";
-import { phaseText } from "@/shared/ui/status";
+import { ExperimentCard } from "./ExperimentCard";
 import "./experiment-list.css";
 
-/** All experiments, newest first, each with a link to label it. */
+/** All experiments, newest first, each with a link to label it. Researchers can compare several of them. */
 export function ExperimentList({ me }: { me: Me }) {
-  const { data, error, hasNextPage, isFetchingNextPage, fetchNextPage } = useInfiniteQuery(experimentsQuery);
+  const [archived, setArchived] = useState(false);
+  const [selected, setSelected] = useState<readonly string[]>([]);
+  const query = useInfiniteQuery(experimentsQuery(archived));
+  const { data, error, hasNextPage, isFetchingNextPage, fetchNextPage } = query;
   const experiments = data?.pages.flatMap(({ items }) => items);
+  const select = (id: string, on: boolean) =>
+    setSelected((old) => (on ? [...old, id] : old.filter((each) => each !== id)));
   return (
     <main className="page" id="content">
       <div className="page-head">
-        <h1>Experiments</h1>
-        {canManageExperiments(me) && (
-          <Link to={paths.newExperiment()} className="button primary">
-            New experiment
-          </Link>
-        )}
+        <h1>{archived ? "Archived experiments" : "Experiments"}</h1>
+        <div className="row">
+          {canSeeReturns(me) && <CompareLink ids={selected} />}
+          {canManageExperiments(me) && (
+            <>
+              <button type="button" className="button" onClick={() => setArchived(!archived)}>
+                {archived ? "Show current experiments" : "Show archive"}
+              </button>
+              <Link to={paths.newExperiment()} className="button primary">
+                New experiment
+              </Link>
+            </>
+          )}
+        </div>
       </div>
       {error && <Alert>{errorMessage(error)}</Alert>}
-      {experiments?.length === 0 && <Empty me={me} />}
+      {experiments?.length === 0 && <Empty me={me} archived={archived} />}
       <ul className="experiments">
         {experiments?.map((experiment) => (
-          <Card key={experiment.id} experiment={experiment} />
+          <ExperimentCard
+            key={experiment.id}
+            experiment={experiment}
+            selected={selected.includes(experiment.id)}
+            onSelect={canSeeReturns(me) ? (on) => select(experiment.id, on) : null}
+          />
         ))}
       </ul>
       {hasNextPage && (
@@ -45,52 +62,22 @@ export function ExperimentList({ me }: { me: Me }) {
   );
 }
 
-function Empty({ me }: { me: Me }) {
+function CompareLink({ ids }: { ids: readonly string[] }) {
+  if (ids.length === 0) return null;
+  return (
+    <Link to={paths.compare(ids)} className="button">
+      Compare {ids.length} selected
+    </Link>
+  );
+}
+
+function Empty({ me, archived }: { me: Me; archived: boolean }) {
+  if (archived) return <p className="muted">The archive is empty.</p>;
   return (
     <p className="muted">
       {canManageExperiments(me)
         ? "No experiments yet. Start one: the first pair is ready to label within a minute."
         : "No experiments yet. Experiments appear here when a researcher starts them."}
     </p>
-  );
-}
-
-function Card({ experiment }: { experiment: Experiment }) {
-  const { labels } = experiment;
-  const total = Number(experiment.config.total_steps);
-  const needsLabels =
-    experiment.status === "running" &&
-    experiment.config.reward_source !== "true" &&
-    labels.labels < labels.budget;
-  return (
-    <li className="card experiment">
-      <div className="experiment-name">
-        <h2>
-          <Link to={paths.experiment(experiment.id)}>{experiment.name}</Link>
-        </h2>
-        <span className="muted">
-          {experiment.task.name} · {phaseText(experiment)}
-        </span>
-      </div>
-      <ProgressBar
-        label="Labels"
-        value={labels.labels}
-        max={labels.budget}
-        text={`${formatCount(labels.labels)} of ${formatCount(labels.budget)}`}
-      />
-      <ProgressBar
-        label="Training steps"
-        value={experiment.steps}
-        max={total}
-        text={`${formatCompact(experiment.steps)} of ${formatCompact(total)}`}
-      />
-      <Link
-        to={paths.label(experiment.id)}
-        className={needsLabels ? "button primary" : "button"}
-        aria-label={`Label ${experiment.name}`}
-      >
-        Label
-      </Link>
-    </li>
   );
 }

@@ -2,12 +2,16 @@ import { useMutation, useQueryClient } from "@tanstack/react-query";
 import { useState } from "react";
 import { api, unwrap } from "@/shared/api/client";
 import { errorMessage } from "@/shared/api/errors";
-import { experimentQuery } from "@/shared/api/queries";
+import { experimentQuery, experimentsKey } from "@/shared/api/queries";
 import type { Experiment } from "@/shared/api/types";
+import { paths } from "@/shared/routing/paths";
+import { Link } from "@/shared/routing/router";
 import { ConfirmDialog } from "@/shared/ui/ConfirmDialog";
 import { Alert } from "@/shared/ui/Message";
+import { DeleteExperiment } from "./DeleteExperiment";
+import { EditInstructions } from "./EditInstructions";
 
-type Action = "pause" | "resume" | "cancel";
+type Change = "pause" | "resume" | "cancel" | "archive" | "restore";
 
 const DIALOGS = {
   pause: {
@@ -28,54 +32,94 @@ const DIALOGS = {
     confirm: "Cancel experiment",
     button: "Cancel",
   },
+  archive: {
+    title: "Archive this experiment?",
+    text: "It leaves the list of experiments. Everything is kept, and you can restore it from the archive.",
+    confirm: "Archive",
+    button: "Archive",
+  },
+  restore: {
+    title: "Restore this experiment?",
+    text: "It returns to the list of experiments. Its status does not change.",
+    confirm: "Restore",
+    button: "Restore",
+  },
 } as const;
 
-/** The buttons that pause, resume and cancel an experiment, each with a confirmation. */
+/** The buttons that manage an experiment. Those that change its state ask for a confirmation. */
 export function Controls({ experiment }: { experiment: Experiment }) {
-  const [dialog, setDialog] = useState<Action | null>(null);
+  const [dialog, setDialog] = useState<Change | "edit" | "delete" | null>(null);
+  const [error, setError] = useState<Error | null>(null);
   const cache = useQueryClient();
   const change = useMutation({
-    mutationFn: (action: Action) =>
+    mutationFn: (action: Change) =>
       unwrap(
         api.POST(`/api/v1/experiments/{experiment_id}/${action}`, {
           params: { path: { experiment_id: experiment.id } },
         }),
       ),
-    onSuccess: (updated) => cache.setQueryData(experimentQuery(experiment.id).queryKey, updated),
+    onMutate: () => setError(null),
+    onSuccess: (updated) => {
+      cache.setQueryData(experimentQuery(experiment.id).queryKey, updated);
+      void cache.invalidateQueries({ queryKey: experimentsKey });
+    },
+    onError: setError,
   });
-  const actions = actionsOf(experiment.status);
+  const close = () => setDialog(null);
+  const open = (name: typeof dialog) => () => {
+    setError(null);
+    setDialog(name);
+  };
   return (
     <>
-      {change.error && <Alert>{errorMessage(change.error)}</Alert>}
-      {actions.map((action) => (
+      {error && <Alert>{errorMessage(error)}</Alert>}
+      {changesOf(experiment).map((action) => (
         <button
           key={action}
           type="button"
           className="button"
           disabled={change.isPending}
-          onClick={() => setDialog(action)}
+          onClick={open(action)}
         >
           {DIALOGS[action].button}
         </button>
       ))}
-      {dialog && (
+      <Link to={paths.cloneExperiment(experiment.id)} className="button">
+        Clone
+      </Link>
+      <button type="button" className="button" onClick={open("edit")}>
+        Edit instructions
+      </button>
+      {isDeletable(experiment) && (
+        <button type="button" className="button danger" onClick={open("delete")}>
+          Delete
+        </button>
+      )}
+      {dialog === "edit" && <EditInstructions experiment={experiment} onError={setError} onClose={close} />}
+      {dialog === "delete" && <DeleteExperiment experiment={experiment} onError={setError} onClose={close} />}
+      {dialog && dialog in DIALOGS && (
         <ConfirmDialog
-          title={DIALOGS[dialog].title}
-          confirm={DIALOGS[dialog].confirm}
+          title={DIALOGS[dialog as Change].title}
+          confirm={DIALOGS[dialog as Change].confirm}
           danger={dialog === "cancel"}
-          onConfirm={() => change.mutate(dialog)}
-          onClose={() => setDialog(null)}
+          onConfirm={() => change.mutate(dialog as Change)}
+          onClose={close}
         >
-          {DIALOGS[dialog].text}
+          {DIALOGS[dialog as Change].text}
         </ConfirmDialog>
       )}
     </>
   );
 }
 
-function actionsOf(status: Experiment["status"]): Action[] {
+function changesOf({ status, archived_at }: Experiment): Change[] {
+  const archive = archived_at ? "restore" : "archive";
   if (status === "running") return ["pause", "cancel"];
-  if (status === "paused") return ["resume", "cancel"];
-  if (status === "failed") return ["resume"];
-  return [];
+  if (status === "paused") return ["resume", "cancel", archive];
+  return status === "failed" ? ["resume", archive] : [archive];
+}
+
+/** Archiving comes first: only an archived experiment can be deleted here. */
+function isDeletable({ status, archived_at }: Experiment): boolean {
+  return archived_at !== null && status !== "paused";
 }

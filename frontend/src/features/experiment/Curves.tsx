@@ -1,76 +1,170 @@
-import { useMemo } from "react";
-import { pointsOf, versionMetric } from "@/shared/api/metrics";
-import type { Experiment, MetricPoint, Metrics, RewardVersion } from "@/shared/api/types";
+import { useMemo, useState } from "react";
+import { pointsOf } from "@/shared/api/metrics";
+import type { Experiment, Metrics, RewardVersion } from "@/shared/api/types";
+import { Chart } from "@/shared/charts/Chart";
+import type { Marker, Reference } from "@/shared/charts/chartProps";
+import { type Curve, curveOf, curvePerVersion, newestOf, withSmoothing } from "@/shared/charts/curves";
+import { Smoothing } from "@/shared/charts/Smoothing";
 import { formatCompact, formatPercent, formatValue } from "@/shared/ui/format";
-import { Chart } from "./Chart";
-import type { Curve, Marker } from "./chartOptions";
+import { heldOutAccuracy, heldOutText } from "@/shared/ui/heldOut";
 
 interface CurvesProps {
   experiment: Experiment;
   metrics: Metrics | undefined;
   versions: readonly RewardVersion[];
-  /** whether to show the true return, which the server never sends to labellers */
+  /** whether to show true returns and rewards, which the server never sends to labellers */
   showTrueReturn: boolean;
 }
 
-/** Charts of returns, labels and held-out accuracy. */
+/** Charts of returns, of the reward model's quality, and of labels. */
 export function Curves({ experiment, metrics, versions, showTrueReturn }: CurvesProps) {
+  const [smoothing, setSmoothing] = useState(0);
   const markers = useMemo<Marker[]>(
     () => versions.map(({ number, policy_steps }) => ({ x: policy_steps, name: `v${number}` })),
     [versions],
   );
-  const total = Number(experiment.config.total_steps);
-  const stepAxis = { markers, xLabel: "training steps", xMax: total, formatX: formatCompact };
-  const trueReturn = pointsOf(metrics, "true_return") ?? [];
-  const learned = pointsOf(metrics, "learned_return") ?? [];
-  const labels = pointsOf(metrics, "labels") ?? [];
+  const curves = useMemo(() => curvesOf(metrics, smoothing), [metrics, smoothing]);
   const accuracy = useMemo(() => accuracyOf(versions), [versions]);
+  const references = useMemo(() => referencesOf(experiment), [experiment]);
+  const learnsPreferences = experiment.config.reward_source !== "true";
+  const stepAxis = {
+    markers,
+    xLabel: "training steps",
+    xMax: Number(experiment.config.total_steps),
+    formatX: formatCompact,
+  };
   return (
-    <div className="curves">
-      {showTrueReturn && (
+    <section aria-label="Curves">
+      <Smoothing value={smoothing} onChange={setSmoothing} />
+      <div className="curves">
+        {showTrueReturn && (
+          <Chart
+            {...stepAxis}
+            title="True return"
+            note="Mean over the episodes that ended in a rollout, with the exploration of training. Dashed: whole episodes without exploration."
+            value={trainingText(curves.trueReturn)}
+            curves={curves.trueReturn}
+            references={references}
+            format={formatValue}
+          />
+        )}
+        {showTrueReturn && learnsPreferences && (
+          <Chart
+            {...stepAxis}
+            title="Correlation of learned and true reward"
+            note="Pearson’s, over the steps of each rollout. At 1, the learned reward is the true one but for its scale."
+            curves={curves.correlation}
+            references={[{ y: 0, name: "" }]}
+            format={(value) => value.toFixed(2)}
+            yMax={1}
+          />
+        )}
         <Chart
           {...stepAxis}
-          title="True return"
-          curve={curveOf(trueReturn)}
+          title="Learned return"
+          note={
+            learnsPreferences
+              ? "Every reward version has a scale of its own: compare values within one version only."
+              : "This policy learns from the true reward."
+          }
+          value={inScaleOf(curves.learned, experiment)}
+          curves={curves.learned}
           format={formatValue}
-          colour="a"
         />
-      )}
-      <Chart {...stepAxis} title="Learned return" curve={curveOf(learned)} format={formatValue} colour="b" />
-      <Chart
-        {...stepAxis}
-        title="Labels"
-        curve={curveOf(labels)}
-        format={formatCompact}
-        colour="c"
-        yMin={0}
-        integers
-      />
-      <Chart
-        title="Held-out accuracy"
-        curve={accuracy}
-        markers={[]}
-        xLabel="reward version"
-        xMax={Math.max(2, versions.length)}
-        formatX={(value) => (Number.isInteger(value) ? String(value) : "")}
-        format={formatPercent}
-        colour="d"
-        yMin={0}
-        yMax={1}
-        perVersion
-      />
-    </div>
+        {learnsPreferences && (
+          <Chart
+            title="Held-out accuracy"
+            note="With 95% intervals. Grey: too few held-out labels to judge."
+            value={newestAccuracy(versions)}
+            curves={accuracy}
+            references={[{ y: 0.5, name: "chance" }]}
+            xLabel="reward version"
+            xMax={Math.max(2, versions.length)}
+            formatX={(value) => (Number.isInteger(value) ? String(value) : "")}
+            format={formatPercent}
+            yMin={0}
+            yMax={1.02}
+            perVersion
+          />
+        )}
+        {learnsPreferences && (
+          <Chart
+            {...stepAxis}
+            title="Labels"
+            curves={curves.labels}
+            format={formatCompact}
+            yMin={0}
+            integers
+          />
+        )}
+      </div>
+    </section>
   );
 }
 
-function curveOf(points: readonly MetricPoint[]): Curve {
-  return { x: points.map(({ step }) => step), y: points.map(({ value }) => value) };
+function curvesOf(metrics: Metrics | undefined, smoothing: number) {
+  const points = (name: string) => pointsOf(metrics, name) ?? [];
+  return {
+    trueReturn: withSmoothing(curveOf("true return", "--curve-a", points("true_return")), smoothing),
+    correlation: withSmoothing(
+      curveOf("correlation", "--curve-a", points("true_reward_correlation")),
+      smoothing,
+    ),
+    learned: withSmoothing(
+      curvePerVersion("learned return", "--curve-b", points("learned_return")),
+      smoothing,
+    ),
+    labels: [curveOf("labels", "--curve-c", points("labels"))],
+  };
 }
 
-function accuracyOf(versions: readonly RewardVersion[]): Curve {
+/** The newest learned return, with the version whose scale it has. */
+function inScaleOf(curves: readonly Curve[], { reward_version, config }: Experiment): string | undefined {
+  const newest = newestIn(curves);
+  if (newest === null || reward_version === null || config.reward_source === "true") return undefined;
+  return `${formatValue(newest)} by version ${reward_version}`;
+}
+
+function newestAccuracy(versions: readonly RewardVersion[]): string | undefined {
+  const accuracy = heldOutAccuracy(versions.at(-1));
+  return accuracy ? heldOutText(accuracy) : undefined;
+}
+
+function newestIn(curves: readonly Curve[]): number | null {
+  const last = curves.at(-1);
+  return last ? newestOf(last) : null;
+}
+
+/** The newest training return, said to be one: the returns of the evaluated policies are the results. */
+function trainingText(curves: readonly Curve[]): string {
+  const newest = newestIn(curves);
+  return newest === null ? "No data yet" : `${formatValue(newest)} in the last rollout`;
+}
+
+function referencesOf({ returns }: Experiment): Reference[] {
+  const named = [
+    ["untrained", returns?.untrained],
+    ["final", returns?.final],
+  ] as const;
+  return named.flatMap(([name, found]) =>
+    found ? [{ y: found.mean, name: `${name} ${formatValue(found.mean)}` }] : [],
+  );
+}
+
+function accuracyOf(versions: readonly RewardVersion[]): Curve[] {
   const points = versions
-    .map((version) => ({ x: version.number, y: versionMetric(version, "holdout_accuracy") }))
-    .filter((point): point is { x: number; y: number } => point.y !== null)
-    .sort((a, b) => a.x - b.x);
-  return { x: points.map(({ x }) => x), y: points.map(({ y }) => y) };
+    .map((version) => ({ x: version.number, accuracy: heldOutAccuracy(version) }))
+    .sort((a, b) => a.x - b.x)
+    .flatMap(({ x, accuracy }) => (accuracy ? [{ x, accuracy }] : []));
+  return [
+    {
+      name: "held-out accuracy",
+      colour: "--curve-d",
+      x: points.map(({ x }) => x),
+      y: points.map(({ accuracy }) => accuracy.fraction),
+      low: points.map(({ accuracy }) => accuracy.interval?.[0] ?? null),
+      high: points.map(({ accuracy }) => accuracy.interval?.[1] ?? null),
+      uncertain: points.map(({ accuracy }) => !accuracy.reliable),
+    },
+  ];
 }

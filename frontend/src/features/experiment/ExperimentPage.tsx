@@ -6,7 +6,9 @@ import { useLiveUpdates } from "@/shared/api/useLiveUpdates";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { Message } from "@/shared/ui/Message";
+import { needsLabels } from "@/shared/ui/status";
 import { Controls } from "./Controls";
+import { Costs } from "./Costs";
 import { Curves } from "./Curves";
 import { Overview } from "./Overview";
 import { Settings } from "./Settings";
@@ -37,13 +39,16 @@ export function ExperimentPage({ id, me }: { id: string; me: Me }) {
       <div className="page-head">
         <div>
           <h1>{experiment.data.name}</h1>
-          <p className="muted">{experiment.data.instructions}</p>
+          {experiment.data.archived_at && <p className="badge">Archived</p>}
+          <p className="muted instructions-text">{experiment.data.instructions}</p>
         </div>
         <div className="row">
           {canManageExperiments(me) && <Controls experiment={experiment.data} />}
-          <Link to={paths.label(id)} className="button primary">
-            Label
-          </Link>
+          {needsLabels(experiment.data) && (
+            <Link to={paths.label(id)} className="button primary">
+              Label
+            </Link>
+          )}
         </div>
       </div>
       <Overview experiment={experiment.data} versions={items} connected={connected} />
@@ -53,12 +58,13 @@ export function ExperimentPage({ id, me }: { id: string; me: Me }) {
         versions={items}
         showTrueReturn={canSeeReturns(me)}
       />
+      {experiment.data.config.reward_source !== "true" && <Versions versions={items} />}
       <div className="columns">
-        <Versions versions={items} />
         <div>
-          <Workers />
+          {canManageExperiments(me) && <Costs experiment={experiment.data} />}
           <Settings experiment={experiment.data} />
         </div>
+        <Workers />
       </div>
     </main>
   );

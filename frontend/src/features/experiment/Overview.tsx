@@ -1,7 +1,9 @@
 import { versionMetric } from "@/shared/api/metrics";
 import type { Experiment, RewardVersion } from "@/shared/api/types";
-import { formatCompact, formatCount, formatPercent } from "@/shared/ui/format";
-import { phaseText } from "@/shared/ui/status";
+import { formatCompact, formatCount, formatDuration, formatSteps } from "@/shared/ui/format";
+import { heldOutAccuracy, heldOutDetail, heldOutText } from "@/shared/ui/heldOut";
+import { returnsDetail, returnsText } from "@/shared/ui/returns";
+import { estimateText, isOver, phaseText } from "@/shared/ui/status";
 
 interface OverviewProps {
   experiment: Experiment;
@@ -9,50 +11,96 @@ interface OverviewProps {
   connected: boolean;
 }
 
-/** The state of the experiment in five figures. */
+/** The state of the experiment, and its result, in a few figures. */
 export function Overview({ experiment, versions, connected }: OverviewProps) {
-  const { labels, steps, config } = experiment;
-  const newest = versions.find(({ number }) => number === experiment.reward_version);
-  const accuracy = versionMetric(newest, "holdout_accuracy");
+  const { labels, steps, config, returns } = experiment;
+  const total = Number(config.total_steps);
+  const learnsPreferences = config.reward_source !== "true";
   return (
     <dl className="overview">
+      {returns && (
+        <Stat
+          name={returns.final ? "True return, untrained → final" : "True return, untrained"}
+          value={returnsText(returns)}
+          note={returnsDetail(returns, isOver(experiment))}
+        />
+      )}
       <Stat
         name="Policy"
         value={phaseText(experiment)}
-        note={connected ? experiment.phase_detail : "Reconnecting…"}
+        note={connected ? [experiment.phase_detail, estimateText(experiment)].join(" ") : "Reconnecting…"}
       />
-      <Stat
-        name="Training steps"
-        value={formatCompact(steps)}
-        note={`of ${formatCompact(Number(config.total_steps))}`}
-      />
-      <Stat
-        name="Labels"
-        value={formatCount(labels.labels)}
-        note={`of ${formatCount(labels.budget)}; ${formatCount(labels.due)} due so far, ${formatCount(labels.skips)} skipped`}
-      />
-      <Stat
-        name="Reward version"
-        value={experiment.reward_version === null ? "None yet" : String(experiment.reward_version)}
-        note={accuracy === null ? "" : `${formatPercent(accuracy)} held-out accuracy`}
-      />
-      <Stat
-        name="Open queries"
-        value={formatCount(labels.open_queries)}
-        note={
-          labels.rendering_queries > 0 ? `${formatCount(labels.rendering_queries)} more being rendered` : ""
-        }
-      />
+      <Stat name="Training steps" value={formatSteps(steps, total)} note={timeLeft(experiment, total)} />
+      {learnsPreferences && (
+        <Stat
+          name="Labels"
+          value={`${formatCount(labels.labels)} of ${formatCount(labels.budget)}`}
+          note={`${formatCount(labels.due)} due so far, ${formatCount(labels.skips)} skipped, ${openText(labels)}`}
+        />
+      )}
+      {learnsPreferences && <RewardStat experiment={experiment} versions={versions} />}
     </dl>
   );
 }
 
-function Stat({ name, value, note }: { name: string; value: string; note: string }) {
+/** The newest reward version, with its accuracy in grey until there are enough held-out labels to judge it. */
+function RewardStat({
+  experiment,
+  versions,
+}: {
+  experiment: Experiment;
+  versions: readonly RewardVersion[];
+}) {
+  const newest = versions.find(({ number }) => number === experiment.reward_version);
+  const accuracy = heldOutAccuracy(newest);
+  const ece = versionMetric(newest, "ece");
+  const details = [
+    accuracy && heldOutDetail(accuracy),
+    ece === null ? "" : `calibration error ${ece.toFixed(2)}`,
+  ];
+  return (
+    <Stat
+      name={
+        experiment.reward_version === null
+          ? "Reward version"
+          : `Version ${experiment.reward_version}: right on held-out labels`
+      }
+      value={
+        accuracy ? heldOutText(accuracy) : experiment.reward_version === null ? "None yet" : "Not measured"
+      }
+      note={details.filter(Boolean).join("; ")}
+      uncertain={accuracy !== null && !accuracy.reliable}
+    />
+  );
+}
+
+function openText({ open_queries, rendering_queries }: Experiment["labels"]): string {
+  const rendering = rendering_queries > 0 ? ` (${formatCount(rendering_queries)} more being rendered)` : "";
+  return `${formatCount(open_queries)} open${rendering}`;
+}
+
+/** How long the rest of the training takes, without waiting for labels. */
+function timeLeft({ status, steps, steps_per_second }: Experiment, total: number): string {
+  if (status !== "running" || !steps_per_second || steps >= total) return "";
+  const left = formatDuration((total - steps) / steps_per_second);
+  return `${left} of training left at ${formatCompact(steps_per_second)} steps/s`;
+}
+
+interface StatProps {
+  name: string;
+  value: string;
+  note: string;
+  uncertain?: boolean;
+}
+
+function Stat({ name, value, note, uncertain }: StatProps) {
   return (
     <div className="card stat">
       <dt>{name}</dt>
       <dd>
-        <span className="stat-value">{value}</span>
+        <span className="stat-value" data-uncertain={uncertain || undefined}>
+          {value}
+        </span>
         <span className="muted">{note}</span>
       </dd>
     </div>

@@ -31,7 +31,9 @@ function formatSetting(value: unknown): string {
   if (typeof value === "number") return formatCount(value);
   if (typeof value === "boolean") return value ? "yes" : "no";
   if (typeof value === "object" && value !== null) {
-    const entries = Object.entries(value).map(([name, inner]) => `${name} = ${String(inner)}`);
+    const entries = Object.entries(value).map(
+      ([name, inner]) => `${settingLabel(`policy.${name}`)}: ${String(inner)}`,
+    );
     return entries.join(", ") || "Defaults";
   }
   return String(value);

@@ -1,19 +1,35 @@
 import { useMutation, useQuery } from "@tanstack/react-query";
-import { type FormEvent, useState } from "react";
+import { type FormEvent, useEffect, useState } from "react";
+import { flushSync } from "react-dom";
 import { api, unwrap } from "@/shared/api/client";
 import { errorMessage } from "@/shared/api/errors";
-import { tasksQuery } from "@/shared/api/queries";
-import { canManageExperiments, type Me, type Task } from "@/shared/api/types";
+import { experimentQuery, tasksQuery } from "@/shared/api/queries";
+import { canManageExperiments, type Experiment, type Me, type Task } from "@/shared/api/types";
 import { paths } from "@/shared/routing/paths";
 import { Link, navigate } from "@/shared/routing/router";
 import { Alert, Message } from "@/shared/ui/Message";
 import { Field } from "./Field";
-import { FIELDS, type FieldSpec, type FormValues, fieldOfError, toRequest } from "./fields";
+import {
+  FIELDS,
+  type FieldSpec,
+  type FormValues,
+  fieldOfError,
+  hiddenPolicySettings,
+  messageOf,
+  toRequest,
+  valuesOf,
+} from "./fields";
 import "./form.css";
 
 /** The page on which a researcher starts an experiment. */
 export function NewExperimentPage({ me }: { me: Me }) {
   const tasks = useQuery(tasksQuery);
+  const from = new URLSearchParams(window.location.search).get("from");
+  const original = useQuery({
+    ...experimentQuery(from ?? ""),
+    enabled: from !== null,
+    refetchInterval: false,
+  });
   if (!canManageExperiments(me)) {
     return (
       <Message title="Only researchers can start experiments">
@@ -22,19 +38,33 @@ export function NewExperimentPage({ me }: { me: Me }) {
       </Message>
     );
   }
-  if (tasks.error) return <Message title="Cannot load the tasks">{errorMessage(tasks.error)}</Message>;
-  return tasks.data ? <ExperimentForm tasks={tasks.data} /> : null;
+  const error = tasks.error ?? original.error;
+  if (error) return <Message title="Cannot open the form">{errorMessage(error)}</Message>;
+  if (!tasks.data || (from && !original.data)) return null;
+  return <ExperimentForm tasks={tasks.data} original={original.data} />;
+}
+
+interface ExperimentFormProps {
+  tasks: Task[];
+  /** the experiment to clone */
+  original: Experiment | undefined;
 }
 
 /** The form. The server validates all settings; its errors are shown at the field they are about. */
-function ExperimentForm({ tasks }: { tasks: Task[] }) {
-  const [values, setValues] = useState<FormValues>({ task: tasks[0]?.name ?? "" });
+function ExperimentForm({ tasks, original }: ExperimentFormProps) {
+  const [values, setValues] = useState<FormValues>(() =>
+    original ? valuesOf(original) : { task: tasks[0]?.name ?? "" },
+  );
   const create = useMutation({
-    mutationFn: (form: FormValues) => unwrap(api.POST("/api/v1/experiments", { body: toRequest(form) })),
+    mutationFn: (form: FormValues) => {
+      const body = toRequest(form, FIELDS, original && hiddenPolicySettings(original));
+      return unwrap(api.POST("/api/v1/experiments", { body }));
+    },
     onSuccess: (experiment) => navigate(paths.experiment(experiment.id)),
+    onError: (error) => focusField(fieldOfError(error)),
   });
   const task = tasks.find(({ name }) => name === values.task);
-  const message = create.error ? errorMessage(create.error) : null;
+  const message = create.error ? messageOf(create.error) : null;
   const invalid = fieldOfError(create.error);
   const propsOf = (field: FieldSpec) => ({
     field,
@@ -44,12 +74,20 @@ function ExperimentForm({ tasks }: { tasks: Task[] }) {
   });
   const submit = (event: FormEvent) => {
     event.preventDefault();
-    create.mutate(values);
+    // The button stays enabled, because a disabled button would lose the keyboard's focus.
+    if (!create.isPending) create.mutate(values);
   };
+  const isEdited = (fields: readonly FieldSpec[]) => fields.some((field) => values[field.name] !== undefined);
   const { name, task: taskField, instructions, ...numbers } = FIELDS.basic;
   return (
     <main className="page narrow" id="content">
       <h1>New experiment</h1>
+      {original && (
+        <p className="muted">
+          With the settings of <Link to={paths.experiment(original.id)}>{original.name}</Link>. Its labels
+          stay with it.
+        </p>
+      )}
       <form onSubmit={submit} className="form">
         {name && <Field {...propsOf(name)} />}
         {taskField && <Field {...propsOf({ ...taskField, help: "" })} options={tasks.map(optionOf)} />}
@@ -68,7 +106,12 @@ function ExperimentForm({ tasks }: { tasks: Task[] }) {
             <Field key={field.name} {...propsOf(field)} />
           ))}
         </div>
-        <Section title="More settings" fields={FIELDS.advanced} invalid={invalid}>
+        <Section
+          title="More settings"
+          fields={FIELDS.advanced}
+          invalid={invalid}
+          edited={isEdited(FIELDS.advanced)}
+        >
           {(field) => (
             <Field
               key={field.name}
@@ -79,14 +122,19 @@ function ExperimentForm({ tasks }: { tasks: Task[] }) {
             />
           )}
         </Section>
-        <Section title="Policy settings" fields={FIELDS.policy} invalid={invalid}>
+        <Section
+          title="Policy settings"
+          fields={FIELDS.policy}
+          invalid={invalid}
+          edited={isEdited(FIELDS.policy)}
+        >
           {(field) => (
             <Field key={field.name} {...propsOf(field)} placeholder={policyPlaceholder(field, values)} />
           )}
         </Section>
         {message && invalid === null && <Alert>{message}</Alert>}
         <div className="row">
-          <button type="submit" className="button primary" disabled={create.isPending}>
+          <button type="submit" className="button primary" aria-disabled={create.isPending}>
             {create.isPending ? "Starting…" : "Start experiment"}
           </button>
           <Link to={paths.experiments()} className="button">
@@ -102,25 +150,35 @@ interface SectionProps {
   title: string;
   fields: readonly FieldSpec[];
   invalid: string | null;
+  /** whether a field differs from its default at first */
+  edited: boolean;
   children: (field: FieldSpec) => React.ReactNode;
 }
 
-/** A collapsed group of fields. It opens when one of them is invalid. */
-function Section({ title, fields, invalid, children }: SectionProps) {
+/** A collapsed group of fields. It opens, and stays open, when one of them is invalid or differs from its default. */
+function Section({ title, fields, invalid, edited, children }: SectionProps) {
+  const [open, setOpen] = useState(edited);
+  useEffect(() => {
+    if (fields.some(({ name }) => name === invalid)) setOpen(true);
+  }, [fields, invalid]);
   if (fields.length === 0) return null;
   return (
     <details
       className="advanced"
-      open={fields.some(({ name }) => name === invalid)}
+      open={open}
+      onToggle={(event) => setOpen(event.currentTarget.open)}
       // The browser can only report a field that is out of its range while the field is visible.
-      onInvalidCapture={(event) => {
-        event.currentTarget.open = true;
-      }}
+      onInvalidCapture={() => flushSync(() => setOpen(true))}
     >
       <summary>{title}</summary>
       <div className="form-grid">{fields.map(children)}</div>
     </details>
   );
+}
+
+/** Moves the focus to the field that an error is about, after its section has opened. */
+function focusField(name: string | null): void {
+  if (name) requestAnimationFrame(() => document.getElementById(name)?.focus());
 }
 
 function optionOf({ name, n_agents }: Task): { value: string; text: string } {

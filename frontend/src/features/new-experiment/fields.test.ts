@@ -1,6 +1,15 @@
 import { expect, test } from "vitest";
 import { ApiError } from "@/shared/api/errors";
-import { FIELDS, fieldOfError, groupFields, toRequest } from "./fields";
+import type { Experiment } from "@/shared/api/types";
+import {
+  FIELDS,
+  fieldOfError,
+  groupFields,
+  hiddenPolicySettings,
+  messageOf,
+  toRequest,
+  valuesOf,
+} from "./fields";
 
 const groups = groupFields({
   properties: {
@@ -98,4 +107,47 @@ test("the form has the settings of the API", () => {
   expect(choices.reward_model).toContain("MAPT-paper");
   expect(choices.reward_preset).toContain("paper");
   expect(choices.query_selection).toContain("recent");
+});
+
+test("help and errors name fields as the form does", () => {
+  const names = /[a-z]_(steps|labels|budget|envs|version)/;
+  for (const { help } of [...Object.values(FIELDS.basic), ...FIELDS.advanced, ...FIELDS.policy]) {
+    expect(help).not.toMatch(names);
+  }
+  const text = "policy.rollout_steps is 8; it must be at least segment_steps (50).";
+  expect(messageOf(new ApiError(422, "invalid", text, "policy.rollout_steps"))).toBe(
+    "“Steps per rollout” is 8; it must be at least “Steps per clip” (50).",
+  );
+  expect(messageOf(new ApiError(422, "invalid", "seed is -1; it must be 0 or more.", "seed"))).toMatch(
+    /^“Seed” is/,
+  );
+  expect(
+    messageOf(new ApiError(409, "name_taken", "An experiment named 'k_center' exists.", "name")),
+  ).toContain("'k_center'");
+});
+
+test("a clone requests the settings of its original", () => {
+  const original = {
+    name: "run",
+    instructions: "Run.",
+    task: { instructions: "Go." },
+    config: {
+      task: "HalfCheetah-6x1",
+      total_steps: 20_000,
+      label_budget: 500,
+      pacing: "free",
+      policy: { n_envs: 8, hidden: [32, 32], n_threads: 1 },
+    },
+  } as unknown as Experiment;
+  const values = valuesOf(original);
+  expect(values).toEqual({
+    name: "Copy of run",
+    instructions: "Run.",
+    task: "HalfCheetah-6x1",
+    total_steps: "20000",
+    pacing: "free",
+    "policy.n_envs": "8",
+    "policy.hidden": "32, 32",
+  });
+  expect(toRequest(values, FIELDS, hiddenPolicySettings(original)).policy).toEqual(original.config.policy);
 });

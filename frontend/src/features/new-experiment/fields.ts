@@ -1,5 +1,5 @@
-import { ApiError } from "@/shared/api/errors";
-import type { NewExperiment } from "@/shared/api/types";
+import { ApiError, errorMessage } from "@/shared/api/errors";
+import type { Experiment, NewExperiment } from "@/shared/api/types";
 import { formatCount } from "@/shared/ui/format";
 import { settingLabel } from "@/shared/ui/settingLabels";
 import settings from "./settings.json";
@@ -64,6 +64,9 @@ const BASIC = [
 /** Larger upper limits only catch typing errors; they are not worth showing. */
 const LARGEST_LIMIT_SHOWN = 10_000;
 
+/** Words with underscores, also after "policy.": many of them are names of settings. */
+const API_NAME = /\b(?:policy\.)?[a-z]+(?:_[a-z0-9]+)+\b/g;
+
 /** The fields of the form in three groups; every setting of the API is in one of them. */
 export const FIELDS = groupFields(settings as unknown as Schema);
 
@@ -105,7 +108,7 @@ function toField(name: string, schema: SettingSchema, required: boolean): FieldS
     name,
     label: settingLabel(name),
     kind: kindOf(value),
-    help: value.description ?? "",
+    help: withSettingLabels(value.description ?? ""),
     unit: value.unit ?? "",
     default: toText(value.default),
     required,
@@ -143,10 +146,14 @@ function toText(value: unknown): string {
 }
 
 /** The request for the edited fields. Empty inputs are left out, so that the server's defaults apply. */
-export function toRequest(values: FormValues, groups: FieldGroups = FIELDS): NewExperiment {
+export function toRequest(
+  values: FormValues,
+  groups: FieldGroups = FIELDS,
+  hidden: Readonly<Record<string, unknown>> = {},
+): NewExperiment {
   const request: Record<string, unknown> = {};
-  const policy: Record<string, unknown> = {};
-  for (const field of [...Object.values(groups.basic), ...groups.advanced, ...groups.policy]) {
+  const policy: Record<string, unknown> = { ...hidden };
+  for (const field of allFields(groups)) {
     const text = values[field.name]?.trim() ?? "";
     if (text === "") continue;
     if (field.name.startsWith("policy.")) policy[field.name.slice("policy.".length)] = parse(field, text);
@@ -163,9 +170,56 @@ function parse({ kind }: FieldSpec, text: string): unknown {
   return text;
 }
 
+/** A text of the API with the labels of the form in place of the names of settings. */
+export function withSettingLabels(text: string): string {
+  const { properties } = settings as unknown as Schema;
+  const inner = properties.policy?.properties ?? {};
+  return text.replace(API_NAME, (name) => {
+    const short = name.replace(/^policy\./, "");
+    if (short in inner) return `“${settingLabel(`policy.${short}`)}”`;
+    return name in properties ? `“${settingLabel(name)}”` : name;
+  });
+}
+
+/** An error of the server in the words of the form. */
+export function messageOf(error: unknown): string {
+  const text = errorMessage(error);
+  const field = error instanceof ApiError ? error.field : null;
+  // The message begins with the name of the setting, which may be a single word.
+  const named =
+    field && text.startsWith(`${field} `) ? `“${settingLabel(field)}”${text.slice(field.length)}` : text;
+  return withSettingLabels(named);
+}
+
+/** The values of a form that starts an experiment like another one; those at their defaults are left empty. */
+export function valuesOf(
+  { name, instructions, task, config }: Experiment,
+  groups: FieldGroups = FIELDS,
+): FormValues {
+  const policy = (config.policy ?? {}) as Record<string, unknown>;
+  const values: Record<string, string> = { name: `Copy of ${name}` };
+  if (instructions !== task.instructions) values.instructions = instructions;
+  for (const field of allFields(groups)) {
+    const inner = field.name.startsWith("policy.") ? field.name.slice("policy.".length) : null;
+    const value = inner === null ? config[field.name] : policy[inner];
+    const text = toText(value);
+    if (value !== undefined && (field.required || text !== field.default)) values[field.name] = text;
+  }
+  return values;
+}
+
+/** The settings of an experiment that have no field in the form, which a clone keeps. */
+export function hiddenPolicySettings({ config }: Experiment): Record<string, unknown> {
+  const policy = Object.entries((config.policy ?? {}) as Record<string, unknown>);
+  return Object.fromEntries(policy.filter(([name]) => HIDDEN.includes(`policy.${name}`)));
+}
+
+function allFields(groups: FieldGroups): FieldSpec[] {
+  return [...Object.values(groups.basic), ...groups.advanced, ...groups.policy];
+}
+
 /** The name of the field that an error is about, if the server names one that is in the form. */
 export function fieldOfError(error: unknown, groups: FieldGroups = FIELDS): string | null {
   const name = error instanceof ApiError ? error.field : null;
-  const fields = [...Object.values(groups.basic), ...groups.advanced, ...groups.policy];
-  return fields.some((field) => field.name === name) ? name : null;
+  return allFields(groups).some((field) => field.name === name) ? name : null;
 }

@@ -17,14 +17,18 @@ export const tasksQuery = queryOptions({
   staleTime: Number.POSITIVE_INFINITY,
 });
 
-export const experimentsQuery = infiniteQueryOptions({
-  queryKey: ["experiments"],
-  queryFn: ({ pageParam: cursor }) =>
-    unwrap(api.GET("/api/v1/experiments", { params: { query: { limit: 50, cursor } } })),
-  initialPageParam: null as string | null,
-  getNextPageParam: (page) => page.next_cursor,
-  refetchInterval: 5_000,
-});
+/** The key of all lists of experiments. */
+export const experimentsKey = ["experiments"];
+
+export const experimentsQuery = (archived: boolean) =>
+  infiniteQueryOptions({
+    queryKey: [...experimentsKey, archived],
+    queryFn: ({ pageParam: cursor }) =>
+      unwrap(api.GET("/api/v1/experiments", { params: { query: { limit: 50, cursor, archived } } })),
+    initialPageParam: null as string | null,
+    getNextPageParam: (page) => page.next_cursor,
+    refetchInterval: 5_000,
+  });
 
 export const experimentQuery = (id: string) =>
   queryOptions({
@@ -44,6 +48,12 @@ export const rewardVersionsQuery = (id: string) =>
   queryOptions({
     queryKey: ["reward-versions", id],
     queryFn: () => unwrap(api.GET("/api/v1/experiments/{experiment_id}/reward-versions", byExperiment(id))),
+  });
+
+export const costsQuery = (id: string) =>
+  queryOptions({
+    queryKey: ["costs", id],
+    queryFn: () => unwrap(api.GET("/api/v1/experiments/{experiment_id}/costs", byExperiment(id))),
   });
 
 export const workersQuery = queryOptions({

@@ -1250,7 +1250,7 @@ export interface components {
              */
             total_steps: number;
             /**
-             * @description Steps of a segment, T; at most the task's horizon_steps. An episode that ends earlier gives a shorter segment, if it has at least a fifth of T.
+             * @description Steps of a segment, T; at most the length of the task's episodes. An episode that ends earlier gives a shorter segment, if it has at least a fifth of T.
              * @default 50
              */
             segment_steps: number;

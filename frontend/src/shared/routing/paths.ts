@@ -2,6 +2,8 @@
 export const paths = {
   experiments: () => "/",
   newExperiment: () => "/experiments/new",
+  cloneExperiment: (id: string) => `/experiments/new?from=${encodeURIComponent(id)}`,
+  compare: (ids: readonly string[]) => `/compare/${ids.map(encodeURIComponent).join(",")}`,
   experiment: (id: string) => `/experiments/${encodeURIComponent(id)}`,
   label: (id: string) => `/experiments/${encodeURIComponent(id)}/label`,
 };
@@ -11,6 +13,7 @@ export type Route =
   | { page: "new-experiment" }
   | { page: "experiment"; id: string }
   | { page: "label"; id: string }
+  | { page: "compare"; ids: string[] }
   | { page: "missing" };
 
 export function routeOf(path: string): Route {
@@ -18,6 +21,8 @@ export function routeOf(path: string): Route {
   if (more.length > 0) return { page: "missing" };
   if (first === undefined || (first === "experiments" && second === undefined))
     return { page: "experiments" };
+  if (first === "compare" && second !== undefined && third === undefined)
+    return { page: "compare", ids: second.split(",").map(decodeURIComponent) };
   if (first !== "experiments" || second === undefined) return { page: "missing" };
   if (second === "new") return third === undefined ? { page: "new-experiment" } : { page: "missing" };
   const id = decodeURIComponent(second);

@@ -2,13 +2,20 @@ import { expect, test } from "vitest";
 import { formatDuration, formatSteps, formatValue, plural } from "./format";
 
 test("values are formatted with about three significant digits", () => {
-  expect([0.8412, 12.34, 123.4, 45_000].map(formatValue)).toEqual(["0.841", "12.3", "123", "45K"]);
+  expect([0, 0.8412, 12.34, 123.4, 45_000].map(formatValue)).toEqual(["0", "0.841", "12.3", "123", "45K"]);
   expect(plural(1, "label")).toBe("1 label");
   expect(plural(1200, "label")).toBe("1,200 labels");
 });
 
 test("durations have one unit", () => {
-  expect([0.2, 45, 200, 7200].map(formatDuration)).toEqual(["1 s", "45 s", "3 min", "2.0 h"]);
+  expect([0, 0.2, 45, 200, 1200, 7200].map(formatDuration)).toEqual([
+    "0 s",
+    "1 s",
+    "45 s",
+    "3.3 min",
+    "20 min",
+    "2.0 h",
+  ]);
 });
 
 test("steps never exceed their total", () => {

@@ -11,13 +11,15 @@ export const formatPercent = (fraction: number): string => `${Math.round(100 * f
 /** A value of a curve, with about three significant digits. */
 export function formatValue(value: number): string {
   const size = Math.abs(value);
+  if (size === 0) return "0";
   if (size >= 10_000) return compact.format(value);
   return value.toFixed(size >= 100 ? 0 : size >= 10 ? 1 : 3);
 }
 
-/** A duration with about one significant unit: "5 s", "3 min", "1.5 h". */
+/** A duration with about one significant unit: "5 s", "3.3 min", "1.5 h". */
 export function formatDuration(seconds: number): string {
-  if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
+  if (seconds < 90) return `${seconds > 0 ? Math.max(1, Math.round(seconds)) : 0} s`;
+  if (seconds < 10 * 60) return `${(seconds / 60).toFixed(1)} min`;
   if (seconds < 90 * 60) return `${Math.round(seconds / 60)} min`;
   return `${(seconds / 3600).toFixed(1)} h`;
 }

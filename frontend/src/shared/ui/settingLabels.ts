@@ -13,6 +13,7 @@ const LABELS: Readonly<Record<string, string>> = {
   "policy.gamma": "Discount factor",
   "policy.gae_lambda": "GAE lambda",
   "policy.clip": "PPO clip range",
+  "policy.rollout_steps": "Steps per rollout",
   "policy.hidden": "Hidden layer widths",
 };
 

@@ -23,6 +23,12 @@ export function isOver({ status }: Experiment): boolean {
   return status === "cancelled" || status === "finished" || status === "failed";
 }
 
+/** Whether the experiment has labels left to collect. */
+export function needsLabels(experiment: Experiment): boolean {
+  const { config, labels } = experiment;
+  return !isOver(experiment) && config.reward_source !== "true" && labels.labels < labels.budget;
+}
+
 const WAITS: Readonly<Record<Exclude<Experiment["waiting_for"], "">, string>> = {
   policy_worker: "Queued",
   labels: "Waiting for labels",

@@ -1,0 +1,122 @@
+import { pointsOf } from "@/shared/api/metrics";
+import type { Experiment, Metrics } from "@/shared/api/types";
+import { type Curve, curveOf, curvePerVersion, meanOf, withSmoothing } from "@/shared/charts/curves";
+
+/** An experiment with its curves. */
+export interface Run {
+  experiment: Experiment;
+  metrics: Metrics | undefined;
+}
+
+/** Runs that differ in their seed only. */
+export interface Group {
+  name: string;
+  runs: Run[];
+}
+
+/** Curves of a comparison, most interesting first. Others that an experiment has follow by name. */
+const METRICS: Readonly<Record<string, string>> = {
+  true_return: "True return in training",
+  true_reward_correlation: "Correlation of learned and true reward",
+  holdout_accuracy: "Held-out accuracy",
+  labels: "Labels",
+  learned_return: "Learned return",
+};
+
+/** Metrics of one point: they are in the table of results. */
+const SINGLE = /^true_return_(untrained|final)/;
+
+/** What the x axis counts. */
+export type Axis = "steps" | "labels";
+
+/** Colours and dashes of the lines: no two of the first 24 share both. */
+const COLOURS = 8;
+const DASHES: (number[] | undefined)[] = [undefined, [8, 4], [2, 3]];
+
+/** The names of the curves that any run has, with their titles. */
+export function metricsOf(runs: readonly Run[]): { name: string; title: string }[] {
+  const found = new Set(runs.flatMap(({ metrics }) => metrics?.series.map(({ name }) => name) ?? []));
+  const known = Object.keys(METRICS).filter((name) => found.has(name));
+  const others = [...found].filter((name) => !(name in METRICS) && !SINGLE.test(name)).sort();
+  return [...known, ...others].map((name) => ({ name, title: METRICS[name] ?? titleOf(name) }));
+}
+
+function titleOf(name: string): string {
+  const words = name.replaceAll("_", " ");
+  return words.charAt(0).toUpperCase() + words.slice(1);
+}
+
+/** Groups of runs whose settings are equal but for the seed, in the order of their first runs. */
+export function groupsOf(runs: readonly Run[]): Group[] {
+  const groups = new Map<string, Run[]>();
+  for (const run of runs) {
+    const { seed: _, ...settings } = run.experiment.config;
+    const key = JSON.stringify(Object.entries(settings).sort());
+    groups.set(key, [...(groups.get(key) ?? []), run]);
+  }
+  return [...groups.values()].map((members) => ({ name: groupName(members), runs: members }));
+}
+
+function groupName(runs: readonly Run[]): string {
+  const names = runs.map(({ experiment }) => experiment.name);
+  const [first = ""] = names;
+  if (names.length === 1) return first;
+  let length = 0;
+  while (length < first.length && names.every((name) => name[length] === first[length])) length++;
+  // "run, seed " of "run, seed 0" and "run, seed 1"
+  const common = first.slice(0, length).replace(/[\s,;:_-]*(seed)?[\s,;:_-]*$/i, "");
+  return `${common || first}, mean of ${names.length} seeds`;
+}
+
+interface Choice {
+  metric: string;
+  axis: Axis;
+  smoothing: number;
+  /** whether seeds are averaged */
+  mean: boolean;
+}
+
+/** The curves of a comparison: one for each run, or one for each group with the deviation of its seeds. */
+export function comparedCurves(runs: readonly Run[], { metric, axis, smoothing, mean }: Choice): Curve[] {
+  const groups = mean ? groupsOf(runs) : runs.map((run) => ({ name: run.experiment.name, runs: [run] }));
+  return groups.flatMap(({ name, runs: members }, index) => {
+    const colour = `--series-${(index % COLOURS) + 1}`;
+    const dash = DASHES[Math.floor(index / COLOURS) % DASHES.length];
+    const curves = members.map((run) => oneCurve(run, name, colour, metric, axis));
+    const [only] = curves;
+    const curve = only && curves.length === 1 ? only : meanOf(name, colour, curves);
+    return withSmoothing({ ...curve, ...(dash && { dash }) }, smoothing);
+  });
+}
+
+function oneCurve({ metrics }: Run, name: string, colour: string, metric: string, axis: Axis): Curve {
+  const points = pointsOf(metrics, metric) ?? [];
+  const curve =
+    metric === "learned_return" ? curvePerVersion(name, colour, points) : curveOf(name, colour, points);
+  if (axis === "steps") return curve;
+  const labels = pointsOf(metrics, "labels") ?? [];
+  return byLabels(curve, labels);
+}
+
+/** The curve over the number of labels: of several points with equally many labels, the last one. */
+function byLabels(curve: Curve, labels: readonly { step: number; value: number }[]): Curve {
+  const values = new Map<number, number | null>();
+  let next = 0;
+  let count = 0;
+  for (const [index, step] of curve.x.entries()) {
+    for (let point = labels[next]; point && point.step <= step; point = labels[next]) {
+      count = point.value;
+      next++;
+    }
+    values.set(count, curve.y[index] ?? null);
+  }
+  return { ...curve, x: [...values.keys()], y: [...values.values()] };
+}
+
+/** The largest number on the x axis. */
+export function xMaxOf(runs: readonly Run[], axis: Axis): number {
+  const totals = runs.map(({ experiment: { config, labels } }) =>
+    axis === "steps" ? Number(config.total_steps) : labels.labels,
+  );
+  return Math.max(1, ...totals);
+}

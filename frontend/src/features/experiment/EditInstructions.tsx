@@ -1,0 +1,52 @@
+import { useMutation, useQueryClient } from "@tanstack/react-query";
+import { useId, useState } from "react";
+import { api, unwrap } from "@/shared/api/client";
+import { experimentQuery } from "@/shared/api/queries";
+import type { Experiment } from "@/shared/api/types";
+import { Dialog } from "@/shared/ui/Dialog";
+
+interface EditInstructionsProps {
+  experiment: Experiment;
+  onError: (error: Error) => void;
+  onClose: () => void;
+}
+
+/** A dialog that changes what labellers read above the clips. */
+export function EditInstructions({ experiment, onError, onClose }: EditInstructionsProps) {
+  const id = useId();
+  const cache = useQueryClient();
+  const [text, setText] = useState(experiment.instructions);
+  const save = useMutation({
+    mutationFn: (instructions: string) =>
+      unwrap(
+        api.PATCH("/api/v1/experiments/{experiment_id}", {
+          params: { path: { experiment_id: experiment.id } },
+          body: { instructions },
+        }),
+      ),
+    onSuccess: (updated) => cache.setQueryData(experimentQuery(experiment.id).queryKey, updated),
+    onError,
+  });
+  return (
+    <Dialog
+      title="Edit the instructions"
+      confirm="Save"
+      onConfirm={() => save.mutate(text)}
+      onClose={onClose}
+    >
+      <label htmlFor={id}>Instructions for labellers</label>
+      <textarea
+        id={id}
+        rows={6}
+        maxLength={4000}
+        value={text}
+        aria-describedby={`${id}-help`}
+        onChange={(event) => setText(event.target.value)}
+      />
+      <p className="muted" id={`${id}-help`}>
+        Labellers see the change at once. Labels that were given before stay as they are. Leave empty to use
+        those of the task: {experiment.task.instructions}
+      </p>
+    </Dialog>
+  );
+}

@@ -1,0 +1,64 @@
+import { expect, test } from "vitest";
+import type { MetricPoint } from "@/shared/api/types";
+import {
+  aligned,
+  type Curve,
+  csvOf,
+  curvePerVersion,
+  meanOf,
+  newestOf,
+  smoothed,
+  withSmoothing,
+} from "./curves";
+
+const point = (step: number, value: number, version: string | null): MetricPoint => ({
+  step,
+  value,
+  reward_version_id: version,
+});
+const curve = (x: number[], y: (number | null)[], name = "run"): Curve => ({ name, colour: "--a", x, y });
+
+test("a curve is interrupted where the reward version changes", () => {
+  const points = [point(0, 300, "1"), point(10, 310, "1"), point(20, 20, "2"), point(30, 21, "2")];
+  const { x, y } = curvePerVersion("learned", "--a", points);
+  expect([x, y]).toEqual([
+    [0, 10, 15, 20, 30],
+    [300, 310, null, 20, 21],
+  ]);
+});
+
+test("smoothing is unbiased and starts anew after an interruption", () => {
+  expect(smoothed(curve([0, 1, 2], [4, 4, 4]), 0.9).y.map((value) => value?.toFixed(6))).toEqual(
+    Array(3).fill("4.000000"),
+  );
+  expect(smoothed(curve([0, 1, 2, 3], [0, 10, null, 10]), 0.5).y).toEqual([0, 10 / 1.5, null, 10]);
+  expect(withSmoothing(curve([0], [1]), 0)).toHaveLength(1);
+});
+
+test("the mean of seeds has their standard deviation, at the steps that all have", () => {
+  const mean = meanOf("both", "--a", [curve([0, 10, 20], [1, 2, 3]), curve([0, 10], [3, 4])]);
+  expect([mean.x, mean.y]).toEqual([
+    [0, 10],
+    [2, 3],
+  ]);
+  expect(mean.high?.[0]).toBeCloseTo(2 + Math.SQRT2);
+});
+
+test("curves with different steps share one table", () => {
+  expect(aligned([curve([0, 10], [1, null]), curve([5], [2])])).toEqual([
+    [0, 5, 10],
+    [1, undefined, null],
+    [undefined, 2, undefined],
+  ]);
+  expect(newestOf(curve([0, 10], [1, null]))).toBe(1);
+});
+
+test("CSV has the raw values, also of smoothed curves", () => {
+  const named = curve([0, 10, 15], [1, 2, null], 'six "legs"');
+  expect(csvOf(withSmoothing(named, 0.5), "steps").split("\r\n")).toEqual([
+    'curve,"steps",value,low,high',
+    '"six ""legs""",0,1,,',
+    '"six ""legs""",10,2,,',
+    "",
+  ]);
+});

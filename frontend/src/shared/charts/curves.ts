@@ -1,0 +1,117 @@
+import type { MetricPoint } from "@/shared/api/types";
+
+/** One line of a chart. A null in `y` interrupts it. */
+export interface Curve {
+  name: string;
+  x: number[];
+  y: (number | null)[];
+  /** a custom property of the theme, for example "--curve-a" */
+  colour: string;
+  /** lengths of dashes and gaps in pixels */
+  dash?: number[];
+  /** drawn behind the others and left out of the legend: the raw values of a smoothed curve */
+  faint?: boolean;
+  /** limits around `y`: a band, or whiskers in a chart per version */
+  low?: (number | null)[];
+  high?: (number | null)[];
+  /** points that are too uncertain to be drawn in colour */
+  uncertain?: boolean[];
+}
+
+/** The points of a metric as a curve. */
+export function curveOf(name: string, colour: string, points: readonly MetricPoint[]): Curve {
+  return { name, colour, x: points.map(({ step }) => step), y: points.map(({ value }) => value) };
+}
+
+/** As `curveOf`, but interrupted where the reward version changes: versions differ in the scale of their rewards. */
+export function curvePerVersion(name: string, colour: string, points: readonly MetricPoint[]): Curve {
+  const curve: Curve = { name, colour, x: [], y: [] };
+  let previous: MetricPoint | undefined;
+  for (const point of points) {
+    if (previous && previous.reward_version_id !== point.reward_version_id) {
+      curve.x.push((previous.step + point.step) / 2);
+      curve.y.push(null);
+    }
+    curve.x.push(point.step);
+    curve.y.push(point.value);
+    previous = point;
+  }
+  return curve;
+}
+
+/**
+ * Exponential moving average, without bias towards the first value; it starts anew after an interruption.
+ *
+ * @param weight of the past, from 0 (no smoothing) to below 1.
+ */
+export function smoothed(curve: Curve, weight: number): Curve {
+  let sum = 0;
+  let total = 0;
+  const y = curve.y.map((value) => {
+    if (value === null) {
+      sum = 0;
+      total = 0;
+      return null;
+    }
+    sum = weight * sum + (1 - weight) * value;
+    total = weight * total + (1 - weight);
+    return sum / total;
+  });
+  return { ...curve, y };
+}
+
+/** The curve itself, or its raw values behind the smoothed ones. */
+export function withSmoothing(curve: Curve, weight: number): Curve[] {
+  return weight > 0 ? [{ ...curve, faint: true }, smoothed(curve, weight)] : [curve];
+}
+
+/** Mean and standard deviation of several curves at the steps that all of them have, as one curve with a band. */
+export function meanOf(name: string, colour: string, curves: readonly Curve[]): Curve {
+  const values = curves.map(({ x, y }) => new Map(x.map((step, index) => [step, y[index]])));
+  const mean: Curve = { name, colour, x: [], y: [], low: [], high: [] };
+  for (const step of curves[0]?.x ?? []) {
+    const here = values.map((each) => each.get(step)).filter((value) => typeof value === "number");
+    if (here.length < curves.length) continue;
+    const centre = here.reduce((sum, value) => sum + value, 0) / here.length;
+    const variance = here.reduce((sum, value) => sum + (value - centre) ** 2, 0) / (here.length - 1);
+    mean.x.push(step);
+    mean.y.push(centre);
+    mean.low?.push(centre - Math.sqrt(variance));
+    mean.high?.push(centre + Math.sqrt(variance));
+  }
+  return mean;
+}
+
+/** The newest value of a curve. */
+export function newestOf({ y }: Curve): number | null {
+  return y.findLast((value) => value !== null) ?? null;
+}
+
+/** The curves in one table, as uPlot wants them: null interrupts a line, undefined is skipped. */
+export function aligned(curves: readonly Curve[]): [number[], ...(number | null | undefined)[][]] {
+  const steps = [...new Set(curves.flatMap(({ x }) => x))].sort((a, b) => a - b);
+  const columns = curves.map(({ x, y }) => {
+    const values = new Map(x.map((step, index) => [step, y[index]]));
+    return steps.map((step) => values.get(step));
+  });
+  return [steps, ...columns];
+}
+
+/** The curves as CSV with the columns curve, step and value; raw values, not smoothed ones. */
+export function csvOf(curves: readonly Curve[], xLabel: string): string {
+  const smoothedNames = new Set(curves.filter(({ faint }) => faint).map(({ name }) => name));
+  const raw = curves.filter(({ name, faint }) => faint || !smoothedNames.has(name));
+  const rows = raw.flatMap(({ name, x, y, low, high }) =>
+    x.flatMap((step, index) => {
+      const value = y[index];
+      return value === null || value === undefined
+        ? []
+        : [[quoted(name), step, value, low?.[index] ?? "", high?.[index] ?? ""].join(",")];
+    }),
+  );
+  return `${[`curve,${quoted(xLabel)},value,low,high`, ...rows].join("\r\n")}\r\n`;
+}
+
+function quoted(text: string): string {
+  return `"${text.replaceAll('"', '""')}"`;
+}

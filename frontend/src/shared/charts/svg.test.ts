@@ -1,0 +1,39 @@
+import { expect, test } from "vitest";
+import type { ChartState } from "./chartProps";
+import { svgOf, ticks } from "./svg";
+
+const CHART: ChartState = {
+  title: "Return < reward & more",
+  curves: [{ name: "seed 0", colour: "--a", x: [0, 5, 10, 15], y: [0, null, 10, 20] }],
+  references: [{ y: 5, name: "untrained" }],
+  markers: [
+    { x: 10, name: "v1" },
+    { x: 99, name: "v2" },
+  ],
+  xLabel: "steps",
+  xMax: 20,
+  format: String,
+  formatX: String,
+  zoom: null,
+};
+
+test("ticks are round and within the range", () => {
+  expect(ticks([0, 20])).toEqual([0, 5, 10, 15, 20]);
+  expect(ticks([-0.05, 1.05]).map((value) => value.toFixed(1))).toEqual([
+    "0.0",
+    "0.2",
+    "0.4",
+    "0.6",
+    "0.8",
+    "1.0",
+  ]);
+});
+
+test("the document has a path that starts anew after a gap, and only what lies within its ranges", () => {
+  const svg = svgOf(CHART, { x: [0, 20], y: [0, 20] });
+  expect(svg).toContain("Return &lt; reward &amp; more");
+  expect(svg.match(/d="(M[^"]*)"/)?.[1]?.match(/[ML]/g)).toEqual(["M", "M", "L"]);
+  expect(svg).toContain(">v1<");
+  expect(svg).not.toContain(">v2<");
+  expect(svg).toContain(">untrained<");
+});

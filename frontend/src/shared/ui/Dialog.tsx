@@ -1,0 +1,53 @@
+import { type ReactNode, useEffect, useId, useRef } from "react";
+
+interface DialogProps {
+  title: string;
+  children: ReactNode;
+  /** the button that carries the action out */
+  confirm: string;
+  danger?: boolean;
+  /** whether the action may be carried out yet */
+  enabled?: boolean;
+  onConfirm: () => void;
+  onClose: () => void;
+}
+
+/** A modal dialog with a form. Escape and "Go back" close it without doing anything. */
+export function Dialog({
+  title,
+  children,
+  confirm,
+  danger,
+  enabled = true,
+  onConfirm,
+  onClose,
+}: DialogProps) {
+  const dialog = useRef<HTMLDialogElement>(null);
+  const titleId = useId();
+  useEffect(() => {
+    dialog.current?.showModal();
+  }, []);
+  return (
+    <dialog ref={dialog} className="dialog" aria-labelledby={titleId} onClose={onClose}>
+      <form
+        onSubmit={(event) => {
+          event.preventDefault();
+          if (!enabled) return;
+          onConfirm();
+          dialog.current?.close();
+        }}
+      >
+        <h2 id={titleId}>{title}</h2>
+        <div className="dialog-body">{children}</div>
+        <div className="row end">
+          <button type="button" className="button" onClick={() => dialog.current?.close()}>
+            Go back
+          </button>
+          <button type="submit" className={danger ? "button danger" : "button primary"} disabled={!enabled}>
+            {confirm}
+          </button>
+        </div>
+      </form>
+    </dialog>
+  );
+}

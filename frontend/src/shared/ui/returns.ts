@@ -1,0 +1,28 @@
+import type { Experiment } from "@/shared/api/types";
+import { formatValue } from "./format";
+
+type Returns = NonNullable<Experiment["returns"]>;
+
+/** True return of the untrained and the trained policy: "-205 → 375 ± 20". */
+export function returnsText({ untrained, final }: Returns): string {
+  const before = untrained ? formatValue(untrained.mean) : "?";
+  if (!final) return untrained ? before : "Not measured yet";
+  return `${before} → ${formatValue(final.mean)}${final.std === null ? "" : ` ± ${formatValue(final.std)}`}`;
+}
+
+/** What the numbers of `returnsText` are. `over`: whether the experiment has ended. */
+export function returnsDetail({ untrained, final }: Returns, over: boolean): string {
+  const shown = final ?? untrained;
+  if (!shown) return over ? "" : "The untrained policy is measured before the first update.";
+  const range =
+    shown.min === null || shown.max === null
+      ? ""
+      : ` from ${formatValue(shown.min)} to ${formatValue(shown.max)},`;
+  const spread = final?.std == null ? "Mean" : "Mean ± standard deviation";
+  const rest = final
+    ? ""
+    : over
+      ? " No final policy was measured."
+      : " The final policy is measured at the end.";
+  return `${spread} over whole episodes,${range} without exploration.${rest}`;
+}
