@@ -20,10 +20,14 @@ from mapt.settings import NamedSettings
 IntArray = NDArray[np.int64]
 #: Fraction of a dataset's segments that is held out for testing, and the maximum number.
 TEST_FRACTION, MAX_TEST_SEGMENTS = 0.2, 1000
+#: The `distance` of `random_pairs` that allows every pair.
+ALL_SEGMENTS = 1.0
 #: Give up on a teacher that skips more than this many pairs per label.
 _MAX_SKIPS_PER_LABEL = 20
 #: Segments that a teacher reads at a time, so that memory does not grow with the number of labels.
 _SEGMENTS_AT_ONCE = 1000
+#: Steps of the windows whose rewards `reward_metrics` compares.
+WINDOW_STEPS = 10
 #: Fraction of the test segments, the newest, that counts as late.
 _LATE_FRACTION = 0.2
 #: Added to the seed, so that the teacher's random draws on test pairs differ from those on training pairs.
@@ -51,21 +55,27 @@ def split_dataset(n_segments: int, seed: int) -> Split:
     return Split(np.sort(order[n_test:]), np.sort(order[:n_test]))
 
 
-def random_pairs(pool: IntArray, n_pairs: int, rng: np.random.Generator) -> IntArray:
-    """Draw pairs (P, 2) of different segments of `pool` uniformly.
+def random_pairs(pool: IntArray, n_pairs: int, rng: np.random.Generator, distance: float = ALL_SEGMENTS) -> IntArray:
+    """Draw pairs (P, 2) of different segments of `pool`: the first uniformly, the second uniformly among those near it.
 
     With equal generators, the first pairs of a longer draw are those of a shorter draw.
+
+    Args:
+        distance: largest distance of the second from the first in the order of `pool`, as a fraction of its length; at
+            least 1 segment.
     """
+    last, reach = len(pool) - 1, max(1, round(distance * len(pool)))
     first, second = rng.random((n_pairs, 2)).T
     first = (first * len(pool)).astype(np.int64)
-    second = (second * (len(pool) - 1)).astype(np.int64)
+    lowest, highest = np.maximum(first - reach, 0), np.minimum(first + reach, last)
+    second = lowest + (second * (highest - lowest)).astype(np.int64)
     second += second >= first
     return np.stack([pool[first], pool[second]], axis=1)
 
 
-def training_pairs(n_segments: int, n_pairs: int, seed: int) -> IntArray:
-    """Pairs (P, 2) of training segments."""
-    return random_pairs(split_dataset(n_segments, seed).train, n_pairs, np.random.default_rng([seed, 1]))
+def training_pairs(n_segments: int, n_pairs: int, seed: int, distance: float = ALL_SEGMENTS) -> IntArray:
+    """Pairs (P, 2) of training segments; `distance` as in `random_pairs`."""
+    return random_pairs(split_dataset(n_segments, seed).train, n_pairs, np.random.default_rng([seed, 1]), distance)
 
 
 def held_out_pairs(n_segments: int, n_pairs: int, seed: int) -> IntArray:
@@ -137,13 +147,20 @@ class LabelledPairs:
         return PreferenceDataset(recorded.subset(used), positions.reshape(-1, 2), self.labels)
 
 
-def labelled_dataset(teacher: DatasetTeacher, dataset: RecordedDataset, n_labels: int, seed: int) -> PreferenceDataset:
+def labelled_dataset(
+    teacher: DatasetTeacher, dataset: RecordedDataset, n_labels: int, seed: int, distance: float = ALL_SEGMENTS
+) -> PreferenceDataset:
     """The pairs of `label_pairs` with their segments."""
-    return label_pairs(teacher, dataset, n_labels, seed).dataset(dataset)
+    return label_pairs(teacher, dataset, n_labels, seed, distance).dataset(dataset)
 
 
-def label_pairs(teacher: DatasetTeacher, dataset: RecordedDataset, n_labels: int, seed: int) -> LabelledPairs:
+def label_pairs(
+    teacher: DatasetTeacher, dataset: RecordedDataset, n_labels: int, seed: int, distance: float = ALL_SEGMENTS
+) -> LabelledPairs:
     """Exactly `n_labels` labelled pairs of training segments; a skipped pair is replaced by another.
+
+    Args:
+        distance: see `random_pairs`.
 
     Raises:
         TooFewLabels: if the teacher skips nearly every pair.
@@ -153,7 +170,7 @@ def label_pairs(teacher: DatasetTeacher, dataset: RecordedDataset, n_labels: int
     while (given := int(np.isfinite(labels).sum())) < n_labels:
         if len(labels) > _MAX_SKIPS_PER_LABEL * n_labels:
             raise TooFewLabels(teacher.name, n_labels, given)
-        more = training_pairs(len(dataset), len(labels) + n_labels - given, seed)[len(labels) :]
+        more = training_pairs(len(dataset), len(labels) + n_labels - given, seed, distance)[len(labels) :]
         pairs, labels = np.concatenate((pairs, more)), np.concatenate((labels, teacher.labels(more)))
     kept = np.flatnonzero(np.isfinite(labels))
     return LabelledPairs(pairs[kept], labels[kept])
@@ -205,23 +222,37 @@ def reward_metrics(
         `rank_correlation`: Spearman correlation of scores and true returns.
         `step_correlation`: Pearson correlation of r-hat_t and the true reward over all real steps.
         `step_correlation_within`: the same after subtracting each segment's mean from both.
+        `window_correlation_within`: the same for the sums over `WINDOW_STEPS` successive steps. Labels compare whole
+            segments, so that a model may give a reward a step early or late. This changes the sums little, and hardly
+            what a policy learns.
         `rank_correlation_late`, `step_correlation_late`: over the newest fifth of the segments.
     """
     true = np.where(mask, true_rewards, 0.0)
     learned = np.where(mask, predictions.rewards, 0.0)
     returns, scores = true.sum(axis=1), predictions.scores
+    centred_learned, centred_true = _centred(learned, mask), _centred(true, mask)
+    windows = _window_sums(mask) == WINDOW_STEPS
     late = slice(round(len(returns) * (1 - _LATE_FRACTION)), None)
     return {
         "rank_correlation": rank_correlation(scores, returns),
         "rank_correlation_late": rank_correlation(scores[late], returns[late]),
         "step_correlation": correlation(learned[mask], true[mask]),
-        "step_correlation_within": correlation(_centred(learned, mask)[mask], _centred(true, mask)[mask]),
+        "step_correlation_within": correlation(centred_learned[mask], centred_true[mask]),
+        "window_correlation_within": correlation(
+            _window_sums(centred_learned)[windows], _window_sums(centred_true)[windows]
+        ),
         "step_correlation_late": correlation(learned[late][mask[late]], true[late][mask[late]]),
     }
 
 
 def _centred(steps: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[np.floating]:
     return steps - steps.sum(axis=1, keepdims=True) / mask.sum(axis=1, keepdims=True)
+
+
+def _window_sums(steps: NDArray[np.floating] | NDArray[np.bool_]) -> NDArray[np.floating]:
+    """Sums (S, T - W + 1) over the windows of W = `WINDOW_STEPS` successive steps of (S, T); (S, 0) if T < W."""
+    sums = np.cumsum(np.pad(steps, ((0, 0), (1, 0))), axis=1, dtype=np.float64)
+    return sums[:, WINDOW_STEPS:] - sums[:, :-WINDOW_STEPS]
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,14 @@ from safetensors.numpy import load_file, save
 
 import mapt.preferences
 import mapt.rewards
-from mapt.benchmarks.evaluate import DatasetTeacher, ModelEvaluation, evaluate_model, label_pairs, split_dataset
+from mapt.benchmarks.evaluate import (
+    ALL_SEGMENTS,
+    DatasetTeacher,
+    ModelEvaluation,
+    evaluate_model,
+    label_pairs,
+    split_dataset,
+)
 from mapt.benchmarks.recorded_dataset import RecordedDataset
 from mapt.errors import DamagedCell, InvalidConfig
 from mapt.io import atomic_write
@@ -59,6 +66,8 @@ class CellSettings:
     test_pairs: int
     #: label counts of the versions before it, each of which continues from the one before; empty: from scratch
     earlier: tuple[int, ...] = ()
+    #: see `random_pairs`
+    pair_distance: float = ALL_SEGMENTS
 
     @property
     def key(self) -> str:
@@ -68,8 +77,9 @@ class CellSettings:
 
     def to_dict(self) -> dict[str, object]:
         """Plain values for JSON."""
-        # Without versions before it, a cell keeps the key that it had before this field existed.
-        return {name: value for name, value in asdict(self).items() if name != "earlier" or value}
+        # With their defaults, fields that were added later are left out, so that a cell keeps its key.
+        added = {"earlier": (), "pair_distance": ALL_SEGMENTS}
+        return {name: value for name, value in asdict(self).items() if name not in added or value != added[name]}
 
     @property
     def versions(self) -> tuple["CellSettings", ...]:
@@ -94,7 +104,7 @@ def run_versions(
         keep: called with each trained version, for example to save it.
     """
     teacher = DatasetTeacher(settings.teacher, dataset, settings.seed)
-    labelled = label_pairs(teacher, dataset, settings.labels, settings.seed)
+    labelled = label_pairs(teacher, dataset, settings.labels, settings.seed, settings.pair_distance)
     network, training = RewardConfig.from_dict(settings.network), TrainConfig.from_dict(settings.training)
     previous: TrainedReward | None = None
     for version in settings.versions:
@@ -289,6 +299,8 @@ class TablePlan:
     baseline: str
     #: train the numbers of labels one after another, each from the model of the previous one
     warm_start: bool = False
+    #: of the training pairs; see `random_pairs`
+    pair_distance: float = ALL_SEGMENTS
 
     def __post_init__(self) -> None:
         for name in ("models", "teachers", "labels", "seeds"):
@@ -298,6 +310,10 @@ class TablePlan:
                 raise InvalidConfig(f"{name} must have at least one value and no repeats; got {listed!r}.", name)
         if min(self.labels) < 2 or min(self.seeds) < 0 or self.test_pairs < 1:
             raise InvalidConfig("labels must be 2 or more, seeds 0 or more, test pairs 1 or more.")
+        if not 0.0 < self.pair_distance <= 1.0:
+            raise InvalidConfig(
+                f"pair_distance is {self.pair_distance}; it must be above 0 and at most 1.", "pair_distance"
+            )
         if self.baseline not in self.models:
             known = ", ".join(self.models)
             raise InvalidConfig(f"The baseline {self.baseline!r} is not one of the models: {known}.", "baseline")
@@ -354,6 +370,7 @@ def table_jobs(plan: TablePlan, datasets: Mapping[int, RecordedDataset], models:
             seed=seed,
             test_pairs=plan.test_pairs,
             earlier=tuple(counts[:-1]) if plan.warm_start else (),
+            pair_distance=plan.pair_distance,
         )
         for labels in (counts[-1:] if plan.warm_start else counts)
         for seed in plan.seeds

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from mapt.benchmarks.evaluate import ALL_SEGMENTS
 from mapt.benchmarks.job import (
     Cell,
     CellFolder,
@@ -69,6 +70,8 @@ class PaperPlan:
     segments: int
     #: environment steps of the training that a dataset records
     dataset_steps: int
+    #: of the training pairs; see `random_pairs`
+    pair_distance: float = ALL_SEGMENTS
 
     def policy_config(self, policy: str, seed: int) -> PolicyConfig:
         """The settings of one of the policies.
@@ -185,6 +188,7 @@ class PaperFolder:
                     test_pairs=plan.test_pairs,
                     device=plan.device,
                     baseline=plan.models[0],
+                    pair_distance=plan.pair_distance,
                 )
                 jobs.extend(table_jobs(table, datasets, self.path / "models" / path_name(task)))
         return sorted(jobs, key=lambda job: job.settings.labels)

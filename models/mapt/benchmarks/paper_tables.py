@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from statistics import mean, stdev
 
+from mapt.benchmarks.evaluate import ALL_SEGMENTS
 from mapt.benchmarks.job import Cell
 from mapt.benchmarks.paper import UNTRAINED, PaperPlan, PolicyResult, job_name
 from mapt.benchmarks.statistics import InterquartileMean, interquartile_mean_with_interval
@@ -37,6 +38,7 @@ _MODEL_COLUMNS: tuple[tuple[str, str, str, float], ...] = (
     ("rank: true return", "rank_correlation", ".3f", 1),
     ("steps", "step_correlation", ".3f", 1),
     ("within", "step_correlation_within", ".3f", 1),
+    ("windows within", "window_correlation_within", ".3f", 1),
     ("CPU minutes", "cpu_seconds", ".1f", 1 / 60),
 )
 _RUN_COLUMNS = (
@@ -181,9 +183,9 @@ def markdown(results: PaperResults, figures: Sequence[tuple[str, str]] = ()) -> 
         "# The paper's experiments",
         f"Reward models of the preset `{plan.preset}` train on pairs of a recorded dataset, labelled by the teacher "
         f"`oracle`: {plan.segments:,} segments of {plan.segment_steps} steps, recorded while a policy trains for "
-        f"{plan.dataset_steps:,} steps. A policy then trains from scratch for {plan.steps:,} steps on each reward "
-        f"model, which does not change. Seeds {', '.join(map(str, plan.seeds))}; each has its own dataset, reward "
-        "models and policies.",
+        f"{plan.dataset_steps:,} steps. {_pairs(plan)} A policy then trains from scratch for {plan.steps:,} steps on "
+        f"each reward model, which does not change. Seeds {', '.join(map(str, plan.seeds))}; each has its own dataset, "
+        "reward models and policies.",
         _EXPLANATION,
     ]
     if results.missing:
@@ -206,6 +208,14 @@ def markdown(results: PaperResults, figures: Sequence[tuple[str, str]] = ()) -> 
     if results.missing:
         parts.append("## Missing\n\n" + "\n".join(f"- {name}" for name in results.missing))
     return "\n\n".join(parts) + "\n"
+
+
+def _pairs(plan: PaperPlan) -> str:
+    if plan.pair_distance == ALL_SEGMENTS:
+        return "The segments of a pair are drawn at random."
+    return (
+        f"The segments of a pair are at most {plan.pair_distance:.0%} of the dataset apart in the order of recording."
+    )
 
 
 def _returns(results: PaperResults, policy: str, columns: Sequence[str]) -> str:

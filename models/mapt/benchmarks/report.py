@@ -37,6 +37,7 @@ _ROWS: tuple[tuple[str, str, str], ...] = (
     ("rank_correlation_teacher", "rank correlation of scores with the teacher's scores", ".3f"),
     ("step_correlation", "correlation of learned and true step rewards", ".3f"),
     ("step_correlation_within", "the same after subtracting each segment's mean", ".3f"),
+    ("window_correlation_within", "the same for the sums over windows of ten steps", ".3f"),
     ("breadth", "interquartile range / 99% range of the rewards (small: most are nearly equal)", ".3f"),
     ("true_breadth", "the same for the true reward", ".3f"),
     ("spread_across_agents", "standard deviation between agents / that of all rewards", ".3f"),

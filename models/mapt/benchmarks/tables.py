@@ -25,6 +25,7 @@ _COLUMNS: tuple[tuple[str, str, str, bool, float], ...] = (
     ("rank: teacher", "rank_correlation_teacher", ".3f", True, 1),
     ("steps", "step_correlation", ".3f", True, 1),
     ("within", "step_correlation_within", ".3f", False, 1),
+    ("windows within", "window_correlation_within", ".3f", False, 1),
     ("minutes", "seconds", ".1f", False, 1 / 60),
     ("CPU minutes", "cpu_seconds", ".1f", False, 1 / 60),
     ("attention in use", "attention", ".2f", False, 1),

@@ -6,6 +6,7 @@ from typing import Annotated, get_args
 
 import typer
 
+from mapt.benchmarks.evaluate import ALL_SEGMENTS
 from mapt.benchmarks.job import network_of, training_of
 from mapt.benchmarks.paper import PaperFolder, PaperPlan, PolicyJob, do_policy_job, read_result
 from mapt.benchmarks.paper_figures import draw_figures
@@ -73,6 +74,15 @@ def paper(
     dataset_steps: Annotated[
         int, typer.Option(min=1, help="Environment steps of the training that a dataset records.")
     ] = 800_000,
+    pair_distance: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="Largest distance of the two segments of a training pair in the order of recording, as a fraction of "
+            "the dataset. 1 draws any two, as in the paper; 0.05 compares segments of policies that are about as good.",
+        ),
+    ] = ALL_SEGMENTS,
     test_pairs: TestPairs = 4000,
     checkpoint_minutes: Annotated[
         float,
@@ -107,6 +117,7 @@ def paper(
         segment_steps=segment_steps,
         segments=segments,
         dataset_steps=dataset_steps,
+        pair_distance=pair_distance,
     )
     _check(plan)
     n_baselines = len(plan.tasks) * len(plan.policies) * len(plan.seeds)

@@ -55,9 +55,9 @@ def test_skipped_pairs_are_left_out():
 
 def test_padding_does_not_change_reward_metrics():
     rng = np.random.default_rng(0)
-    true, learned = rng.normal(size=(2, 20, 5))
+    true, learned = rng.normal(size=(2, 20, 15))
     scores = rng.normal(size=20).astype(np.float32)
-    mask = np.arange(5) < rng.integers(2, 6, size=20)[:, None]
+    mask = np.arange(15) < rng.integers(2, 16, size=20)[:, None]
 
     def quality(padding: float) -> dict[str, float]:
         filled = np.where(mask, learned, padding).astype(np.float32)[..., None]
@@ -74,6 +74,16 @@ def test_correlation_within_segments_ignores_their_means():
     quality = reward_metrics(predictions, true, np.ones((30, 8), np.bool_))
     assert quality["step_correlation"] < -0.9
     assert quality["step_correlation_within"] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_sums_over_windows_hardly_change_if_rewards_come_one_step_late():
+    rng = np.random.default_rng(2)
+    true = rng.normal(size=(30, 51))
+    learned, true = true[:, :-1], true[:, 1:]
+    predictions = Predictions(learned.sum(axis=1).astype(np.float32), learned[..., None].astype(np.float32), learned)
+    quality = reward_metrics(predictions, true, np.ones(true.shape, np.bool_))
+    assert abs(quality["step_correlation_within"]) < 0.1
+    assert quality["window_correlation_within"] > 0.85
 
 
 def test_predictions_do_not_depend_on_the_batch_size(recorded):
@@ -168,6 +178,15 @@ def test_training_pairs_have_two_different_segments_and_cover_all_training_segme
 
 def test_a_longer_sequence_of_pairs_starts_with_the_shorter_one():
     np.testing.assert_array_equal(training_pairs(100, 40, seed=1), training_pairs(100, 400, seed=1)[:40])
+
+
+@pytest.mark.parametrize(("distance", "farthest"), [(0.05, 2), (0.001, 1)])
+def test_segments_of_near_pairs_were_recorded_at_about_the_same_time(distance, farthest):
+    train = split_dataset(50, seed=0).train
+    pairs = training_pairs(50, 3000, seed=0, distance=distance)
+    apart = np.subtract(*np.searchsorted(train, pairs).T)
+    assert set(apart) == {*range(-farthest, 0), *range(1, farthest + 1)}
+    assert set(pairs.ravel()) == set(train)
 
 
 def test_seeds_give_different_splits_and_pairs():

@@ -90,6 +90,7 @@ def test_a_cell_reads_back_as_it_was_written(tmp_path, recorded, settings):
         {"network": {"hidden_dim": 16}},
         {"training": {"lr": 1.0}},
         {"teacher_parameters": {"mistake": 0.2}},
+        {"pair_distance": 0.05},
         {"earlier": (20,)},
     ],
     ids=lambda changes: next(iter(changes)),
@@ -149,14 +150,14 @@ def test_a_worker_computes_the_same_cell_although_another_fails(tmp_path, record
     )
 
 
-def test_a_warm_started_version_continues_from_the_one_before(replay):
+def test_a_warm_started_version_continues_from_the_one_before(recorded):
     plan = replace(PLAN, models=(QUICK,), baseline=QUICK, labels=(40, 20), warm_start=True)
-    (job,) = table_jobs(plan, {0: replay})
-    results = list(run_versions(job.settings, replay))
+    (job,) = table_jobs(plan, {0: recorded})
+    results = list(run_versions(job.settings, recorded))
     assert [(settings.labels, settings.earlier) for settings, _ in results] == [(20, ()), (40, (20,))]
-    scratch = table_jobs(replace(plan, warm_start=False), {0: replay})
+    scratch = table_jobs(replace(plan, warm_start=False), {0: recorded})
     equal = [
-        np.array_equal(result.logits, run_cell(other.settings, replay).logits)
+        np.array_equal(result.logits, run_cell(other.settings, recorded).logits)
         for (_, result), other in zip(results, scratch, strict=True)
     ]
     assert equal == [True, False]
