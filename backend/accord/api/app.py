@@ -9,7 +9,7 @@ from accord.api import errors
 from accord.api.body_limit import BodyLimit
 from accord.api.dependencies import AppState
 from accord.api.pages import Page
-from accord.api.routes import accounts, clips, events, experiments, health, label_history, labelling, segments
+from accord.api.routes import accounts, clips, events, experiments, exports, health, label_history, labelling, segments
 from accord.settings import Settings
 from accord.store.blobs import BlobStore
 from accord.store.database import Database
@@ -36,7 +36,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
     )
     app.state.accord = AppState(settings, database, blobs)
     # Routes are matched in this order, so the busiest come first.
-    for module in (labelling, clips, label_history, segments, experiments, events, accounts, health):
+    for module in (labelling, clips, label_history, segments, experiments, exports, events, accounts, health):
         app.include_router(module.router, prefix=PREFIX)
     app.include_router(accounts.pages)
     app.router.default = Page()

@@ -153,11 +153,9 @@ class ExperimentChanges(Schema):
 class Costs(Schema):
     """What an experiment has cost so far."""
 
-    person_answers: int = Field(description="Labels and skips that people gave in the page.")
+    person_answers: int = Field(description="Labels and skips with a measured time, as people give them in the page.")
     people: int = Field(description="Number of people who gave them.")
-    person_seconds: float = Field(
-        description="Sum of the times from the start of both clips to the answer, where they were measured."
-    )
+    person_seconds: float = Field(description="Sum of the times from the start of both clips to the answer.")
     program_labels: int = Field(description="Labels that programs gave.")
     policy_seconds: float = Field(description="Collecting, relabelling and updating, without waiting and evaluations.")
     reward_seconds: float = Field(description="Training of the reward versions, without ensembles.")

@@ -54,9 +54,9 @@ def waiting(row: ExperimentRow, counts: LabelCounts, newest: RewardVersionRow | 
 
 
 def _until_next_query(row: ExperimentRow, counts: LabelCounts, schedule: LabelSchedule) -> float | None:
-    """Seconds until the policy has trained as far as the next query; None if one is open or the speed is unknown."""
+    """Seconds until the policy has trained as far as the next query; None if it is due, or unknown."""
     ready = counts.open_queries + counts.rendering_queries
     if ready or not row.steps_per_second:
         return None
     at = schedule.next_query_at(row.steps, counts.labels)
-    return None if at is None else (at - row.steps) / row.steps_per_second
+    return None if at is None or at == row.steps else (at - row.steps) / row.steps_per_second

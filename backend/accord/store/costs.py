@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from accord.store.tables import ClipRow, LabelRow, MetricRow, SegmentRow
+from accord.store.tables import ClipRow, LabelRow, SegmentRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,23 +14,22 @@ class Answers:
 
     by_people: int
     people: int
-    #: seconds of those with a measured time
     person_seconds: float
     #: labels without skips
     by_programs: int
 
 
 def answers(session: Session, experiment_id: str) -> Answers:
-    """Answers of people, which the page showed on a side, and of programs, which it did not."""
-    shown = LabelRow.left_segment.is_not(None)
+    """Answers of people, whose time the page measures, and of programs, which send none."""
+    measured = LabelRow.response_seconds.is_not(None)
     given = LabelRow.experiment_id == experiment_id, LabelRow.state.in_(("label", "skip"))
     by_people, people, seconds = session.execute(
         select(func.count(), func.count(LabelRow.user_id.distinct()), func.sum(LabelRow.response_seconds)).where(
-            *given, shown
+            *given, measured
         )
     ).one()
     by_programs = session.scalar(
-        select(func.count()).select_from(LabelRow).where(*given, ~shown, LabelRow.state == "label")
+        select(func.count()).select_from(LabelRow).where(*given, ~measured, LabelRow.state == "label")
     )
     return Answers(by_people, people, seconds or 0.0, by_programs or 0)
 
@@ -47,11 +46,3 @@ def clips(session: Session, experiment_id: str) -> tuple[int, int]:
 def segments(session: Session, experiment_id: str) -> int:
     found = select(func.count()).select_from(SegmentRow).where(SegmentRow.experiment_id == experiment_id)
     return session.scalar(found) or 0
-
-
-def sum_of_inverses(session: Session, experiment_id: str, metric: str) -> float:
-    """Sum of 1 / value over the points of a curve."""
-    points = select(func.coalesce(func.sum(1.0 / MetricRow.value), 0)).where(
-        MetricRow.experiment_id == experiment_id, MetricRow.name == metric, MetricRow.value > 0
-    )
-    return float(session.scalar(points) or 0)

@@ -1,5 +1,7 @@
 """Experiments, pages, metrics, workers and health over HTTP."""
 
+import io
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -7,6 +9,7 @@ from sqlalchemy import event
 
 from accord.domain.enums import WorkerRole, WorkerState
 from accord.services import metrics, publish, workers
+from mapt.preferences.formats.tables import PreferenceTables
 from support.api_in_thread import ApiServer, run_api_server
 from support.sample_experiments import create_sample
 from support.stores import Stores
@@ -134,6 +137,20 @@ def test_experiments_are_changed_archived_and_deleted_by_researchers(api_per_dat
     assert (deleted.status_code, deleted.json()["rows"]) == (200, {})
     assert api.researcher.get(path).status_code == 404
     assert api.admin.get("/api/v1/deletions").json() == [deleted.json()]
+
+
+def test_an_export_is_a_zip_of_readable_tables(api: ApiServer, tmp_path: Path) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    path = f"/api/v1/experiments/{sample.experiment.id}/export"
+    assert api.teacher.get(path).status_code == 403
+    response = api.researcher.get(path)
+    assert response.headers["content-type"] == "application/zip"
+    with zipfile.ZipFile(io.BytesIO(response.content)) as archive:
+        archive.extractall(tmp_path)
+    tables = PreferenceTables.open(tmp_path / sample.experiment.id)
+    assert (tables.n_segments, len(tables.queries())) == (5, 4)
+    empty = api.researcher.post("/api/v1/experiments", json=NEW).json()["id"]
+    assert api.researcher.get(f"/api/v1/experiments/{empty}/export").status_code == 422
 
 
 def test_only_its_researcher_and_admins_delete_an_experiment(api: ApiServer) -> None:

@@ -25,7 +25,7 @@ def filled(stores: Stores, name: str) -> SampleExperiment:
         _, token = user(session, name)
         person = accounts.authenticate(session, token)
         leased = lease.next_queries(session, person, sample.experiment.id, 2, 60.0)
-        for item, seconds in zip(leased.items, (2.5, None), strict=True):
+        for item, seconds in zip(leased.items, (2.5, 1.5), strict=True):
             label.put_label(session, person, item.id, 1.0, response_seconds=seconds)
         program = accounts.authenticate(session, sample.owner_token)
         label.put_label(session, program, sample.query_ids[2], 0.0)
@@ -114,8 +114,7 @@ def test_costs_separate_people_programs_and_machines(stores: Stores) -> None:
     sample = filled(stores, "Lena")
     with stores.database.reading() as session:
         found = costs.costs_of(session, sample.experiment.id)
-        rollout = experiments.config_of(sample.experiment).policy_config().steps_per_rollout
-    assert (found.person_answers, found.people, found.person_seconds, found.program_labels) == (2, 1, 2.5, 1)
-    assert found.policy_seconds == pytest.approx(2 * rollout / 800)
+    assert (found.person_answers, found.people, found.person_seconds, found.program_labels) == (2, 1, 4.0, 1)
+    assert found.policy_seconds == pytest.approx(6400 / 800)
     assert (found.reward_seconds, found.segments, found.clips) == (4.0, 5, 5)
     assert found.clip_bytes == 5 * len(CLIP_BYTES)

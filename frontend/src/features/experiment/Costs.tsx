@@ -15,7 +15,7 @@ export function Costs({ experiment }: { experiment: Experiment }) {
   const perAnswer = costs.person_answers > 0 ? costs.person_seconds / costs.person_answers : 0;
   return (
     <section className="card" aria-labelledby="costs-title">
-      <h2 id="costs-title">Costs</h2>
+      <h2 id="costs-title">Costs and data</h2>
       <table className="table">
         <tbody>
           <tr>
@@ -48,6 +48,14 @@ export function Costs({ experiment }: { experiment: Experiment }) {
           </tr>
         </tbody>
       </table>
+      {costs.segments > 0 && (
+        <p className="export-line">
+          <a href={`/api/v1/experiments/${experiment.id}/export`} download>
+            Export segments, queries and labels
+          </a>{" "}
+          <span className="muted">as Parquet tables. The download begins once they are written.</span>
+        </p>
+      )}
     </section>
   );
 }

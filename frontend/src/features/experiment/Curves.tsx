@@ -5,7 +5,7 @@ import { Chart } from "@/shared/charts/Chart";
 import type { Marker, Reference } from "@/shared/charts/chartProps";
 import { type Curve, curveOf, curvePerVersion, newestOf, withSmoothing } from "@/shared/charts/curves";
 import { Smoothing } from "@/shared/charts/Smoothing";
-import { formatCompact, formatPercent, formatValue } from "@/shared/ui/format";
+import { formatCompact, formatPercent, formatReturn, formatValue } from "@/shared/ui/format";
 import { heldOutAccuracy, heldOutText } from "@/shared/ui/heldOut";
 
 interface CurvesProps {
@@ -147,7 +147,7 @@ function referencesOf({ returns }: Experiment): Reference[] {
     ["final", returns?.final],
   ] as const;
   return named.flatMap(([name, found]) =>
-    found ? [{ y: found.mean, name: `${name} ${formatValue(found.mean)}` }] : [],
+    found ? [{ y: found.mean, name: `${name} ${formatReturn(found.mean)}` }] : [],
   );
 }
 

@@ -23,6 +23,7 @@ export function Overview({ experiment, versions, connected }: OverviewProps) {
           name={returns.final ? "True return, untrained → final" : "True return, untrained"}
           value={returnsText(returns)}
           note={returnsDetail(returns, isOver(experiment))}
+          headline
         />
       )}
       <Stat
@@ -91,11 +92,12 @@ interface StatProps {
   value: string;
   note: string;
   uncertain?: boolean;
+  headline?: boolean;
 }
 
-function Stat({ name, value, note, uncertain }: StatProps) {
+function Stat({ name, value, note, uncertain, headline }: StatProps) {
   return (
-    <div className="card stat">
+    <div className="card stat" data-headline={headline || undefined}>
       <dt>{name}</dt>
       <dd>
         <span className="stat-value" data-uncertain={uncertain || undefined}>

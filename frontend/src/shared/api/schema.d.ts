@@ -494,6 +494,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/experiments/{experiment_id}/export": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Export an experiment
+         * @description Its segments, queries and labels as Parquet tables, zipped; as `accord export`. For researchers and admins.
+         */
+        get: operations["export_experiment"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/experiments/{experiment_id}/events": {
         parameters: {
             query?: never;
@@ -676,7 +696,7 @@ export interface components {
         Costs: {
             /**
              * Person Answers
-             * @description Labels and skips that people gave in the page.
+             * @description Labels and skips with a measured time, as people give them in the page.
              */
             person_answers: number;
             /**
@@ -686,7 +706,7 @@ export interface components {
             people: number;
             /**
              * Person Seconds
-             * @description Sum of the times from the start of both clips to the answer, where they were measured.
+             * @description Sum of the times from the start of both clips to the answer.
              */
             person_seconds: number;
             /**
@@ -2985,6 +3005,38 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Worker"][];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    export_experiment: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Parquet tables, zipped. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/zip": unknown;
                 };
             };
             /** @description A stable code, a message, and the invalid field. */

@@ -69,16 +69,21 @@ export function drawReferences(
   const ratio = devicePixelRatio;
   ctx.save();
   dashed(ctx, style);
-  ctx.textAlign = "right";
+  let previous = Number.NEGATIVE_INFINITY;
   for (const { y, name } of references) {
     const pixel = Math.round(plot.valToPos(y, "y", true));
+    // A name that would overlap the previous one is moved to the left.
+    const aside = Math.abs(pixel - previous) < 14 * ratio;
+    previous = pixel;
     ctx.beginPath();
     ctx.moveTo(bbox.left, pixel);
     ctx.lineTo(bbox.left + bbox.width, pixel);
     ctx.stroke();
     // Below the line where there is no space above it.
     const below = pixel - bbox.top < 16 * ratio;
-    drawName(ctx, style, name, bbox.left + bbox.width - 4 * ratio, pixel + (below ? 12 : -4) * ratio);
+    ctx.textAlign = aside ? "center" : "right";
+    const right = bbox.left + (aside ? bbox.width / 2 : bbox.width - 4 * ratio);
+    drawName(ctx, style, name, right, pixel + (below ? 12 : -4) * ratio);
   }
   ctx.restore();
 }

@@ -16,6 +16,11 @@ export function formatValue(value: number): string {
   return value.toFixed(size >= 100 ? 0 : size >= 10 ? 1 : 3);
 }
 
+/** A return, with no more digits than its size allows to tell apart. */
+export function formatReturn(value: number): string {
+  return Math.abs(value) < 10 ? value.toFixed(2) : formatValue(value);
+}
+
 /** A duration with about one significant unit: "5 s", "3.3 min", "1.5 h". */
 export function formatDuration(seconds: number): string {
   if (seconds < 90) return `${seconds > 0 ? Math.max(1, Math.round(seconds)) : 0} s`;

@@ -1,13 +1,13 @@
 import type { Experiment } from "@/shared/api/types";
-import { formatValue } from "./format";
+import { formatReturn } from "./format";
 
 type Returns = NonNullable<Experiment["returns"]>;
 
 /** True return of the untrained and the trained policy: "-205 → 375 ± 20". */
 export function returnsText({ untrained, final }: Returns): string {
-  const before = untrained ? formatValue(untrained.mean) : "?";
+  const before = untrained ? formatReturn(untrained.mean) : "?";
   if (!final) return untrained ? before : "Not measured yet";
-  return `${before} → ${formatValue(final.mean)}${final.std === null ? "" : ` ± ${formatValue(final.std)}`}`;
+  return `${before} → ${formatReturn(final.mean)}${final.std === null ? "" : ` ± ${formatReturn(final.std)}`}`;
 }
 
 /** What the numbers of `returnsText` are. `over`: whether the experiment has ended. */
@@ -17,7 +17,7 @@ export function returnsDetail({ untrained, final }: Returns, over: boolean): str
   const range =
     shown.min === null || shown.max === null
       ? ""
-      : ` from ${formatValue(shown.min)} to ${formatValue(shown.max)},`;
+      : ` from ${formatReturn(shown.min)} to ${formatReturn(shown.max)},`;
   const spread = final?.std == null ? "Mean" : "Mean ± standard deviation";
   const rest = final
     ? ""
