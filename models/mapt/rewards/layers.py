@@ -177,8 +177,8 @@ class AgentAttention(nn.Module):
         """Attend over the agents of `x` (S, T, N, d)."""
         s, t, n, d = x.shape
         query, key, value = (
-            attention_input(layer(x)).view(s * t, n, self.heads, d // self.heads).transpose(1, 2)
-            for layer in (self.query, self.key, self.value)
+            attention_input(part).reshape(s * t, n, self.heads, d // self.heads).transpose(1, 2)
+            for part in joint_linear(x, self.query, self.key, self.value)
         )
         with float32_on_cpu(x.device):
             attended = F.scaled_dot_product_attention(query, key, value)
@@ -204,22 +204,34 @@ class CausalAttention(nn.Module):
             (S, T, N, D), or (S, T - K, N, D) with K steps of context.
         """
         s, t, n, _ = x.shape
-        # A bfloat16 product over a slice with gaps in memory takes one product for each segment, at half the speed.
-        current = drop_context(x, local).contiguous()
+        context = 0 if local is None else local.context_steps
+        if context:
+            # A bfloat16 product over a slice with gaps in memory takes one product for each segment, at half the speed.
+            parts = self.query(x[:, context:].contiguous()), *joint_linear(x, self.key, self.value)
+        else:
+            parts = joint_linear(x, self.query, self.key, self.value)
         # Agents and heads share one axis of independent groups.
         query, key, value = (
-            attention_input(layer(part)).reshape(s, part.shape[1], n * self.heads, self.head_dim)
-            for layer, part in ((self.query, current), (self.key, x), (self.value, x))
+            attention_input(part).reshape(s, part.shape[1], n * self.heads, self.head_dim) for part in parts
         )
         positions = torch.arange(t, dtype=torch.float64) if local is None else local.positions(t)
         cosine, sine = rotary_embedding(positions, self.head_dim, x.device)
-        context = 0 if local is None else local.context_steps
         # The rotation is float32; attention needs one dtype for all three.
         query = rotate(query, cosine[context:], sine[context:]).to(value.dtype)
         key = rotate(key, cosine, sine).to(value.dtype)
         with float32_on_cpu(x.device):
             attended = causal_attention(query, key, value) if local is None else local.attend(query, key, value)
         return self.out(attended.reshape(s, t - context, n, self.heads * self.head_dim))
+
+
+def joint_linear(x: Tensor, *layers: nn.Linear) -> tuple[Tensor, ...]:
+    """The outputs of several layers for one input, from one product.
+
+    The input is read and converted to bfloat16 once, and so is the sum of its gradients.
+    """
+    weight = torch.cat([layer.weight for layer in layers])
+    bias = torch.cat([layer.bias for layer in layers])
+    return F.linear(x, weight, bias).split([layer.out_features for layer in layers], dim=-1)
 
 
 def attention_input(x: Tensor) -> Tensor:

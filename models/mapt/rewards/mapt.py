@@ -27,6 +27,7 @@ from mapt.rewards.layers import (
     SegmentDropout,
     TemporalEncoder,
     full_precision,
+    joint_linear,
     zero_init,
 )
 from mapt.rewards.model import REWARD_GAIN, FirstLayers, RewardModel
@@ -69,13 +70,17 @@ class CooperationAwareAttention(RewardHead):
 
     def forward(self, h: Tensor) -> Tensor:
         """h (S, T, N, 2d) -> (S, T, N)."""
-        weights, value = self.attention_weights(h), self.value(h)
+        weights = self.attention_weights(h)
+        # The last layer is linear: the reward of a mean of values is the mean of their rewards, and a value's reward is
+        # one product with h. This saves a product of d outputs, a twelfth of the network's.
         with full_precision(h):
-            return self.reward(weights @ value.float()).squeeze(-1)
+            weight = self.reward.weight @ self.value.weight
+            bias = F.linear(self.value.bias, self.reward.weight, self.reward.bias)
+            return (weights @ F.linear(h.float(), weight, bias)).squeeze(-1)
 
     def attention_weights(self, h: Tensor) -> Tensor:
         """Weights (S, T, query agent, key agent); each query's sum to 1."""
-        query, key = self.query(h), self.key(h)
+        query, key = joint_linear(h, self.query, self.key)
         with full_precision(h):
             return (query.float() * self.scale @ key.float().transpose(2, 3)).softmax(dim=-1)
 
