@@ -87,7 +87,7 @@ class Stage:
     scorer: Scorer
     #: weights to start with, instead of the model's own
     start: dict[str, Tensor] | None = None
-    #: pairs per forward and backward pass; None for the whole batch
+    #: most pairs in a forward and backward pass; None for the whole batch
     pairs_per_pass: int | None = None
 
 
@@ -129,7 +129,7 @@ class RewardTrainer:
         """Take one gradient step on the pairs at `batch`, int64 (B,); return their mean loss before it, in nats."""
         optimiser.zero_grad()
         loss = torch.zeros((), device=self._train.labels.device)
-        for part in batch.split(stage.pairs_per_pass or len(batch)):
+        for part in batch.tensor_split(math.ceil(len(batch) / (stage.pairs_per_pass or len(batch)))):
             score_0, score_1 = self._train.scores(self._model, stage.scorer, part)
             part_loss = preference_loss(score_0, score_1, self._train.labels[part], stage.settings.label_noise)
             part_loss = part_loss * (len(part) / len(batch))

@@ -19,7 +19,7 @@ from mapt.rewards.mapt import MAPT
 from mapt.rewards.metrics import evaluate_logits
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.schedule import StageSettings, markov_stage, start_weights
-from mapt.rewards.stage_trainer import RewardTrainer, Stage, TrainingLog, weight_average
+from mapt.rewards.stage_trainer import RewardTrainer, Stage, TrainingLog, adamw, weight_average
 from mapt.rewards.trainer import train_reward_model
 from support.tolerance import assert_float32_close
 
@@ -399,6 +399,26 @@ def test_early_weights_do_not_overfit():
     assert losses.epochs[-1].mean() > untrained + 0.1
     model.load_state_dict(trainer.early_weights)
     assert hold_out_loss() <= untrained
+
+
+@pytest.mark.numerics
+def test_a_step_in_several_passes_has_the_gradient_of_the_whole_batch():
+    config = replace(CONFIG, dropout=0.0)
+    gradients = []
+    for pairs_per_pass in (None, 5):
+        torch.manual_seed(0)
+        model = build_reward_model(config)
+        model.load_state_dict(model.with_new_head())
+        data = preferences(13)
+        train = PairTensors.of(data, torch.device("cpu"))
+        settings, parameters = StageSettings(1e-3, 0.0, 32, 1, 1, 0.1), list(model.parameters())
+        scorer = network_scorer(segment_reader(data.segments, torch.device("cpu")))
+        stage = Stage(settings, parameters, scorer, pairs_per_pass=pairs_per_pass)
+        trainer = RewardTrainer(model, train, train, seed=0)
+        trainer.training_step(stage, adamw(parameters, settings), weight_average(model), torch.arange(13))
+        gradients.append(torch.cat([parameter.grad.flatten() for parameter in parameters]))
+    assert_float32_close(gradients[1], gradients[0])
+    assert gradients[0].count_nonzero() > 0.5 * len(gradients[0])
 
 
 def test_dataset_with_other_dimensions_is_refused():
