@@ -57,7 +57,7 @@ def freed_memory_kept() -> Iterator[None]:
     """Keep memory that is freed within the context for later allocations, and return it to the system at the end.
 
     Without it, the C library returns the activations of every step to the system, and the next step gets them page by
-    page: a fifth of the time of a training step (`bench_rewards.py --rows memory`). Applies to the whole process, with
+    page: a fifth of the time of a training step (`bench_rewards.py --rows passes`). Applies to the whole process, with
     the GNU C library; with others, nothing happens.
     """
     library = ctypes.CDLL(None)

@@ -1,39 +1,46 @@
 """Speed of training, relabelling and streaming of MAPT, compared with the speed of a matrix product in the same run.
 
+`training` is the step of `RewardTrainer`. `passes` compares the CPU time of this step for several sizes of its passes,
+with freed memory kept, as in `train_reward_model`, and without.
+
 The upper bound is the rate of one torch product with the shapes of the network: the rows of a pass, 2d inputs and 2d
 outputs. The share counts the floating point operations of all products of a step, including those of the attentions,
 once forwards and twice backwards. Norms, activations, softmax and the optimiser take time but are not counted.
 
-    python tests/benchmarks/bench_rewards.py [--rows training relabelling streaming] [--sizes small paper]
+    python tests/benchmarks/bench_rewards.py [--rows training passes relabelling streaming] [--sizes small medium paper]
         [--threads 2] [--device cpu] [--seconds 3]
 """
 
 import argparse
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 import torch
 from attention_model import model_with_active_attention
-from torch import Tensor, nn
+from interleaved_timing import median_seconds
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
-from mapt.preferences.loss import preference_loss
-from mapt.rewards.config import Precision, PresetName, RewardConfig
-from mapt.rewards.layers import autocast
-from mapt.rewards.registry import build_reward_model
+from mapt.device import freed_memory_kept
+from mapt.preferences.dataset import SegmentArrays
+from mapt.rewards.config import Precision, PresetName, RewardConfig, TrainConfig
+from mapt.rewards.data import PairTensors, ResidentSegments, network_scorer
 from mapt.rewards.relabelling import RewardStream, RolloutRelabeller
+from mapt.rewards.schedule import network_stage
+from mapt.rewards.stage_trainer import RewardTrainer, Stage, adamw, weight_average
+from mapt.rewards.trainer import pairs_per_pass
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 6, 24, 1
 N_ENVS, ROLLOUT_STEPS = 40, 100
 N_PAIRS = 64
 PRECISIONS: dict[Precision, torch.dtype] = {"float32": torch.float32, "bfloat16": torch.bfloat16}
-# Agent-steps in one forward and backward pass on a CPU. A step of 64 pairs in one pass needs gigabytes for activations,
-# which the C library returns to the system and allocates again, page by page, in every step.
-AGENT_STEPS_PER_PASS = 2_400
+# Pairs per pass that `passes` compares.
+PASSES = (16, 8, 4)
+PASSES_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +66,7 @@ class Size:
         return f"d={self.hidden_dim:<3} T={self.n_steps:<3}"
 
 
-SIZES = {"small": Size("small", 64, 50), "paper": Size("paper", 256, 100)}
+SIZES = {"small": Size("small", 32, 50), "medium": Size("small", 64, 50), "paper": Size("paper", 256, 100)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,15 +114,16 @@ def _arguments() -> argparse.Namespace:
 
 
 def training(bench: Bench, size: Size) -> Iterator[str]:
-    """Pairs per second of AdamW steps with 64 pairs, in passes of AGENT_STEPS_PER_PASS on a CPU and in one on a GPU."""
+    """Pairs per second of AdamW steps with 64 pairs."""
     for name, dtype in PRECISIONS.items():
-        upper_bound = gemm_flops(bench, size, dtype)
         step = TrainingStep(size, dtype, bench.device)
+        upper_bound = gemm_flops(bench, size, dtype, step.pairs_per_pass or N_PAIRS)
         # The counter does not support fused attention on a CPU; unfused attention is computed by matrix products.
         with FlopCounterMode(display=False) as counter, sdpa_kernel(SDPBackend.MATH):
-            step.one_pass(0)
-        flops = counter.get_total_flops() * len(step.passes) / N_PAIRS
-        pairs = bench.calls_per_second(step.run) * N_PAIRS
+            step.run()
+        flops = counter.get_total_flops() / N_PAIRS
+        with freed_memory_kept():
+            pairs = bench.calls_per_second(step.run) * N_PAIRS
         yield (
             f"training    {size} {name:8} {pairs:9.1f} pairs/s, {pairs * flops / 1e9:7.0f}"
             f" of {upper_bound / 1e9:7.0f} GFLOP/s: {pairs * flops / upper_bound:4.0%}"
@@ -123,47 +131,53 @@ def training(bench: Bench, size: Size) -> Iterator[str]:
 
 
 class TrainingStep:
-    """One optimiser step on random pairs."""
+    """The trainer's optimiser step on random pairs."""
 
-    def __init__(self, size: Size, dtype: torch.dtype, device: torch.device) -> None:
+    def __init__(self, size: Size, dtype: torch.dtype, device: torch.device, n_pairs: int = N_PAIRS) -> None:
         torch.manual_seed(0)
-        self.model = build_reward_model(size.config).to(device).train()
-        self.dtype, self.device = dtype, device
-        self.optimiser = torch.optim.AdamW(self.model.parameters(), lr=1e-4, fused=True)
-        shape = (2, N_PAIRS, size.n_steps, N_AGENTS)
-        self.observations = torch.randn(*shape, OBSERVATION_DIM, device=device)
-        self.actions = torch.randn(*shape, ACTION_DIM, device=device)
-        self.mask = torch.ones(shape[:3], dtype=torch.bool, device=device)
-        self.labels = torch.randint(0, 2, (N_PAIRS,), device=device).float()
-        per_pass = N_PAIRS
-        if device.type == "cpu":
-            per_pass = max(1, AGENT_STEPS_PER_PASS // (2 * size.n_steps * N_AGENTS))
-        self.passes = [slice(first, first + per_pass) for first in range(0, N_PAIRS, per_pass)]
+        model = model_with_active_attention(size.config).to(device).train()
+        rng = np.random.default_rng(0)
+        shape = (2 * n_pairs, size.n_steps, N_AGENTS)
+        arrays = SegmentArrays(
+            rng.standard_normal((*shape, OBSERVATION_DIM), dtype=np.float32),
+            rng.standard_normal((*shape, ACTION_DIM), dtype=np.float32),
+            np.ones(shape[:2], dtype=np.bool_),
+        )
+        segments = ResidentSegments(arrays, device)
+        pairs = torch.arange(2 * n_pairs, device=device).view(n_pairs, 2)
+        data = PairTensors(pairs, torch.randint(0, 2, (n_pairs,), device=device).float())
+        self.pairs_per_pass = pairs_per_pass(size.config, segments)
+        self._trainer = RewardTrainer(model, data, data.first(0), seed=0)
+        settings = network_stage(TrainConfig(), size.config, n_pairs, warm=False)
+        self._stage = Stage(
+            settings, list(model.parameters()), network_scorer(segments, dtype), pairs_per_pass=self.pairs_per_pass
+        )
+        self._optimiser, self._average = adamw(self._stage.parameters, settings), weight_average(model)
+        self._batch = torch.arange(n_pairs, device=device)
 
-    def one_pass(self, number: int) -> None:
-        part = self.passes[number]
-
-        def both(values: Tensor) -> Tensor:
-            return values[:, part].flatten(0, 1)
-
-        with autocast(self.dtype, self.device):
-            score = self.model(both(self.observations), both(self.actions), both(self.mask)).score
-        score_0, score_1 = score.float().chunk(2)
-        loss = preference_loss(score_0, score_1, self.labels[part])
-        (loss * (len(score_0) / N_PAIRS)).backward()
-
-    def run(self) -> None:
-        self.optimiser.zero_grad(set_to_none=True)
-        for number in range(len(self.passes)):
-            self.one_pass(number)
-        nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
-        self.optimiser.step()
+    def run(self, pairs_per_pass: int | None = None) -> None:
+        stage = replace(self._stage, pairs_per_pass=pairs_per_pass or self.pairs_per_pass)
+        self._trainer.training_step(stage, self._optimiser, self._average, self._batch)
 
 
-def gemm_flops(bench: Bench, size: Size, dtype: torch.dtype) -> float:
-    """Floating point operations per second of one product with the shapes of the network."""
-    width = 2 * size.hidden_dim
-    rows = AGENT_STEPS_PER_PASS if bench.device.type == "cpu" else 2 * N_PAIRS * size.n_steps * N_AGENTS
+def passes(bench: Bench, size: Size) -> Iterator[str]:
+    """Pairs per second of CPU time of steps of `PASSES[0]` pairs in passes of several sizes, which alternate."""
+    if bench.device.type != "cpu":
+        return
+    for name, dtype in PRECISIONS.items():
+        step = TrainingStep(size, dtype, bench.device, PASSES[0])
+        for label, context in (("freed memory returned", nullcontext()), ("freed memory kept", freed_memory_kept())):
+            with context:
+                seconds = median_seconds(
+                    time.process_time, PASSES_ROUNDS, *(partial(step.run, each) for each in PASSES)
+                )
+            rates = ", ".join(f"{PASSES[0] / each:.1f} in {per}" for per, each in zip(PASSES, seconds, strict=True))
+            yield f"passes      {size} {name:8} {label}: pairs/s of CPU time: {rates}"
+
+
+def gemm_flops(bench: Bench, size: Size, dtype: torch.dtype, n_pairs: int) -> float:
+    """Floating point operations per second of one product with the shapes of the network, for a pass of `n_pairs`."""
+    width, rows = 2 * size.hidden_dim, 2 * min(n_pairs, N_PAIRS) * size.n_steps * N_AGENTS
     left = torch.randn(rows, width, dtype=dtype, device=bench.device)
     right = torch.randn(width, width, dtype=dtype, device=bench.device)
     return bench.calls_per_second(lambda: left @ right) * 2 * rows * width * width
@@ -200,6 +214,7 @@ def random_rollout() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 ROWS: dict[str, Callable[[Bench, Size], Iterator[str]]] = {
     "training": training,
+    "passes": passes,
     "relabelling": relabelling,
     "streaming": streaming,
 }

@@ -230,7 +230,7 @@ class VersionTrainer:
             list(model.parameters()),
             scorer,
             start=start,
-            pairs_per_pass=_pairs_per_pass(model, self._segments),
+            pairs_per_pass=pairs_per_pass(self._config, self._segments),
         )
         losses = self._trainer(model, fold).run(stage)
         return cross_selected(losses.epochs or (losses.before,))
@@ -323,8 +323,9 @@ def train_reward_model(
     return TrainedReward(model.cpu(), defined, tuple(log.history))
 
 
-def _pairs_per_pass(model: RewardModel, segments: SegmentReader) -> int | None:
+def pairs_per_pass(config: RewardConfig, segments: SegmentReader) -> int | None:
+    """Most pairs of segments in a forward and backward pass of the whole network; None for a whole batch, on a GPU."""
     if segments.device.type != "cpu":
         return None
-    activations_per_pair = 2 * model.config.n_agents * segments.n_steps * model.config.hidden_dim
+    activations_per_pair = 2 * config.n_agents * segments.n_steps * config.hidden_dim
     return max(1, ACTIVATIONS_PER_PASS // activations_per_pair)

@@ -1,0 +1,82 @@
+"""How long a labeller at the page waits for the next pair while the service trains, in a whole service.
+
+The labeller answers every `--pause` seconds. A wait is the time from asking for a pair until both of its clips have
+been received; the first pair, which comes with the service's start, is printed apart. The page asks for the next pair
+while the present one is shown, so that most of these waits are hidden from people.
+
+    python tests/benchmarks/bench_waiting.py [--labels 60] [--pause 4] [--teacher recency] [--task HalfCheetah-6x1]
+"""
+
+import argparse
+import statistics
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from accord.cli.client import Api
+from accord.cli.own_service import OwnService
+from accord.cli.teach import SegmentReader, TeacherChoice, judge
+from accord.domain.enums import Role
+
+POLL_SECONDS = 0.1
+#: longer than any start
+LONGEST_WAIT_SECONDS = 180.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--labels", type=int, default=60)
+    parser.add_argument("--pause", type=float, default=4.0)
+    parser.add_argument("--teacher", default="recency")
+    parser.add_argument("--task", default="HalfCheetah-6x1")
+    arguments = parser.parse_args()
+    with TemporaryDirectory() as folder:
+        service = OwnService(Path(folder), {})
+        try:
+            api = Api(service.url(), service.token("labeller", Role.RESEARCHER))
+            experiment = api.post("/experiments", {"task": arguments.task, "label_budget": arguments.labels})["id"]
+            waits = label(api, experiment, TeacherChoice.parse(arguments.teacher), arguments.labels, arguments.pause)
+            state = api.get(f"/experiments/{experiment}")
+            api.close()
+        finally:
+            service.close()
+    first, rest = waits[0], sorted(waits[1:])
+    print(
+        f"{arguments.task}, {arguments.labels} labels, one every {arguments.pause:g} s; reward versions"
+        f" {state['reward_version']}, {state['steps']:,} steps"
+    )
+    print(
+        f"wait for the first pair {first:.1f} s; later waits: median {statistics.median(rest):.2f} s,"
+        f" 95% below {rest[int(0.95 * len(rest))]:.2f} s, longest {rest[-1]:.2f} s"
+    )
+
+
+def label(api: Api, experiment: str, choice: TeacherChoice, labels: int, pause: float) -> list[float]:
+    """Label one pair at a time; return the seconds of each wait."""
+    teacher = choice.teacher(0)
+    reader, waits = SegmentReader(api, teacher), list[float]()
+    while len(waits) < labels:
+        started = time.perf_counter()
+        query = _next_pair(api, experiment)
+        for side in ("left", "right"):
+            api.get_bytes(query[side]["clip_url"].removeprefix("/api/v1"))
+        waits.append(time.perf_counter() - started)
+        time.sleep(pause)
+        body = {"query_id": query["id"], "label": judge(teacher, reader, [query])[0], "order": "segments"}
+        api.post(f"/experiments/{experiment}/labels", {"labels": [body | {"teacher": teacher.parameters()}]})
+    return waits
+
+
+def _next_pair(api: Api, experiment: str) -> dict[str, Any]:
+    deadline = time.monotonic() + LONGEST_WAIT_SECONDS
+    while time.monotonic() < deadline:
+        items = api.post(f"/experiments/{experiment}/queries/next", count=1, returns=True)["items"]
+        if items:
+            return items[0]
+        time.sleep(POLL_SECONDS)
+    raise TimeoutError(f"no pair within {LONGEST_WAIT_SECONDS:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
