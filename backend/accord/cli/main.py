@@ -20,6 +20,7 @@ app = make_app(
         "demo": LazyCommand("accord.cli.demo", "demo", "Train policies from a scripted teacher's labels."),
         "tasks": LazyCommand("mapt.cli.tasks", "tasks", "List the tasks."),
         "export": LazyCommand("accord.cli.export", "export", "Export an experiment as Parquet tables."),
+        "import": LazyCommand("accord.cli.importing", "import_experiment", "Import an exported experiment."),
         "doctor": LazyCommand("accord.cli.doctor", "doctor", "Check that this machine can run Accord."),
     },
 )

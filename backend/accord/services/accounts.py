@@ -52,6 +52,11 @@ def create_user(session: Session, name: str, role: Role) -> tuple[UserRow, str]:
     return user, _new_token(session, user.id, "bearer", None)
 
 
+def user_by_id(session: Session, user_id: str) -> UserRow | None:
+    """None if there is no such user."""
+    return accounts.user(session, user_id)
+
+
 def ensure_admin(session: Session) -> UserRow:
     """The first admin, created if there is none."""
     found = accounts.first_with_role(session, Role.ADMIN.value)

@@ -7,6 +7,7 @@ from sqlalchemy.orm import Session
 from accord.domain.enums import ExperimentStatus
 from accord.domain.errors import ExperimentInUse, ExperimentNotActive, ExperimentNotFound, Invalid
 from accord.domain.ids import new_id
+from accord.services.collect import replayed_clip_key
 from accord.services.publish import card_key, ensemble_key
 from accord.store import deletions, experiments
 from accord.store.blobs import BlobStore
@@ -38,8 +39,10 @@ def delete(session: Session, experiment_id: str, name: str, deleted_by: str) -> 
         raise Invalid(f"The name of this experiment is {row.name!r}. Send it exactly to confirm the deletion.", "name")
     if deletions.is_claimed(session, experiment_id, utc_now()):
         raise ExperimentInUse(experiment_id)
-    keys, weights = deletions.blob_keys(session, experiment_id)
-    keys += [key for each in weights for key in (each, card_key(each), ensemble_key(each))]
+    found = deletions.blob_keys(session, experiment_id)
+    keys = found.checkpoints + found.clips
+    keys += [key for each in found.segments for key in (each, replayed_clip_key(each))]
+    keys += [key for each in found.rewards for key in (each, card_key(each), ensemble_key(each))]
     record = DeletionRow(
         id=new_id("del"), deleted_id=row.id, name=row.name, config=row.config, deleted_by=deleted_by, rows={}
     )

@@ -44,13 +44,19 @@ class ExperimentPage:
     next_cursor: str | None
 
 
-def create(
-    session: Session, owner_id: str, name: str, config: ExperimentConfig, instructions: str | None
+def create(  # noqa: PLR0917 (a row's fields in their order)
+    session: Session,
+    owner_id: str,
+    name: str,
+    config: ExperimentConfig,
+    instructions: str | None,
+    experiment_id: str | None = None,
 ) -> ExperimentRow:
     """Creates an experiment, which a policy worker then claims.
 
     Args:
         instructions: shown to labellers; the task's own if None or empty.
+        experiment_id: its id, where blobs of it are stored already; a new one by default.
 
     Raises:
         UnknownTask: if no task has this name.
@@ -72,7 +78,13 @@ def create(
     shown = check_lines(instructions or "", "instructions", 4000) or spec.instructions
     if experiments.by_name(session, line) is not None:
         raise NameTaken(f"An experiment named {line!r} already exists. Choose another name.")
-    row = ExperimentRow(id=new_id("exp"), name=line, config=config.to_dict(), instructions=shown, owner_id=owner_id)
+    row = ExperimentRow(
+        id=experiment_id or new_id("exp"),
+        name=line,
+        config=config.to_dict(),
+        instructions=shown,
+        owner_id=owner_id,
+    )
     session.add(row)
     session.flush()
     return row

@@ -1,6 +1,7 @@
 """Deletes every row of an experiment, and reads the records of deletions."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import datetime
 
 from sqlalchemy import ColumnElement, Table, delete, func, select
@@ -29,20 +30,31 @@ def delete_rows(session: Session, experiment_id: str) -> dict[str, int]:
     return {name: count for name, count in deleted.items() if count}
 
 
-def blob_keys(session: Session, experiment_id: str) -> tuple[list[str], list[str]]:
-    """Keys of the experiment's own blobs (of reward versions: the weights'), and of reward versions alone.
+@dataclass(frozen=True, slots=True)
+class BlobKeys:
+    """Keys that the rows of an experiment hold."""
 
-    A clip is left out if another experiment shows the same one.
-    """
-    others = select(ClipRow.blob_key).where(ClipRow.experiment_id != experiment_id, ClipRow.blob_key.is_not(None))
-    own_clips = ClipRow.blob_key.is_not(None) & ClipRow.blob_key.not_in(others)
-    statements = (
-        select(SegmentRow.blob_key).where(SegmentRow.experiment_id == experiment_id),
-        select(PolicyCheckpointRow.blob_key).where(PolicyCheckpointRow.experiment_id == experiment_id),
-        select(ClipRow.blob_key).where(ClipRow.experiment_id == experiment_id, own_clips),
+    segments: list[str]
+    checkpoints: list[str]
+    #: weights of reward versions
+    rewards: list[str]
+    #: without those that another experiment shows, too
+    clips: list[str]
+
+
+def blob_keys(session: Session, experiment_id: str) -> BlobKeys:
+    shared = select(ClipRow.blob_key).where(ClipRow.experiment_id != experiment_id, ClipRow.blob_key.is_not(None))
+    clips = select(ClipRow.blob_key).where(
+        ClipRow.experiment_id == experiment_id, ClipRow.blob_key.is_not(None), ClipRow.blob_key.not_in(shared)
     )
-    rewards = session.scalars(select(RewardVersionRow.blob_key).where(RewardVersionRow.experiment_id == experiment_id))
-    return [key for each in statements for key in session.scalars(each) if key is not None], list(rewards)
+    of_experiment = [
+        select(table.blob_key).where(table.experiment_id == experiment_id)
+        for table in (SegmentRow, PolicyCheckpointRow, RewardVersionRow)
+    ]
+    return BlobKeys(
+        *(list(session.scalars(statement)) for statement in of_experiment),
+        clips=[key for key in session.scalars(clips) if key is not None],
+    )
 
 
 def is_claimed(session: Session, experiment_id: str, now: datetime) -> bool:

@@ -140,7 +140,7 @@ class SegmentRow(Base):
     __tablename__ = "segments"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"))
-    #: iteration and environment steps of the policy that produced it
+    #: iteration and environment steps of the policy that produced it; -1 for one imported from another experiment
     policy_iteration: Mapped[int]
     policy_steps: Mapped[int]
     blob_key: Mapped[str]

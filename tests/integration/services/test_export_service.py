@@ -190,26 +190,34 @@ def test_failed_export_leaves_no_files(sqlite: Stores, tmp_path: Path) -> None:
 
 
 def command(*arguments: object) -> subprocess.CompletedProcess[str]:
-    line = [sys.executable, "-m", "accord.cli", "export", *map(str, arguments)]
+    line = [sys.executable, "-m", "accord.cli", *map(str, arguments)]
     return subprocess.run(line, capture_output=True, text=True, check=False)
 
 
-def test_command_exports_from_a_home_folder_in_use(tmp_path: Path) -> None:
+def test_commands_export_from_a_home_folder_in_use_and_import_into_a_new_one(tmp_path: Path) -> None:
     with open_stores(tmp_path / "home") as stores:
         sample, _, _ = labelled(stores)
         # The database stays open, as that of a running service.
-        ended = command("--experiment", sample.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home")
+        ended = command(
+            "export", "--experiment", sample.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home"
+        )
         assert (ended.returncode, ended.stderr) == (0, "")
         assert "5 segments, 4 queries, 3 labels, 1 skips" in ended.stdout
         assert len(PreferenceTables.open(tmp_path / "out").labels()) == 4
-        again = command("--experiment", sample.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home")
+        again = command(
+            "export", "--experiment", sample.experiment.id, "--output", tmp_path / "out", "--home", tmp_path / "home"
+        )
+    elsewhere = tmp_path / "elsewhere"
+    imported = command("import", tmp_path / "out", "--name", "again", "--home", elsewhere, "--json")
+    assert json.loads(imported.stdout).items() >= {"segments": 5, "queries": 3, "labels": 3}.items()
+    assert (elsewhere / "accord.db").exists()
     assert again.returncode == 2
     assert "Choose another folder" in again.stderr
     assert "Traceback" not in again.stderr
 
 
 def test_command_does_not_create_a_database(tmp_path: Path) -> None:
-    ended = command("--experiment", "exp_x", "--output", tmp_path / "out", "--home", tmp_path / "home")
+    ended = command("export", "--experiment", "exp_x", "--output", tmp_path / "out", "--home", tmp_path / "home")
     assert ended.returncode == 2
     assert "no database" in ended.stderr
     assert list(tmp_path.iterdir()) == []
