@@ -1,9 +1,10 @@
 """Rows of worker processes and of their claims."""
 
 from datetime import datetime
+from importlib import import_module
 
 from sqlalchemy import delete, or_, select, update
-from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy.dialects import sqlite
 from sqlalchemy.orm import Session
 
 from accord.store.tables import Base, ClaimRow, WorkerRow
@@ -45,8 +46,9 @@ def drop_claim(session: Session, subject: str, holder: str) -> None:
     session.execute(delete(ClaimRow).where(ClaimRow.subject == subject, ClaimRow.holder == holder))
 
 
-def insert(session: Session, table: type[Base]) -> sqlite.Insert | postgresql.Insert:
-    """An INSERT that supports ON CONFLICT, in the dialect of the database."""
-    if session.get_bind().dialect.name == "postgresql":
-        return postgresql.insert(table)
-    return sqlite.insert(table)
+def insert(session: Session, table: type[Base]) -> sqlite.Insert:
+    """An INSERT that supports ON CONFLICT, in the dialect of the database; Postgres's class has the same methods.
+
+    Postgres's dialect is imported only where it is used: it takes 0.1 s of CPU time, a tenth of a worker's start.
+    """
+    return import_module(f"sqlalchemy.dialects.{session.get_bind().dialect.name}").insert(table)
