@@ -9,7 +9,12 @@ TEST_PROCESSES ?= 2
 SIDE_BY_SIDE := --numprocesses $(TEST_PROCESSES) --dist loadfile --no-loadscope-reorder
 PAGE_SOURCES := $(shell find frontend/src frontend/public frontend/index.html frontend/package-lock.json frontend/vite.config.ts 2>/dev/null)
 
-.PHONY: run test test-avx2 check bench learn format system system-test clean
+# Commands and tests start many Python processes, which load compiled modules in less time.
+unexport PYTHONDONTWRITEBYTECODE
+
+CHECKS := check-types check-page check-imports check-style
+
+.PHONY: run test test-avx2 check $(CHECKS) bench learn format system system-test clean
 
 run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
 	$(BIN)/accord up --example
@@ -20,12 +25,21 @@ test: $(INSTALLED) system-test check ## Format, lint, types, import rules, then 
 test-avx2: $(INSTALLED) ## The tests of computed numbers again, with AVX2, so that none depends on one processor's rounding; part of CI
 	ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 $(BIN)/python -m pytest --quiet -m numerics $(SIDE_BY_SIDE) tests/unit
 
-check: $(INSTALLED) ## Format, lint, types, import rules, the page
+check: $(INSTALLED) ## Format, lint, types, import rules, the page; the longest first, two at a time
+	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target $(CHECKS)
+
+check-types:
+	$(BIN)/pyright
+
+check-page:
+	cd frontend && PATH="$(abspath $(BIN)):$$PATH" npm run --silent check
+
+check-imports:
+	$(BIN)/lint-imports --no-logo
+
+check-style:
 	$(BIN)/ruff format --check backend models tests frontend
 	$(BIN)/ruff check backend models tests frontend
-	$(BIN)/pyright
-	$(BIN)/lint-imports --no-logo
-	cd frontend && PATH="$(abspath $(BIN)):$$PATH" npm run --silent check
 
 format: $(INSTALLED) ## Format Python and TypeScript in place
 	$(BIN)/ruff format backend models tests frontend
