@@ -5,7 +5,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -47,16 +47,24 @@ class Accord:
     def __init__(self, home: Path) -> None:
         self.home = home
         self.log = home.parent / "up.log"
+        self.http = httpx.Client(timeout=60.0, **PLAIN_HTTP)
         self._supervisor: psutil.Popen | None = None
+        self._absent: set[str] = set()
         self._seen: dict[int, psutil.Process] = {}
 
-    def start(self, environment: Mapping[str, str] | None = None) -> None:
-        """Start the service and wait until the API responds."""
+    def start(self, environment: Mapping[str, str] | None = None, without: Collection[str] = ()) -> None:
+        """Start the service and wait until the API responds.
+
+        Args:
+            without: roles for which no worker starts, because each costs seconds of CPU time.
+        """
+        self._absent = set(without)
+        no_workers = {f"ACCORD_{role.upper()}_WORKERS": "0" for role in without}
         (self.home / "url").unlink(missing_ok=True)
         command = [sys.executable, "-m", "accord.cli", "up", "--home", str(self.home), "--port", "0", "--no-example"]
         with self.log.open("ab") as log:
             self._supervisor = psutil.Popen(
-                command, env=os.environ | ENVIRONMENT | dict(environment or {}), stdout=log, stderr=log
+                command, env=os.environ | ENVIRONMENT | no_workers | dict(environment or {}), stdout=log, stderr=log
             )
         until(self._responds, "the API responds")
 
@@ -64,7 +72,7 @@ class Accord:
         assert self.supervisor.is_running(), self.log.read_text()
         assert self.supervisor.status() != psutil.STATUS_ZOMBIE, self.log.read_text()
         with suppress(httpx.TransportError, FileNotFoundError):
-            return httpx.get(f"{self.url}/api/v1/health", timeout=30.0, **PLAIN_HTTP).is_success
+            return self.http.get(f"{self.url}/api/v1/health").is_success
         return False
 
     @property
@@ -90,21 +98,22 @@ class Accord:
         return running
 
     def all_running(self) -> dict[str, psutil.Process] | None:
-        """All processes, once there is one of each role; else None."""
+        """All processes, once there is one of each role that was not started without workers; else None."""
         running = self.processes()
-        return running if running.keys() >= set(_ROLES.values()) else None
+        return running if running.keys() >= set(_ROLES.values()) - self._absent else None
 
     def all_ready(self) -> dict[str, psutil.Process] | None:
         """All processes, once every worker has finished its imports and handles signals; else None."""
         running = self.all_running()
         states = [state for (state,) in self.rows("SELECT state FROM workers")] if running else []
-        return running if len(states) == 3 and "starting" not in states else None
+        return running if len(states) == 3 - len(self._absent) and "starting" not in states else None
 
     def send_signal(self, number: signal.Signals = signal.SIGTERM) -> None:
         self.supervisor.send_signal(number)
 
     def kill_everything(self) -> None:
-        """Send SIGKILL to each running process."""
+        """Send SIGKILL to each running process, and close the client."""
+        self.http.close()
         if self._supervisor is None:
             return
         self.processes()
@@ -165,15 +174,8 @@ class Client:
 
         def attempt() -> httpx.Response | None:
             with suppress(httpx.TransportError, FileNotFoundError):
-                response = httpx.request(
-                    method,
-                    f"{self._accord.url}/api/v1{path}",
-                    json=body,
-                    params=query,
-                    headers=self._headers,
-                    timeout=60.0,
-                    **PLAIN_HTTP,
-                )
+                url = f"{self._accord.url}/api/v1{path}"
+                response = self._accord.http.request(method, url, json=body, params=query, headers=self._headers)
                 return None if response.status_code == 503 else response
             return None
 

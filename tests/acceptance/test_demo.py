@@ -18,7 +18,7 @@ from mapt.training.results import RunResult, find_runs
 from mapt.training.settings import PreferenceRewardSettings
 from support.waiting import PATIENCE_SECONDS, until
 
-STEPS = 4000
+STEPS = 2000
 
 
 def test_a_killed_demo_resumes_with_every_label_and_writes_runs_figure_and_table(tmp_path: Path) -> None:
@@ -26,12 +26,14 @@ def test_a_killed_demo_resumes_with_every_label_and_writes_runs_figure_and_table
     policy = [argument for name, value in TINY_POLICY.items() for argument in ("--set", f"{name}={value}")]
     command = [
         *("demo", "--task", TINY["task"], "--steps", str(STEPS), "--models", "MA-MLP,MAPT-paper"),
-        *("--labels", "12", "--labels-per-version", "5", "--seeds", "3", "--workers", "2", "--json"),
+        *("--labels", "12", "--labels-per-version", "5", "--seeds", "3", "--json"),
         *("--output", str(output), *policy),
     ]
     database = output / "home" / "accord.db"
     process = subprocess.Popen(
-        [sys.executable, "-m", "accord.cli", *command], env=os.environ | ENVIRONMENT, stdout=subprocess.DEVNULL
+        [sys.executable, "-m", "accord.cli", *command, "--workers", "1"],
+        env=os.environ | ENVIRONMENT,
+        stdout=subprocess.DEVNULL,
     )
     until(lambda: process.poll() is not None or labels_in(database), "the first label")
     assert process.poll() is None
@@ -39,7 +41,7 @@ def test_a_killed_demo_resumes_with_every_label_and_writes_runs_figure_and_table
     process.wait()
     before = labels_in(database)
 
-    resumed = run_module("accord.cli", *command)
+    resumed = run_module("accord.cli", *command, "--workers", "2")
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     rows = json.loads(resumed.stdout)
     assert [(row["reward_model"], row["labels"]) for row in rows] == [("MA-MLP", 12), ("MAPT-paper", 12)]
@@ -108,7 +110,7 @@ class RunningService:
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
     """Shared by the tests of `accord teach`: the first gives no label, the second all."""
     accord = Accord(tmp_path_factory.mktemp("teach") / "home")
-    accord.start()
+    accord.start(without=["render"])
     client = Client(accord, accord.token("ada", "researcher"))
     yield RunningService(accord, client, client.create_experiment(total_steps=1000, render_clips=False))
     accord.kill_everything()

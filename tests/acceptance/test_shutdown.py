@@ -1,14 +1,15 @@
 """Shutdown of `accord up`: no process is left."""
 
 import signal
+from collections.abc import Collection
 
 from acceptance.accord_service import Accord, Client, alive
 from support.waiting import PATIENCE_SECONDS, until
 
 
-def start_training(accord: Accord) -> None:
+def start_training(accord: Accord, without: Collection[str] = ()) -> None:
     """Start the service and wait until its policy trains."""
-    accord.start()
+    accord.start(without=without)
     client = Client(accord, accord.token("ada", "researcher"))
     client.create_experiment(reward_source="true", total_steps=10_000_000)
     until(lambda: accord.rows("SELECT 1 FROM metrics WHERE name = 'learned_return'"), "training has begun")
@@ -33,7 +34,7 @@ def test_one_signal_ends_all_processes_and_saves_a_checkpoint(accord: Accord) ->
 
 
 def test_a_worker_that_does_not_respond_is_killed_and_the_others_save_their_work(accord: Accord) -> None:
-    start_training(accord)
+    start_training(accord, without=["reward"])
     processes = until(accord.all_ready, "all processes handle signals")
     processes["render"].suspend()
     accord.send_signal(signal.SIGTERM)
@@ -43,7 +44,7 @@ def test_a_worker_that_does_not_respond_is_killed_and_the_others_save_their_work
 
 
 def test_a_second_signal_kills_all_processes_at_once(accord: Accord) -> None:
-    accord.start()
+    accord.start(without=["policy"])
     processes = until(accord.all_ready, "all processes handle signals")
     for process in processes.values():
         process.suspend()
@@ -53,4 +54,4 @@ def test_a_second_signal_kills_all_processes_at_once(accord: Accord) -> None:
     accord.supervisor.wait(PATIENCE_SECONDS)
     until(lambda: not any(alive(process) for process in processes.values()), "all have ended")
     killed = accord.log.read_text().rpartition("killed: ")[2].split()
-    assert {name.strip(",") for name in killed} == {"api", "policy-0", "reward-0", "render-0"}
+    assert {name.strip(",") for name in killed} == {"api", "reward-0", "render-0"}

@@ -16,18 +16,21 @@ import psutil
 from accord.domain.enums import Role
 from accord.services import accounts
 from accord.store.database import Database
+from support import short_tasks
 from support.plain_http import PLAIN_HTTP
 from support.ports import free_port
 from support.waiting import PATIENCE_SECONDS
 
-#: few and short clips and few labels, so that the whole loop takes under a minute on a busy machine
+#: short episodes, few and short clips, and a small policy, which leave the cores to the browser
 SMALL: dict[str, Any] = {
-    "task": "HalfCheetah-6x1",
+    "task": short_tasks.NAME,
     "total_steps": 40_000,
     "segment_steps": 20,
     "label_budget": 60,
-    "initial_labels": 20,
+    "initial_labels": 10,
     "labels_per_version": 20,
+    "lookahead_queries": 4,
+    "policy": {"n_envs": 16, "rollout_steps": 100, "epochs": 2, "minibatches": 2},
 }
 
 
@@ -99,4 +102,4 @@ class Service:
 
 
 def environment() -> dict[str, str]:
-    return os.environ | {"OMP_NUM_THREADS": "1", "ACCORD_TORCH_THREADS": "1"}
+    return os.environ | short_tasks.ENVIRONMENT | {"OMP_NUM_THREADS": "1", "ACCORD_TORCH_THREADS": "1"}

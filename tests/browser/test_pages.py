@@ -43,21 +43,18 @@ def test_everything_works_with_the_keyboard_alone(
     _tab_to(page, "Label By keyboard")
     page.keyboard.press("Enter")
     labeller = Labeller(page)
-    labeller.press("ArrowLeft")
+    better = labeller.press("ArrowLeft")
     # The buttons are enabled once the next pair plays.
     labeller.pair()
     # Space activates a focused button, and the arrow keys still work.
     _tab_to(page, "Equally good")
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") != "none", "the focus must be visible"
-    labeller.press(" ")
-    labeller.undo(labeller.press("ArrowDown"))
-    labeller.press("ArrowRight")
-    rows = service.rows(
-        "select l.value, l.left_segment from labels l join queries q on q.id = l.query_id "
-        "where l.experiment_id = ? order by q.number",
-        experiment,
-    )
-    assert [value if left == 0 else 1.0 - value for value, left in rows] == [1.0, 0.5, 0.0]
+    equal, worse = labeller.press(" "), labeller.press("ArrowDown")
+    labeller.undo(worse)
+    assert labeller.press("ArrowRight") == worse
+    rows = service.rows("select query_id, value, left_segment from labels where experiment_id = ?", experiment)
+    stored = {query: value if left == 0 else 1.0 - value for query, value, left in rows}
+    assert stored == {better.query: 1.0, equal.query: 0.5, worse.query: 0.0}
 
 
 def test_a_labeller_never_receives_true_returns(

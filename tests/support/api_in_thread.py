@@ -54,11 +54,12 @@ def run_api_server(stores: Stores, home: Path, **changes: object) -> Generator[A
     server = uvicorn.Server(config)
     with stores.database.transaction() as session:
         tokens = {role: user(session, f"the {role}", role)[1] for role in Role}
-    with listen("127.0.0.1", 0) as listener, ExitStack() as clients:
-        url = address_of(listener)
-        thread = threading.Thread(target=server.run, args=([listener],))
-        thread.start()
-        try:
+    listener = listen("127.0.0.1", 0)
+    url = address_of(listener)
+    thread = threading.Thread(target=server.run, args=([listener],))
+    thread.start()
+    try:
+        with ExitStack() as clients:
             until(lambda: server.started or not thread.is_alive(), "the server starts")
             assert thread.is_alive(), "the server did not start"
             by_role = {role: clients.enter_context(client(url, token)) for role, token in tokens.items()}
@@ -73,6 +74,7 @@ def run_api_server(stores: Stores, home: Path, **changes: object) -> Generator[A
                 researcher=by_role[Role.RESEARCHER],
                 admin=by_role[Role.ADMIN],
             )
-        finally:
-            server.should_exit = True
-            thread.join(PATIENCE_SECONDS)
+    finally:
+        # uvicorn takes 0.2 s to end after its last connection is closed; nothing waits for that.
+        server.should_exit = True
+        until(lambda: not server.server_state.connections or not thread.is_alive(), "all connections are closed")

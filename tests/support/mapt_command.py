@@ -23,9 +23,14 @@ def mapt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
     """Run the command in this process."""
 
     def run(*arguments: str | Path) -> CommandResult:
-        monkeypatch.setattr(sys, "argv", ["mapt", *map(str, arguments)])
-        with pytest.raises(SystemExit) as exited:
-            main()
-        return CommandResult(int(exited.value.code or 0), *capsys.readouterr())
+        return CommandResult(run_mapt(monkeypatch, *arguments), *capsys.readouterr())
 
     return run
+
+
+def run_mapt(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
+    """Run the command in this process; return its exit status."""
+    monkeypatch.setattr(sys, "argv", ["mapt", *map(str, arguments)])
+    with pytest.raises(SystemExit) as exited:
+        main()
+    return int(exited.value.code or 0)

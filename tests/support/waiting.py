@@ -17,8 +17,11 @@ def until(condition: Callable[[], Found | None], what: str = "the condition") ->
     Args:
         what: what should happen, for the error message.
     """
-    deadline = time.monotonic() + PATIENCE_SECONDS
+    start = time.monotonic()
     while not (found := condition()):
-        assert time.monotonic() < deadline, f"timed out after {PATIENCE_SECONDS:.0f} s: {what}"
-        time.sleep(0.01)
+        waited = time.monotonic() - start
+        assert waited < PATIENCE_SECONDS, f"timed out after {PATIENCE_SECONDS:.0f} s: {what}"
+        # A condition can cost as much as what it waits for, such as a request to a server: after a second or more,
+        # check it a few times a second.
+        time.sleep(min(0.01 + waited / 20, 0.2))
     return found

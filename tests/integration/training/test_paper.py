@@ -14,6 +14,7 @@ import pytest
 from mapt.training.run_folder import RunFolder
 from mapt.training.settings import TRUE, LearnedRewardSettings
 from support import short_tasks
+from support.mapt_command import run_mapt
 from support.training_runs import STEPS_PER_ITERATION
 from support.waiting import until
 
@@ -73,11 +74,16 @@ def lines(path: Path) -> list[dict[str, str]]:
 def whole(tmp_path_factory) -> Path:
     """The output of an uninterrupted command."""
     output = tmp_path_factory.mktemp("whole")
-    assert start(output).wait() == 0
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        for name, value in short_tasks.ENVIRONMENT.items():
+            monkeypatch.setenv(name, value)
+        assert run_mapt(monkeypatch, *arguments(output)) == 0
     return output
 
 
 def test_a_killed_benchmark_resumes_and_ends_with_the_same_results(tmp_path, whole, mapt):
+    # A command that was killed after the datasets were recorded.
+    shutil.copytree(whole / "datasets", tmp_path / "datasets")
     for pattern in ("cells/*.json", "runs/*/*/MAPT*/metrics.jsonl"):
         kill_when(tmp_path, pattern)
     done = finished_units(tmp_path)
