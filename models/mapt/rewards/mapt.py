@@ -10,6 +10,7 @@ The forward pass, in the order of the classes below:
 """
 
 import math
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
@@ -144,6 +145,9 @@ class MAPT(RewardModel):
         # Without the gain, keys have the size of other activations, which keeps the softmax smooth.
         keys = agent_rewards / REWARD_GAIN if self.config.tpa_key == "rewards" else team
         return self.step_weights(team, keys, mask)
+
+    def _reward_readers(self) -> Sequence[nn.Linear]:
+        return [self.step_weights.key] if self.step_weights is not None and self.config.tpa_key == "rewards" else []
 
     def _first_layers(self) -> tuple[FirstLayers, FirstLayers]:
         observation, action = self._markov_first_layers()

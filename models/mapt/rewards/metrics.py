@@ -4,12 +4,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from mapt.preferences.loss import preference_losses
 
 CALIBRATION_BINS = 10
+# The factors among which `confidence` chooses, about 20% apart.
+_CONFIDENCES = torch.logspace(-6, 0, 25, base=2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +37,22 @@ def evaluate_logits(logits: Tensor, labels: Tensor, label_noise: float = 0.0) ->
         accuracy(probabilities, label),
         calibration_error(probabilities, label),
     )
+
+
+def confidence(logits: Tensor, labels: Tensor, label_noise: float = 0.0) -> float:
+    """The factor of at most 1 with which logits (P,) have the lowest mean loss.
+
+    It is the inverse of the temperature of Guo et al. (2017). A network that is trained on few pairs becomes too
+    confident long before it ceases to order other pairs better.
+    """
+    factors = _CONFIDENCES.to(logits.device)
+    losses = preference_losses(factors[:, None] * logits, labels.expand(len(factors), -1), label_noise)
+    return factors[losses.mean(dim=1).argmin()].item()
+
+
+def calibrated_losses(logits: Tensor, labels: Tensor, label_noise: float = 0.0) -> Tensor:
+    """The loss of each pair, in nats, (P,), after multiplying the logits (P,) by their `confidence`."""
+    return preference_losses(confidence(logits, labels, label_noise) * logits, labels, label_noise)
 
 
 def accuracy(probabilities: ArrayLike, labels: ArrayLike) -> float:

@@ -79,6 +79,10 @@ class RewardModel(nn.Module, ABC):
     def _first_layers(self) -> tuple[FirstLayers, FirstLayers]:
         """The layers that read the normalised observations, and those that read the actions."""
 
+    def _reward_readers(self) -> Sequence[nn.Linear]:
+        """The layers that read r-hat."""
+        return ()
+
     def _step_attention(self, h: Tensor, agent_rewards: Tensor, mask: Tensor) -> Tensor | None:
         """Attention weights over the real steps, (S, query step, key step), or None for equal weights."""
         return None
@@ -190,6 +194,16 @@ class RewardModel(nn.Module, ABC):
             for parameter, fresh in zip(model.markov.parameters(), new.parameters(), strict=True):
                 parameter.data.lerp_(fresh.data.to(parameter.device), 1 - kept_fraction)
         return model.state_dict()
+
+    @torch.no_grad()
+    def scale_rewards(self, factor: float) -> None:
+        """Multiply r-hat, and with it every score, by a positive `factor`; the weights of the steps do not change."""
+        for part in self.modules():
+            if isinstance(part, (RewardHead, MarkovPath)):
+                part.reward.weight.mul_(factor)
+                part.reward.bias.mul_(factor)
+        for layer in self._reward_readers():
+            layer.weight.div_(factor)
 
     def set_reward_scale(self, mean: float, deviation: float) -> None:
         """Set what `normalised` subtracts from rewards, and the deviation by which it divides them."""

@@ -15,9 +15,9 @@ import torch
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
-from mapt.preferences.loss import preference_loss, preference_losses
+from mapt.preferences.loss import preference_loss
 from mapt.rewards.data import PairTensors, Scorer
-from mapt.rewards.metrics import evaluate_logits
+from mapt.rewards.metrics import calibrated_losses, evaluate_logits
 from mapt.rewards.model import RewardModel
 from mapt.rewards.schedule import StageSettings, is_above_chance, is_out_of_patience, is_reliable
 
@@ -93,7 +93,7 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class StageLosses:
-    """The loss of each evaluated pair (P,), in nats: on the hold-out, or on the training pairs if it is too small."""
+    """The `calibrated_losses` of the evaluated pairs (P,): the hold-out, or the training pairs if it is too small."""
 
     #: before the stage
     before: Tensor
@@ -151,7 +151,7 @@ class RewardTrainer:
         evaluated = self._hold_out if reliable else self._train
         self._model.eval()
         logits = evaluated.logits(self._model, stage.scorer)
-        before = preference_losses(logits, evaluated.labels, settings.label_noise)
+        before = calibrated_losses(logits, evaluated.labels, settings.label_noise)
         best, best_loss = self._weights(self._model), before.mean().item() if stage.start is None else math.inf
         best_epoch, above_chance, epochs = 0, False, list[Tensor]()
         if stage.start is not None:
@@ -166,7 +166,7 @@ class RewardTrainer:
             evaluation = evaluate_logits(hold_out_logits, self._hold_out.labels, settings.label_noise)
             self._log.add(train_loss, evaluation.loss, evaluation.accuracy)
             logits = hold_out_logits if reliable else self._train.logits(averaged, stage.scorer)
-            losses = preference_losses(logits, evaluated.labels, settings.label_noise)
+            losses = calibrated_losses(logits, evaluated.labels, settings.label_noise)
             epochs.append(losses)
             if losses.mean().item() < best_loss:
                 best_loss, best, best_epoch = losses.mean().item(), self._weights(averaged), epoch

@@ -15,7 +15,6 @@ from torch import Tensor
 from mapt.device import freed_memory_kept, resolve_device, seeded
 from mapt.errors import ModelMismatch
 from mapt.preferences.dataset import BoolArray, PreferenceDataset, SegmentSource
-from mapt.preferences.loss import preference_losses
 from mapt.rewards import attention_trial
 from mapt.rewards.attention_trial import AttentionTrial, cross_selected, trial_metrics
 from mapt.rewards.config import RewardConfig, TrainConfig
@@ -30,7 +29,7 @@ from mapt.rewards.data import (
     step_rewards,
 )
 from mapt.rewards.kernels import resolve_precision
-from mapt.rewards.metrics import evaluate_logits
+from mapt.rewards.metrics import calibrated_losses, confidence, evaluate_logits
 from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.schedule import (
@@ -239,10 +238,10 @@ class VersionTrainer:
         return RewardTrainer(model, fold.train, fold.hold_out, seed=self._settings.seed, log=self._log)
 
     def _losses(self, model: RewardModel, fold: Fold | None = None) -> Tensor:
-        """The loss of each evaluated pair (P,)."""
+        """The calibrated loss of each evaluated pair (P,)."""
         evaluated = (fold or self._first).evaluated
         logits = evaluated.logits(model.eval(), network_scorer(self._segments, self._dtype))
-        return preference_losses(logits, evaluated.labels, self._settings.label_noise)
+        return calibrated_losses(logits, evaluated.labels, self._settings.label_noise)
 
 
 def train_reward_model(
@@ -295,11 +294,14 @@ def train_reward_model(
     with seeded(train_config.seed, device), freed_memory_kept():
         trainer = VersionTrainer(config, train_config, segments, log, pairs=pairs, held_out=held_out, first=fold)
         model, trial = trainer.train(initial, initial_metrics if initial is not None else None)
+    scorer = network_scorer(segments)
+    if fold.is_reliable:
+        logits = fold.hold_out.logits(model, scorer)
+        model.scale_rewards(confidence(logits, fold.hold_out.labels, train_config.label_noise))
     scaled = segments if reference is None else segment_reader(reference, device)
     rewards = step_rewards(model, scaled, evenly_spaced_sample(scaled))
     mean = float(rewards.mean()) if train_config.subtract_mean else 0.0
     model.set_reward_scale(mean, float(rewards.std()))
-    scorer = network_scorer(segments)
     on_train, on_hold_out = (
         evaluate_logits(each.logits(model, scorer), each.labels, train_config.label_noise)
         for each in (fold.train.first(MAX_EVALUATED_PAIRS), fold.hold_out)

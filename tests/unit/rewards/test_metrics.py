@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import spearmanr
@@ -9,8 +10,10 @@ from scipy.stats import spearmanr
 from mapt.rewards.metrics import (
     CalibrationBin,
     accuracy,
+    calibrated_losses,
     calibration_bins,
     calibration_error,
+    confidence,
     correlation,
     rank_correlation,
 )
@@ -20,6 +23,20 @@ def test_accuracy_ignores_ties():
     assert accuracy([0.9, 0.2, 0.7, 0.9], [1.0, 1.0, 0.5, 1.0]) == pytest.approx(2 / 3)
     assert math.isnan(accuracy([0.9], [0.5]))
     assert math.isnan(accuracy([], []))
+
+
+def test_logits_that_are_too_large_are_reduced_to_their_confidence():
+    # Three of four predictions are right: the best probability is 0.75, of logit log(3).
+    logits, labels = torch.full((400,), 8 * math.log(3)), torch.tensor([1.0, 1.0, 1.0, 0.0] * 100)
+    assert confidence(logits, labels) == pytest.approx(1 / 8)
+    entropy = -0.75 * math.log(0.75) - 0.25 * math.log(0.25)
+    assert calibrated_losses(logits, labels).mean().item() == pytest.approx(entropy)
+
+
+def test_confidence_is_at_most_one_and_low_for_wrong_predictions():
+    labels = torch.tensor([1.0, 0.0])
+    assert confidence(torch.tensor([0.1, -0.1]), labels) == 1
+    assert calibrated_losses(torch.tensor([-9.0, 9.0]), labels).mean().item() < math.log(2) + 0.1
 
 
 def test_true_probabilities_are_calibrated():

@@ -256,6 +256,17 @@ def test_refitting_normalisers_keeps_outputs(name):
 
 
 @names
+def test_scaling_rewards_keeps_the_weights_of_the_steps(name):
+    model, given = random_model(name), inputs(4, 6)
+    before = model(*given)
+    model.scale_rewards(0.25)
+    after = model(*given)
+    assert_close(after.agent_rewards, 0.25 * before.agent_rewards)
+    assert_close(after.weights, before.weights)
+    assert_close(after.score, 0.25 * before.score)
+
+
+@names
 def test_one_hot_actions_are_not_normalised(name):
     model, (observations, _, mask) = random_model(name, discrete_actions=True), inputs(4, 6)
     actions = torch.nn.functional.one_hot(torch.randint(A, (4, 6, N)), A).float()
