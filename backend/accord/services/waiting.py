@@ -5,12 +5,15 @@ another experiment.
 """
 
 from dataclasses import dataclass
+from math import ceil
 from typing import Literal
 
 from accord.domain.enums import ExperimentStatus, Phase
+from accord.services.experiment_config import ExperimentConfig
 from accord.services.experiments import LabelCounts, config_of
 from accord.store.tables import ExperimentRow, RewardVersionRow
-from mapt.training.schedule import LabelSchedule, Progress
+from mapt.errors import InvalidConfig
+from mapt.training.schedule import Progress
 
 WaitingFor = Literal["", "policy_worker", "labels", "reward_version"]
 
@@ -44,7 +47,7 @@ def waiting(row: ExperimentRow, counts: LabelCounts, newest: RewardVersionRow | 
         return Waiting("", row.phase_detail, None)
     schedule = config.schedule
     if row.phase != Phase.WAITING_FOR_LABELS:
-        return Waiting("", row.phase_detail, _until_next_query(row, counts, schedule))
+        return Waiting("", row.phase_detail, _until_next_query(row, counts, config))
     progress = Progress(row.steps, row.label_count, newest.label_count if newest else None)
     waits_for = schedule.waits_for(progress)
     if waits_for is None:
@@ -53,10 +56,17 @@ def waiting(row: ExperimentRow, counts: LabelCounts, newest: RewardVersionRow | 
     return Waiting(waits_for, schedule.waiting_reason(progress) or "", seconds)
 
 
-def _until_next_query(row: ExperimentRow, counts: LabelCounts, schedule: LabelSchedule) -> float | None:
-    """Seconds until the policy has trained as far as the next query; None if it is due, or unknown."""
+def _until_next_query(row: ExperimentRow, counts: LabelCounts, config: ExperimentConfig) -> float | None:
+    """Seconds until the end of the rollout after which the next query is due; None if it is due, or unknown."""
     ready = counts.open_queries + counts.rendering_queries
     if ready or not row.steps_per_second:
         return None
-    at = schedule.next_query_at(row.steps, counts.labels)
-    return None if at is None or at == row.steps else (at - row.steps) / row.steps_per_second
+    at = config.schedule.next_query_at(row.steps, counts.labels)
+    if at is None or at == row.steps:
+        return None
+    try:
+        rollout_steps = config.policy_config().steps_per_rollout
+    except InvalidConfig:
+        # Another version of Accord stored it; the policy worker will say what is wrong.
+        return None
+    return ceil((at - row.steps) / rollout_steps) * rollout_steps / row.steps_per_second

@@ -57,14 +57,14 @@ def test_what_the_worker_wrote_does_not_outlive_the_labels() -> None:
 
 @pytest.mark.parametrize(("ready", "seconds"), [(0, True), (2, False)])
 def test_the_wait_for_the_next_pair_follows_from_the_speed(ready: int, seconds: bool) -> None:
-    training = experiment(Phase.TRAINING, labels=18, steps=1000)
+    training = experiment(Phase.TRAINING, labels=18, steps=1000, policy={"n_envs": 8, "rollout_steps": 64})
     found = state(training, version(15), ready)
     assert (found.waiting_for, found.seconds is not None) == ("", seconds)
     schedule = experiments.config_of(training).schedule
     if found.seconds is not None:
         at = training.steps + round(found.seconds * 100)
         assert schedule.queries_wanted(at, 18) > 0
-        assert schedule.queries_wanted(at - 1, 18) == 0
+        assert schedule.queries_wanted(at - 512, 18) == 0
 
 
 def test_without_labels_left_to_give_there_is_no_next_pair() -> None:

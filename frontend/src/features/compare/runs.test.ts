@@ -44,6 +44,10 @@ test("runs that differ in their seed only form a group", () => {
   expect(mean?.y).toEqual([2, 3, 4]);
   expect(mean?.low).toHaveLength(3);
   expect(other?.low).toBeUndefined();
+  const [raw, smooth] = comparedCurves(RUNS, { ...CHOICE, mean: true, smoothing: 0.5 });
+  expect([raw?.faint, raw?.y]).toEqual([true, mean?.y]);
+  const inBand = smooth?.y.map((value, index) => (value ?? 0) - (smooth.low?.[index] ?? 0));
+  expect(inBand?.every((distance) => distance >= 0)).toBe(true);
   expect(mean?.colour).not.toBe(other?.colour);
 });
 

@@ -1,6 +1,13 @@
 import { pointsOf } from "@/shared/api/metrics";
 import type { Experiment, Metrics } from "@/shared/api/types";
-import { type Curve, curveOf, curvePerVersion, meanOf, withSmoothing } from "@/shared/charts/curves";
+import {
+  type Curve,
+  curveOf,
+  curvePerVersion,
+  meanOf,
+  smoothed,
+  withSmoothing,
+} from "@/shared/charts/curves";
 
 /** An experiment with its curves. */
 export interface Run {
@@ -77,15 +84,25 @@ interface Choice {
 }
 
 /** The curves of a comparison: one for each run, or one for each group with the deviation of its seeds. */
-export function comparedCurves(runs: readonly Run[], { metric, axis, smoothing, mean }: Choice): Curve[] {
-  const groups = mean ? groupsOf(runs) : runs.map((run) => ({ name: run.experiment.name, runs: [run] }));
+export function comparedCurves(
+  runs: readonly Run[],
+  { metric, axis, smoothing, mean: averaged }: Choice,
+): Curve[] {
+  const groups = averaged ? groupsOf(runs) : runs.map((run) => ({ name: run.experiment.name, runs: [run] }));
   return groups.flatMap(({ name, runs: members }, index) => {
     const colour = `--series-${(index % COLOURS) + 1}`;
     const dash = DASHES[Math.floor(index / COLOURS) % DASHES.length];
-    const curves = members.map((run) => oneCurve(run, name, colour, metric, axis));
+    const curves = members.map((run) => ({
+      ...oneCurve(run, name, colour, metric, axis),
+      ...(dash && { dash }),
+    }));
     const [only] = curves;
-    const curve = only && curves.length === 1 ? only : meanOf(name, colour, curves);
-    return withSmoothing({ ...curve, ...(dash && { dash }) }, smoothing);
+    if (only && curves.length === 1) return withSmoothing(only, smoothing);
+    const mean = (of: readonly Curve[]) => ({ ...meanOf(name, colour, of), ...(dash && { dash }) });
+    // Every seed is smoothed on its own, so that the band belongs to the smoothed mean.
+    return smoothing > 0
+      ? [{ ...mean(curves), faint: true }, mean(curves.map((curve) => smoothed(curve, smoothing)))]
+      : [mean(curves)];
   });
 }
 

@@ -90,6 +90,7 @@ function whyNoPair(experiment: Experiment): string {
     return `The reward model is being trained on the labels. ${estimateText(experiment)}`;
   }
   if (phase === "collecting") return "The policy is collecting the first clips.";
+  if (phase === "evaluating") return "The policy is being evaluated on whole episodes.";
   const done = formatSteps(steps, Number(config.total_steps));
   return `The policy has enough labels for now and is training (${done} steps). ${estimateText(experiment)}`;
 }

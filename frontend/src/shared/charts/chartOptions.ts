@@ -110,8 +110,8 @@ export function rangeX({ curves, xMax, perVersion, zoom }: ChartState): [number,
 export function rangeY(state: ChartState, low: number | null, high: number | null): [number, number] {
   const { yMin, yMax, references = [], curves } = state;
   const [left, right] = rangeX(state);
-  const limits = curves.flatMap(({ x, low: lows = [], high: highs = [] }) =>
-    x.flatMap((step, index) => (step < left || step > right ? [] : [lows[index], highs[index]])),
+  const limits = curves.flatMap(({ x, low: lows = [], high: highs = [], faint }) =>
+    x.flatMap((step, index) => (faint || step < left || step > right ? [] : [lows[index], highs[index]])),
   );
   const values = [low, high, ...limits, ...references.map(({ y }) => y)].filter(
     (value) => typeof value === "number",

@@ -11,7 +11,7 @@ export interface Curve {
   dash?: number[];
   /** drawn behind the others and left out of the legend: the raw values of a smoothed curve */
   faint?: boolean;
-  /** limits around `y`: a band, or whiskers in a chart per version */
+  /** limits around `y`: a band (not drawn for a faint curve), or whiskers in a chart per version */
   low?: (number | null)[];
   high?: (number | null)[];
   /** points that are too uncertain to be drawn in colour */

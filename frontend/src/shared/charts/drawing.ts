@@ -19,7 +19,7 @@ export function drawIntervals(
   for (const curve of curves) {
     ctx.fillStyle = ctx.strokeStyle = style.getPropertyValue(curve.colour);
     if (perVersion) drawWhiskers(plot, curve, style.getPropertyValue("--muted"));
-    else if (curve.low && curve.high) drawBand(plot, curve);
+    else if (curve.low && curve.high && !curve.faint) drawBand(plot, curve);
   }
   ctx.restore();
 }

@@ -26,7 +26,7 @@ export function svgOf(state: ChartState, { x, y }: Ranges): string {
   const atX = (value: number) =>
     round(MARGIN.left + ((value - x[0]) / (x[1] - x[0])) * (right - MARGIN.left));
   const atY = (value: number) => round(bottom - ((value - y[0]) / (y[1] - y[0])) * (bottom - MARGIN.top));
-  const height = HEIGHT + named.length * LEGEND_LINE + 8;
+  const height = HEIGHT + (named.length + 1) * LEGEND_LINE;
   const parts = [
     text(MARGIN.left, 22, title, 'font-size="16" font-weight="600"'),
     ...ticks(y).flatMap((value) => [
@@ -62,7 +62,7 @@ export function svgOf(state: ChartState, { x, y }: Ranges): string {
     }),
     "</g>",
     ...named.flatMap(({ name, dash }, index) => {
-      const top = HEIGHT + index * LEGEND_LINE;
+      const top = HEIGHT + (index + 0.8) * LEGEND_LINE;
       const stroke = `stroke="${colours.get(name)}" stroke-width="2" ${dashed(dash)}`;
       return [
         line(MARGIN.left, top, MARGIN.left + 28, top, stroke),
@@ -80,8 +80,8 @@ export function svgOf(state: ChartState, { x, y }: Ranges): string {
 
 type Position = (value: number) => number;
 
-function band({ x, low, high }: Curve, colour: string, atX: Position, atY: Position): string[] {
-  if (!low || !high) return [];
+function band({ x, low, high, faint }: Curve, colour: string, atX: Position, atY: Position): string[] {
+  if (!low || !high || faint) return [];
   const order = x.map((_, index) => index);
   const edge = (limits: (number | null)[], along: number[]) =>
     along.map((index) => `${atX(x[index] ?? 0)},${atY(limits[index] ?? 0)}`);
