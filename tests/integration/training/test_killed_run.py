@@ -25,16 +25,20 @@ ENVIRONMENT = os.environ | short_tasks.ENVIRONMENT | {"OMP_NUM_THREADS": "1"}
 CHECKPOINT_MINUTES = "0.003"
 
 
-def command(output: Path, reward: Path, *more: str) -> list[str]:
+def arguments(output: Path, reward: Path, *more: str) -> list[str]:
     tiny = ("n_envs=4", "rollout_steps=24", "minibatches=2", "epochs=2", "width=8", "hidden=[8]")
     return [
-        *(sys.executable, "-m", "mapt.cli", "train", "--task", short_tasks.SHORTEST_NAME, "--algorithm", "mat"),
+        *("train", "--task", short_tasks.SHORTEST_NAME, "--algorithm", "mat"),
         *("--reward", str(reward), "--credit", "individual", "--steps", str(ITERATIONS * STEPS_PER_ITERATION)),
         *("--output", str(output), "--seeds", "3", "--evaluate-every", "1500", "--device", "cpu", "--no-video"),
         *("--checkpoint-minutes", CHECKPOINT_MINUTES),
         *(argument for setting in tiny for argument in ("--set", setting)),
         *more,
     ]
+
+
+def command(output: Path, reward: Path, *more: str) -> list[str]:
+    return [sys.executable, "-m", "mapt.cli", *arguments(output, reward, *more)]
 
 
 def kill_after(lines: int, output: Path, reward: Path, number: int = signal.SIGKILL) -> int:
@@ -58,12 +62,6 @@ def kill_after(lines: int, output: Path, reward: Path, number: int = signal.SIGK
         process.wait()
 
 
-def finish(output: Path, reward: Path) -> RunFolder:
-    done = subprocess.run(command(output, reward), env=ENVIRONMENT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return RunFolder(output / "seed-3")
-
-
 def metrics_without_timings(folder: RunFolder) -> list[Metrics]:
     """The metrics of a run without its timings, which differ from run to run."""
     return [
@@ -71,13 +69,15 @@ def metrics_without_timings(folder: RunFolder) -> list[Metrics]:
     ]
 
 
-def test_a_killed_run_resumes_and_ends_with_the_files_of_an_uninterrupted_run(tmp_path):
+def test_a_killed_run_resumes_and_ends_with_the_files_of_an_uninterrupted_run(tmp_path, mapt):
     reward = tmp_path / "reward"
     write_reward(reward, reward_model())
     for lines in (4, 10):
         assert kill_after(lines, tmp_path / "killed", reward) == -signal.SIGKILL
-    killed = finish(tmp_path / "killed", reward)
-    whole = finish(tmp_path / "whole", reward)
+    for name in ("killed", "whole"):
+        done = mapt(*arguments(tmp_path / name, reward))
+        assert done.status == 0, done.errors
+    killed, whole = (RunFolder(tmp_path / name / "seed-3") for name in ("killed", "whole"))
 
     assert killed.checkpoint.read_bytes() == whole.checkpoint.read_bytes()
     assert killed.evaluation.read_bytes() == whole.evaluation.read_bytes()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from integration.training.test_killed_run import ENVIRONMENT, ITERATIONS, STEPS_PER_ITERATION, command
+from integration.training.test_killed_run import ENVIRONMENT, ITERATIONS, STEPS_PER_ITERATION, arguments, command
 from mapt.errors import RunBusy
 from mapt.training.metrics import read_metrics
 from mapt.training.run_folder import RunFolder
@@ -21,8 +21,11 @@ SEEDS = (3, 4)
 SHORT = ("--steps", str(8 * STEPS_PER_ITERATION))
 
 
-def parallel_command(tmp_path: Path, name: str, *more: str) -> list[str]:
-    return command(tmp_path / name, tmp_path / "reward", "--seeds", "3,4", "--workers", "2", *more)
+PARALLEL = ("--seeds", "3,4", "--workers", "2")
+
+
+def parallel_arguments(tmp_path: Path, name: str, *more: str) -> list[str]:
+    return arguments(tmp_path / name, tmp_path / "reward", *PARALLEL, *more)
 
 
 def folders(tmp_path: Path, name: str) -> list[RunFolder]:
@@ -34,15 +37,15 @@ def lines(folder: RunFolder) -> int:
     return len(read_metrics(folder.metrics)) if folder.metrics.exists() else 0
 
 
-def completed(arguments: list[str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(arguments, env=ENVIRONMENT, capture_output=True, text=True, check=False)
-
-
 @contextmanager
 def running_command(tmp_path: Path, name: str) -> Iterator[subprocess.Popen[str]]:
     """The process of the command, once every run has three iterations. Killed at the end of the block."""
     with subprocess.Popen(
-        parallel_command(tmp_path, name), env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        command(tmp_path / name, tmp_path / "reward", *PARALLEL),
+        env=ENVIRONMENT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         try:
             until(
@@ -83,18 +86,18 @@ def stored_reward(tmp_path: Path, short_episodes: None) -> None:
     write_reward(tmp_path / "reward", reward_model())
 
 
-def test_parallel_seeds_give_the_same_files_as_sequential_seeds(tmp_path):
-    parallel = completed(parallel_command(tmp_path, "parallel", *SHORT))
-    assert parallel.returncode == 0, parallel.stderr
-    assert parallel.stdout.count("over 32 episodes") == len(SEEDS)
-    sequential = completed(parallel_command(tmp_path, "sequential", *SHORT, "--workers", "1"))
-    assert sequential.returncode == 0, sequential.stderr
+def test_parallel_seeds_give_the_same_files_as_sequential_seeds(tmp_path, mapt):
+    parallel = mapt(*parallel_arguments(tmp_path, "parallel", *SHORT))
+    assert parallel.status == 0, parallel.errors
+    assert parallel.printed.count("over 32 episodes") == len(SEEDS)
+    sequential = mapt(*parallel_arguments(tmp_path, "sequential", *SHORT, "--workers", "1"))
+    assert sequential.status == 0, sequential.errors
     for first, second in zip(folders(tmp_path, "parallel"), folders(tmp_path, "sequential"), strict=True):
         assert first.checkpoint.read_bytes() == second.checkpoint.read_bytes()
         assert first.evaluation.read_bytes() == second.evaluation.read_bytes()
 
 
-def test_a_killed_seed_does_not_affect_the_others_and_resumes(tmp_path):
+def test_a_killed_seed_does_not_affect_the_others_and_resumes(tmp_path, mapt):
     killed, other = folders(tmp_path, "runs")
     with running_command(tmp_path, "runs") as process:
         os.kill(worker_of(process, killed), signal.SIGKILL)
@@ -104,8 +107,8 @@ def test_a_killed_seed_does_not_affect_the_others_and_resumes(tmp_path):
     assert other.evaluation.exists()
     assert not killed.evaluation.exists()
 
-    resumed = completed(parallel_command(tmp_path, "runs"))
-    assert resumed.returncode == 0, resumed.stderr
+    resumed = mapt(*parallel_arguments(tmp_path, "runs"))
+    assert resumed.status == 0, resumed.errors
     assert [lines(folder) for folder in (killed, other)] == [ITERATIONS, ITERATIONS]
 
 
@@ -127,13 +130,13 @@ def test_no_worker_outlives_a_killed_command(tmp_path):
         assert last_saved(folder) == lines(folder) < ITERATIONS
 
 
-def test_a_seed_that_cannot_start_is_reported_in_one_line(tmp_path):
+def test_a_seed_that_cannot_start_is_reported_in_one_line(tmp_path, mapt):
     broken, other = folders(tmp_path, "runs")
     broken.path.mkdir(parents=True)
     (broken.path / "run.json").write_text("{}")
-    failed = completed(parallel_command(tmp_path, "runs", *SHORT))
-    assert failed.returncode == 2
-    assert failed.stderr.count("\n") == 1
-    assert "seed 3:" in failed.stderr
-    assert "cannot be read" in failed.stderr
+    failed = mapt(*parallel_arguments(tmp_path, "runs", *SHORT))
+    assert failed.status == 2
+    assert failed.errors.count("\n") == 1
+    assert "seed 3:" in failed.errors
+    assert "cannot be read" in failed.errors
     assert other.evaluation.exists()
