@@ -2,6 +2,7 @@
 
 import re
 
+import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from browser.fixture_types import NewExperiment, SignIn
@@ -181,6 +182,51 @@ def test_the_labelling_view_fits_a_small_window_without_scrolling(
     page.keyboard.press("ArrowDown")
     Labeller(page).pair()
     assert page.get_by_test_id("clip-left").bounding_box() == before, "the layout must not shift between pairs"
+
+
+def test_pages_have_no_accessibility_violations(
+    service: Service, browser: Browser, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    """Checks the rules of axe, in the light and the dark theme, at the width of a phone and of a desktop."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is missing: pip install -e .[dev]")
+    experiment = new_experiment("Accessible", reward_source="true", label_budget=0)
+    labelled = new_experiment("Labelled")
+    found: list[str] = []
+
+    def check(page: Page, what: str) -> None:
+        for scheme, width in (("light", 1280), ("dark", 390)):
+            page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+            page.set_viewport_size({"width": width, "height": 800})
+            violations = axe.Axe().run(page).response["violations"]
+            found.extend(f"{what}, {scheme}: {each['id']} {each['nodes'][0]['html']}" for each in violations)
+            if page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth"):
+                found.append(f"{what}, {width}: scrolls sideways")
+
+    researcher = sign_in("Rosa", "researcher")
+    researcher.set_default_timeout(PATIENCE_MS)
+    check(researcher, "list")
+    for path in (f"experiments/{experiment}", f"experiments/{labelled}", f"compare/{experiment},{labelled}"):
+        researcher.goto(f"{service.url}/{path}")
+        researcher.get_by_role("region", name=re.compile("return")).first.wait_for()
+        check(researcher, path)
+    researcher.goto(f"{service.url}/experiments/new?from={labelled}")
+    researcher.get_by_label("Name", exact=True).fill("Labelled")
+    researcher.get_by_role("button", name="Start").click()
+    expect(researcher.get_by_label("Name", exact=True)).to_be_focused()
+    check(researcher, "form with an error")
+    researcher.goto(f"{service.url}/experiments/{labelled}")
+    researcher.get_by_role("button", name="Edit instructions").click()
+    check(researcher, "dialog")
+    labeller = sign_in("Lena")
+    check(labeller, "list of a labeller")
+    Labeller(labeller).open(service.url, labelled)
+    check(labeller, "labelling")
+    signed_out = browser.new_context().new_page()
+    signed_out.goto(service.url)
+    signed_out.get_by_role("heading", name="Sign in to Accord").wait_for()
+    check(signed_out, "signed out")
+    signed_out.context.close()
+    assert found == []
 
 
 def _tab_to(page: Page, name: str) -> None:
