@@ -1,6 +1,6 @@
 """A rendering backend, or a skip that says what to install."""
 
-from pathlib import Path
+from collections.abc import Iterator
 
 import pytest
 
@@ -18,6 +18,8 @@ def backend() -> Backend:
         pytest.skip(str(error))
 
 
-@pytest.fixture
-def drawing(backend: Backend, tmp_path: Path) -> Drawing:
-    return Drawing(backend, tmp_path)
+@pytest.fixture(scope="module")
+def drawing(backend: Backend, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drawing]:
+    drawing = Drawing(backend, tmp_path_factory.mktemp("drawing"))
+    yield drawing
+    drawing.close()

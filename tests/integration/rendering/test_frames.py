@@ -30,7 +30,9 @@ def count_of(agent: int, frames: NDArray[np.uint8]) -> NDArray[np.int64]:
 
 
 def test_two_processes_render_the_same_bytes(drawing: Drawing) -> None:
-    first, second = (drawing.frames(trot(6), SIX, SMALL) for _ in range(2))
+    first = drawing.frames(trot(6), SIX, SMALL)
+    drawing.close()
+    second = drawing.frames(trot(6), SIX, SMALL)
     assert first.shape == (6, 240, 320, 3)
     np.testing.assert_array_equal(first, second)
 
