@@ -1,19 +1,11 @@
-"""Torch's device, its number of threads, its random seed and its memory."""
+"""Torch's device, its number of threads and its random seed."""
 
-import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import torch
 
 from mapt.errors import InvalidConfig
-
-# Parameters of the GNU C library's mallopt, from its malloc.h.
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-# Allocations above this are always returned when freed: datasets, not activations.
-_KEPT_BYTES = 1 << 27
-# The values to which the library by itself raises its thresholds in a process that frees large blocks.
-_DEFAULT_MMAP_THRESHOLD, _DEFAULT_TRIM_THRESHOLD = 1 << 25, 1 << 26
 
 
 def resolve_device(name: str) -> torch.device:
@@ -50,25 +42,3 @@ def torch_threads(n_threads: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-@contextmanager
-def freed_memory_kept() -> Iterator[None]:
-    """Keep memory that is freed within the context for later allocations, and return it to the system at the end.
-
-    Without it, the C library returns the activations of every step to the system, and the next step gets them page by
-    page: a fifth of the time of a training step (`bench_rewards.py --rows passes`). Applies to the whole process, with
-    the GNU C library; with others, nothing happens.
-    """
-    library = ctypes.CDLL(None)
-    if not hasattr(library, "mallopt"):
-        yield
-        return
-    library.mallopt(_MMAP_THRESHOLD, _KEPT_BYTES)
-    library.mallopt(_TRIM_THRESHOLD, 2**31 - 1)
-    try:
-        yield
-    finally:
-        library.mallopt(_MMAP_THRESHOLD, _DEFAULT_MMAP_THRESHOLD)
-        library.mallopt(_TRIM_THRESHOLD, _DEFAULT_TRIM_THRESHOLD)
-        library.malloc_trim(0)

@@ -1,7 +1,6 @@
 """Speed of training, relabelling and streaming of MAPT, compared with the speed of a matrix product in the same run.
 
-`training` is the step of `RewardTrainer`. `passes` compares the CPU time of this step for several sizes of its passes,
-with freed memory kept, as in `train_reward_model`, and without.
+`training` is the step of `RewardTrainer`. `passes` compares the CPU time of this step for several sizes of its passes.
 
 The upper bound is the rate of one torch product with the shapes of the network: the rows of a pass, 2d inputs and 2d
 outputs. The share counts the floating point operations of all products of a step, including those of the attentions,
@@ -14,7 +13,6 @@ once forwards and twice backwards. Norms, activations, softmax and the optimiser
 import argparse
 import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -25,7 +23,6 @@ from interleaved_timing import median_seconds
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
-from mapt.device import freed_memory_kept
 from mapt.preferences.dataset import SegmentArrays
 from mapt.rewards.config import Precision, PresetName, RewardConfig, TrainConfig
 from mapt.rewards.data import PairTensors, ResidentSegments, network_scorer
@@ -39,7 +36,7 @@ N_ENVS, ROLLOUT_STEPS = 40, 100
 N_PAIRS = 64
 PRECISIONS: dict[Precision, torch.dtype] = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 # Pairs per pass that `passes` compares.
-PASSES = (16, 8, 4)
+PASSES = (16, 8, 2)
 PASSES_ROUNDS = 3
 
 
@@ -122,8 +119,7 @@ def training(bench: Bench, size: Size) -> Iterator[str]:
         with FlopCounterMode(display=False) as counter, sdpa_kernel(SDPBackend.MATH):
             step.run()
         flops = counter.get_total_flops() / N_PAIRS
-        with freed_memory_kept():
-            pairs = bench.calls_per_second(step.run) * N_PAIRS
+        pairs = bench.calls_per_second(step.run) * N_PAIRS
         yield (
             f"training    {size} {name:8} {pairs:9.1f} pairs/s, {pairs * flops / 1e9:7.0f}"
             f" of {upper_bound / 1e9:7.0f} GFLOP/s: {pairs * flops / upper_bound:4.0%}"
@@ -166,13 +162,11 @@ def passes(bench: Bench, size: Size) -> Iterator[str]:
         return
     for name, dtype in PRECISIONS.items():
         step = TrainingStep(size, dtype, bench.device, PASSES[0])
-        for label, context in (("freed memory returned", nullcontext()), ("freed memory kept", freed_memory_kept())):
-            with context:
-                seconds = median_seconds(
-                    time.process_time, PASSES_ROUNDS, *(partial(step.run, each) for each in PASSES)
-                )
-            rates = ", ".join(f"{PASSES[0] / each:.1f} in {per}" for per, each in zip(PASSES, seconds, strict=True))
-            yield f"passes      {size} {name:8} {label}: pairs/s of CPU time: {rates}"
+        seconds = median_seconds(time.process_time, PASSES_ROUNDS, *(partial(step.run, each) for each in PASSES))
+        rates = ", ".join(
+            f"{PASSES[0] / each:.1f} in passes of {per}" for per, each in zip(PASSES, seconds, strict=True)
+        )
+        yield f"passes      {size} {name:8} pairs/s of CPU time: {rates}"
 
 
 def gemm_flops(bench: Bench, size: Size, dtype: torch.dtype, n_pairs: int) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mapt.device import freed_memory_kept, resolve_device, seeded
+from mapt.device import resolve_device, seeded
 from mapt.errors import ModelMismatch
 from mapt.preferences.dataset import BoolArray, PreferenceDataset, SegmentSource
 from mapt.rewards import attention_trial
@@ -45,8 +45,9 @@ from mapt.rewards.stage_trainer import RewardTrainer, Stage, StageLosses, Traini
 
 # Training pairs from which `loss` and `accuracy` are computed.
 MAX_EVALUATED_PAIRS = 500
-# Activations (agent-steps times d) of one forward and backward pass on a CPU. They bound the memory, at about 300 MB;
-# the size of the passes changes the speed by less than 4% (`bench_rewards.py --rows passes`).
+# Activations (agent-steps times d) of one forward and backward pass on a CPU. At d = 256, passes of half to five times
+# this size differ by less than 3% in speed. With 32 pairs (ten times) a step takes a third longer, with 64 twice as
+# long: the C library returns their activations to the system after every pass and gets them back page by page.
 ACTIVATIONS_PER_PASS = 1 << 20
 
 
@@ -291,7 +292,7 @@ def train_reward_model(
     else:
         pairs, held_out = dataset.joined(hold_out), np.arange(len(dataset) + len(hold_out)) >= len(dataset)
     fold = Fold(PairTensors.of(dataset, device), PairTensors.of(hold_out, device))
-    with seeded(train_config.seed, device), freed_memory_kept():
+    with seeded(train_config.seed, device):
         trainer = VersionTrainer(config, train_config, segments, log, pairs=pairs, held_out=held_out, first=fold)
         model, trial = trainer.train(initial, initial_metrics if initial is not None else None)
     scorer = network_scorer(segments)
