@@ -120,6 +120,18 @@ def test_sign_out_ends_the_stream(api: ApiServer) -> None:
         list(stream)
 
 
+def test_deleting_the_experiment_ends_the_stream(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    path = f"/api/v1/experiments/{sample.experiment.id}"
+    with api.labeller.stream("GET", f"{path}/events") as response:
+        stream = events(response)
+        next(stream)
+        assert api.admin.post(f"{path}/cancel").status_code == 200
+        assert api.admin.delete(path, params={"name": sample.experiment.name}).status_code == 200
+        # It ends without an error, which would close the connection amid a chunk.
+        assert {event.name for event in stream} <= {"experiment", "workers"}
+
+
 def test_open_streams_do_not_block_other_requests(api: ApiServer) -> None:
     sample = create_sample(api.stores.database, api.stores.blobs)
     path = f"/api/v1/experiments/{sample.experiment.id}/events"

@@ -17,7 +17,7 @@ from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from accord.api import responses, schemas
 from accord.api.dependencies import Auth, AuthDep, ExperimentId
-from accord.domain.errors import Unauthenticated
+from accord.domain.errors import ExperimentNotFound, Unauthenticated
 from accord.services import experiments, metrics, workers
 
 router = APIRouter(tags=["experiments"])
@@ -108,8 +108,8 @@ async def _stream(watch: Watch, first: list[ServerSentEvent]) -> AsyncGenerator[
         await anyio.sleep(POLL_SECONDS)
         try:
             events = await run_sync(watch.poll)
-        except Unauthenticated:
-            return  # signed out; the browser's next request gets a 401
+        except (Unauthenticated, ExperimentNotFound):
+            return  # signed out, or deleted; the browser's next request gets a 401 or a 404
 
 
 def _without_ages(reported: list[schemas.Worker]) -> str:
