@@ -5,7 +5,7 @@ import os
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +16,15 @@ from acceptance.accord_service import ENVIRONMENT, TINY, TINY_POLICY, Accord, Cl
 from mapt.training.metrics import read_metrics
 from mapt.training.results import RunResult, find_runs
 from mapt.training.settings import PreferenceRewardSettings
+from support.mapt_command import CommandResult
 from support.waiting import PATIENCE_SECONDS, until
 
 STEPS = 2000
 
 
-def test_a_killed_demo_resumes_with_every_label_and_writes_runs_figure_and_table(tmp_path: Path) -> None:
+def test_a_killed_demo_resumes_with_every_label_and_writes_runs_figure_and_table(
+    tmp_path: Path, mapt: Callable[..., CommandResult], short_episodes: None
+) -> None:
     output = tmp_path / "out"
     policy = [argument for name, value in TINY_POLICY.items() for argument in ("--set", f"{name}={value}")]
     command = [
@@ -41,7 +44,14 @@ def test_a_killed_demo_resumes_with_every_label_and_writes_runs_figure_and_table
     process.wait()
     before = labels_in(database)
 
-    resumed = run_module("accord.cli", *command, "--workers", "2")
+    resumed = subprocess.run(
+        [sys.executable, "-m", "accord.cli", *command, "--workers", "2"],
+        env=os.environ | ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_SECONDS,
+    )
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     rows = json.loads(resumed.stdout)
     assert [(row["reward_model"], row["labels"]) for row in rows] == [("MA-MLP", 12), ("MAPT-paper", 12)]
@@ -65,22 +75,10 @@ def test_a_killed_demo_resumes_with_every_label_and_writes_runs_figure_and_table
     assert (output / "returns.png").read_bytes().startswith(b"\x89PNG")
     assert "| MA-MLP, 12 labels |" in (output / "returns.md").read_text()
 
-    evaluated = run_module("mapt.cli", "evaluate", str(folder.path), "--seed", "3", "--json")
+    evaluated = mapt("evaluate", folder.path, "--seed", "3", "--json")
     stored = folder.read_evaluation(runs[learned[1]].steps)
     assert stored is not None
-    assert json.loads(evaluated.stdout)["returns"] == list(stored.returns)
-
-
-def run_module(module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end."""
-    return subprocess.run(
-        [sys.executable, "-m", module, *arguments],
-        env=os.environ | ENVIRONMENT,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=PATIENCE_SECONDS,
-    )
+    assert json.loads(evaluated.printed)["returns"] == list(stored.returns)
 
 
 def labels_in(database: Path) -> set[str]:
