@@ -310,10 +310,8 @@ class TablePlan:
                 raise InvalidConfig(f"{name} must have at least one value and no repeats; got {listed!r}.", name)
         if min(self.labels) < 2 or min(self.seeds) < 0 or self.test_pairs < 1:
             raise InvalidConfig("labels must be 2 or more, seeds 0 or more, test pairs 1 or more.")
-        if not 0.0 < self.pair_distance <= 1.0:
-            raise InvalidConfig(
-                f"pair_distance is {self.pair_distance}; it must be above 0 and at most 1.", "pair_distance"
-            )
+        if not 0.0 <= self.pair_distance <= 1.0:
+            raise InvalidConfig(f"pair_distance is {self.pair_distance}; it must be from 0 to 1.", "pair_distance")
         if self.baseline not in self.models:
             known = ", ".join(self.models)
             raise InvalidConfig(f"The baseline {self.baseline!r} is not one of the models: {known}.", "baseline")

@@ -185,6 +185,7 @@ def test_a_dataset_with_other_settings_is_refused(whole, mapt):
         ("--policies", "mappo:seed=1", "'mappo:seed=1'"),
         ("--policies", "sac", "algorithm"),
         ("--pairs", "1", "--pairs"),
+        ("--pair-distance", "2", "--pair-distance"),
     ],
 )
 def test_an_invalid_plan_is_refused_before_any_work(tmp_path, mapt, option, value, message):

@@ -116,7 +116,11 @@ def test_an_incomplete_table_can_be_plotted(tmp_path, cells):
 
 
 @pytest.mark.parametrize(
-    "changes", [{"models": ()}, {"seeds": (0, 0)}, {"labels": (1,)}, {"baseline": "MA-LSTM"}, {"test_pairs": 0}]
+    "changes",
+    [
+        *({"models": ()}, {"seeds": (0, 0)}, {"labels": (1,)}, {"baseline": "MA-LSTM"}, {"test_pairs": 0}),
+        {"pair_distance": 1.1},
+    ],
 )
 def test_an_invalid_plan_is_refused(changes):
     with pytest.raises(InvalidConfig):
