@@ -60,7 +60,7 @@ def test_every_algorithm_resumes_exactly(
     algorithm: str, task_type: type[IdentityTask] | type[ChoiceTask], tmp_path: Path
 ) -> None:
     """Training stops within an episode and after `reward_changed`; every tensor is bit-identical."""
-    config = small_config(algorithm, n_envs=4, rollout_steps=5, minibatches=2, anneal_steps=200)
+    config = small_config(algorithm, n_envs=4, rollout_steps=5, minibatches=2, anneal_steps=200, target_kl=1e-4)
 
     def continue_training(learner: Learner, rollouts: int) -> None:
         train(learner, true_reward, learner.steps + rollouts * config.steps_per_rollout)

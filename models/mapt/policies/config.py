@@ -60,6 +60,16 @@ class PolicyConfig(Settings):
             unit="steps",
         ),
     ] = 0
+    target_kl: Annotated[
+        float,
+        setting(
+            "Target of the KL divergence of an update, mean over agents: the learning rate falls while updates exceed "
+            "it by half, and recovers while they stay below two thirds of it; 0 disables this.",
+            ge=0,
+            le=1000,
+            unit="nats",
+        ),
+    ] = 0.0
     clip: Annotated[
         float, setting("PPO's epsilon: the probability ratio is clipped to 1 - clip and 1 + clip.", gt=0, le=10)
     ] = 0.1
@@ -83,6 +93,14 @@ class PolicyConfig(Settings):
     initial_log_std: Annotated[
         float, setting("Logarithm of the actions' standard deviation at the start.", ge=-20, le=20)
     ] = -0.5
+    min_log_std: Annotated[
+        float,
+        setting(
+            "Logarithm of the smallest standard deviation that the actions may have, at most initial_log_std.",
+            ge=-20,
+            le=20,
+        ),
+    ] = -20.0
     shared_actor: Annotated[
         bool, setting("One actor for all agents instead of one each; mat's decoder is always shared.")
     ] = False
@@ -102,12 +120,17 @@ class PolicyConfig(Settings):
     device: Annotated[Device, setting("Where the networks run; auto uses a GPU if there is one.")] = "auto"
 
     def check(self) -> None:
-        """Check divisibility, and that happo's actors are separate. Raises InvalidConfig."""
+        """Check divisibility, the standard deviation, and that happo's actors are separate. Raises InvalidConfig."""
         self._require(self.width % self.heads == 0, "heads", f"{self.heads}; it must divide width ({self.width})")
         self._require(
             self.steps_per_rollout % self.minibatches == 0,
             "minibatches",
             f"{self.minibatches}; it must divide n_envs * rollout_steps ({self.steps_per_rollout})",
+        )
+        self._require(
+            self.min_log_std <= self.initial_log_std,
+            "min_log_std",
+            f"{self.min_log_std}; it must be at most initial_log_std ({self.initial_log_std})",
         )
         self._require(
             self.algorithm != "happo" or not self.shared_actor,

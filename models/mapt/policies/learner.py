@@ -26,6 +26,9 @@ from mapt.tasks import Task, TaskSpec
 
 #: Fraction of the learning rate that is left when annealing ends.
 FINAL_LEARNING_RATE = 0.1
+#: An update whose KL divergence is off the target by more than the tolerance changes the learning rate by the step.
+KL_TOLERANCE = 1.5
+LEARNING_RATE_STEP = 1.2
 
 
 def make_policy(spec: TaskSpec, config: PolicyConfig) -> Policy:
@@ -61,6 +64,8 @@ class Learner:
         self.device = resolve_device(config.device)
         #: Environment steps collected so far.
         self.steps = 0
+        #: Factor of the scheduled learning rate, at most 1, that keeps updates near `config.target_kl`.
+        self._learning_rate_factor = 1.0
         self._generator = torch.Generator().manual_seed(config.seed)
         # The last bits of orthogonal weights depend on the number of threads; with one thread, machines agree.
         with seeded(config.seed, torch.device("cpu")), torch_threads(1):
@@ -103,25 +108,40 @@ class Learner:
             metrics = self._value_rescaler.update(rewards, rollout.terminated, self.policy.critic.statistics)
             batch, batch_metrics = make_batch(self.policy, rollout, rewards, self.config)
             learning_rate = self._set_learning_rate()
-            step_metrics = self._update.run(batch, self._generator)
+            step_metrics = averages(self._update.run(batch, self._generator))
+            self._adapt_learning_rate(step_metrics["kl"])
+            self.policy.limit_std(self.config.min_log_std)
             # Last, so that the rollout and its update use the same normalisation.
             self.policy.update_normalisers(*raw_inputs(self.policy, rollout))
-        metrics |= batch_metrics | averages(step_metrics) | {"learning_rate": learning_rate}
+        metrics |= batch_metrics | step_metrics | {"learning_rate": learning_rate}
         action_std = self.policy.action_std()
         return metrics if action_std is None else metrics | {"action_std": action_std}
 
     def _set_learning_rate(self) -> float:
         anneal_steps = self.config.anneal_steps
         progress = min(self.steps / anneal_steps, 1.0) if anneal_steps else 0.0
-        learning_rate = self.config.learning_rate * (1.0 - (1.0 - FINAL_LEARNING_RATE) * progress)
+        schedule = 1.0 - (1.0 - FINAL_LEARNING_RATE) * progress
+        learning_rate = self.config.learning_rate * schedule * self._learning_rate_factor
         for optimiser in self._update.optimisers:
             optimiser.learning_rate = learning_rate
         return learning_rate
 
+    def _adapt_learning_rate(self, kl: float) -> None:
+        """Move the learning rate of the next update towards `target_kl`, as in rsl_rl (Rudin et al. 2022)."""
+        target = self.config.target_kl
+        if target and kl > target * KL_TOLERANCE:
+            self._learning_rate_factor /= LEARNING_RATE_STEP
+        elif target and kl < target / KL_TOLERANCE:
+            self._learning_rate_factor = min(self._learning_rate_factor * LEARNING_RATE_STEP, 1.0)
+
     def state_dict(self) -> dict[str, Tensor]:
         """The complete state for an exact resume, as copies on the CPU; names are "part.name"."""
         parts = {name: network.state_dict() for name, network in self.policy.named_children()}
-        own = {"steps": torch.tensor(self.steps), "generator": self._generator.get_state()}
+        own = {
+            "steps": torch.tensor(self.steps),
+            "generator": self._generator.get_state(),
+            "learning_rate_factor": torch.tensor(self._learning_rate_factor, dtype=torch.float64),
+        }
         return checkpoint.flatten(
             parts
             | {
@@ -146,6 +166,8 @@ class Learner:
             own = parts["learner"]
             self._generator.set_state(own["generator"])
             self.steps = int(own["steps"])
+            # Learners stored before there was a target for the KL divergence have no factor.
+            self._learning_rate_factor = float(own.get("learning_rate_factor", 1.0))
             self._value_rescaler.load_state_dict(own)
 
     def to_bytes(self) -> bytes:

@@ -237,6 +237,11 @@ class MultiAgentTransformer(Policy):
         log_std = self.decoder.log_std
         return None if log_std is None else mean_std(log_std, self.decoder.used)
 
+    @torch.no_grad()
+    def limit_std(self, min_log_std: float) -> None:
+        if self.decoder.log_std is not None:
+            self.decoder.log_std.clamp_(min=min_log_std)
+
 
 def _feed_forward(width: int) -> nn.Sequential:
     return nn.Sequential(

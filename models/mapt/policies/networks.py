@@ -109,6 +109,10 @@ class Policy(nn.Module, ABC):
     def action_std(self) -> float | None:
         """Mean standard deviation of the actions; None for discrete actions."""
 
+    @abstractmethod
+    def limit_std(self, min_log_std: float) -> None:
+        """Raise the logarithms of the actions' standard deviations to at least `min_log_std`."""
+
     def values(self, observations: Tensor, state: Tensor) -> Tensor:
         """Values (B, N) in units of the reward, of normalised observations (N, B, C) and state (B, S)."""
         return self.critic.statistics.denormalise(self.critic(observations, state))
@@ -247,6 +251,11 @@ class ActorCritic(Policy):
     def action_std(self) -> float | None:
         log_std = self.actor.log_std
         return None if log_std is None else mean_std(log_std, self.actor.used)
+
+    @torch.no_grad()
+    def limit_std(self, min_log_std: float) -> None:
+        if self.actor.log_std is not None:
+            self.actor.log_std.clamp_(min=min_log_std)
 
 
 class AgentLinear(nn.Module):

@@ -155,6 +155,40 @@ def test_learning_rate_anneals_to_a_tenth() -> None:
     assert rates == pytest.approx([5.5e-4, 1e-4, 1e-4, 1e-4])
 
 
+def test_learning_rate_falls_above_the_target_kl_and_rises_below_it() -> None:
+    trained = learner(dataclasses.replace(CONFIG, learning_rate=1e-2))
+
+    def rates(target_kl: float) -> list[float]:
+        trained.config = dataclasses.replace(trained.config, target_kl=target_kl)
+        metrics = []
+        for _ in range(4):
+            rollout = trained.collect()
+            metrics.append(trained.update(rollout, rollout.rewards)["learning_rate"])
+        return metrics
+
+    assert rates(0.0) == pytest.approx([1e-2] * 4)
+    # A rate is set before the update whose divergence changes the next one.
+    assert rates(1e-6) == pytest.approx([1e-2 / 1.2**n for n in (0, 1, 2, 3)])
+    assert rates(100.0) == pytest.approx([1e-2 / 1.2**n for n in (4, 3, 2, 1)])
+    assert rates(100.0) == pytest.approx([1e-2] * 4)
+
+
+@pytest.mark.parametrize("algorithm", ["mappo", "happo", "mat", "mat_dec"])
+def test_standard_deviation_stays_at_its_minimum(algorithm: str) -> None:
+    """Noise lowers the reward of IdentityTask, so that the standard deviation shrinks unless it is limited."""
+    config = dataclasses.replace(CONFIG, algorithm=algorithm, width=16, learning_rate=2e-2)
+    limited = dataclasses.replace(config, initial_log_std=-0.5, min_log_std=-0.5)
+    deviations = []
+    for each in (config, limited):
+        trained = learner(each)
+        for _ in range(4):
+            rollout = trained.collect()
+            metrics = trained.update(rollout, rollout.rewards)
+        deviations.append(metrics["action_std"])  # pyright: ignore[reportPossiblyUnboundVariable]
+    assert deviations[0] < np.exp(-0.5) - 0.01
+    assert deviations[1] >= np.exp(-0.5) - 1e-6
+
+
 @pytest.mark.parametrize("shape", [(16,), (15, 16), (16, 16, 2), (16, 16, 1)])
 def test_rewards_of_another_shape_are_invalid(shape: tuple[int, ...]) -> None:
     trained = learner()

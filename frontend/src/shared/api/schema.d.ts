@@ -1404,6 +1404,11 @@ export interface components {
                  */
                 anneal_steps: number;
                 /**
+                 * @description KL divergence per agent that an update should reach at most: the learning rate falls by a sixth after an update above 1.5 times this, and rises again by a fifth, up to its schedule, after one below two thirds of it; 0 disables this.
+                 * @default 0
+                 */
+                target_kl: number;
+                /**
                  * @description PPO's epsilon: the probability ratio is clipped to 1 - clip and 1 + clip.
                  * @default 0.1
                  */
@@ -1467,6 +1472,11 @@ export interface components {
                  * @default -0.5
                  */
                 initial_log_std: number;
+                /**
+                 * @description Logarithm of the smallest standard deviation of the actions, at most initial_log_std.
+                 * @default -20
+                 */
+                min_log_std: number;
                 /**
                  * @description One actor for all agents instead of one each; mat's decoder is always shared.
                  * @default false
