@@ -56,7 +56,7 @@ class Labeller:
     def press(self, key: str) -> Pair:
         """Label the pair on screen with a key; return it after it has left the screen."""
         pair = self.pair()
-        self._wait_until_played()
+        self.wait_until_played()
         for _ in range(PATIENCE_MS // RETRY_MS):
             self.page.keyboard.press(key)
             if self._has_left(pair):
@@ -76,7 +76,7 @@ class Labeller:
     def _on_request_end(self, request: Request) -> None:
         self._loading.discard(request)
 
-    def _wait_until_played(self) -> None:
+    def wait_until_played(self) -> None:
         self.page.wait_for_function(_PLAYED, timeout=PATIENCE_MS)
 
     def _has_left(self, pair: Pair) -> bool:

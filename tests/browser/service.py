@@ -79,6 +79,15 @@ class Service:
         self._process.wait(PATIENCE_SECONDS)
         psutil.wait_procs(processes, timeout=PATIENCE_SECONDS)
 
+    def link_for(self, user_id: str) -> str:
+        """A new sign-in link for a user."""
+        database = Database.open(f"sqlite:///{self.home / 'accord.db'}")
+        try:
+            with database.transaction() as session:
+                return f"{self.url}/sign-in/{accounts.make_link(session, user_id, minutes=60)}"
+        finally:
+            database.close()
+
     def add_user(self, name: str, role: str) -> tuple[str, str]:
         """Add a user as `accord user add` does; return the bearer token and the sign-in link."""
         database = Database.open(f"sqlite:///{self.home / 'accord.db'}")

@@ -165,7 +165,7 @@ def test_a_label_counts_even_if_its_lease_was_released(
     experiment = new_experiment("Released")
     labeller = Labeller(sign_in("Rita"))
     pair = labeller.open(service.url, experiment)
-    _release(labeller, pair.query)
+    _release(service, labeller, pair.query)
     assert labeller.press("ArrowLeft") == pair
     expect(labeller.page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "1")
     assert _labelled(service, experiment) == {pair.query}
@@ -177,7 +177,7 @@ def test_a_label_on_a_pair_leased_by_another_labeller_is_rejected_and_the_next_p
     experiment = new_experiment("Gone")
     anna, berta = Labeller(sign_in("Anna")), Labeller(sign_in("Berta"))
     pair = anna.open(service.url, experiment)
-    _release(anna, pair.query)
+    _release(service, anna, pair.query)
     assert berta.open(service.url, experiment).query == pair.query
     anna.press("ArrowLeft")
     expect(anna.page.get_by_test_id("status")).to_contain_text("A label was rejected")
@@ -188,7 +188,54 @@ def test_a_label_on_a_pair_leased_by_another_labeller_is_rejected_and_the_next_p
     expect(anna.page.get_by_test_id("own-labels")).to_have_text("1")
 
 
-def _release(labeller: Labeller, query: str) -> None:
-    path = f"/api/v1/queries/{query}/lease"
+def test_two_tabs_of_one_labeller_show_different_pairs(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("Two tabs")
+    first = Labeller(sign_in("Rita"))
+    shown = {first.open(service.url, experiment).query}
+    second = Labeller(first.page.context.new_page())
+    other = second.open(service.url, experiment)
+    shown.add(other.query)
+    assert len(shown) == 2
+    first.press("ArrowLeft")
+    assert first.pair().query not in shown
+    # Another tab has labelled the pair on screen: its label stays.
+    body = {"label": 0, "order": "shown"}
+    labelled = second.page.request.put(
+        f"{service.url}/api/v1/queries/{other.query}/label", data=body, headers={"Origin": service.url}
+    )
+    assert labelled.status == 201
+    second.press("ArrowLeft")
+    expect(second.page.get_by_test_id("status")).to_contain_text("another tab")
+    rows = service.rows("select revision from label_revisions where experiment_id = ?", experiment)
+    assert len(rows) == 2
+    expect(second.page.get_by_test_id("own-labels")).to_have_text("2")
+
+
+def test_a_label_given_while_signed_out_is_sent_after_signing_in_again(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("Signed out")
+    labeller = Labeller(sign_in("Rita"))
+    page = labeller.page
+    pair = labeller.open(service.url, experiment)
+    ((user,),) = service.rows("select user_id from presentations where query_id = ?", pair.query)
+    page.context.clear_cookies()
+    labeller.press("ArrowRight")
+    expect(page.get_by_role("heading", name="You are signed out")).to_be_visible()
+    expect(page.get_by_test_id("kept-labels")).to_contain_text("1 label")
+    other_tab = page.context.new_page()
+    other_tab.goto(service.link_for(user))
+    other_tab.close()
+    expect(page.get_by_role("progressbar", name="All labels")).to_have_attribute(
+        "aria-valuenow", "1", timeout=PATIENCE_MS
+    )
+    assert _labelled(service, experiment) == {pair.query}
+
+
+def _release(service: Service, labeller: Labeller, query: str) -> None:
+    ((tab,),) = service.rows("select leased_tab from queries where id = ?", query)
+    path = f"/api/v1/queries/{query}/lease?tab={tab}"
     status = labeller.page.evaluate("path => fetch(path, { method: 'DELETE' }).then(({ status }) => status)", path)
     assert status == 204

@@ -1,6 +1,7 @@
 """Sign-in, roles, the other pages, and keyboard use."""
 
 import re
+import time
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
@@ -8,6 +9,7 @@ from playwright.sync_api import Browser, Page, expect
 from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS, Labeller
 from browser.service import SMALL, Service
+from support.waiting import PATIENCE_SECONDS
 
 
 def test_the_signed_out_page_explains_sign_in_links(service: Service, browser: Browser) -> None:
@@ -27,11 +29,10 @@ def test_a_sign_in_link_works_once(service: Service, browser: Browser) -> None:
     expect(page.get_by_role("heading", name="Experiments")).to_be_visible()
     late = second.new_page()
     late.goto(link)
-    expect(late.get_by_role("heading", name="Experiments")).to_have_count(0)
-    late.goto(service.url)
     expect(late.get_by_role("heading", name="Sign in to Accord")).to_be_visible()
+    expect(late.get_by_role("alert")).to_contain_text("used or has expired")
     page.get_by_role("button", name="Sign out").click()
-    expect(page.get_by_role("heading", name="Sign in to Accord")).to_be_visible()
+    expect(page.get_by_role("heading", name="You are signed out")).to_be_visible()
     first.close()
     second.close()
 
@@ -220,13 +221,102 @@ def test_pages_have_no_accessibility_violations(
     labeller = sign_in("Lena")
     check(labeller, "list of a labeller")
     Labeller(labeller).open(service.url, labelled)
-    check(labeller, "labelling")
+    Labeller(labeller).press("ArrowLeft")
+    labeller.keyboard.press("h")
+    labeller.get_by_role("complementary").get_by_role("listitem").wait_for()
+    check(labeller, "labelling with the history")
+    researcher.goto(f"{service.url}/experiments/{labelled}/labels")
+    researcher.get_by_role("rowheader").first.wait_for()
+    check(researcher, "all labels")
     signed_out = browser.new_context().new_page()
     signed_out.goto(service.url)
     signed_out.get_by_role("heading", name="Sign in to Accord").wait_for()
     check(signed_out, "signed out")
     signed_out.context.close()
     assert found == []
+
+
+def test_a_phone_shows_both_clips_and_the_answers_and_a_tap_chooses(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("On a phone")
+    page = sign_in("Tina", has_touch=True, is_mobile=True)
+    labeller = Labeller(page)
+    for width, height, stacked in ((390, 844, True), (844, 390, False)):
+        page.set_viewport_size({"width": width, "height": height})
+        pair = labeller.open(service.url, experiment)
+        left, right = (page.get_by_test_id(f"clip-{side}").bounding_box() for side in ("left", "right"))
+        answers = page.get_by_role("group", name="Which clip is better?").bounding_box()
+        assert left is not None
+        assert right is not None
+        assert answers is not None
+        assert (right["y"] > left["y"], right["x"] > left["x"]) == (stacked, not stacked)
+        assert max(each["y"] + each["height"] for each in (left, right)) <= answers["y"] + 1
+        assert answers["y"] + answers["height"] <= height
+        assert page.evaluate(_SMALL_TARGETS) == []
+        labeller.wait_until_played()
+        page.get_by_test_id("clip-right").tap(position={"x": 100, "y": 60})
+        expect(labeller.pair_view).not_to_have_attribute("data-query", pair.query)
+        _assert_label(service, pair.query, left_preferred=0.0)
+    page.get_by_role("button", name="Undo").first.tap()
+    expect(labeller.pair_view).to_have_attribute("data-query", pair.query)
+
+
+#: visible controls that are less than 48 px wide or high
+_SMALL_TARGETS = """() => [...document.querySelectorAll("button, a, select, summary")]
+  .filter((element) => element.checkVisibility() && !element.matches(".skip-link"))
+  .map((element) => [element.innerText, element.getBoundingClientRect()])
+  .filter(([, box]) => box.width < 47.5 || box.height < 47.5)
+  .map(([text]) => text)"""
+
+
+def test_a_label_is_changed_in_the_history_and_researchers_see_its_revisions(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("History")
+    page = sign_in("Hanna", "researcher")
+    labeller = Labeller(page)
+    labeller.open(service.url, experiment)
+    first, second = labeller.press("ArrowLeft"), labeller.press("ArrowUp")
+    page.keyboard.press("h")
+    items = page.get_by_role("complementary", name=re.compile("Your labels")).get_by_role("listitem")
+    expect(items).to_have_count(2)
+    still = items.last.get_by_role("img", include_hidden=True).first
+    expect(still).to_have_js_property("naturalWidth", 160)
+    current = labeller.pair()
+    items.last.get_by_role("button").click()
+    expect(labeller.pair_view).to_have_attribute("data-query", first.query)
+    assert labeller.press("ArrowRight") == first
+    assert labeller.pair() == current, "the pair that was on screen before"
+    _assert_label(service, first.query, left_preferred=0.0)
+    # The label that was changed last is undone first, also in a new tab.
+    page.close()
+    other = page.context.new_page()
+    labeller = Labeller(other)
+    labeller.open(service.url, experiment)
+    expect(other.get_by_test_id("own-labels")).to_have_text("2")
+    labeller.undo(first)
+    labeller.press("ArrowDown")
+
+    other.get_by_role("link", name="All labels").click()
+    expect(other.get_by_text("4 revisions")).to_be_visible()
+    other.get_by_label("Label", exact=True).select_option("Equally good")
+    expect(other.get_by_text("4 revisions")).to_have_count(0)
+    expect(other.get_by_role("rowheader")).to_have_count(1)
+    with other.expect_download() as download:
+        other.get_by_role("link", name="Download as CSV").click()
+    assert second.query in download.value.path().read_text()
+
+
+def _assert_label(service: Service, query: str, left_preferred: float) -> None:
+    """Wait until the query has this label."""
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    statement = "select value, left_segment from labels where query_id = ? and state = 'label'"
+    stored: list[float] = []
+    while stored != [left_preferred] and time.monotonic() < deadline:
+        stored = [value if left == 0 else 1.0 - value for value, left in service.rows(statement, query)]
+        time.sleep(0.02)
+    assert stored == [left_preferred]
 
 
 def _tab_to(page: Page, name: str) -> None:

@@ -1,8 +1,13 @@
-"""Serves the built page: its files, and index.html for every other path, which the page routes itself."""
+"""Serves the built page: its files, and index.html for every other path, which the page routes itself.
 
+The build compresses the text files, so that the server only chooses among them.
+"""
+
+import mimetypes
 from pathlib import Path
 
-from fastapi.responses import FileResponse, PlainTextResponse
+from fastapi.responses import FileResponse, HTMLResponse, PlainTextResponse, Response
+from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import Receive, Scope, Send
 
@@ -13,6 +18,9 @@ _NOT_BUILT = (
 )
 #: folder of the files whose names contain a hash of their content
 _HASHED = "assets"
+_REFUSED = frozenset({"q=0", "q=0.0", "q=0.00", "q=0.000"})
+#: content codings and the endings of their files, the smallest first
+_CODINGS = (("br", ".br"), ("gzip", ".gz"))
 
 
 class Page:
@@ -29,18 +37,45 @@ class Page:
             raise HTTPException(404)
         if scope["method"] not in {"GET", "HEAD"}:
             raise HTTPException(405, headers={"Allow": "GET, HEAD"})
-        await self._response(path)(scope, receive, send)
+        await self._response(path, _accepted_codings(Headers(scope=scope)))(scope, receive, send)
 
-    def _response(self, path: str) -> FileResponse | PlainTextResponse:
+    def _response(self, path: str, accepted: frozenset[str]) -> FileResponse | PlainTextResponse:
         index = self._folder / "index.html"
         if not index.is_file():
             return PlainTextResponse(_NOT_BUILT, 503)
         file = (self._folder / path).resolve() if "\0" not in path else index
         if path and file.is_relative_to(self._folder) and file.is_file():
             immutable_file = path.startswith(f"{_HASHED}/")
-            return FileResponse(
-                file, headers={"Cache-Control": "public, max-age=31536000, immutable" if immutable_file else "no-cache"}
+            return _file_response(
+                file, "public, max-age=31536000, immutable" if immutable_file else "no-cache", accepted
             )
         if path.startswith(f"{_HASHED}/"):
             raise HTTPException(404)
-        return FileResponse(index, headers={"Cache-Control": "no-cache"})
+        return _file_response(index, "no-cache", accepted)
+
+
+def link_refused(reason: str, folder: Path) -> Response:
+    """The response to a sign-in link that is not valid: the page, which explains it, or the reason without a page."""
+    index = folder / "index.html"
+    if not index.is_file():
+        return PlainTextResponse(reason, 401)
+    return HTMLResponse(index.read_text(), 401, headers={"Cache-Control": "no-store"})
+
+
+def _file_response(file: Path, cache_control: str, accepted: frozenset[str]) -> FileResponse:
+    """A file, or its compressed copy if there is one that the client accepts."""
+    media_type = mimetypes.guess_type(file.name)[0]
+    headers = {"Cache-Control": cache_control}
+    for coding, ending in _CODINGS:
+        copy = file.with_name(file.name + ending)
+        if copy.is_file():
+            headers["Vary"] = "Accept-Encoding"
+            if coding in accepted:
+                return FileResponse(copy, headers=headers | {"Content-Encoding": coding}, media_type=media_type)
+    return FileResponse(file, headers=headers, media_type=media_type)
+
+
+def _accepted_codings(headers: Headers) -> frozenset[str]:
+    """The content codings that a client names without refusing them by `q=0`."""
+    codings = (each.strip().partition(";") for each in headers.get("accept-encoding", "").lower().split(","))
+    return frozenset(name.strip() for name, _, quality in codings if quality.replace(" ", "") not in _REFUSED)

@@ -1,5 +1,7 @@
-import { QueryCache, QueryClient, QueryClientProvider, useQuery } from "@tanstack/react-query";
+import { QueryClient, QueryClientProvider, useQuery } from "@tanstack/react-query";
+import { useEffect } from "react";
 import { SignedOut } from "@/features/session/SignedOut";
+import { onSignedOut } from "@/shared/api/client";
 import { ApiError, errorMessage } from "@/shared/api/errors";
 import { meQuery, shouldRetry } from "@/shared/api/queries";
 import { OutboxProvider } from "@/shared/outbox/OutboxProvider";
@@ -11,14 +13,6 @@ const RECONNECT_MS = 2_000;
 
 const cache = new QueryClient({
   defaultOptions: { queries: { retry: shouldRetry, staleTime: 1_000 } },
-  queryCache: new QueryCache({
-    // Any request can be the first to find that the session expired: reload the user, which shows the sign-in page.
-    onError: (error, query) => {
-      if (error instanceof ApiError && error.status === 401 && query.queryKey[0] !== "me") {
-        void cache.resetQueries({ queryKey: meQuery.queryKey });
-      }
-    },
-  }),
 });
 
 export function App() {
@@ -32,8 +26,10 @@ export function App() {
 /** The app for a signed-in user, or the sign-in page. */
 function Session() {
   const me = useQuery({ ...meQuery, refetchInterval: (query) => (query.state.error ? RECONNECT_MS : false) });
-  // Checked before `data`: the cache still holds the user after the session expired.
-  if (me.error instanceof ApiError && me.error.status === 401) return <SignedOut />;
+  // Any request can be the first to find that the session ended: load the user again, which shows the sign-in page.
+  useEffect(() => onSignedOut(() => void cache.invalidateQueries({ queryKey: meQuery.queryKey })), []);
+  // Checked before `data`: the cache still holds the user after the session ended.
+  if (me.error instanceof ApiError && me.error.status === 401) return <SignedOut previous={me.data} />;
   if (me.data) {
     return (
       <OutboxProvider userId={me.data.id}>

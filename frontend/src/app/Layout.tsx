@@ -2,7 +2,7 @@ import { useQuery } from "@tanstack/react-query";
 import type { ReactNode } from "react";
 import { UserMenu } from "@/features/session/UserMenu";
 import { experimentQuery } from "@/shared/api/queries";
-import type { Me } from "@/shared/api/types";
+import { canManageExperiments, type Me } from "@/shared/api/types";
 import { useOutboxState } from "@/shared/outbox/OutboxProvider";
 import { paths, routeOf } from "@/shared/routing/paths";
 import { Link, usePath } from "@/shared/routing/router";
@@ -19,9 +19,9 @@ export function Layout({ me, children }: { me: Me; children: ReactNode }) {
       <header className="site-header">
         <Link to={paths.experiments()} className="site-name" aria-label="Accord, all experiments">
           <img src="/icon.svg" alt="" width="22" height="22" />
-          Accord
+          <span>Accord</span>
         </Link>
-        {(route.page === "experiment" || route.page === "label") && <Tabs id={route.id} page={route.page} />}
+        {"id" in route && <Tabs id={route.id} page={route.page} me={me} />}
         <span className="spacer" />
         <UnsentLabels />
         <UserMenu me={me} />
@@ -31,7 +31,7 @@ export function Layout({ me, children }: { me: Me; children: ReactNode }) {
   );
 }
 
-function Tabs({ id, page }: { id: string; page: "experiment" | "label" }) {
+function Tabs({ id, page, me }: { id: string; page: "experiment" | "label" | "labels"; me: Me }) {
   const { data } = useQuery(experimentQuery(id));
   return (
     <nav className="tabs" aria-label="Experiment">
@@ -44,6 +44,11 @@ function Tabs({ id, page }: { id: string; page: "experiment" | "label" }) {
       <Link to={paths.experiment(id)} aria-current={page === "experiment" ? "page" : undefined}>
         Progress
       </Link>
+      {canManageExperiments(me) && (
+        <Link to={paths.labels(id)} aria-current={page === "labels" ? "page" : undefined}>
+          All labels
+        </Link>
+      )}
     </nav>
   );
 }

@@ -1,15 +1,46 @@
-import { ComparePage } from "@/features/compare/ComparePage";
-import { ExperimentPage } from "@/features/experiment/ExperimentPage";
-import { ExperimentList } from "@/features/experiment-list/ExperimentList";
-import { LabelPage } from "@/features/labelling/LabelPage";
-import { NewExperimentPage } from "@/features/new-experiment/NewExperimentPage";
+import { type ComponentType, lazy, Suspense } from "react";
 import type { Me } from "@/shared/api/types";
 import { paths, routeOf } from "@/shared/routing/paths";
 import { Link, usePath } from "@/shared/routing/router";
 import { Message } from "@/shared/ui/Message";
 
+// Each page is a file of its own, so that labelling loads neither the charts nor the form.
+const loaders = {
+  experiments: () => import("@/features/experiment-list/ExperimentList").then(as("ExperimentList")),
+  "new-experiment": () => import("@/features/new-experiment/NewExperimentPage").then(as("NewExperimentPage")),
+  experiment: () => import("@/features/experiment/ExperimentPage").then(as("ExperimentPage")),
+  label: () => import("@/features/labelling/LabelPage").then(as("LabelPage")),
+  compare: () => import("@/features/compare/ComparePage").then(as("ComparePage")),
+  labels: () => import("@/features/label-table/LabelTablePage").then(as("LabelTablePage")),
+};
+const ExperimentList = lazy(loaders.experiments);
+const NewExperimentPage = lazy(loaders["new-experiment"]);
+const ExperimentPage = lazy(loaders.experiment);
+const LabelPage = lazy(loaders.label);
+const LabelTablePage = lazy(loaders.labels);
+const ComparePage = lazy(loaders.compare);
+
+/** Turns a module into one with the named component as its default export, as `lazy` expects. */
+function as<Name extends string>(name: Name) {
+  return <Props,>(module: Record<Name, ComponentType<Props>>) => ({ default: module[name] });
+}
+
+/** Loads the page of the current URL while the app asks who is signed in. */
+export function preloadPage(): void {
+  const { page } = routeOf(window.location.pathname);
+  if (page !== "missing") void loaders[page]();
+}
+
 /** Renders the page of the current URL. */
 export function Routes({ me }: { me: Me }) {
+  return (
+    <Suspense fallback={null}>
+      <Page me={me} />
+    </Suspense>
+  );
+}
+
+function Page({ me }: { me: Me }) {
   const route = routeOf(usePath());
   switch (route.page) {
     case "experiments":
@@ -19,9 +50,11 @@ export function Routes({ me }: { me: Me }) {
     case "experiment":
       return <ExperimentPage key={route.id} id={route.id} me={me} />;
     case "label":
-      return <LabelPage key={route.id} id={route.id} me={me} />;
+      return <LabelPage key={route.id} id={route.id} />;
     case "compare":
       return <ComparePage key={route.ids.join()} ids={route.ids} />;
+    case "labels":
+      return <LabelTablePage key={route.id} id={route.id} me={me} />;
     case "missing":
       return (
         <Message title="Page not found">

@@ -1,5 +1,6 @@
 """The built page: its files, and index.html for the paths that the page routes itself."""
 
+import gzip
 from pathlib import Path
 
 import httpx
@@ -8,7 +9,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
-from accord.api.pages import Page
+from accord.api.pages import Page, link_refused
 
 
 @pytest.fixture
@@ -22,7 +23,9 @@ def folder(tmp_path: Path) -> Path:
     return built
 
 
-async def request(folder: Path, path: str, method: str = "GET") -> httpx.Response:
+async def request(
+    folder: Path, path: str, method: str = "GET", headers: dict[str, str] | None = None
+) -> httpx.Response:
     page = Page(folder)
 
     async def app(scope: Scope, receive: Receive, send: Send) -> None:
@@ -32,7 +35,7 @@ async def request(folder: Path, path: str, method: str = "GET") -> httpx.Respons
             await PlainTextResponse("refused", error.status_code)(scope, receive, send)
 
     async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://test") as client:
-        return await client.request(method, path)
+        return await client.request(method, path, headers=headers)
 
 
 @pytest.mark.anyio
@@ -53,6 +56,27 @@ async def test_files_with_a_hash_in_their_name_are_cached_forever(folder: Path) 
 
 
 @pytest.mark.anyio
+async def test_clients_get_the_smallest_copy_that_they_accept(folder: Path) -> None:
+    script = folder / "assets" / "index-1a2b.js"
+    for coding, ending in (("gzip", ".gz"), ("br", ".br")):
+        compressed = gzip.compress(script.read_bytes()) if coding == "gzip" else b"not decoded here"
+        script.with_name(script.name + ending).write_bytes(compressed)
+
+    async def coding_for(accepted: str) -> tuple[str | None, int]:
+        path = "/assets/index-1a2b.js"
+        response = await request(folder, path, method="HEAD", headers={"Accept-Encoding": accepted})
+        assert "javascript" in response.headers["content-type"]
+        assert response.headers["vary"] == "Accept-Encoding"
+        return response.headers.get("content-encoding"), int(response.headers["content-length"])
+
+    assert await coding_for("gzip, deflate, br") == ("br", len(b"not decoded here"))
+    assert (await coding_for("gzip;q=0.8, br;q=0"))[0] == "gzip"
+    assert await coding_for("identity") == (None, script.stat().st_size)
+    response = await request(folder, "/assets/index-1a2b.js", headers={"Accept-Encoding": "gzip"})
+    assert response.text == "let x = 1"
+
+
+@pytest.mark.anyio
 @pytest.mark.parametrize("path", ["/assets/gone-9z.js", "/api/v1/nothing", "/api"])
 async def test_missing_files_and_unknown_api_paths_are_404(folder: Path, path: str) -> None:
     assert (await request(folder, path)).status_code == 404
@@ -70,6 +94,13 @@ async def test_page_that_was_not_built_is_a_503_error(tmp_path: Path) -> None:
     response = await request(tmp_path / "nowhere", "/")
     assert response.status_code == 503
     assert "frontend/build_page.py" in response.text
+
+
+def test_sign_in_link_that_is_not_valid_returns_the_page_that_explains_it(folder: Path, tmp_path: Path) -> None:
+    refused = link_refused("used", folder)
+    assert (refused.status_code, refused.media_type, refused.headers["cache-control"]) == (401, "text/html", "no-store")
+    assert bytes(refused.body).decode() == (folder / "index.html").read_text()
+    assert link_refused("used", tmp_path / "nowhere").body == b"used"
 
 
 @pytest.mark.anyio

@@ -32,7 +32,6 @@ def test_link_signs_in_one_browser_once(api_per_database: ApiServer) -> None:
         assert first.get("/api/v1/me").json() == {"id": bob["id"], "name": "Bob", "role": "labeller"}
         refused = second.get(urlsplit(bob["sign_in_url"]).path)
         assert refused.status_code == 401
-        assert "once" in refused.text
         assert "set-cookie" not in refused.headers
         # A signed-in browser that opens the link again is redirected to the page.
         assert first.get(urlsplit(bob["sign_in_url"]).path).status_code == 303

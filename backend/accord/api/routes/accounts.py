@@ -1,12 +1,11 @@
 """Get the signed-in user, add users, sign in and out."""
 
-from html import escape
-
 from fastapi import APIRouter, Request
-from fastapi.responses import HTMLResponse, RedirectResponse, Response
+from fastapi.responses import RedirectResponse, Response
 
 from accord.api import schemas
 from accord.api.dependencies import COOKIE, AuthDep, app_state
+from accord.api.pages import FOLDER, link_refused
 from accord.domain.enums import Role
 from accord.domain.errors import Unauthenticated
 from accord.domain.permissions import may_manage_users, require
@@ -62,9 +61,7 @@ def sign_in(link_token: str, request: Request) -> Response:
     except Unauthenticated as error:
         if _signed_in(request):
             return RedirectResponse("/", 303)
-        return HTMLResponse(
-            f"<!doctype html><html lang=en><title>Accord</title><h1>Not signed in</h1><p>{escape(str(error))}</p>", 401
-        )
+        return link_refused(str(error), FOLDER)
     secure = request.url.scheme == "https" or app.settings.public_url.startswith("https:")
     response = RedirectResponse("/", 303)
     response.set_cookie(

@@ -69,17 +69,16 @@ def get_clip(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
     summary="Get a still of a clip",
 )
 def get_thumbnail(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
-    """The frame in the middle of a clip as a small JPEG. It never changes, so browsers may cache it."""
+    """A frame from the middle of a clip as a small JPEG. It never changes, so browsers may cache it."""
     with auth.reading() as caller:
-        row = clips.get(caller.session, clip_id)
-        key, middle = row.blob_key, row.frames // 2
+        key = clips.get(caller.session, clip_id).blob_key
     assert key is not None  # a ready clip has a blob
     etag = f'"{clip_id}-still"'
     headers = {"ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
     if etag in request.headers.get("if-none-match", ""):
         return Response(status_code=304, headers=headers)
     try:
-        image = thumbnail(auth.app.blobs.read(key), middle)
+        image = thumbnail(auth.app.blobs.read(key))
     except ClipNotRead as error:
         log.warning("%s: %s", clip_id, error)
         raise ClipNotFound(clip_id) from error

@@ -1,6 +1,7 @@
 import type { MouseEvent } from "react";
 import { Key } from "@/shared/ui/Key";
 import type { Choice } from "./choices";
+import type { ClipNames } from "./layout";
 
 interface ChoiceButtonsProps {
   enabled: boolean;
@@ -8,15 +9,23 @@ interface ChoiceButtonsProps {
   canSkip: boolean;
   /** the choice just made, highlighted until the next pair is shown */
   chosen: Choice | null;
+  names: ClipNames;
   onChoose: (choice: Choice) => void;
 }
 
 const BUTTONS = [
-  { choice: "left", key: "←", text: "Left is better", keyName: "ArrowLeft", hint: "Left arrow" },
-  { choice: "equal", key: "↑", text: "Equally good", keyName: "ArrowUp", hint: "Up arrow" },
-  { choice: "skip", key: "↓", text: "Can’t tell, skip", keyName: "ArrowDown", hint: "Down arrow" },
-  { choice: "right", key: "→", text: "Right is better", keyName: "ArrowRight", hint: "Right arrow" },
+  { choice: "left", key: "←", keyName: "ArrowLeft", hint: "Left arrow" },
+  { choice: "equal", key: "↑", keyName: "ArrowUp", hint: "Up arrow" },
+  { choice: "skip", key: "↓", keyName: "ArrowDown", hint: "Down arrow" },
+  { choice: "right", key: "→", keyName: "ArrowRight", hint: "Right arrow" },
 ] as const;
+
+/** The text of a button, and a shorter one for small screens. */
+function textOf(choice: Choice, names: ClipNames): { text: string; short: string } {
+  if (choice === "equal") return { text: "Equally good", short: "Equal" };
+  if (choice === "skip") return { text: "Can’t tell, skip", short: "Skip" };
+  return { text: `${names[choice]} is better`, short: names[choice] };
+}
 
 /**
  * One button per choice, with its key.
@@ -24,11 +33,12 @@ const BUTTONS = [
  * Without a pair the buttons are `aria-disabled`, not `disabled`, so that a focused button keeps the focus from one
  * pair to the next.
  */
-export function ChoiceButtons({ enabled, canSkip, chosen, onChoose }: ChoiceButtonsProps) {
+export function ChoiceButtons({ enabled, canSkip, chosen, names, onChoose }: ChoiceButtonsProps) {
   return (
     <fieldset className="choices" aria-label="Which clip is better?">
-      {BUTTONS.map(({ choice, key, text, keyName, hint }) => {
+      {BUTTONS.map(({ choice, key, keyName, hint }) => {
         const active = choice === "skip" ? canSkip : enabled;
+        const { text, short } = textOf(choice, names);
         return (
           <button
             key={choice}
@@ -44,7 +54,8 @@ export function ChoiceButtons({ enabled, canSkip, chosen, onChoose }: ChoiceButt
             }}
           >
             <Key name={key} />
-            <span>{text}</span>
+            <span className="choice-text">{text}</span>
+            <span className="choice-short">{short}</span>
           </button>
         );
       })}

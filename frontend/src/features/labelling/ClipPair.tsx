@@ -2,6 +2,7 @@ import type { RefObject } from "react";
 import type { Query } from "@/shared/api/types";
 import type { PairPlayback } from "@/shared/media/usePairPlayer";
 import type { Choice } from "./choices";
+import type { ClipNames } from "./layout";
 
 interface ClipPairProps {
   query: Query;
@@ -13,10 +14,13 @@ interface ClipPairProps {
   left: RefObject<HTMLCanvasElement | null>;
   right: RefObject<HTMLCanvasElement | null>;
   progress: RefObject<HTMLDivElement | null>;
+  names: ClipNames;
+  onChoose: (choice: Choice) => void;
 }
 
-/** Two clips side by side, as large as the window allows. */
-export function ClipPair({ query, upcoming, chosen, player, left, right, progress }: ClipPairProps) {
+/** Two clips side by side, or one above the other on an upright phone, as large as the window allows. */
+export function ClipPair(props: ClipPairProps) {
+  const { query, upcoming, chosen, player, left, right, progress, names, onChoose } = props;
   return (
     <section
       className="pair"
@@ -30,8 +34,22 @@ export function ClipPair({ query, upcoming, chosen, player, left, right, progres
       data-upcoming={upcoming}
       style={{ "--aspect-ratio": player.aspectRatio } as React.CSSProperties}
     >
-      <ClipView name="Left" canvas={left} verdict={verdictOf("left", chosen)} state={player.state} />
-      <ClipView name="Right" canvas={right} verdict={verdictOf("right", chosen)} state={player.state} />
+      <ClipView
+        side="left"
+        name={names.left}
+        canvas={left}
+        verdict={verdictOf("left", chosen)}
+        state={player.state}
+        onChoose={onChoose}
+      />
+      <ClipView
+        side="right"
+        name={names.right}
+        canvas={right}
+        verdict={verdictOf("right", chosen)}
+        state={player.state}
+        onChoose={onChoose}
+      />
       <div className="playback-progress" ref={progress} aria-hidden="true">
         <div />
       </div>
@@ -45,7 +63,7 @@ export function ClipPair({ query, upcoming, chosen, player, left, right, progres
             <button type="button" className="button" onClick={player.retry}>
               Try again
             </button>
-            or press the down arrow to skip it
+            or skip it
           </span>
         </p>
       )}
@@ -65,21 +83,27 @@ function verdictOf(side: "left" | "right", chosen: Choice | null): Verdict {
 const VERDICT_TEXT = { better: "✓ Better", equal: "= Equal", skipped: "Skipped", worse: "" } as const;
 
 interface ClipViewProps {
-  name: "Left" | "Right";
+  side: "left" | "right";
+  name: string;
   canvas: RefObject<HTMLCanvasElement | null>;
   verdict: Verdict;
   state: PairPlayback["state"];
+  onChoose: (choice: Choice) => void;
 }
 
-function ClipView({ name, canvas, verdict, state }: ClipViewProps) {
+function ClipView({ side, name, canvas, verdict, state, onChoose }: ClipViewProps) {
   return (
     <div className="pair-side">
       <figure className="clip" data-verdict={verdict ?? undefined}>
-        <canvas
-          ref={canvas}
-          data-testid={`clip-${name.toLowerCase()}`}
-          role="img"
-          aria-label={`${name} clip`}
+        <canvas ref={canvas} data-testid={`clip-${side}`} role="img" aria-label={`${name} clip`} />
+        {/* On touch screens only: with a mouse, a click that returns to the window would label the pair. The answer
+            buttons do the same for assistive technology and the keyboard. */}
+        <button
+          type="button"
+          className="tap"
+          tabIndex={-1}
+          aria-hidden="true"
+          onClick={() => onChoose(side)}
         />
         <figcaption>{name}</figcaption>
         {verdict && VERDICT_TEXT[verdict] && <span className="verdict">{VERDICT_TEXT[verdict]}</span>}

@@ -5,20 +5,20 @@ import { formatCount, formatSteps, plural } from "@/shared/ui/format";
 import { heldOutAccuracy, heldOutText } from "@/shared/ui/heldOut";
 import { ProgressBar } from "@/shared/ui/ProgressBar";
 import { isOver, phaseText, workerWarning } from "@/shared/ui/status";
+import type { SessionView } from "./sessionView";
 
 interface ExperimentSummaryProps {
   experiment: Experiment;
-  /** labels given in this tab */
-  labelCount: number;
+  view: SessionView;
   connected: boolean;
 }
 
 /** Below the clips: the colour of each agent, the number of labels, and the state of the policy. */
-export function ExperimentSummary({ experiment, labelCount, connected }: ExperimentSummaryProps) {
+export function ExperimentSummary({ experiment, view, connected }: ExperimentSummaryProps) {
   return (
     <div className="summary">
       <AgentLegend experiment={experiment} />
-      <LabelProgress experiment={experiment} labelCount={labelCount} />
+      <LabelProgress experiment={experiment} view={view} />
       <PolicyStatus experiment={experiment} connected={connected} />
     </div>
   );
@@ -42,7 +42,7 @@ function AgentLegend({ experiment: { task } }: { experiment: Experiment }) {
   );
 }
 
-function LabelProgress({ experiment, labelCount }: { experiment: Experiment; labelCount: number }) {
+function LabelProgress({ experiment, view }: { experiment: Experiment; view: SessionView }) {
   const { labels } = experiment;
   const needed = isOver(experiment) ? 0 : Math.max(0, labels.due - labels.labels);
   return (
@@ -56,8 +56,8 @@ function LabelProgress({ experiment, labelCount }: { experiment: Experiment; lab
       />
       <dl className="stats">
         <div>
-          <dt>Yours, this session</dt>
-          <dd data-testid="own-labels">{formatCount(labelCount)}</dd>
+          <dt>Yours</dt>
+          <dd data-testid="own-labels">{view.historyLoaded ? formatCount(view.labelCount) : "…"}</dd>
         </div>
         <div>
           <dt>Still needed</dt>

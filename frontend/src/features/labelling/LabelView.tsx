@@ -1,5 +1,5 @@
 import { useCallback, useEffect, useRef, useState } from "react";
-import type { Experiment, Me, Query, SegmentView } from "@/shared/api/types";
+import type { Experiment, Query, SegmentView } from "@/shared/api/types";
 import type { ClipSource } from "@/shared/media/clip";
 import { ClipCache } from "@/shared/media/clipCache";
 import { usePairPlayer } from "@/shared/media/usePairPlayer";
@@ -9,9 +9,13 @@ import { ClipPair } from "./ClipPair";
 import type { Choice } from "./choices";
 import { type Command, useKeyboardCommands } from "./commands";
 import { ExperimentSummary } from "./ExperimentSummary";
+import { HistoryPanel } from "./HistoryPanel";
+import { Instructions } from "./Instructions";
+import { useClipNames } from "./layout";
 import { NoPair } from "./NoPair";
 import { PlaybackControls } from "./PlaybackControls";
 import { usePairNotification } from "./pairNotification";
+import { ReviewBanner } from "./ReviewBanner";
 import { StatusLine } from "./StatusLine";
 import { useLabellingSession } from "./useLabellingSession";
 
@@ -20,20 +24,22 @@ const MIN_RESPONSE_SECONDS = 0.3;
 
 interface LabelViewProps {
   experiment: Experiment;
-  me: Me;
   connected: boolean;
 }
 
 /** The instructions, the pair of clips, the choices, and the progress of the experiment. */
-export function LabelView({ experiment, me, connected }: LabelViewProps) {
-  const { session, view } = useLabellingSession(experiment.id, me.id);
+export function LabelView({ experiment, connected }: LabelViewProps) {
+  const { session, view } = useLabellingSession(experiment.id);
+  const names = useClipNames();
+  const [historyOpen, setHistoryOpen] = useState(false);
   const [clips] = useState(() => new ClipCache());
   const left = useRef<HTMLCanvasElement>(null);
   const right = useRef<HTMLCanvasElement>(null);
   const progress = useRef<HTMLDivElement>(null);
-  const { upcoming, last } = view;
+  const { upcoming, reviewed } = view;
+  const last = view.history.at(-1);
   const over = isOver(experiment);
-  const current = over ? null : view.current;
+  const current = over ? (reviewed?.query ?? null) : view.current;
   const player = usePairPlayer(
     clips,
     current && clipSource(current.left),
@@ -62,49 +68,86 @@ export function LabelView({ experiment, me, connected }: LabelViewProps) {
   );
   const run = useCallback(
     (command: Command) => {
-      if (command.type === "choose") choose(command.choice);
+      if (command.type === "choose" && !over) choose(command.choice);
       else if (command.type === "undo") session?.undo();
+      else if (command.type === "closeReview") session?.closeReview();
+      else if (command.type === "toggleHistory") setHistoryOpen((open) => !open);
       else if (command.type === "togglePause") player.togglePause();
       else if (command.type === "step") player.step(command.direction);
-      else player.setSpeed(command.speed);
+      else if (command.type === "setSpeed") player.setSpeed(command.speed);
     },
-    [choose, session, player],
+    [choose, session, player, over],
   );
   useKeyboardCommands(run);
   usePairNotification(experiment.name, current !== null);
 
+  const onChoose = (choice: Choice) => run({ type: "choose", choice });
+  const closeReview = () => run({ type: "closeReview" });
+  const review = (id: string) => {
+    session?.review(id);
+    window.scrollTo(0, 0);
+  };
+
   return (
-    <main className="label-view" id="content">
-      <h1 className="instructions" title={experiment.instructions}>
-        {experiment.instructions}
-      </h1>
-      {current ? (
-        <ClipPair
-          query={current}
-          upcoming={upcoming.length}
-          chosen={view.chosen}
+    <main className="label-page" id="content" data-history={historyOpen || undefined}>
+      <div className="label-view">
+        {reviewed ? (
+          <ReviewBanner pair={reviewed} names={names} onClose={closeReview} />
+        ) : (
+          <Instructions text={experiment.instructions} />
+        )}
+        {current ? (
+          <ClipPair
+            query={current}
+            upcoming={upcoming.length}
+            chosen={view.chosen}
+            player={player}
+            left={left}
+            right={right}
+            progress={progress}
+            names={names}
+            onChoose={onChoose}
+          />
+        ) : (
+          <NoPair
+            experiment={experiment}
+            reason={over ? "experiment_over" : view.reason}
+            error={view.error}
+            aspectRatio={player.aspectRatio}
+          />
+        )}
+        <div className="answer-bar">
+          <StatusLine
+            view={view}
+            experiment={experiment}
+            names={names}
+            onUndo={() => run({ type: "undo" })}
+          />
+          <ChoiceButtons
+            enabled={current !== null && player.state === "playing" && !over}
+            canSkip={current !== null && player.state !== "loading" && !over}
+            chosen={view.chosen}
+            names={names}
+            onChoose={onChoose}
+          />
+        </div>
+        <PlaybackControls
           player={player}
-          left={left}
-          right={right}
-          progress={progress}
+          canUndo={last !== undefined || view.chosen !== null}
+          historyOpen={historyOpen}
+          onCommand={run}
         />
-      ) : (
-        <NoPair
-          experiment={experiment}
-          reason={over ? "experiment_over" : view.reason}
-          error={view.error}
-          aspectRatio={player.aspectRatio}
+        <ExperimentSummary experiment={experiment} view={view} connected={connected} />
+      </div>
+      {historyOpen && (
+        <HistoryPanel
+          view={view}
+          names={names}
+          onReview={review}
+          onLoadOlder={() => session?.loadOlder()}
+          onClose={() => setHistoryOpen(false)}
         />
       )}
-      <ChoiceButtons
-        enabled={current !== null && player.state === "playing"}
-        canSkip={current !== null && player.state !== "loading"}
-        chosen={view.chosen}
-        onChoose={(choice) => run({ type: "choose", choice })}
-      />
-      <PlaybackControls player={player} canUndo={last !== null || view.chosen !== null} onCommand={run} />
-      <StatusLine view={view} experiment={experiment} />
-      <ExperimentSummary experiment={experiment} labelCount={view.labelCount} connected={connected} />
     </main>
   );
 }

@@ -4,7 +4,7 @@ import { Link } from "@/shared/routing/router";
 import { formatCount, formatSteps } from "@/shared/ui/format";
 import { estimateText, isOver } from "@/shared/ui/status";
 import { PairNotificationSwitch } from "./pairNotification";
-import type { SessionView } from "./session";
+import type { SessionView } from "./sessionView";
 
 interface NoPairProps {
   experiment: Experiment;

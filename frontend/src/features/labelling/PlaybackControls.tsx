@@ -6,15 +6,23 @@ import { type Command, SPEEDS } from "./commands";
 interface PlaybackControlsProps {
   player: PairPlayback;
   canUndo: boolean;
+  historyOpen: boolean;
   onCommand: (command: Command) => void;
 }
 
-/** Buttons for undo, pause, single frames and speed. */
-export function PlaybackControls({ player, canUndo, onCommand }: PlaybackControlsProps) {
+/** Buttons for undo, the history, pause, single frames and speed. */
+export function PlaybackControls({ player, canUndo, historyOpen, onCommand }: PlaybackControlsProps) {
   const disabled = player.state !== "playing";
   return (
     <div className="playback" role="toolbar" aria-label="Playback">
       <Control keyName="Z" text="Undo" disabled={!canUndo} onClick={() => onCommand({ type: "undo" })} />
+      <Control
+        keyName="H"
+        text="Your labels"
+        disabled={false}
+        pressed={historyOpen}
+        onClick={() => onCommand({ type: "toggleHistory" })}
+      />
       <Control
         keyName="Space"
         text={player.paused ? "Play" : "Pause"}

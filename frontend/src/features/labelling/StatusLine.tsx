@@ -4,20 +4,37 @@ import { rewardVersionsQuery } from "@/shared/api/queries";
 import type { Experiment } from "@/shared/api/types";
 import { formatCount } from "@/shared/ui/format";
 import { heldOutAccuracy, heldOutText } from "@/shared/ui/heldOut";
-import { CHOICE_TEXT } from "./choices";
-import type { SessionView } from "./session";
+import { type ClipNames, choiceText } from "./layout";
+import type { SessionView } from "./sessionView";
 
 const NOTICE_SECONDS = 12;
 
+interface StatusLineProps {
+  view: SessionView;
+  experiment: Experiment;
+  names: ClipNames;
+  onUndo: () => void;
+}
+
 /** A line with the last choice and a notice of a new reward version. It keeps its height while it is empty. */
-export function StatusLine({ view, experiment }: { view: SessionView; experiment: Experiment }) {
+export function StatusLine({ view, experiment, names, onUndo }: StatusLineProps) {
   const versionNotice = useVersionNotice(experiment);
-  const lastChoice = view.last ? `${CHOICE_TEXT[view.last.choice]}. Press Z to undo.` : "";
+  const last = view.history.at(-1);
   return (
     <div className="status-line">
       <span role="status" aria-live="polite" data-testid="status">
-        {view.notice ?? lastChoice}
+        {view.notice ??
+          (last && !view.reviewed && (
+            <>
+              {choiceText(last.choice, names)}.<span className="for-keys"> Press Z to undo.</span>
+            </>
+          ))}
       </span>
+      {last && !view.reviewed && (
+        <button type="button" className="button small for-touch" onClick={onUndo}>
+          Undo
+        </button>
+      )}
       <span
         role="status"
         aria-live="polite"

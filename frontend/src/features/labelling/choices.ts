@@ -9,10 +9,7 @@ export const LABELS: Readonly<Record<Choice, number | null>> = {
   skip: null,
 };
 
-/** The choice in words, after it was made. */
-export const CHOICE_TEXT: Readonly<Record<Choice, string>> = {
-  left: "Left is better",
-  right: "Right is better",
-  equal: "Equally good",
-  skip: "Skipped",
-};
+/** Skips do not count as labels. */
+export function countOf(choice: Choice): number {
+  return choice === "skip" ? 0 : 1;
+}

@@ -22,6 +22,11 @@ test("browser shortcuts are ignored, except undo", () => {
   expect(press("z", { metaKey: true })).toEqual({ type: "undo" });
 });
 
+test("h shows the labels given so far, and Escape ends a review", () => {
+  expect(press("h")).toEqual({ type: "toggleHistory" });
+  expect(press("Escape")).toEqual({ type: "closeReview" });
+});
+
 test("other keys have no command", () => {
   expect(press("a")).toBeNull();
   expect(press("Enter")).toBeNull();

@@ -5,6 +5,8 @@ import type { Choice } from "./choices";
 export type Command =
   | { type: "choose"; choice: Choice }
   | { type: "undo" }
+  | { type: "closeReview" }
+  | { type: "toggleHistory" }
   | { type: "togglePause" }
   | { type: "step"; direction: 1 | -1 }
   | { type: "setSpeed"; speed: number };
@@ -23,6 +25,9 @@ const COMMANDS: ReadonlyMap<string, Command> = new Map<string, Command>([
   ["ArrowDown", { type: "choose", choice: "skip" }],
   ["z", { type: "undo" }],
   ["Z", { type: "undo" }],
+  ["Escape", { type: "closeReview" }],
+  ["h", { type: "toggleHistory" }],
+  ["H", { type: "toggleHistory" }],
   [" ", { type: "togglePause" }],
   [",", { type: "step", direction: -1 }],
   [".", { type: "step", direction: 1 }],

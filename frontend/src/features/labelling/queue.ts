@@ -1,19 +1,21 @@
-import type { Query } from "@/shared/api/types";
+import type { OwnLabel, Query } from "@/shared/api/types";
 import type { Choice } from "./choices";
 
-/** How many labels of this tab can be undone. */
-const MAX_UNDO = 20;
-
-export interface LabelledPair {
+/** A pair that the user has answered, in this tab or another one. */
+export interface AnsweredPair {
   query: Query;
   choice: Choice;
+  /** of the stored label; 0 until the server has acknowledged it */
+  revision: number;
+  /** when it was answered, ISO 8601 */
+  time: string;
 }
 
 /** The pairs of one labelling session; the first of `pairs` is on screen. Immutable. */
 export interface Queue {
   readonly pairs: readonly Query[];
   /** newest last */
-  readonly past: readonly LabelledPair[];
+  readonly past: readonly AnsweredPair[];
 }
 
 export const EMPTY: Queue = { pairs: [], past: [] };
@@ -33,7 +35,15 @@ export function append(queue: Queue, queries: readonly Query[], labelled: Readon
 export function labelFirst(queue: Queue, choice: Choice): Queue {
   const [query, ...pairs] = queue.pairs;
   if (!query) return queue;
-  return { pairs, past: [...queue.past, { query, choice }].slice(-MAX_UNDO) };
+  return { pairs, past: [...queue.past, answered(query, choice)] };
+}
+
+/** Changes the answer of a pair of the past, which becomes the newest. */
+export function labelAgain(queue: Queue, id: string, choice: Choice): Queue {
+  const old = queue.past.find(({ query }) => query.id === id);
+  if (!old) return queue;
+  const others = queue.past.filter((pair) => pair !== old);
+  return { ...queue, past: [...others, { ...answered(old.query, choice), revision: old.revision }] };
 }
 
 /** Brings the last labelled pair back on screen. */
@@ -43,10 +53,43 @@ export function undoLast(queue: Queue): Queue {
   return { pairs: [last.query, ...queue.pairs], past: queue.past.slice(0, -1) };
 }
 
+/** Stores the revision under which the server stored the answer of a pair. */
+export function acknowledge(queue: Queue, id: string, revision: number): Queue {
+  return { ...queue, past: queue.past.map((pair) => (pair.query.id === id ? { ...pair, revision } : pair)) };
+}
+
 /** Removes a pair from the queue and from the past. */
 export function remove(queue: Queue, id: string): Queue {
   return {
     pairs: queue.pairs.filter((query) => query.id !== id),
     past: queue.past.filter(({ query }) => query.id !== id),
   };
+}
+
+/** The answered pair of a query; undefined if there is none. */
+export function findAnswered(queue: Queue, id: string): AnsweredPair | undefined {
+  return queue.past.find(({ query }) => query.id === id);
+}
+
+/** Replaces the past by the newest labels of the server, or adds older ones to it. */
+export function withHistory(queue: Queue, labels: readonly OwnLabel[], older: boolean): Queue {
+  const loaded = labels.map(fromServer).reverse();
+  const past = older ? [...loaded, ...queue.past] : loaded;
+  const answered = new Set(past.map(({ query }) => query.id));
+  // Another tab may have labelled a pair whose lease this one had lost.
+  return { past, pairs: queue.pairs.filter(({ id }) => !answered.has(id)) };
+}
+
+function fromServer({ query, label, revision, updated_at }: OwnLabel): AnsweredPair {
+  return { query, choice: choiceOf(label, query.left.index), revision, time: updated_at };
+}
+
+function choiceOf(label: number | null, leftSegment: number): Choice {
+  if (label === null) return "skip";
+  if (label === 0.5) return "equal";
+  return (label === 1) === (leftSegment === 0) ? "left" : "right";
+}
+
+function answered(query: Query, choice: Choice): AnsweredPair {
+  return { query, choice, revision: 0, time: new Date().toISOString() };
 }

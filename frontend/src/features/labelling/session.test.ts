@@ -1,67 +1,15 @@
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
-import { ApiError, ServerUnreachable } from "@/shared/api/errors";
-import type { Queries, Query } from "@/shared/api/types";
+import { ApiError } from "@/shared/api/errors";
 import { Outbox } from "@/shared/outbox/outbox";
-import type { Operation } from "@/shared/outbox/store";
+import { MemoryStorage, Server } from "./fakeServer";
 import { LabellingSession } from "./session";
-
-const query = (id: string) => ({ id, lease_seconds: 60 }) as Query;
-
-/** A fake server with pairs a, b, c, ... It offers the pairs that are neither labelled nor lost, in order. */
-class Server {
-  readonly labels = new Map<string, number | null>();
-  readonly released: string[] = [];
-  reason: Queries["reason"] = "";
-  down = false;
-  lost = new Set<string>();
-  undos = 0;
-
-  readonly ids: string[];
-
-  constructor(ids: string) {
-    this.ids = [...ids];
-  }
-
-  next = async (count: number): Promise<Queries> => {
-    await Promise.resolve();
-    if (this.down) throw new ServerUnreachable(null);
-    const free = this.ids.filter((id) => !this.labels.has(id) && !this.lost.has(id));
-    return { items: free.slice(0, count).map(query), reason: this.reason };
-  };
-  heartbeat = async (id: string) => {
-    if (this.lost.has(id)) throw new ApiError(410, "lease_lost", "The lease expired.");
-  };
-  release = (id: string) => void this.released.push(id);
-  send = async (operation: Operation) => {
-    await Promise.resolve();
-    if (this.down) throw new ServerUnreachable(null);
-    if (this.lost.has(operation.queryId)) throw new ApiError(410, "lease_lost", "The lease expired.");
-    if (operation.kind === "label") this.labels.set(operation.queryId, operation.body.label);
-    else {
-      this.undos += 1;
-      this.labels.delete(operation.queryId);
-    }
-  };
-}
-
-class MemoryStorage {
-  readonly #items = new Map<string, string>();
-  get length() {
-    return this.#items.size;
-  }
-  key = (index: number) => [...this.#items.keys()][index] ?? null;
-  getItem = (key: string) => this.#items.get(key) ?? null;
-  setItem = (key: string, value: string) => void this.#items.set(key, value);
-  removeItem = (key: string) => void this.#items.delete(key);
-}
 
 let server: Server;
 let local: MemoryStorage;
-let tab: MemoryStorage;
 
 const open = () => {
   const outbox = new Outbox("usr_1", local, server.send);
-  return new LabellingSession({ experimentId: "exp_1", server, outbox, storage: tab, storageKey: "session" });
+  return new LabellingSession({ experimentId: "exp_1", server, outbox, tab: "tab" });
 };
 const settle = (ms = 300) => vi.advanceTimersByTimeAsync(ms);
 const onScreen = (session: LabellingSession) => session.view().current?.id ?? null;
@@ -70,7 +18,6 @@ beforeEach(() => {
   vi.useFakeTimers();
   server = new Server("abcdef");
   local = new MemoryStorage();
-  tab = new MemoryStorage();
 });
 afterEach(() => {
   vi.useRealTimers();

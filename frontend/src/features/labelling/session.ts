@@ -1,87 +1,58 @@
 import { errorMessage, isTransient } from "@/shared/api/errors";
-import type { Queries, Query } from "@/shared/api/types";
+import type { OwnLabels, Queries } from "@/shared/api/types";
 import type { Outbox, Outcome } from "@/shared/outbox/outbox";
-import { type Choice, LABELS } from "./choices";
+import { type Choice, countOf, LABELS } from "./choices";
+import { HistoryLoader } from "./history";
 import { LeaseKeeper } from "./leases";
-import { append, EMPTY, type LabelledPair, labelFirst, type Queue, remove, undoLast } from "./queue";
-import { loadState, saveState, type TabStorage } from "./savedState";
+import { PairSupply } from "./pairSupply";
+import {
+  acknowledge,
+  append,
+  EMPTY,
+  findAnswered,
+  labelAgain,
+  labelFirst,
+  type Queue,
+  remove,
+  undoLast,
+  withHistory,
+} from "./queue";
+import { rejectionText } from "./rejection";
+import type { LabellingServer } from "./server";
+import { type SessionView, ViewStore } from "./sessionView";
 
-/** The pair on screen and two more, loaded ahead. */
-const QUEUE_LENGTH = 3;
-/** The most pairs that the server leases in one request. */
-const MAX_LEASE_COUNT = 16;
 /** How long the chosen side stays highlighted before the next pair is shown. */
-const HIGHLIGHT_SECONDS = 0.22;
-const POLL_EMPTY_SECONDS = 1;
-const POLL_SECONDS = 3;
+const HIGHLIGHT_SECONDS = 0.1;
 const MAX_RESPONSE_SECONDS = 86_400;
-
-/** What the page shows. Replaced by a new object on every change. */
-export interface SessionView {
-  current: Query | null;
-  upcoming: readonly Query[];
-  last: LabelledPair | null;
-  /** the choice just made, while its pair is still on screen */
-  chosen: Choice | null;
-  /** why there is no pair; null before the first response */
-  reason: Queries["reason"] | null;
-  /** why pairs cannot be loaded: the server is unreachable or responded with an error */
-  error: string | null;
-  /** a message about the last action; null for none */
-  notice: string | null;
-  /** labels given in this tab, without skips */
-  labelCount: number;
-  /** increases with every pair displayed, also after undo */
-  displayCount: number;
-}
-
-export const INITIAL_VIEW: SessionView = {
-  current: null,
-  upcoming: [],
-  last: null,
-  chosen: null,
-  reason: null,
-  error: null,
-  notice: null,
-  labelCount: 0,
-  displayCount: 0,
-};
-
-/** The requests of a labelling session. */
-export interface LabellingServer {
-  next(count: number): Promise<Queries>;
-  heartbeat(queryId: string): Promise<unknown>;
-  release(queryId: string): void;
-}
 
 interface Dependencies {
   experimentId: string;
   server: LabellingServer;
   outbox: Outbox;
-  storage: TabStorage;
-  storageKey: string;
+  /** the name under which the server leases pairs to this tab */
+  tab: string;
 }
 
 /** One person labelling one experiment: the pair on screen, the pairs ahead of it, and those that can be undone. */
 export class LabellingSession {
   readonly #deps: Dependencies;
   readonly #leases: LeaseKeeper;
-  readonly #subscribers = new Set<() => void>();
+  readonly #history: HistoryLoader;
+  readonly #supply: PairSupply;
+  readonly #store = new ViewStore();
+  readonly view = this.#store.view;
+  readonly subscribe = this.#store.subscribe;
   readonly #stopListening: () => void;
   /** Queries labelled here and not undone. The server may still offer them until it has received the label. */
   readonly #labelled = new Set<string>();
-  #queue: Queue;
-  #view: SessionView;
-  #fetching = false;
+  /** the revisions of labels acknowledged while their pair was still highlighted, by query */
+  readonly #revisions = new Map<string, number>();
+  #queue: Queue = EMPTY;
   #disposed = false;
-  #pollTimer: ReturnType<typeof setTimeout> | undefined;
   #highlightTimer: ReturnType<typeof setTimeout> | undefined;
 
   constructor(deps: Dependencies) {
     this.#deps = deps;
-    const { labelCount, past } = loadState(deps.storage, deps.storageKey);
-    this.#queue = { ...EMPTY, past };
-    this.#view = { ...INITIAL_VIEW, last: past.at(-1) ?? null, labelCount };
     this.#stopListening = deps.outbox.listen((outcome) => this.#handleOutcome(outcome));
     this.#leases = new LeaseKeeper({
       held: () => this.#queue.pairs.filter(({ id }) => !this.#isBeingLabelled(id)),
@@ -89,78 +60,123 @@ export class LabellingSession {
       lost: (id) => {
         // A heartbeat that arrives after the label fails, because the label has closed the query.
         if (this.#isBeingLabelled(id)) return;
-        this.#drop(id, "The pair was given to another labeller because it was open for too long.");
+        this.#drop(id, "The pair was open for too long and was given to another labeller or tab.");
       },
     });
-    void this.#fetch();
+    this.#history = new HistoryLoader({
+      request: (limit, before) => deps.server.history(limit, before),
+      isSynchronised: () => !this.#disposed && deps.outbox.isEmpty() && this.view().chosen === null,
+      loaded: (found, older) => this.#handleHistory(found, older),
+    });
+    this.#supply = new PairSupply({
+      next: (count) => deps.server.next(count),
+      release: (id) => deps.server.release(id),
+      held: () => this.#queue.pairs,
+      unsent: () => this.#unsent(),
+      arrived: (found) => this.#handlePairs(found),
+      failed: (error) =>
+        this.#store.publish({
+          error: errorMessage(error),
+          reason: isTransient(error) ? this.view().reason : "",
+        }),
+    });
+    void this.#supply.fetch();
+    void this.#history.load();
   }
-
-  readonly view = (): SessionView => this.#view;
-
-  /** Calls back after every change of the view. Returns a function that unsubscribes. */
-  readonly subscribe = (callback: () => void): (() => void) => {
-    this.#subscribers.add(callback);
-    return () => this.#subscribers.delete(callback);
-  };
 
   /** Labels the pair on screen. The label is stored at once; the next pair follows after the highlight. */
   choose(choice: Choice, responseSeconds: number): void {
-    const query = this.#view.current;
-    if (!query || this.#view.chosen) return;
+    const { current: query, reviewed } = this.view();
+    if (!query || this.view().chosen) return;
     this.#leases.userActive();
+    if (choice === reviewed?.choice) {
+      this.closeReview();
+      return;
+    }
     const body = {
+      replaces: reviewed?.revision ?? 0,
       label: LABELS[choice],
       order: "shown" as const,
       response_seconds: Math.min(MAX_RESPONSE_SECONDS, Math.max(0, responseSeconds)),
     };
     this.#labelled.add(query.id);
+    this.#history.changed();
     const { experimentId, outbox } = this.#deps;
     outbox.add({ kind: "label", experimentId, queryId: query.id, body });
-    this.#publish({ chosen: choice, notice: null });
+    this.#store.publish({ chosen: choice, notice: null });
     this.#highlightTimer = setTimeout(() => this.#advance(choice), HIGHLIGHT_SECONDS * 1000);
   }
 
-  /** Removes the last label and shows its pair again. */
+  /** Shows an answered pair again. Another choice then changes its label. */
+  review(id: string): void {
+    this.#leases.userActive();
+    const reviewed = findAnswered(this.#queue, id);
+    if (reviewed && !this.view().chosen) this.#show({ reviewed, notice: null });
+  }
+
+  /** Shows the pair again that was on screen before the review. */
+  closeReview(): void {
+    if (this.view().reviewed && !this.view().chosen) this.#show({ reviewed: null, notice: null });
+  }
+
+  /** Removes the last label and shows its pair again. During a review it ends the review. */
   undo(): void {
     this.#leases.userActive();
-    if (this.#view.chosen) {
+    if (this.view().reviewed && !this.view().chosen) {
+      this.closeReview();
+      return;
+    }
+    const { chosen } = this.view();
+    if (chosen) {
       clearTimeout(this.#highlightTimer);
-      this.#advance(this.#view.chosen);
+      this.#advance(chosen);
     }
     const last = this.#queue.past.at(-1);
-    if (!last) {
-      this.#publish({ notice: "Nothing to undo." });
+    const { experimentId, outbox, tab } = this.#deps;
+    const loading =
+      !this.view().historyLoaded || [...this.#unsent()].some((id) => !findAnswered(this.#queue, id));
+    if (!last || loading) {
+      this.#store.publish({
+        notice: loading ? "Your last labels are still being loaded." : "Nothing to undo.",
+      });
       return;
     }
     const { id } = last.query;
-    const { experimentId, outbox } = this.#deps;
-    if (!outbox.cancelLabel(id)) outbox.add({ kind: "undo", experimentId, queryId: id });
+    const neverSent = outbox.cancelLabel(id) && last.revision === 0;
+    if (!neverSent) outbox.add({ kind: "undo", experimentId, queryId: id, replaces: last.revision, tab });
     this.#labelled.delete(id);
+    this.#revisions.delete(id);
+    this.#history.changed();
     this.#queue = undoLast(this.#queue);
-    const labelCount = this.#view.labelCount - countOf(last.choice);
+    const labelCount = this.view().labelCount - countOf(last.choice);
     this.#show({ notice: "Undone. Label this pair again.", labelCount });
   }
 
   /** The user moved the mouse or pressed a key. */
-  userActive(): void {
-    this.#leases.userActive();
-  }
+  readonly userActive = (): void => this.#leases.userActive();
 
-  /** Fetches pairs now instead of at the next poll: the user is back, or the experiment has changed. */
+  /** Fetches pairs and labels now: the experiment has changed, or the user may have labelled in another tab. */
   refresh(): void {
     this.#leases.userActive();
-    void this.#fetch();
+    void this.#supply.fetch();
+    void this.#history.load();
   }
+
+  readonly loadOlder = (): void => void this.#history.load(true);
 
   /** Ends the session and releases its pairs. The outbox still sends the labels that are waiting. */
   dispose(): void {
     this.#disposed = true;
-    clearTimeout(this.#pollTimer);
+    this.#supply.stop();
     clearTimeout(this.#highlightTimer);
     this.#stopListening();
     this.#leases.stop();
     const held = this.#queue.pairs.filter(({ id }) => !this.#labelled.has(id));
     for (const { id } of held) this.#deps.server.release(id);
+  }
+
+  #unsent(): Set<string> {
+    return this.#deps.outbox.labelledQueries(this.#deps.experimentId);
   }
 
   /** Whether the query was labelled here, or its label or undo is still being sent: it needs no lease. */
@@ -169,78 +185,66 @@ export class LabellingSession {
   }
 
   #advance(choice: Choice): void {
-    this.#queue = labelFirst(this.#queue, choice);
-    this.#show({ chosen: null, labelCount: this.#view.labelCount + countOf(choice) });
-    void this.#fetch();
+    const { current, reviewed, labelCount } = this.view();
+    const id = current?.id ?? "";
+    const queue = reviewed ? labelAgain(this.#queue, id, choice) : labelFirst(this.#queue, choice);
+    this.#queue = acknowledge(queue, id, this.#revisions.get(id) ?? reviewed?.revision ?? 0);
+    const replaced = reviewed ? countOf(reviewed.choice) : 0;
+    this.#show({ chosen: null, reviewed: null, labelCount: labelCount + countOf(choice) - replaced });
+    void this.#supply.fetch();
   }
 
-  #handleOutcome({ operation, error }: Outcome): void {
-    if (error === null) return;
+  #handleOutcome({ operation, error, stored }: Outcome): void {
     const { queryId, kind } = operation;
-    const labelledHere = this.#queue.past.find(({ query }) => query.id === queryId);
-    const what = kind === "label" ? "A label was rejected" : "The undo was rejected";
-    if (kind === "label" && labelledHere)
-      this.#publish({ labelCount: this.#view.labelCount - countOf(labelledHere.choice) });
+    if (error === null) {
+      if (stored) this.#revisions.set(queryId, stored.revision);
+      this.#queue = acknowledge(this.#queue, queryId, stored?.revision ?? 0);
+      this.#show({});
+      if (!this.view().historyLoaded) void this.#history.load();
+      return;
+    }
+    const answered = findAnswered(this.#queue, queryId);
+    if (kind === "label" && answered)
+      this.#store.publish({ labelCount: this.view().labelCount - countOf(answered.choice) });
     this.#labelled.delete(queryId);
-    this.#drop(queryId, `${what}: ${errorMessage(error)}`);
+    this.#drop(queryId, rejectionText(kind, error));
+    void this.#history.load();
+  }
+
+  #handleHistory(found: OwnLabels, older: boolean): void {
+    this.#queue = withHistory(this.#queue, found.items, older);
+    this.#show({ historyLoaded: true, labelCount: found.labels });
+    void this.#supply.fetch();
   }
 
   /** Removes a pair; shows the notice if the user has seen the pair. */
   #drop(id: string, notice: string): void {
-    const onScreen = this.#view.current?.id === id;
-    const seen = onScreen || this.#queue.past.some(({ query }) => query.id === id);
+    const onScreen = this.view().current?.id === id;
+    const seen = onScreen || findAnswered(this.#queue, id);
     this.#queue = remove(this.#queue, id);
     if (onScreen) clearTimeout(this.#highlightTimer);
-    this.#show(onScreen ? { chosen: null, notice } : seen ? { notice } : {});
-    void this.#fetch();
+    this.#show(onScreen ? { chosen: null, reviewed: null, notice } : seen ? { notice } : {});
+    void this.#supply.fetch();
   }
 
-  /** Leases pairs until the queue is full; polls while the server has too few. */
-  async #fetch(): Promise<void> {
-    if (this.#fetching || this.#disposed || this.#queue.pairs.length >= QUEUE_LENGTH) return;
-    clearTimeout(this.#pollTimer);
-    this.#fetching = true;
-    try {
-      const unsent = this.#deps.outbox.labelledQueries();
-      const count = Math.min(MAX_LEASE_COUNT, QUEUE_LENGTH + unsent.size);
-      const { items, reason } = await this.#deps.server.next(count);
-      if (this.#disposed) {
-        for (const { id } of items) this.#deps.server.release(id);
-        return;
-      }
-      this.#queue = append(this.#queue, items, new Set([...this.#labelled, ...unsent]));
-      this.#show({ reason, error: null });
-    } catch (error) {
-      this.#publish({ error: errorMessage(error), reason: isTransient(error) ? this.#view.reason : "" });
-    } finally {
-      this.#fetching = false;
-    }
-    const delay = this.#queue.pairs.length === 0 ? POLL_EMPTY_SECONDS : POLL_SECONDS;
-    if (!this.#disposed) this.#pollTimer = setTimeout(() => void this.#fetch(), delay * 1000);
+  #handlePairs({ items, reason }: Queries): void {
+    this.#queue = append(this.#queue, items, new Set([...this.#labelled, ...this.#unsent()]));
+    this.#show({ reason, error: null });
+    if (!this.view().historyLoaded) void this.#history.load();
   }
 
-  /** Publishes the state of the queue and saves what survives a reload. */
+  /** Publishes the state of the queue. */
   #show(change: Partial<SessionView>): void {
-    const current = this.#queue.pairs[0] ?? null;
-    const changed = current !== null && current.id !== this.#view.current?.id;
-    this.#publish({
+    const { reviewed } = { ...this.view(), ...change };
+    const current = reviewed?.query ?? this.#queue.pairs[0] ?? null;
+    const changed = current !== null && current.id !== this.view().current?.id;
+    this.#store.publish({
       ...change,
       current,
-      upcoming: this.#queue.pairs.slice(1),
-      last: this.#queue.past.at(-1) ?? null,
-      displayCount: this.#view.displayCount + (changed ? 1 : 0),
+      upcoming: this.#queue.pairs.slice(reviewed ? 0 : 1),
+      history: this.#queue.past,
+      hasOlder: this.#history.hasOlder,
+      displayCount: this.view().displayCount + (changed ? 1 : 0),
     });
-    const { storage, storageKey } = this.#deps;
-    saveState(storage, storageKey, { labelCount: this.#view.labelCount, past: this.#queue.past });
   }
-
-  #publish(change: Partial<SessionView>): void {
-    this.#view = { ...this.#view, ...change };
-    for (const callback of this.#subscribers) callback();
-  }
-}
-
-/** Skips do not count as labels. */
-function countOf(choice: Choice): number {
-  return choice === "skip" ? 0 : 1;
 }

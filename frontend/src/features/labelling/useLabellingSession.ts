@@ -1,7 +1,9 @@
 import { useEffect, useState, useSyncExternalStore } from "react";
-import { api, unwrap } from "@/shared/api/client";
 import { useOutbox } from "@/shared/outbox/OutboxProvider";
-import { INITIAL_VIEW, type LabellingServer, LabellingSession, type SessionView } from "./session";
+import { createServer } from "./server";
+import { LabellingSession } from "./session";
+import { INITIAL_VIEW, type SessionView } from "./sessionView";
+import { TAB } from "./tab";
 
 const ACTIVITY_EVENTS = ["keydown", "pointerdown", "pointermove"] as const;
 
@@ -9,10 +11,10 @@ const subscribeToNothing = () => () => undefined;
 const initialView = () => INITIAL_VIEW;
 
 /** The labelling session of one experiment while the page is open; null during the first render. */
-export function useLabellingSession(
-  experimentId: string,
-  userId: string,
-): { session: LabellingSession | null; view: SessionView } {
+export function useLabellingSession(experimentId: string): {
+  session: LabellingSession | null;
+  view: SessionView;
+} {
   const outbox = useOutbox();
   const [session, setSession] = useState<LabellingSession | null>(null);
   useEffect(() => {
@@ -20,8 +22,7 @@ export function useLabellingSession(
       experimentId,
       server: createServer(experimentId),
       outbox,
-      storage: window.sessionStorage,
-      storageKey: `accord.labelling.${userId}.${experimentId}`,
+      tab: TAB,
     });
     const onPageHide = () => created.dispose();
     // The browser restored the page from its back/forward cache, with a disposed session.
@@ -44,26 +45,7 @@ export function useLabellingSession(
       document.removeEventListener("visibilitychange", onVisibilityChange);
       created.dispose();
     };
-  }, [experimentId, userId, outbox]);
+  }, [experimentId, outbox]);
   const view = useSyncExternalStore(session?.subscribe ?? subscribeToNothing, session?.view ?? initialView);
   return { session, view };
-}
-
-function createServer(experimentId: string): LabellingServer {
-  const pathOf = (queryId: string) => ({ params: { path: { query_id: queryId } } });
-  return {
-    next: (count) =>
-      unwrap(
-        api.POST("/api/v1/experiments/{experiment_id}/queries/next", {
-          params: { path: { experiment_id: experimentId }, query: { count } },
-        }),
-      ),
-    heartbeat: (queryId) => unwrap(api.PUT("/api/v1/queries/{query_id}/lease", pathOf(queryId))),
-    release: (queryId) => {
-      // `keepalive` completes the request even if the page is closing. A failure needs no handling: the lease expires.
-      api
-        .DELETE("/api/v1/queries/{query_id}/lease", { ...pathOf(queryId), keepalive: true })
-        .catch(() => undefined);
-    },
-  };
 }

@@ -1,29 +1,72 @@
 import { useEffect, useState } from "react";
+import type { Me } from "@/shared/api/types";
+import { countStoredLabels } from "@/shared/outbox/store";
+import { paths } from "@/shared/routing/paths";
+import { plural } from "@/shared/ui/format";
 import { Message } from "@/shared/ui/Message";
 
 const COMMAND = "accord link";
 const COPIED_MS = 2_000;
 
-/** The sign-in page: explains where one-time sign-in links come from. */
-export function SignedOut() {
+/**
+ * The sign-in page: why nobody is signed in, what happens to unsent labels, and where one-time links come from.
+ *
+ * @param previous the user who was signed in on this page until now; undefined if there was none.
+ */
+export function SignedOut({ previous }: { previous: Me | undefined }) {
+  const [unsent] = useState(() => countStoredLabels(window.localStorage));
   return (
-    <Message title="Sign in to Accord">
-      <p>Accord has no passwords. You sign in with a one-time link, and this browser stays signed in.</p>
+    <Message title={previous ? "You are signed out" : "Sign in to Accord"}>
+      {paths.isSignInLink(window.location.pathname) && (
+        <p className="alert" role="alert">
+          This sign-in link has been used or has expired. Each link works once, and only for a limited time.
+        </p>
+      )}
+      {previous && (
+        <p role="alert">
+          {previous.name} was signed out of this browser in another tab or by an admin, or the session has
+          expired.
+        </p>
+      )}
+      {unsent > 0 && (
+        <p data-testid="kept-labels">
+          <strong>{plural(unsent, "label")} not sent yet.</strong> They are kept in this browser and are sent
+          as soon as
+          {previous ? ` ${previous.name} signs` : " you sign"} in here again. Do not clear the browser’s data
+          before.
+        </p>
+      )}
+      <p>
+        Accord has no passwords. You sign in with a one-time link, and this browser stays signed in. Open the
+        link in this browser, in any tab: this page then continues by itself.
+      </p>
       <ul className="bullets">
+        <li>
+          If a colleague runs Accord, ask them for a new link
+          {previous ? (
+            <>
+              . They create it with <code>accord user link {shellQuoted(previous.name)}</code>.
+            </>
+          ) : (
+            <>
+              . They create it with <code>accord user add NAME</code>, or with{" "}
+              <code>accord user link NAME</code> if you have signed in before.
+            </>
+          )}
+        </li>
         <li>
           If you run Accord on this machine, run this command in a terminal and open the link that it prints.
           It signs you in as the admin.
           <CommandLine />
         </li>
-        <li>
-          If a colleague runs Accord, ask them for a link. They create it with{" "}
-          <code>accord user add NAME</code>, or with <code>accord user link NAME</code> if you have signed in
-          before.
-        </li>
       </ul>
-      <p className="muted">Each link works once, and only for a limited time.</p>
     </Message>
   );
+}
+
+/** A name as an argument of a command. */
+function shellQuoted(name: string): string {
+  return /^[\w.-]+$/.test(name) ? name : `'${name.replaceAll("'", `'"'"'`)}'`;
 }
 
 function CommandLine() {

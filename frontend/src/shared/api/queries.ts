@@ -1,6 +1,7 @@
 import { infiniteQueryOptions, queryOptions } from "@tanstack/react-query";
 import { api, unwrap } from "./client";
 import { ApiError, isTransient } from "./errors";
+import type { operations } from "./schema";
 
 const byExperiment = (id: string) => ({ params: { path: { experiment_id: id } } });
 
@@ -55,6 +56,32 @@ export const costsQuery = (id: string) =>
     queryKey: ["costs", id],
     queryFn: () => unwrap(api.GET("/api/v1/experiments/{experiment_id}/costs", byExperiment(id))),
   });
+
+/** Which queries to list, as the API's parameters; null does not filter. */
+export type LabelFilters = Pick<
+  NonNullable<operations["list_queries"]["parameters"]["query"]>,
+  "status" | "user" | "label" | "changed"
+>;
+
+export const queriesQuery = (id: string, filters: LabelFilters) =>
+  infiniteQueryOptions({
+    queryKey: ["queries", id, filters],
+    queryFn: ({ pageParam: before }) =>
+      unwrap(
+        api.GET("/api/v1/experiments/{experiment_id}/queries", {
+          params: { path: { experiment_id: id }, query: { ...filters, before } },
+        }),
+      ),
+    initialPageParam: null as number | null,
+    getNextPageParam: (page) => page.next_before,
+  });
+
+/** Where the browser downloads the same queries as CSV. */
+export function queriesCsvUrl(id: string, filters: LabelFilters): string {
+  const given = Object.entries(filters).filter(([, value]) => value !== null);
+  const query = new URLSearchParams(given.map(([name, value]) => [name, String(value)]));
+  return `/api/v1/experiments/${encodeURIComponent(id)}/queries.csv?${query}`;
+}
 
 export const workersQuery = queryOptions({
   queryKey: ["workers"],

@@ -1,13 +1,5 @@
-import type { VideoSample } from "mediabunny";
-import {
-  bytesOf,
-  type Clip,
-  type ClipSource,
-  ClipUnplayable,
-  ClipUnreachable,
-  close,
-  frameSecondsOf,
-} from "./clip";
+import { reportSignedOut } from "@/shared/api/client";
+import { bytesOf, type Clip, type ClipSource, ClipUnplayable, ClipUnreachable, close } from "./clip";
 import { decodeBySeeking } from "./seek";
 
 /** Limit for decoded frames. Encoded clips are small, so all of them are kept. */
@@ -16,6 +8,9 @@ const ATTEMPTS = 4;
 const FIRST_DELAY_SECONDS = 0.5;
 
 type Decode = (blob: Blob, source: ClipSource) => Promise<Clip>;
+
+/** A file of its own, because it is large and only the labelling page needs it. */
+const loadDecoder = () => import("./webCodecs");
 
 /** Downloads and decodes the clips on screen and those of the next pairs, and frees the others. */
 export class ClipCache {
@@ -26,6 +21,8 @@ export class ClipCache {
 
   constructor(decode: Decode = decodeClip) {
     this.#decode = decode;
+    // While the first clips are being downloaded. If it fails, decoding tries again and reports the error.
+    if ("VideoDecoder" in globalThis) loadDecoder().catch(() => undefined);
   }
 
   /**
@@ -54,7 +51,11 @@ export class ClipCache {
         (decoded) => {
           this.#clipBytes = bytesOf(decoded);
         },
-        () => this.#decoded.delete(url),
+        () => {
+          this.#decoded.delete(url);
+          // The file itself may be damaged: the next attempt downloads it again.
+          this.#blobs.delete(url);
+        },
       );
       this.#decoded.set(url, clip);
     }
@@ -89,6 +90,7 @@ async function download(url: string): Promise<Blob> {
     try {
       const response = await fetch(url, { credentials: "same-origin" });
       if (response.ok) return await response.blob();
+      if (response.status === 401) reportSignedOut();
       if (response.status < 500)
         throw new ClipUnplayable(`The server responded with ${response.status} for this clip.`);
     } catch (error) {
@@ -111,45 +113,11 @@ async function download(url: string): Promise<Blob> {
 async function decodeClip(blob: Blob, source: ClipSource): Promise<Clip> {
   if ("VideoDecoder" in globalThis) {
     try {
+      const { decodeWithWebCodecs } = await loadDecoder();
       return await decodeWithWebCodecs(blob, source);
     } catch (error) {
       console.warn("WebCodecs could not decode a clip; falling back to a video element.", error);
     }
   }
   return decodeBySeeking(blob, source);
-}
-
-async function decodeWithWebCodecs(blob: Blob, source: ClipSource): Promise<Clip> {
-  // Imported on first use: only the labelling page needs it.
-  const { BufferSource, Input, MP4, VideoSampleSink } = await import("mediabunny");
-  using input = new Input({ source: new BufferSource(await blob.arrayBuffer()), formats: [MP4] });
-  const track = await input.getPrimaryVideoTrack();
-  if (!track) throw new ClipUnplayable("The file has no video track.");
-  const frames: ImageBitmap[] = [];
-  const clip: Clip = {
-    frames,
-    frameSeconds: frameSecondsOf(source),
-    width: await track.getDisplayWidth(),
-    height: await track.getDisplayHeight(),
-  };
-  try {
-    // Samples come in presentation order.
-    for await (const sample of new VideoSampleSink(track).samples()) frames.push(await bitmapOf(sample));
-    if (frames.length !== source.frames)
-      throw new ClipUnplayable(`Decoded ${frames.length} of ${source.frames} frames.`);
-  } catch (error) {
-    close(clip);
-    throw error;
-  }
-  return clip;
-}
-
-async function bitmapOf(sample: VideoSample): Promise<ImageBitmap> {
-  const frame = sample.toVideoFrame();
-  try {
-    return await createImageBitmap(frame);
-  } finally {
-    frame.close();
-    sample.close();
-  }
 }

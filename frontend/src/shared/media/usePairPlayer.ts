@@ -77,7 +77,11 @@ export function usePairPlayer(
     };
     const fail = (reason: Error) => {
       if (unmounted) return;
-      setError(reason.message);
+      // The messages of decoders are for programmers.
+      if (!(reason instanceof ClipUnreachable)) console.warn("A clip cannot be played.", reason);
+      setError(
+        reason instanceof ClipUnreachable ? reason.message : "One of its clips is missing or damaged.",
+      );
       setState("failed");
       if (reason instanceof ClipUnreachable) retryTimer = setTimeout(load, RETRY_SECONDS * 1000);
     };

@@ -30,6 +30,7 @@ class Server {
     if (this.down) throw new ServerUnreachable(null);
     if (operation.queryId === "lost") throw new ApiError(410, "lease_lost", "The lease expired.");
     this.received.push(`${operation.kind} ${operation.queryId}`);
+    return null;
   };
 }
 
@@ -134,9 +135,9 @@ describe("Outbox", () => {
     const outbox = open();
     outbox.add(label("a"));
     outbox.add({ kind: "undo", experimentId: "exp_1", queryId: "a" });
-    expect(outbox.labelledQueries()).toEqual(new Set());
+    expect(outbox.labelledQueries("exp_1")).toEqual(new Set());
     outbox.add(label("a"));
-    expect(outbox.labelledQueries()).toEqual(new Set(["a"]));
+    expect(outbox.labelledQueries("exp_1")).toEqual(new Set(["a"]));
     await settle();
     expect(server.received).toEqual(["label a", "undo a", "label a"]);
     expect(outbox.has("a")).toBe(false);

@@ -1,4 +1,5 @@
 import { errorMessage, isTransient } from "@/shared/api/errors";
+import type { Label } from "@/shared/api/types";
 import { type NewOperation, type Operation, OperationStore, type Storage } from "./store";
 
 export interface OutboxState {
@@ -9,7 +10,15 @@ export interface OutboxState {
 }
 
 /** An operation that was acknowledged (`error` is null) or rejected. */
-export type Outcome = { operation: Operation; error: unknown | null };
+export interface Outcome {
+  operation: Operation;
+  error: unknown | null;
+  /** the label as the server stored it; null after an undo or an error */
+  stored: Label | null;
+}
+
+/** Sends one operation; returns the stored label, or null for an undo. */
+export type Send = (operation: Operation) => Promise<Label | null>;
 
 const FIRST_DELAY_SECONDS = 0.5;
 const MAX_DELAY_SECONDS = 8;
@@ -24,7 +33,7 @@ const MAX_DELAY_SECONDS = 8;
  */
 export class Outbox {
   readonly #store: OperationStore;
-  readonly #send: (operation: Operation) => Promise<unknown>;
+  readonly #send: Send;
   readonly #subscribers = new Set<() => void>();
   readonly #listeners = new Set<(outcome: Outcome) => void>();
   /** Sent at least once: the server may have processed them even if no response arrived. */
@@ -36,7 +45,7 @@ export class Outbox {
   #delay = FIRST_DELAY_SECONDS;
   #timer: ReturnType<typeof setTimeout> | undefined;
 
-  constructor(userId: string, storage: Storage, send: (operation: Operation) => Promise<unknown>) {
+  constructor(userId: string, storage: Storage, send: Send) {
     this.#store = new OperationStore(userId, storage);
     this.#send = send;
     this.#operations = this.#store.load();
@@ -54,16 +63,21 @@ export class Outbox {
   }
 
   /**
-   * Removes the query's label if it was never sent.
+   * Removes the query's newest label if it was never sent.
    *
-   * @returns false when the label may have reached the server, which then needs an undo.
+   * @returns false when this or an earlier label may have reached the server, which then needs an undo.
    */
   cancelLabel(queryId: string): boolean {
     const operation = this.#operations.findLast((one) => one.queryId === queryId);
     if (operation?.kind !== "label" || this.#attempted.has(operation.id)) return false;
     this.#remove(operation);
     this.#publish(this.#state.error);
-    return true;
+    return !this.has(queryId);
+  }
+
+  /** Whether the server has acknowledged or rejected everything. */
+  isEmpty(): boolean {
+    return this.#operations.length === 0;
   }
 
   /** Whether an operation of this query is waiting. */
@@ -71,9 +85,10 @@ export class Outbox {
     return this.#operations.some((operation) => operation.queryId === queryId);
   }
 
-  /** Queries whose last waiting operation is a label. The server may not know of it yet. */
-  labelledQueries(): Set<string> {
-    const last = new Map(this.#operations.map(({ queryId, kind }) => [queryId, kind]));
+  /** Queries of an experiment whose last waiting operation is a label. The server may not know of it yet. */
+  labelledQueries(experimentId: string): Set<string> {
+    const own = this.#operations.filter((operation) => operation.experimentId === experimentId);
+    const last = new Map(own.map(({ queryId, kind }) => [queryId, kind]));
     return new Set([...last].filter(([, kind]) => kind === "label").map(([queryId]) => queryId));
   }
 
@@ -106,8 +121,13 @@ export class Outbox {
   async #sendAll(): Promise<void> {
     if (this.#sending) return;
     for (let next = this.#operations[0]; next && !this.#stopped; next = this.#operations[0]) {
+      if (this.#store.isRemoved(next.id)) {
+        // Another tab of this user has loaded the operation too, and has sent or cancelled it.
+        this.#remove(next);
+        continue;
+      }
       this.#sending = true;
-      const error = await this.#trySend(next);
+      const { error, stored } = await this.#trySend(next);
       this.#sending = false;
       if (isTransient(error)) {
         this.#publish(errorMessage(error));
@@ -118,18 +138,16 @@ export class Outbox {
       this.#delay = FIRST_DELAY_SECONDS;
       this.#remove(next);
       this.#publish(this.#operations.length > 0 ? this.#state.error : null);
-      for (const listener of this.#listeners) listener({ operation: next, error });
+      for (const listener of this.#listeners) listener({ operation: next, error, stored });
     }
   }
 
-  /** Returns the error, or null when the server acknowledged the operation. */
-  async #trySend(operation: Operation): Promise<unknown | null> {
+  async #trySend(operation: Operation): Promise<Omit<Outcome, "operation">> {
     this.#attempted.add(operation.id);
     try {
-      await this.#send(operation);
-      return null;
+      return { error: null, stored: await this.#send(operation) };
     } catch (error) {
-      return error;
+      return { error, stored: null };
     }
   }
 

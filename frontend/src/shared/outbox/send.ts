@@ -1,34 +1,44 @@
 import { api, unwrap } from "@/shared/api/client";
 import { ApiError } from "@/shared/api/errors";
-import type { Operation } from "./store";
+import type { Send } from "./outbox";
 
-/** Large enough that a pair released a moment ago is among the ones the server offers next. */
-const LEASE_COUNT = 8;
-
-/** Sends one operation to the server. Idempotent: sending the same operation twice changes nothing. */
-export async function sendOperation(operation: Operation): Promise<unknown> {
-  const { experimentId, queryId } = operation;
-  const query = { params: { path: { query_id: queryId } } };
-  if (operation.kind === "undo") return unwrap(api.DELETE("/api/v1/queries/{query_id}/label", query));
-  const putLabel = () =>
-    unwrap(api.PUT("/api/v1/queries/{query_id}/label", { ...query, body: operation.body }));
-  try {
-    return await putLabel();
-  } catch (error) {
-    if (!(error instanceof ApiError && error.code === "lease_lost")) throw error;
-    // The lease was released, for example by a page that closed. If nobody else holds the pair, a new lease makes the
-    // label valid again.
-    if (!(await leaseAgain(experimentId, queryId))) throw error;
-    return putLabel();
-  }
+/**
+ * Creates the function that sends operations to the server. Sending the same operation twice changes nothing.
+ *
+ * Each label names the revision that it replaces, so that it never overwrites one that another tab has written. The
+ * revision of a label that was given and changed while the server was away is known only once the server has
+ * acknowledged it.
+ */
+export function createSend(): Send {
+  const acknowledged = new Map<string, number>();
+  return async (operation) => {
+    const { queryId } = operation;
+    const known = acknowledged.get(queryId) ?? 0;
+    if (operation.kind === "undo") {
+      await undo(queryId, Math.max(known, operation.replaces ?? 0), operation.tab);
+      acknowledged.delete(queryId);
+      return null;
+    }
+    const replaces = Math.max(known, operation.body.replaces ?? 0);
+    const label = await unwrap(
+      api.PUT("/api/v1/queries/{query_id}/label", {
+        params: { path: { query_id: queryId } },
+        body: { ...operation.body, replaces },
+      }),
+    );
+    acknowledged.set(queryId, label.revision);
+    return label;
+  };
 }
 
-/** Leases the next queries; returns whether this one is among them. */
-async function leaseAgain(experimentId: string, queryId: string): Promise<boolean> {
-  const { items } = await unwrap(
-    api.POST("/api/v1/experiments/{experiment_id}/queries/next", {
-      params: { path: { experiment_id: experimentId }, query: { count: LEASE_COUNT } },
-    }),
-  );
-  return items.some(({ id }) => id === queryId);
+async function undo(queryId: string, replaces: number, tab = ""): Promise<void> {
+  const query = replaces > 0 ? { tab, replaces } : { tab };
+  try {
+    await unwrap(
+      api.DELETE("/api/v1/queries/{query_id}/label", { params: { path: { query_id: queryId }, query } }),
+    );
+  } catch (error) {
+    // An earlier attempt has undone it, and its response was lost.
+    if (!(error instanceof ApiError && error.code === "label_not_found")) throw error;
+  }
 }

@@ -5,7 +5,8 @@ export type Operation = NewOperation & { id: string };
 
 export type NewOperation =
   | { kind: "label"; experimentId: string; queryId: string; body: NewLabel }
-  | { kind: "undo"; experimentId: string; queryId: string };
+  /** `replaces`: revision of the label to undo, 0 if it is not known yet; `tab`: gets the lease of the query */
+  | { kind: "undo"; experimentId: string; queryId: string; replaces?: number; tab?: string };
 
 /** The methods of localStorage that are used. */
 export interface Storage {
@@ -14,6 +15,22 @@ export interface Storage {
   getItem(key: string): string | null;
   setItem(key: string, value: string): void;
   removeItem(key: string): void;
+}
+
+const PREFIX = "accord.unsent.";
+
+/** How many labels of any user wait in the browser's storage, for example while nobody is signed in. */
+export function countStoredLabels(storage: Storage): number {
+  try {
+    const keys = Array.from({ length: storage.length }, (_, index) => storage.key(index) ?? "");
+    const operations = keys
+      .filter((key) => key.startsWith(PREFIX))
+      .flatMap((key) => parse(storage.getItem(key)));
+    return operations.filter(({ kind }) => kind === "label").length;
+  } catch (error) {
+    warn(error);
+    return 0;
+  }
 }
 
 /**
@@ -25,10 +42,12 @@ export interface Storage {
 export class OperationStore {
   readonly #prefix: string;
   readonly #storage: Storage;
+  /** ids of the operations that were written to the storage or read from it */
+  readonly #stored = new Set<string>();
   #count = 0;
 
   constructor(userId: string, storage: Storage) {
-    this.#prefix = `accord.unsent.${userId}.`;
+    this.#prefix = `${PREFIX}${userId}.`;
     this.#storage = storage;
   }
 
@@ -44,7 +63,9 @@ export class OperationStore {
     try {
       const keys = Array.from({ length: this.#storage.length }, (_, index) => this.#storage.key(index) ?? "");
       const ownKeys = keys.filter((key) => key.startsWith(this.#prefix)).sort();
-      return ownKeys.flatMap((key) => parse(this.#storage.getItem(key)));
+      const operations = ownKeys.flatMap((key) => parse(this.#storage.getItem(key)));
+      for (const { id } of operations) this.#stored.add(id);
+      return operations;
     } catch (error) {
       warn(error);
       return [];
@@ -54,8 +75,19 @@ export class OperationStore {
   save(operation: Operation): void {
     try {
       this.#storage.setItem(this.#prefix + operation.id, JSON.stringify(operation));
+      this.#stored.add(operation.id);
     } catch (error) {
       warn(error);
+    }
+  }
+
+  /** Whether an operation that was stored is no longer there: another tab has removed it. */
+  isRemoved(id: string): boolean {
+    try {
+      return this.#stored.has(id) && this.#storage.getItem(this.#prefix + id) === null;
+    } catch (error) {
+      warn(error);
+      return false;
     }
   }
 

@@ -6,6 +6,9 @@ export const paths = {
   compare: (ids: readonly string[]) => `/compare/${ids.map(encodeURIComponent).join(",")}`,
   experiment: (id: string) => `/experiments/${encodeURIComponent(id)}`,
   label: (id: string) => `/experiments/${encodeURIComponent(id)}/label`,
+  labels: (id: string) => `/experiments/${encodeURIComponent(id)}/labels`,
+  /** Whether the server answered a one-time sign-in link with this page, because the link was not valid. */
+  isSignInLink: (path: string) => path.startsWith("/sign-in/"),
 };
 
 export type Route =
@@ -14,12 +17,13 @@ export type Route =
   | { page: "experiment"; id: string }
   | { page: "label"; id: string }
   | { page: "compare"; ids: string[] }
+  | { page: "labels"; id: string }
   | { page: "missing" };
 
 export function routeOf(path: string): Route {
   const [first, second, third, ...more] = path.split("/").filter((part) => part !== "");
   if (more.length > 0) return { page: "missing" };
-  if (first === undefined || (first === "experiments" && second === undefined))
+  if (first === undefined || paths.isSignInLink(path) || (first === "experiments" && second === undefined))
     return { page: "experiments" };
   if (first === "compare" && second !== undefined && third === undefined)
     return { page: "compare", ids: second.split(",").map(decodeURIComponent) };
@@ -27,5 +31,5 @@ export function routeOf(path: string): Route {
   if (second === "new") return third === undefined ? { page: "new-experiment" } : { page: "missing" };
   const id = decodeURIComponent(second);
   if (third === undefined) return { page: "experiment", id };
-  return third === "label" ? { page: "label", id } : { page: "missing" };
+  return third === "label" || third === "labels" ? { page: third, id } : { page: "missing" };
 }

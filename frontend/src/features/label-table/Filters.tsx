@@ -1,0 +1,89 @@
+import type { LabelFilters } from "@/shared/api/queries";
+import type { LabelAuthor } from "@/shared/api/types";
+import { plural } from "@/shared/ui/format";
+
+interface FiltersProps {
+  filters: LabelFilters;
+  authors: readonly LabelAuthor[];
+  onChange: (filters: LabelFilters) => void;
+}
+
+const STATUSES = [
+  ["open", "Open"],
+  ["closed", "Labelled"],
+  ["rendering", "Clips being rendered"],
+  ["failed", "Clips failed"],
+] as const;
+
+const LABELS = [
+  ["1", "First is better"],
+  ["0", "Second is better"],
+  ["0.5", "Equally good"],
+  ["skip", "Skipped"],
+  ["undone", "Undone"],
+] as const;
+
+const CHANGED = [
+  ["true", "Changed or undone"],
+  ["false", "Never changed"],
+] as const;
+
+/** Which pairs to show. */
+export function Filters({ filters, authors, onChange }: FiltersProps) {
+  return (
+    <fieldset className="row filters" aria-label="Filters">
+      <Select
+        label="Pairs"
+        value={filters.status ?? null}
+        options={STATUSES}
+        onChange={(status) => onChange({ ...filters, status })}
+      />
+      <Select
+        label="Labeller"
+        value={filters.user ?? null}
+        options={authors.map(({ id, name, labels }) => [id, `${name} (${plural(labels, "label")})`] as const)}
+        onChange={(user) => onChange({ ...filters, user })}
+      />
+      <Select
+        label="Label"
+        value={filters.label ?? null}
+        options={LABELS}
+        onChange={(label) => onChange({ ...filters, label })}
+      />
+      <Select
+        label="Changes"
+        value={filters.changed == null ? null : filters.changed ? "true" : "false"}
+        options={CHANGED}
+        onChange={(changed) =>
+          onChange({ ...filters, changed: changed === null ? null : changed === "true" })
+        }
+      />
+    </fieldset>
+  );
+}
+
+interface SelectProps<Value extends string> {
+  label: string;
+  value: Value | null;
+  options: readonly (readonly [Value, string])[];
+  onChange: (value: Value | null) => void;
+}
+
+function Select<Value extends string>({ label, value, options, onChange }: SelectProps<Value>) {
+  return (
+    <label className="filter">
+      {label}
+      <select
+        value={value ?? ""}
+        onChange={(event) => onChange(options.find(([each]) => each === event.target.value)?.[0] ?? null)}
+      >
+        <option value="">All</option>
+        {options.map(([each, text]) => (
+          <option key={each} value={each}>
+            {text}
+          </option>
+        ))}
+      </select>
+    </label>
+  );
+}

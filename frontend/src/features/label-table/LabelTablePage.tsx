@@ -1,0 +1,76 @@
+import { useInfiniteQuery, useQuery } from "@tanstack/react-query";
+import { useState } from "react";
+import { errorMessage } from "@/shared/api/errors";
+import { experimentQuery, type LabelFilters, queriesCsvUrl, queriesQuery } from "@/shared/api/queries";
+import { canManageExperiments, type Me } from "@/shared/api/types";
+import { paths } from "@/shared/routing/paths";
+import { Link } from "@/shared/routing/router";
+import { Alert, Message } from "@/shared/ui/Message";
+import { Filters } from "./Filters";
+import { QueryRows } from "./QueryRows";
+import "./label-table.css";
+
+/** All queries of an experiment with everyone's labels and their revisions, for researchers. */
+export function LabelTablePage({ id, me }: { id: string; me: Me }) {
+  const [filters, setFilters] = useState<LabelFilters>({});
+  const experiment = useQuery(experimentQuery(id));
+  const allowed = canManageExperiments(me);
+  const queries = useInfiniteQuery({ ...queriesQuery(id, filters), enabled: allowed });
+  if (!allowed || experiment.error) {
+    return (
+      <Message title="Cannot show these labels">
+        <p>
+          {allowed ? errorMessage(experiment.error) : "Only researchers and admins see the labels of others."}
+        </p>
+        <p>
+          <Link to={paths.experiments()}>All experiments</Link>
+        </p>
+      </Message>
+    );
+  }
+  const items = queries.data?.pages.flatMap((page) => page.items) ?? [];
+  const authors = queries.data?.pages[0]?.authors ?? [];
+  return (
+    <main className="page" id="content">
+      <div className="page-head">
+        <h1>Labels{experiment.data ? ` of ${experiment.data.name}` : ""}</h1>
+        <a className="button" href={queriesCsvUrl(id, filters)} download>
+          Download as CSV
+        </a>
+      </div>
+      <Filters filters={filters} authors={authors} onChange={setFilters} />
+      {queries.error && <Alert>{errorMessage(queries.error)}</Alert>}
+      {queries.data && items.length === 0 && <p className="muted">No pair passes these filters.</p>}
+      {items.length > 0 && (
+        <section className="table-scroll" aria-label="Pairs and their labels">
+          <table className="table label-table">
+            <thead>
+              <tr>
+                <th scope="col">Pair</th>
+                <th scope="col">Segments</th>
+                <th scope="col">Labeller</th>
+                <th scope="col">Better</th>
+                <th scope="col">Seconds</th>
+                <th scope="col">Given</th>
+                <th scope="col">Revisions</th>
+              </tr>
+            </thead>
+            {items.map((query) => (
+              <QueryRows key={query.id} query={query} />
+            ))}
+          </table>
+        </section>
+      )}
+      {queries.hasNextPage && (
+        <button
+          type="button"
+          className="button"
+          disabled={queries.isFetchingNextPage}
+          onClick={() => void queries.fetchNextPage()}
+        >
+          Older pairs
+        </button>
+      )}
+    </main>
+  );
+}

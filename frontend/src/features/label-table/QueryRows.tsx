@@ -1,0 +1,109 @@
+import type { LabelRevision, RecordedLabel, RecordedQuery } from "@/shared/api/types";
+import { formatTime, plural } from "@/shared/ui/format";
+
+const STATUSES: Readonly<Record<RecordedQuery["status"], string>> = {
+  rendering: "clips being rendered",
+  open: "open",
+  closed: "labelled",
+  failed: "clips failed",
+};
+
+/** The rows of one pair: one for each labeller, or a single one without a label. */
+export function QueryRows({ query }: { query: RecordedQuery }) {
+  const rows = Math.max(1, query.labels.length);
+  const [first, ...others] = query.labels;
+  return (
+    <tbody>
+      <tr>
+        <th scope="rowgroup" rowSpan={rows}>
+          {query.number}
+          <span className="muted block">{STATUSES[query.status]}</span>
+          <span className="muted block">{query.selector}</span>
+        </th>
+        <td rowSpan={rows}>
+          <Segments query={query} />
+        </td>
+        {first ? (
+          <LabelCells label={first} />
+        ) : (
+          <td colSpan={5} className="muted">
+            No label
+          </td>
+        )}
+      </tr>
+      {others.map((label) => (
+        <tr key={label.id}>
+          <LabelCells label={label} />
+        </tr>
+      ))}
+    </tbody>
+  );
+}
+
+/** Stills of both segments, in segment order, with their true returns. Those that a labeller preferred have a frame. */
+function Segments({ query }: { query: RecordedQuery }) {
+  const preferred = new Set(query.labels.map(({ revisions }) => revisions.at(-1)?.label));
+  return (
+    <div className="segments">
+      {query.segments.map(({ segment_id, thumbnail_url, clip_url, true_return }, index) => (
+        <figure key={segment_id} data-better={preferred.has(1 - index) || undefined}>
+          {thumbnail_url && clip_url && (
+            <a href={clip_url} target="_blank" rel="noreferrer">
+              <img
+                src={thumbnail_url}
+                alt={`${index === 0 ? "First" : "Second"} clip of pair ${query.number}`}
+                loading="lazy"
+                width="100"
+                height="75"
+              />
+            </a>
+          )}
+          <figcaption>true return {true_return.toFixed(1)}</figcaption>
+        </figure>
+      ))}
+    </div>
+  );
+}
+
+function LabelCells({ label }: { label: RecordedLabel }) {
+  const current = label.revisions.at(-1);
+  if (!current) return null;
+  const teacher = typeof label.teacher.name === "string" ? label.teacher.name : label.role;
+  return (
+    <>
+      <td>
+        {label.user_name}
+        <span className="muted block">{teacher}</span>
+      </td>
+      <td>{labelText(current)}</td>
+      <td className="number">{current.response_seconds?.toFixed(1) ?? "–"}</td>
+      <td>{formatTime(current.created_at)}</td>
+      <td>
+        {label.revisions.length === 1 ? (
+          "1"
+        ) : (
+          <details>
+            <summary>{plural(label.revisions.length, "revision")}</summary>
+            <ol className="revisions">
+              {label.revisions.map((revision) => (
+                <li key={revision.revision}>
+                  {labelText(revision)} <span className="muted">{formatTime(revision.created_at)}</span>
+                </li>
+              ))}
+            </ol>
+          </details>
+        )}
+      </td>
+    </>
+  );
+}
+
+/** A label in segment order, with the side on which a person saw the better segment. */
+function labelText({ state, label, left_segment }: LabelRevision): string {
+  if (state === "undone") return "Undone";
+  if (label === null) return "Skipped";
+  if (label === 0.5) return "Equally good";
+  const better = label === 1 ? 0 : 1;
+  const side = left_segment === null ? "" : better === left_segment ? " (left)" : " (right)";
+  return `${better === 0 ? "First" : "Second"}${side}`;
+}

@@ -1,0 +1,88 @@
+import { useEffect, useRef } from "react";
+import { plural } from "@/shared/ui/format";
+import type { Choice } from "./choices";
+import { type ClipNames, choiceText } from "./layout";
+import type { AnsweredPair } from "./queue";
+import type { SessionView } from "./sessionView";
+import "./history.css";
+
+interface HistoryPanelProps {
+  view: SessionView;
+  names: ClipNames;
+  onReview: (id: string) => void;
+  onLoadOlder: () => void;
+  onClose: () => void;
+}
+
+/** The user's labels in this experiment, newest first. A click shows a pair again, to watch or to change its label. */
+export function HistoryPanel({ view, names, onReview, onLoadOlder, onClose }: HistoryPanelProps) {
+  const { history, historyLoaded, hasOlder, labelCount, reviewed } = view;
+  const panel = useRef<HTMLElement>(null);
+  // On a small screen the panel is below the clips.
+  useEffect(() => panel.current?.scrollIntoView({ block: "nearest" }), []);
+  return (
+    <aside ref={panel} className="history" aria-labelledby="history-title">
+      <div className="history-head">
+        <h2 id="history-title">
+          Your labels{" "}
+          <span className="muted">{historyLoaded ? plural(labelCount, "label") : "Loading…"}</span>
+        </h2>
+        <button type="button" className="button small" onClick={onClose}>
+          Close
+        </button>
+      </div>
+      {history.length === 0 && historyLoaded && <p className="muted">You have not labelled a pair yet.</p>}
+      <ol className="history-list">
+        {history.toReversed().map((pair) => (
+          <li key={pair.query.id}>
+            <button
+              type="button"
+              className="history-item"
+              aria-current={pair.query.id === reviewed?.query.id ? "true" : undefined}
+              onClick={() => onReview(pair.query.id)}
+            >
+              <Thumbnails pair={pair} />
+              <span>
+                {choiceText(pair.choice, names)}
+                <span className="muted"> {timeText(pair.time)}</span>
+              </span>
+            </button>
+          </li>
+        ))}
+      </ol>
+      {hasOlder && (
+        <button type="button" className="button" onClick={onLoadOlder}>
+          Older labels
+        </button>
+      )}
+    </aside>
+  );
+}
+
+function Thumbnails({ pair: { query, choice } }: { pair: AnsweredPair }) {
+  return (
+    <span className="thumbnails" data-choice={choice}>
+      {[query.left, query.right].map(({ segment_id, thumbnail_url }, index) =>
+        thumbnail_url === null ? null : (
+          <img
+            key={segment_id}
+            src={thumbnail_url}
+            alt=""
+            loading="lazy"
+            width="100"
+            height="75"
+            data-better={choice === (["left", "right"] satisfies Choice[])[index] || undefined}
+          />
+        ),
+      )}
+    </span>
+  );
+}
+
+/** The time of day today, otherwise also the day. */
+function timeText(iso: string): string {
+  const time = new Date(iso);
+  const clock = time.toLocaleTimeString(undefined, { hour: "2-digit", minute: "2-digit" });
+  if (time.toDateString() === new Date().toDateString()) return clock;
+  return `${time.toLocaleDateString(undefined, { day: "numeric", month: "short" })}, ${clock}`;
+}

@@ -1,0 +1,36 @@
+import { useSyncExternalStore } from "react";
+import type { Choice } from "./choices";
+
+/** As in labelling.css: a narrow, upright screen shows the clips one above the other. */
+const STACKED = "(max-width: 760px) and (orientation: portrait)";
+
+/** The names of the two clips where they are on screen. */
+export interface ClipNames {
+  left: string;
+  right: string;
+}
+
+const SIDE_BY_SIDE: ClipNames = { left: "Left", right: "Right" };
+const ONE_ABOVE_THE_OTHER: ClipNames = { left: "Top", right: "Bottom" };
+
+/** "Left" and "Right", or "Top" and "Bottom" where the clips are stacked. */
+export function useClipNames(): ClipNames {
+  return useSyncExternalStore(subscribe, isStacked) ? ONE_ABOVE_THE_OTHER : SIDE_BY_SIDE;
+}
+
+function subscribe(callback: () => void): () => void {
+  const query = window.matchMedia(STACKED);
+  query.addEventListener("change", callback);
+  return () => query.removeEventListener("change", callback);
+}
+
+function isStacked(): boolean {
+  return window.matchMedia(STACKED).matches;
+}
+
+/** The choice in words, after it was made. */
+export function choiceText(choice: Choice, names: ClipNames): string {
+  if (choice === "equal") return "Equally good";
+  if (choice === "skip") return "Skipped";
+  return `${names[choice]} is better`;
+}

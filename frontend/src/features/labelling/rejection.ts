@@ -1,0 +1,16 @@
+import { ApiError, errorMessage } from "@/shared/api/errors";
+import type { Operation } from "@/shared/outbox/store";
+
+const REASONS: Readonly<Record<string, string>> = {
+  label_changed: "you have answered this pair in another tab, and that answer is kept.",
+  query_closed: "another labeller has answered this pair.",
+  lease_lost: "this pair was given to another labeller, because it was open for too long.",
+  experiment_not_active: "this experiment is over.",
+};
+
+/** Why the server did not store a label or an undo, for the user. */
+export function rejectionText(kind: Operation["kind"], error: unknown): string {
+  const what = kind === "label" ? "A label was rejected" : "The undo was rejected";
+  const reason = error instanceof ApiError ? REASONS[error.code] : undefined;
+  return `${what}: ${reason ?? errorMessage(error)}`;
+}

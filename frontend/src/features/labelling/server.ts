@@ -1,0 +1,36 @@
+import { api, unwrap } from "@/shared/api/client";
+import type { OwnLabels, Queries } from "@/shared/api/types";
+import { TAB } from "./tab";
+
+/** The requests of a labelling session. */
+export interface LabellingServer {
+  next(count: number): Promise<Queries>;
+  heartbeat(queryId: string): Promise<unknown>;
+  release(queryId: string): void;
+  history(limit: number, before: number | null): Promise<OwnLabels>;
+}
+
+export function createServer(experimentId: string): LabellingServer {
+  const lease = (queryId: string) => ({ params: { path: { query_id: queryId }, query: { tab: TAB } } });
+  return {
+    next: (count) =>
+      unwrap(
+        api.POST("/api/v1/experiments/{experiment_id}/queries/next", {
+          params: { path: { experiment_id: experimentId }, query: { count, tab: TAB } },
+        }),
+      ),
+    heartbeat: (queryId) => unwrap(api.PUT("/api/v1/queries/{query_id}/lease", lease(queryId))),
+    release: (queryId) => {
+      // `keepalive` completes the request even if the page is closing. A failure needs no handling: the lease expires.
+      api
+        .DELETE("/api/v1/queries/{query_id}/lease", { ...lease(queryId), keepalive: true })
+        .catch(() => undefined);
+    },
+    history: (limit, before) =>
+      unwrap(
+        api.GET("/api/v1/experiments/{experiment_id}/labels/mine", {
+          params: { path: { experiment_id: experimentId }, query: { limit, before } },
+        }),
+      ),
+  };
+}
