@@ -127,7 +127,7 @@ export interface paths {
         };
         /**
          * Get a still of a clip
-         * @description The frame in the middle of a clip as a small JPEG. It never changes, so browsers may cache it.
+         * @description A frame from the middle of a clip as a small JPEG. It never changes, so browsers may cache it.
          */
         get: operations["get_thumbnail"];
         put?: never;
