@@ -255,7 +255,7 @@ def test_a_phone_shows_both_clips_and_the_answers_and_a_tap_chooses(
         assert answers["y"] + answers["height"] <= height
         assert page.evaluate(_SMALL_TARGETS) == []
         labeller.wait_until_played()
-        page.get_by_test_id("clip-right").tap(position={"x": 100, "y": 60})
+        page.touchscreen.tap(right["x"] + 100, right["y"] + 60)
         expect(labeller.pair_view).not_to_have_attribute("data-query", pair.query)
         _assert_label(service, pair.query, left_preferred=0.0)
     page.get_by_role("button", name="Undo").first.tap()
