@@ -47,6 +47,22 @@ def preference_losses(logits: Tensor, label: Tensor, label_noise: float = 0.0) -
     return -(label * _log_likelihood(logits, label_noise) + (1 - label) * _log_likelihood(-logits, label_noise))
 
 
+def smoothness_penalty(rewards: Tensor, mask: Tensor) -> Tensor:
+    """Mean squared change of reward from a step to the next, (); 0 if no segment has two steps.
+
+    Preferences between whole segments say little about how a return is spread over the steps: r_t and
+    r_t + phi_(t+1) - phi_t have nearly equal sums for any phi. Of the rewards that explain the preferences, this
+    penalty chooses a smooth one (regularisation along the time axis, as in Zhang et al., 2024, arXiv 2409.00717).
+
+    Args:
+        rewards: of the team, (S, T).
+        mask: bool (S, T), true for real steps.
+    """
+    both_real = mask[:, 1:] & mask[:, :-1]
+    changes = (rewards[:, 1:] - rewards[:, :-1]) * both_real
+    return changes.square().sum() / both_real.sum().clamp(min=1)
+
+
 def _log_likelihood(logits: Tensor, noise: float) -> Tensor:
     """log((1 - e) sigmoid(x) + e sigmoid(-x)), computed in log space; constant beyond MAX_LOGIT."""
     if noise == 0.0:

@@ -221,9 +221,14 @@ class TrainConfig(Settings):
         float, setting("Fraction of the labels that the loss assumes to be wrong.", ge=0, le=0.49)
     ] = 0.0
     weight_decay: Annotated[float, setting("AdamW's weight decay for the whole network.", ge=0, le=10)] = 1.0
-    markov_weight_decay: Annotated[float, setting("AdamW's weight decay for the Markov path alone.", ge=0, le=10)] = (
-        0.01
-    )
+    markov_weight_decay: Annotated[float, setting("AdamW's weight decay for the Markov path alone.", ge=0, le=10)] = 3.0
+    markov_smoothness: Annotated[
+        float,
+        setting(
+            "Weight of the mean squared change of reward between neighbouring steps in the loss of the Markov path.",
+            ge=0,
+        ),
+    ] = 0.003
     subtract_mean: Annotated[
         bool,
         setting(
@@ -257,7 +262,8 @@ _NETWORK_PRESETS: Mapping[str, RewardConfig] = {
 }
 # `small` was tuned on HalfCheetah-6x1 with 500 oracle labels (T = 50): the Markov path alone reaches 0.984 test
 # accuracy, with two hidden layers (step correlation 0.82 instead of 0.74), a constant 3e-3 and batches of 32 (0.84
-# instead of 0.81 annealed) and no dropout (0.986 instead of 0.980). `warm_share` 0.5 over eleven versions with 3,000
+# instead of 0.81 annealed) and no dropout (0.986 instead of 0.980). `markov_weight_decay` and `markov_smoothness`:
+# docs/results.md, "Credit to single steps". `warm_share` 0.5 over eleven versions with 3,000
 # labels: step correlation 0.72, instead of 0.62 with all weights kept. `weight_decay` 1.0 on 2,000 labels of a teacher
 # of history and cooperation: hold-out loss 0.32, instead of 0.46 with 0.01.
 _TRAIN_PRESETS: Mapping[str, TrainConfig] = {

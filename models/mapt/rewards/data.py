@@ -14,6 +14,7 @@ from torch import Tensor
 
 from mapt.errors import ModelMismatch
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays, SegmentSource
+from mapt.preferences.loss import smoothness_penalty
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.layers import autocast
 from mapt.rewards.model import RewardModel
@@ -144,6 +145,8 @@ def evenly_spaced_sample(segments: SegmentReader) -> Tensor:
 
 #: Scores (B,) of the segments at some indices (B,), by a model.
 Scorer = Callable[[RewardModel, Tensor], Tensor]
+#: The same scores, and the `smoothness_penalty` of the segments' rewards, ().
+ScorerWithPenalty = Callable[[RewardModel, Tensor], tuple[Tensor, Tensor]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,10 +167,9 @@ class PairTensors:
         """The first `n_pairs` pairs, or all if there are fewer."""
         return PairTensors(self.pairs[:n_pairs], self.labels[:n_pairs])
 
-    def scores(self, model: RewardModel, scorer: Scorer, index: Tensor) -> tuple[Tensor, Tensor]:
-        """Scores (B,) of segment 0 and of segment 1 of the pairs at `index`, from one forward pass."""
-        score_0, score_1 = scorer(model, self.pairs[index].T.reshape(-1)).chunk(2)
-        return score_0, score_1
+    def segments(self, index: Tensor) -> Tensor:
+        """Segments 0, followed by segments 1, of the pairs at `index` (B,): (2B,), for one forward pass."""
+        return self.pairs[index].T.reshape(-1)
 
     @torch.no_grad()
     def logits(self, model: RewardModel, scorer: Scorer) -> Tensor:
@@ -190,9 +192,8 @@ def network_scorer(segments: SegmentReader, dtype: torch.dtype = torch.float32) 
     return score
 
 
-@torch.no_grad()
-def markov_scorer(model: RewardModel, segments: SegmentReader, used: Tensor) -> Scorer:
-    """A scorer for training the Markov path alone.
+class MarkovScorer:
+    """A `Scorer` for training the Markov path alone.
 
     The attention path's rewards and the weights of the steps are computed once.
 
@@ -200,24 +201,31 @@ def markov_scorer(model: RewardModel, segments: SegmentReader, used: Tensor) -> 
         used: indices of the segments to score, int64 (U,), sorted and unique.
     """
 
-    def markov_score(model: RewardModel, part: SegmentTensors, weights: Tensor) -> Tensor:
+    @torch.no_grad()
+    def __init__(self, model: RewardModel, segments: SegmentReader, used: Tensor) -> None:
+        self._segments, self._used = segments, used
+        # Preallocated: small tensors kept between large temporary ones fragment the memory, by gigabytes for 50,000
+        # pairs.
+        self._weights = torch.empty(len(used), segments.n_steps, device=segments.device)
+        self._offset = torch.zeros(len(used), device=segments.device)
+        for batch in torch.arange(len(used), device=segments.device).split(EVALUATION_SEGMENTS):
+            output = model(*segments.take(used[batch]).inputs)
+            self._weights[batch] = output.weights
+            self._offset[batch] = output.score - self(model, used[batch])
+
+    def __call__(self, model: RewardModel, index: Tensor) -> Tensor:
+        return self._score(model, index)[0]
+
+    def with_penalty(self, model: RewardModel, index: Tensor) -> tuple[Tensor, Tensor]:
+        """A `ScorerWithPenalty`; the penalty is that of the Markov path's rewards."""
+        score, rewards, mask = self._score(model, index)
+        return score, smoothness_penalty(rewards, mask)
+
+    def _score(self, model: RewardModel, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Scores (B,), the Markov path's part of the team's rewards (B, T), and their mask."""
+        at, part = torch.searchsorted(self._used, index), self._segments.take(index)
         rewards = model.markov_rewards(part.observations, part.actions).mean(dim=2)
-        return model.score(rewards, weights, part.mask)
-
-    # Preallocated: small tensors kept between large temporary ones fragment the memory, by gigabytes for 50,000 pairs.
-    weights = torch.empty(len(used), segments.n_steps, device=segments.device)
-    offset = torch.empty(len(used), device=segments.device)
-    for batch in torch.arange(len(used), device=segments.device).split(EVALUATION_SEGMENTS):
-        part = segments.take(used[batch])
-        output = model(*part.inputs)
-        weights[batch] = output.weights
-        offset[batch] = output.score - markov_score(model, part, output.weights)
-
-    def score(model: RewardModel, index: Tensor) -> Tensor:
-        at = torch.searchsorted(used, index)
-        return offset[at] + markov_score(model, segments.take(index), weights[at])
-
-    return score
+        return self._offset[at] + model.score(rewards, self._weights[at], part.mask), rewards, part.mask
 
 
 @torch.no_grad()

@@ -43,6 +43,8 @@ class StageSettings:
     patience: int
     #: fraction of labels that the loss assumes to be wrong
     label_noise: float
+    #: weight of the `smoothness_penalty` in the loss
+    smoothness: float = 0.0
     #: patience until accuracy is above chance; `patience` if that is more
     patience_at_chance: int = 0
     #: fraction of the trained weights to start with; see `RewardModel.shrink_and_perturb`
@@ -83,6 +85,7 @@ def markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSetti
         max_epochs=epochs,
         patience=config.markov_patience,
         label_noise=config.label_noise,
+        smoothness=config.markov_smoothness,
         early_epoch=0 if warm else math.ceil(EARLY_FRACTION * epochs),
         kept_fraction=config.warm_share if warm else 1.0,
     )

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
 from mapt.preferences.loss import preference_loss
-from mapt.rewards.data import PairTensors, Scorer
+from mapt.rewards.data import PairTensors, Scorer, ScorerWithPenalty
 from mapt.rewards.metrics import calibrated_losses, evaluate_logits
 from mapt.rewards.model import RewardModel
 from mapt.rewards.schedule import StageSettings, is_above_chance, is_out_of_patience, is_reliable
@@ -85,10 +85,19 @@ class Stage:
     settings: StageSettings
     parameters: Sequence[nn.Parameter]
     scorer: Scorer
+    #: a scorer for gradient steps, whose penalty is added to the loss with the weight `settings.smoothness`; None for
+    #: `scorer` without a penalty
+    with_penalty: ScorerWithPenalty | None = None
     #: weights to start with, instead of the model's own
     start: dict[str, Tensor] | None = None
     #: most pairs in a forward and backward pass; None for the whole batch
     pairs_per_pass: int | None = None
+
+    def training_scores(self, model: RewardModel, index: Tensor) -> tuple[Tensor, Tensor]:
+        """Scores of the segments at `index`, (B,), and their penalty, ()."""
+        if self.with_penalty is None:
+            return (score := self.scorer(model, index)), score.new_zeros(())
+        return self.with_penalty(model, index)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,11 +139,12 @@ class RewardTrainer:
         optimiser.zero_grad()
         loss = torch.zeros((), device=self._train.labels.device)
         for part in batch.tensor_split(math.ceil(len(batch) / (stage.pairs_per_pass or len(batch)))):
-            score_0, score_1 = self._train.scores(self._model, stage.scorer, part)
+            score, penalty = stage.training_scores(self._model, self._train.segments(part))
+            score_0, score_1 = score.chunk(2)
             part_loss = preference_loss(score_0, score_1, self._train.labels[part], stage.settings.label_noise)
-            part_loss = part_loss * (len(part) / len(batch))
-            part_loss.backward()
-            loss += part_loss.detach()
+            share = len(part) / len(batch)
+            (share * (part_loss + stage.settings.smoothness * penalty)).backward()
+            loss += share * part_loss.detach()
         nn.utils.clip_grad_norm_(stage.parameters, GRADIENT_NORM_LIMIT)
         optimiser.step()
         average.update_parameters(self._model)

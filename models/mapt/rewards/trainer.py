@@ -19,11 +19,11 @@ from mapt.rewards import attention_trial
 from mapt.rewards.attention_trial import AttentionTrial, cross_selected, trial_metrics
 from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.data import (
+    MarkovScorer,
     PairTensors,
     SegmentReader,
     check_fit,
     evenly_spaced_sample,
-    markov_scorer,
     network_scorer,
     segment_reader,
     step_rewards,
@@ -203,8 +203,14 @@ class VersionTrainer:
         """Run a Markov stage; returns its early weights and losses."""
         assert model.markov is not None
         trainer = self._trainer(model, fold)
-        scorer = markov_scorer(model, self._segments, self._used)
-        stage = Stage(settings, list(model.markov.parameters()), scorer, start=start_weights(settings, model))
+        scorer = MarkovScorer(model, self._segments, self._used)
+        stage = Stage(
+            settings,
+            list(model.markov.parameters()),
+            scorer,
+            with_penalty=scorer.with_penalty if settings.smoothness else None,
+            start=start_weights(settings, model),
+        )
         losses = trainer.run(stage)
         return trainer.early_weights, losses
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapt.errors import ShapeError
-from mapt.preferences.loss import preference_loss, preference_losses
+from mapt.preferences.loss import preference_loss, preference_losses, smoothness_penalty
 
 pytestmark = pytest.mark.numerics
 
@@ -77,3 +77,14 @@ def test_confident_errors_have_the_full_gradient(sign, label):
     logit = (sign * torch.tensor([40.0, 200.0])).requires_grad_()
     preference_losses(logit, torch.full((2,), label)).sum().backward()
     assert logit.grad.tolist() == [sign, sign]
+
+
+def test_smoothness_penalty_is_the_mean_squared_change_between_real_steps():
+    rewards = torch.tensor([[1.0, 3.0, 3.0, 9.0], [2.0, 1.0, 0.0, 50.0]])
+    mask = torch.tensor([[True, True, True, True], [True, True, False, False]])
+    assert smoothness_penalty(rewards, mask).item() == pytest.approx((4 + 0 + 36 + 1) / 4)
+    assert smoothness_penalty(rewards + 7, mask).item() == pytest.approx((4 + 0 + 36 + 1) / 4)
+
+
+def test_segments_of_one_step_have_no_smoothness_penalty():
+    assert smoothness_penalty(torch.ones(3, 1), torch.ones(3, 1, dtype=torch.bool)).item() == 0
