@@ -1,8 +1,9 @@
 """How long a labeller at the page waits for the next pair while the service trains, in a whole service.
 
-The labeller answers every `--pause` seconds. A wait is the time from asking for a pair until both of its clips have
-been received; the first pair, which comes with the service's start, is printed apart. The page asks for the next pair
-while the present one is shown, so that most of these waits are hidden from people.
+The labeller answers every `--pause` seconds, and a reward version is trained after every sixth of the labels. The label
+budget is larger than what is given, so that pairs are due whenever the labeller asks. A wait is the time from asking
+for a pair until both of its clips have been received; the first one includes the service's start and the first rollout.
+The page asks for the next pair while the present one is shown, so that people notice only waits beyond their answer.
 
     python tests/benchmarks/bench_waiting.py [--labels 60] [--pause 4] [--teacher recency] [--task HalfCheetah-6x1]
 """
@@ -20,6 +21,8 @@ from accord.cli.teach import SegmentReader, TeacherChoice, judge
 from accord.domain.enums import Role
 
 POLL_SECONDS = 0.1
+#: label budget over labels given
+BUDGET_FACTOR = 8
 #: longer than any start
 LONGEST_WAIT_SECONDS = 180.0
 
@@ -35,7 +38,14 @@ def main() -> None:
         service = OwnService(Path(folder), {})
         try:
             api = Api(service.url(), service.token("labeller", Role.RESEARCHER))
-            experiment = api.post("/experiments", {"task": arguments.task, "label_budget": arguments.labels})["id"]
+            settings = {
+                "name": "waiting",
+                "task": arguments.task,
+                "label_budget": BUDGET_FACTOR * arguments.labels,
+                "initial_labels": max(2, arguments.labels // 6),
+                "labels_per_version": max(1, arguments.labels // 6),
+            }
+            experiment = api.post("/experiments", settings)["id"]
             waits = label(api, experiment, TeacherChoice.parse(arguments.teacher), arguments.labels, arguments.pause)
             state = api.get(f"/experiments/{experiment}")
             api.close()
