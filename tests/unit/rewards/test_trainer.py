@@ -420,6 +420,7 @@ def test_early_weights_are_the_best_for_the_hold_out():
     coin_flips = np.random.default_rng(5).integers(0, 2, 400)
     data, cpu = preferences(400, labels=coin_flips), torch.device("cpu")
     train, hold_out = (PairTensors.of(part, cpu) for part in data.split(0.2, 0))
+    torch.manual_seed(0)
     model = build_reward_model(CONFIG).eval()
     scorer = MarkovScorer(model, segment_reader(data.segments, cpu), torch.arange(len(data.segments)))
 
