@@ -1,6 +1,6 @@
 import { createContext, type ReactNode, useContext, useEffect, useState, useSyncExternalStore } from "react";
 import { Outbox, type OutboxState } from "./outbox";
-import { createSend } from "./send";
+import { send } from "./send";
 
 const OutboxContext = createContext<Outbox | null>(null);
 
@@ -8,7 +8,7 @@ const OutboxContext = createContext<Outbox | null>(null);
 export function OutboxProvider({ userId, children }: { userId: string; children: ReactNode }) {
   const [outbox, setOutbox] = useState<Outbox | null>(null);
   useEffect(() => {
-    const created = new Outbox(userId, window.localStorage, createSend());
+    const created = new Outbox(userId, window.localStorage, send);
     const retry = () => created.retryNow();
     window.addEventListener("online", retry);
     setOutbox(created);

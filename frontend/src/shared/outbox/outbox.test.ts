@@ -1,5 +1,6 @@
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
 import { ApiError, ServerUnreachable } from "@/shared/api/errors";
+import type { Label } from "@/shared/api/types";
 import { Outbox } from "./outbox";
 import type { Operation, Storage } from "./store";
 
@@ -141,6 +142,31 @@ describe("Outbox", () => {
     await settle();
     expect(server.received).toEqual(["label a", "undo a", "label a"]);
     expect(outbox.has("a")).toBe(false);
+  });
+
+  test("a change replaces the label that was acknowledged while it waited, and an undo leaves none", async () => {
+    const sent: (number | undefined)[] = [];
+    let revision = 5;
+    const outbox = new Outbox("usr_1", storage, async (operation) => {
+      await Promise.resolve();
+      if (server.down) throw new ServerUnreachable(null);
+      sent.push(operation.kind === "undo" ? operation.replaces : (operation.body.replaces ?? undefined));
+      return operation.kind === "undo" ? null : ({ revision: revision++ } as Label);
+    });
+    const first = { ...label("a"), body: { ...label("a").body, replaces: 0 } };
+    server.down = true;
+    outbox.add(first);
+    outbox.add(first);
+    outbox.add({ kind: "undo", experimentId: "exp_1", queryId: "a", replaces: 0 });
+    outbox.add(first);
+    server.down = false;
+    await settle();
+    expect(sent).toEqual([0, 5, 6, 0]);
+    // Another tab has undone the last label since: this one is new again.
+    outbox.add(first);
+    await settle();
+    expect(sent.at(-1)).toBe(0);
+    expect(storage.items.size).toBe(0);
   });
 
   test("sends even when browser storage is unavailable", async () => {

@@ -1,6 +1,6 @@
 import { errorMessage, isTransient } from "@/shared/api/errors";
 import type { Label } from "@/shared/api/types";
-import { type NewOperation, type Operation, OperationStore, type Storage } from "./store";
+import { type NewOperation, type Operation, OperationStore, replacing, type Storage } from "./store";
 
 export interface OutboxState {
   /** labels that the server has not acknowledged */
@@ -137,6 +137,7 @@ export class Outbox {
       }
       this.#delay = FIRST_DELAY_SECONDS;
       this.#remove(next);
+      if (error === null) this.#updateReplaced(next.queryId, stored?.revision ?? 0);
       this.#publish(this.#operations.length > 0 ? this.#state.error : null);
       for (const listener of this.#listeners) listener({ operation: next, error, stored });
     }
@@ -149,6 +150,19 @@ export class Outbox {
     } catch (error) {
       return { error, stored: null };
     }
+  }
+
+  /**
+   * Makes the waiting operations of a query replace the revision that was just stored, 0 after an undo. They were added
+   * before it was known.
+   */
+  #updateReplaced(queryId: string, revision: number): void {
+    this.#operations = this.#operations.map((operation) => {
+      if (operation.queryId !== queryId) return operation;
+      const updated = replacing(operation, revision);
+      this.#store.save(updated);
+      return updated;
+    });
   }
 
   #remove(operation: Operation): void {

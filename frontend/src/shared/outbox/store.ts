@@ -8,6 +8,13 @@ export type NewOperation =
   /** `replaces`: revision of the label to undo, 0 if it is not known yet; `tab`: gets the lease of the query */
   | { kind: "undo"; experimentId: string; queryId: string; replaces?: number; tab?: string };
 
+/** The operation, with the revision of the label that it changes or undoes. */
+export function replacing(operation: Operation, revision: number): Operation {
+  return operation.kind === "undo"
+    ? { ...operation, replaces: revision }
+    : { ...operation, body: { ...operation.body, replaces: revision } };
+}
+
 /** The methods of localStorage that are used. */
 export interface Storage {
   readonly length: number;
