@@ -114,7 +114,7 @@ class ExperimentInUse(WrongState):
     code = "experiment_in_use"
 
     def __init__(self, id: str) -> None:
-        super().__init__(f"A worker still works on experiment {id!r}. Try again in a few seconds.")
+        super().__init__(f"A worker is still working on experiment {id!r}. Try again in a few seconds.")
 
 
 class QueryClosed(WrongState):

@@ -27,7 +27,7 @@ def delete(session: Session, experiment_id: str, name: str, deleted_by: str) -> 
     Raises:
         ExperimentNotFound: if there is no such experiment.
         ExperimentNotActive: if it is running or paused.
-        ExperimentInUse: if a worker has not noticed yet that it is over.
+        ExperimentInUse: if a worker has not noticed yet that it is over, or is still rendering one of its clips.
         Invalid: if `name` is not its name.
     """
     row = experiments.lock(session, experiment_id)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import ColumnElement, Table, delete, func, select
+from sqlalchemy import ColumnElement, Table, delete, exists, func, select
 from sqlalchemy.orm import Session
 
 from accord.store.tables import (
@@ -58,11 +58,12 @@ def blob_keys(session: Session, experiment_id: str) -> BlobKeys:
 
 
 def is_claimed(session: Session, experiment_id: str, now: datetime) -> bool:
-    """Whether a worker is working on the experiment."""
-    claims = select(ClaimRow.subject).where(
-        ClaimRow.subject.endswith(f":{experiment_id}", autoescape=True), ClaimRow.expires_at > now
+    """Whether a worker is working on the experiment or rendering one of its clips."""
+    claims = exists().where(ClaimRow.subject.endswith(f":{experiment_id}", autoescape=True), ClaimRow.expires_at > now)
+    rendered = exists().where(
+        ClipRow.experiment_id == experiment_id, ClipRow.status == "pending", ClipRow.claimed_until > now
     )
-    return session.scalar(claims.limit(1)) is not None
+    return bool(session.scalar(select(claims | rendered)))
 
 
 def newest(session: Session, limit: int) -> list[DeletionRow]:

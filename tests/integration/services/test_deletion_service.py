@@ -97,6 +97,19 @@ def test_an_experiment_in_use_or_another_name_is_not_deleted(sqlite: Stores) -> 
     assert counts(sqlite) == before
 
 
+def test_an_experiment_whose_clip_is_being_rendered_is_not_deleted(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=1, ready=False)
+    id, name = sample.experiment.id, sample.experiment.name
+    with stores.database.transaction() as session:
+        job = clips.claim_pending(session, "a render worker", 60.0)
+        assert job is not None
+        experiments.cancel(session, id)
+        with pytest.raises(ExperimentInUse):
+            deletion.delete(session, id, name, "Rosa")
+        clips.release(session, job.clip_id, "a render worker")
+        assert deletion.delete(session, id, name, "Rosa")[0].rows["clips"] == 2
+
+
 def test_a_clip_that_another_experiment_shows_is_kept(sqlite: Stores) -> None:
     samples = [create_sample(sqlite.database, sqlite.blobs, queries=1, ready=False) for _ in range(2)]
     sqlite.blobs.put(SHARED_CLIP, CLIP_BYTES)
