@@ -65,8 +65,8 @@ def _experiment_response(
     sees_returns: bool,
 ) -> schemas.Experiment:
     state = waiting(row, counts, newest)
-    # What the policy worker writes may contain true returns.
-    hidden = state.detail == row.phase_detail and not sees_returns
+    # What the policy worker writes may contain true returns; what an experiment waits for is computed here.
+    hidden = not state.waiting_for and not sees_returns
     return schemas.Experiment(
         id=row.id,
         name=row.name,

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from sqlalchemy import event
 
-from accord.domain.enums import WorkerRole, WorkerState
-from accord.services import metrics, publish, workers
+from accord.domain.enums import Phase, WorkerRole, WorkerState
+from accord.services import experiments, metrics, publish, workers
 from mapt.preferences.formats.tables import PreferenceTables
 from support.api_in_thread import ApiServer, run_api_server
 from support.sample_experiments import create_sample
@@ -174,6 +174,22 @@ def test_evaluated_returns_are_hidden_from_labellers(api: ApiServer) -> None:
         "final": (375.0, 20.0, None),
     }
     assert api.labeller.get(path).json()["returns"] is None
+
+
+def test_labellers_read_what_an_experiment_waits_for_but_not_what_the_worker_reports(api: ApiServer) -> None:
+    id = create_sample(api.stores.database, api.stores.blobs).experiment.id
+    path = f"/api/v1/experiments/{id}"
+    detail = ""
+    for _ in range(2):  # the worker reports the same sentence as the server computes
+        with api.stores.database.transaction() as session:
+            experiments.report(session, id, phase=Phase.WAITING_FOR_LABELS, detail=detail)
+        detail = api.researcher.get(path).json()["phase_detail"]
+        assert detail
+        assert api.labeller.get(path).json()["phase_detail"] == detail
+    with api.stores.database.transaction() as session:
+        experiments.report(session, id, phase=Phase.TRAINING, detail="The return is 375.")
+    assert api.teacher.get(path).json()["phase_detail"] == "The return is 375."
+    assert api.labeller.get(path).json()["phase_detail"] == ""
 
 
 def test_health_needs_no_sign_in(api_per_database: ApiServer) -> None:
