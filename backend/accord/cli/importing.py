@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from accord.cli.options import Home, load_settings
-from accord.services import accounts, importing
+from accord.services import accounts, experiments, importing
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
 from accord.store.migrate import migrate
@@ -32,6 +32,9 @@ def import_experiment(
     tables = PreferenceTables.open(folder)
     with closing(Database.open(settings.resolved_database_url)) as database:
         migrate(database)
+        # before the arrays are stored, which takes a while and which no row would refer to
+        with database.reading() as session:
+            experiments.require_unused_name(session, name)
         with ProgressBars(hidden=as_json) as bars:
             bars.add("segments", "segments", tables.n_segments)
             found = importing.store(

@@ -64,7 +64,7 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
         NameTaken: if another experiment has this name.
         Invalid: if a text is empty, too long, or contains characters that are not printable.
     """
-    line = check_line(name, "name", 200)
+    line = require_unused_name(session, name)
     try:
         spec = task_spec(config.task)
     except UnknownMaptTask as error:
@@ -76,8 +76,6 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
             "segment_steps",
         )
     shown = check_lines(instructions or "", "instructions", 4000) or spec.instructions
-    if experiments.by_name(session, line) is not None:
-        raise NameTaken(f"An experiment named {line!r} already exists. Choose another name.")
     row = ExperimentRow(
         id=experiment_id or new_id("exp"),
         name=line,
@@ -88,6 +86,14 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
     session.add(row)
     session.flush()
     return row
+
+
+def require_unused_name(session: Session, name: str) -> str:
+    """The name as it is stored. Raises Invalid, or NameTaken if another experiment has it."""
+    line = check_line(name, "name", 200)
+    if experiments.by_name(session, line) is not None:
+        raise NameTaken(f"An experiment named {line!r} already exists. Choose another name.")
+    return line
 
 
 def get(session: Session, experiment_id: str) -> ExperimentRow:

@@ -57,7 +57,11 @@ def store(
     config = read_config(ExperimentConfig.from_stored(about["config"]).to_dict())
     labels = sorted(tables.labels(), key=lambda label: (label.revision or 0, label.query_id))
     labelled = {label.query_id for label in labels if label.state == "label"}
-    queries = [query for query in tables.queries() if query.query_id in labelled]
+    every = tables.queries()
+    unknown = {label.query_id for label in labels} - {query.query_id for query in every}
+    if unknown:
+        raise Invalid(f"{tables.path} is incomplete: its labels refer to {len(unknown)} queries that it does not hold.")
+    queries = [query for query in every if query.query_id in labelled]
     if not queries:
         raise Invalid(f"{tables.path} holds no labels to import.")
     experiment_id = new_id("exp")
@@ -79,8 +83,8 @@ def store(
 def create(session: Session, owner_id: str, name: str, found: Imported) -> None:
     """Creates the experiment, paused, with the imported segments, queries and labels.
 
-    Queries without a label are left out. A teacher of this installation keeps the own labels; any other one becomes a
-    new user who cannot sign in.
+    Queries without a label are left out. The labels of teachers who are users of this installation stay theirs; every
+    other teacher becomes a new user who cannot sign in.
 
     Raises:
         UnknownTask, InvalidExperiment, NameTaken, Invalid: as `experiments.create`.

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from accord.domain.enums import Role
@@ -102,5 +103,9 @@ def test_what_cannot_be_imported_leaves_no_experiment(
         imported(stores, first, sample.experiment.name)
     with pytest.raises(Invalid):
         importing.store(stores.blobs, replace(first, about={}))
+    queries = first.path / "queries.parquet"
+    pq.write_table(pq.read_table(queries)[:1], queries)
+    with pytest.raises(Invalid):
+        importing.store(stores.blobs, PreferenceTables.open(first.path))
     with stores.database.reading() as session:
         assert len(experiments.list_page(session, 10, None).rows) == 1
