@@ -1,5 +1,5 @@
-// Runs before `npm run check`. Installs the development dependencies when they are missing (the build runs
-// `npm ci --omit=dev`) or older than the lock file.
+// Runs before `npm run check` and `npm run generate`. Installs the development dependencies when they are missing (the
+// build runs `npm ci --omit=dev`) or older than the lock file.
 import { execSync } from "node:child_process";
 import { existsSync, statSync } from "node:fs";
 import { join } from "node:path";

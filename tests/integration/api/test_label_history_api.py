@@ -89,6 +89,10 @@ def test_researchers_filter_queries_by_their_labels(api_per_database: ApiServer,
         assert (numbers(changed=True), numbers(changed=False)) == ([1], [4, 3, 2])
         assert (numbers(limit=3), numbers(limit=3, before=2)) == ([4, 3, 2], [1])
 
+        beyond = {"before": 2**63}
+        refused = researcher.get(f"/api/v1/experiments/{labelled.experiment.id}/queries", params=beyond)
+        assert (refused.status_code, refused.json()["error"]["code"]) == (422, "invalid_request")
+
         text = researcher.get(f"/api/v1/experiments/{labelled.experiment.id}/queries.csv").text
         rows = list(csv.DictReader(io.StringIO(text)))
         assert [(row["query_number"], row["revision"], row["current"]) for row in rows] == [

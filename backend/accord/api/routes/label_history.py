@@ -24,7 +24,8 @@ _CONTENT: dict[str, tuple[str, float | None]] = {
 }
 
 Limit = Annotated[int, Query(ge=1, le=200, description="Most items to return.")]
-Before = Annotated[int | None, Query(ge=1, description="`next_before` of the previous page.")]
+#: numbers above 2^53 lose digits in JavaScript, and above 2^63 do not fit into the database
+Before = Annotated[int | None, Query(ge=1, le=2**53 - 1, description="`next_before` of the previous page.")]
 
 
 def _filters(

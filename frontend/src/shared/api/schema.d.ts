@@ -1404,7 +1404,7 @@ export interface components {
                  */
                 anneal_steps: number;
                 /**
-                 * @description KL divergence per agent that an update should reach at most: the learning rate falls by a sixth after an update above 1.5 times this, and rises again by a fifth, up to its schedule, after one below two thirds of it; 0 disables this.
+                 * @description Target of the KL divergence of an update, mean over agents: the learning rate falls while updates exceed it by half, and recovers while they stay below two thirds of it; 0 disables this.
                  * @default 0
                  */
                 target_kl: number;
@@ -1473,7 +1473,7 @@ export interface components {
                  */
                 initial_log_std: number;
                 /**
-                 * @description Logarithm of the smallest standard deviation of the actions, at most initial_log_std.
+                 * @description Logarithm of the smallest standard deviation that the actions may have, at most initial_log_std.
                  * @default -20
                  */
                 min_log_std: number;
