@@ -14,7 +14,7 @@ def may_see_returns(role: Role) -> bool:
 
 
 def may_run_experiments(role: Role) -> bool:
-    """Whether a role may start, pause, resume and cancel experiments."""
+    """Whether a role may start, change, end, archive and export experiments, and read everyone's labels."""
     return role in _RUNS_EXPERIMENTS
 
 

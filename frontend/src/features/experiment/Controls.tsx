@@ -6,7 +6,7 @@ import { experimentQuery, experimentsKey } from "@/shared/api/queries";
 import type { Experiment } from "@/shared/api/types";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
-import { ConfirmDialog } from "@/shared/ui/ConfirmDialog";
+import { Dialog } from "@/shared/ui/Dialog";
 import { Alert } from "@/shared/ui/Message";
 import { DeleteExperiment } from "./DeleteExperiment";
 import { EditInstructions } from "./EditInstructions";
@@ -98,15 +98,15 @@ export function Controls({ experiment }: { experiment: Experiment }) {
       {dialog === "edit" && <EditInstructions experiment={experiment} onError={setError} onClose={close} />}
       {dialog === "delete" && <DeleteExperiment experiment={experiment} onError={setError} onClose={close} />}
       {dialog && dialog in DIALOGS && (
-        <ConfirmDialog
+        <Dialog
           title={DIALOGS[dialog as Change].title}
           confirm={DIALOGS[dialog as Change].confirm}
           danger={dialog === "cancel"}
           onConfirm={() => change.mutate(dialog as Change)}
           onClose={close}
         >
-          {DIALOGS[dialog as Change].text}
-        </ConfirmDialog>
+          <p>{DIALOGS[dialog as Change].text}</p>
+        </Dialog>
       )}
     </>
   );

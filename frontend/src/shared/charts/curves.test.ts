@@ -61,4 +61,5 @@ test("CSV has the raw values, also of smoothed curves", () => {
     '"six ""legs""",10,2,,',
     "",
   ]);
+  expect(csvOf([curve([0], [1], "=1+1")], "steps")).toContain(`"'=1+1",0,1,,`);
 });

@@ -112,6 +112,8 @@ export function csvOf(curves: readonly Curve[], xLabel: string): string {
   return `${[`curve,${quoted(xLabel)},value,low,high`, ...rows].join("\r\n")}\r\n`;
 }
 
+/** A text as a cell of CSV. A spreadsheet would run a text that begins with =, +, - or @ as a formula. */
 function quoted(text: string): string {
-  return `"${text.replaceAll('"', '""')}"`;
+  const safe = /^[=+\-@\t\r]/.test(text) ? `'${text}` : text;
+  return `"${safe.replaceAll('"', '""')}"`;
 }

@@ -14,5 +14,4 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    with op.batch_alter_table("queries") as queries:
-        queries.drop_column("leased_tab")
+    op.drop_column("queries", "leased_tab")
