@@ -19,6 +19,7 @@ from mapt.rewards.layers import (
     drop_context,
     equal_weights,
     mean_attention,
+    zero_init,
 )
 
 # Factor of every reward. The score of a whole segment is a mean over steps and agents, so it starts near 0, while the
@@ -174,11 +175,13 @@ class RewardModel(nn.Module, ABC):
             self.action_normaliser.fit(actions, mask, action_layers)
 
     def with_new_head(self) -> dict[str, Tensor]:
-        """A copy of the model's weights with a re-initialised head, so that the zero-initialised path contributes."""
+        """A copy of the model's weights with a re-initialised head beside a Markov path whose rewards are zero."""
         model = copy.deepcopy(self)
         for part in model.modules():
             if isinstance(part, RewardHead):
                 part.reward.reset_parameters()
+            elif isinstance(part, MarkovPath):
+                zero_init(part.reward)
         return model.state_dict()
 
     def shrink_and_perturb(self, kept_fraction: float) -> dict[str, Tensor]:

@@ -2,20 +2,17 @@
 
 1. The Markov path alone, with the rest of the network fixed. It takes a tenth of the time of the whole network, and is
    sufficient if the true reward is Markov.
-2. The whole network. A fully trained Markov path overfits preferences that no Markov reward explains, so this stage
-   continues from an early state of it. Beside a Markov path, the result must win a trial (`attention_trial.py`).
-   With a hold-out that is too small, there is none.
+2. The whole network. Beside a Markov path, it starts from untrained weights, in which the attention path contributes
+   and the Markov path does not: a trained Markov path has overfitted preferences that no Markov reward explains, and
+   leaves little for attention to learn. The result must win a trial (`attention_trial.py`). With a hold-out that is too
+   small, there is none.
 
 A model that continues from an earlier version shrinks the Markov path's weights and perturbs them with new ones
 (`RewardModel.shrink_and_perturb`). It trains the whole network only if the earlier version uses it.
-
-An LSTM does not learn beside a trained Markov path: its gradient passes through layers that are still zero, and the
-Markov path leaves little loss to reduce. Stage 2 of a network with an LSTM starts from untrained weights with a
-re-initialised head.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from torch import Tensor
 
@@ -24,8 +21,6 @@ from mapt.rewards.model import RewardModel
 
 # Minimum number of held-out pairs for comparing weights.
 MIN_HOLD_OUT_PAIRS = 10
-# Stage 2 continues from the best weights of this fraction of stage 1's epochs.
-EARLY_FRACTION = 0.3
 # LSTMs and attention may stay at chance for ten epochs and more before they improve (teachers of history and
 # cooperation).
 PATIENCE_AT_CHANCE = 20
@@ -49,10 +44,8 @@ class StageSettings:
     patience_at_chance: int = 0
     #: fraction of the trained weights to start with; see `RewardModel.shrink_and_perturb`
     kept_fraction: float = 1.0
-    #: start with the weights before any training and a re-initialised head
+    #: start with `RewardModel.with_new_head`
     restart: bool = False
-    #: epoch after which the best weights so far are kept for the next stage; 0 for none
-    early_epoch: int = 0
 
 
 def network_stage(config: TrainConfig, network: RewardConfig, n_pairs: int, *, warm: bool) -> StageSettings:
@@ -69,7 +62,7 @@ def network_stage(config: TrainConfig, network: RewardConfig, n_pairs: int, *, w
         patience=config.patience,
         patience_at_chance=PATIENCE_AT_CHANCE,
         label_noise=config.label_noise,
-        restart=network.markov_path and network.temporal == "lstm" and not warm,
+        restart=network.markov_path and not warm,
     )
 
 
@@ -86,7 +79,6 @@ def markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSetti
         patience=config.markov_patience,
         label_noise=config.label_noise,
         smoothness=config.markov_smoothness,
-        early_epoch=0 if warm else math.ceil(EARLY_FRACTION * epochs),
         kept_fraction=config.warm_share if warm else 1.0,
     )
 
@@ -94,11 +86,6 @@ def markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSetti
 def _epochs(limit: int, visits: int, n_pairs: int) -> int:
     # More labels need fewer passes.
     return min(limit, math.ceil(visits / n_pairs))
-
-
-def early_part(stage: StageSettings) -> StageSettings:
-    """The epochs of a Markov stage up to the state from which the whole network starts."""
-    return replace(stage, max_epochs=stage.early_epoch)
 
 
 def start_weights(stage: StageSettings, model: RewardModel) -> dict[str, Tensor] | None:

@@ -129,8 +129,6 @@ class RewardTrainer:
         self._model, self._train, self._hold_out = model, train, hold_out
         self._shuffle = torch.Generator().manual_seed(seed)
         self._log = log or TrainingLog()
-        #: the best weights up to `early_epoch` of the last stage that has one
-        self.early_weights: dict[str, Tensor] | None = None
 
     def training_step(
         self, stage: Stage, optimiser: torch.optim.Optimizer, average: AveragedModel, batch: Tensor
@@ -180,8 +178,6 @@ class RewardTrainer:
             epochs.append(losses)
             if losses.mean().item() < best_loss:
                 best_loss, best, best_epoch = losses.mean().item(), self._weights(averaged), epoch
-            if epoch == settings.early_epoch:
-                self.early_weights = best
             above_chance = above_chance or is_above_chance(losses)
             if is_out_of_patience(settings, epoch - best_epoch, above_chance):
                 break

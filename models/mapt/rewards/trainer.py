@@ -33,15 +33,13 @@ from mapt.rewards.metrics import calibrated_losses, confidence, evaluate_logits
 from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.schedule import (
-    StageSettings,
-    early_part,
     is_reliable,
     markov_stage,
     network_stage,
     replaces,
     start_weights,
 )
-from mapt.rewards.stage_trainer import RewardTrainer, Stage, StageLosses, TrainingLog, TrainProgress
+from mapt.rewards.stage_trainer import RewardTrainer, Stage, TrainingLog, TrainProgress
 
 # Training pairs from which `loss` and `accuracy` are computed.
 MAX_EVALUATED_PAIRS = 500
@@ -113,7 +111,7 @@ class VersionTrainer:
             model = self._new_model()
             losses = self._train_markov(model, self._first)
             if not self._config.markov_path:
-                self._train_network(model, self._first, start=None)
+                self._train_network(model, self._first)
         else:
             model = copy.deepcopy(initial).to(self._segments.device)
             model.fit_normalisers(*self._sample, keep_function=True)
@@ -126,9 +124,9 @@ class VersionTrainer:
     def _continue(self, model: RewardModel) -> Tensor:
         """Train a model further, unless the result is worse; returns its loss on each evaluated pair."""
         was_markov, weights, before = model.is_markov, copy.deepcopy(model.state_dict()), self._losses(model)
-        losses = self._train_markov(model, self._first, warm=True)
-        if not was_markov:
-            self._train_network(model, self._first, start=None, warm=True)
+        # Beside attention, new weights in the Markov path would only disturb it.
+        train = self._train_markov if was_markov else self._train_network
+        losses = train(model, self._first, warm=True)
         if replaces(before, self._losses(model), markov=was_markov):
             return losses
         model.load_state_dict(weights)
@@ -159,7 +157,7 @@ class VersionTrainer:
             if candidate is not None:
                 losses = self._train_markov(self._new_model(), fold)
             model = self._new_model()
-            network_losses = self._train_from_early_markov_path(model, fold)
+            network_losses = self._train_network(model, fold)
             if self._log.stopped:
                 return None, None
             candidate = candidate or model
@@ -191,42 +189,22 @@ class VersionTrainer:
 
     def _train_markov(self, model: RewardModel, fold: Fold, *, warm: bool = False) -> Tensor:
         """Train the Markov path alone; returns its loss on each evaluated pair, from epochs that other pairs select."""
-        stage = markov_stage(self._settings, len(fold.train), warm=warm) if model.markov is not None else None
-        if stage is None:
+        stage = markov_stage(self._settings, len(fold.train), warm=warm)
+        if stage is None or model.markov is None:
             return self._losses(model, fold)
-        _, losses = self._run_markov(model, fold, stage)
-        return cross_selected((losses.before, *losses.epochs))
-
-    def _run_markov(
-        self, model: RewardModel, fold: Fold, settings: StageSettings
-    ) -> tuple[dict[str, Tensor] | None, StageLosses]:
-        """Run a Markov stage; returns its early weights and losses."""
-        assert model.markov is not None
-        trainer = self._trainer(model, fold)
         scorer = MarkovScorer(model, self._segments, self._used)
-        stage = Stage(
-            settings,
+        run = Stage(
+            stage,
             list(model.markov.parameters()),
             scorer,
-            with_penalty=scorer.with_penalty if settings.smoothness else None,
-            start=start_weights(settings, model),
+            with_penalty=scorer.with_penalty if stage.smoothness else None,
+            start=start_weights(stage, model),
         )
-        losses = trainer.run(stage)
-        return trainer.early_weights, losses
+        losses = self._trainer(model, fold).run(run)
+        return cross_selected((losses.before, *losses.epochs))
 
-    def _train_from_early_markov_path(self, model: RewardModel, fold: Fold) -> Tensor:
-        """Train the whole of a new network; returns its loss on each evaluated pair."""
-        settings = network_stage(self._settings, self._config, len(fold.train), warm=False)
-        start = start_weights(settings, model)
-        markov = markov_stage(self._settings, len(fold.train), warm=False)
-        if start is None and markov is not None:
-            start, _ = self._run_markov(model, fold, early_part(markov))
-        return self._train_network(model, fold, start=start)
-
-    def _train_network(
-        self, model: RewardModel, fold: Fold, *, start: dict[str, Tensor] | None, warm: bool = False
-    ) -> Tensor:
-        """Train the whole network from the weights `start` or its own; returns its loss on each evaluated pair."""
+    def _train_network(self, model: RewardModel, fold: Fold, *, warm: bool = False) -> Tensor:
+        """Train the whole network; returns its loss on each evaluated pair."""
         if self._log.stopped:
             return self._losses(model, fold)
         settings = network_stage(self._settings, self._config, len(fold.train), warm=warm)
@@ -235,7 +213,7 @@ class VersionTrainer:
             settings,
             list(model.parameters()),
             scorer,
-            start=start,
+            start=start_weights(settings, model),
             pairs_per_pass=pairs_per_pass(self._config, self._segments),
         )
         losses = self._trainer(model, fold).run(stage)

@@ -316,11 +316,14 @@ def test_shrink_and_perturb_changes_only_the_markov_path(name):
 
 
 @names
-def test_new_head_changes_only_the_head(name):
+def test_new_head_replaces_the_rewards_of_the_markov_path(name):
     model = build_reward_model(config(name))
     weights, renewed = model.state_dict(), model.with_new_head()
-    changed = {key for key, tensor in renewed.items() if not torch.equal(tensor, weights[key])}
-    assert changed == ({"read_out.reward.weight", "read_out.reward.bias"} if name in DEPENDS_ON_PAST else set())
+    changed = {key.rpartition(".")[0] for key, tensor in renewed.items() if not torch.equal(tensor, weights[key])}
+    heads = {"read_out.reward"} if name in DEPENDS_ON_PAST else set()
+    assert changed == heads | ({"markov.reward"} if model.markov is not None else set())
+    model.load_state_dict(renewed)
+    assert not model.markov_rewards(*inputs(2, 5)[:2]).any()
 
 
 @pytest.mark.parametrize("name", ["MA-LSTM", "MA-Transformer"])

@@ -4,7 +4,6 @@ import torch
 from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.schedule import (
     StageSettings,
-    early_part,
     is_out_of_patience,
     is_significant,
     markov_stage,
@@ -19,22 +18,17 @@ def stage(name: str, *, warm: bool = False, **training: int) -> StageSettings:
     return network_stage(TrainConfig(**training), RewardConfig.named(name, **DIMENSIONS), 100, warm=warm)
 
 
-@pytest.mark.parametrize("name", ["MAPT*", "MAPT*-CPA"])
-def test_network_stage_of_an_lstm_restarts_unless_warm(name):
-    assert stage(name).restart
+@pytest.mark.parametrize("name", ["MAPT", "MAPT*", "MA-LSTM"])
+def test_network_stage_restarts_beside_a_markov_path_unless_warm(name):
+    assert stage(name).restart == (name != "MA-LSTM")
     assert not stage(name, warm=True).restart
-
-
-@pytest.mark.parametrize("name", ["MAPT", "MAPT-TPA", "MA-LSTM"])
-def test_network_stage_of_other_models_continues(name):
-    assert not stage(name).restart
 
 
 def test_warm_stages_have_their_own_epochs():
     settings = {"max_epochs": 9, "warm_epochs": 4, "markov_epochs": 20, "warm_markov_epochs": 0}
     assert (stage("MAPT", **settings).max_epochs, stage("MAPT", warm=True, **settings).max_epochs) == (9, 4)
     cold, warm = (markov_stage(TrainConfig(**settings), 100, warm=warm) for warm in (False, True))
-    assert (cold.max_epochs, cold.early_epoch, early_part(cold).max_epochs) == (20, 6, 6)
+    assert cold.max_epochs == 20
     assert warm is None
 
 

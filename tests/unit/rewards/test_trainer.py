@@ -416,7 +416,7 @@ def test_untrained_markov_scorer_equals_the_network_scorer():
         )
 
 
-def test_early_weights_are_the_best_for_the_hold_out():
+def test_a_stage_ends_with_the_weights_that_are_best_for_the_hold_out():
     coin_flips = np.random.default_rng(5).integers(0, 2, 400)
     data, cpu = preferences(400, labels=coin_flips), torch.device("cpu")
     train, hold_out = (PairTensors.of(part, cpu) for part in data.split(0.2, 0))
@@ -424,10 +424,9 @@ def test_early_weights_are_the_best_for_the_hold_out():
     model = build_reward_model(CONFIG).eval()
     scorer = MarkovScorer(model, segment_reader(data.segments, cpu), torch.arange(len(data.segments)))
 
-    settings = StageSettings(2e-2, 0.0, 32, 80, 80, 0.0, early_epoch=80)
+    settings = StageSettings(2e-2, 0.0, 32, 80, 80, 0.0)
     trainer = RewardTrainer(model, train, hold_out, seed=0)
     losses = trainer.run(Stage(settings, list(model.markov.parameters()), scorer))
-    model.load_state_dict(trainer.early_weights)
     chosen = calibrated_losses(hold_out.logits(model, scorer), hold_out.labels).mean()
     assert chosen.item() == pytest.approx(min(each.mean().item() for each in (losses.before, *losses.epochs)), rel=1e-4)
     assert chosen < losses.epochs[-1].mean()
