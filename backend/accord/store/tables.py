@@ -206,6 +206,8 @@ class QueryRow(Base):
         Index("ix_queries_offered", "experiment_id", "status", "number"),
         # a user's leases, read by every request for the next query
         Index("ix_queries_leased", "leased_by", "experiment_id", "number"),
+        # Deleting a segment looks up the queries that refer to it.
+        Index("ix_queries_segment_0", "segment_0_id"),
         Index("ix_queries_segment_1", "segment_1_id"),
     )
 
