@@ -49,7 +49,7 @@ function Comparison({ runs }: { runs: readonly Run[] }) {
   const [smoothing, setSmoothing] = useState(0);
   const offered = metricsOf(runs);
   const shown = offered.find(({ name }) => name === metric) ?? offered[0];
-  // The runs are made anew with every render; their data is not.
+  // Every render creates new objects for the runs; their data stays the same.
   const changes = runs.map(
     ({ metrics: found, experiment }) => `${experiment.id} ${found ? pointCount(found) : 0}`,
   );

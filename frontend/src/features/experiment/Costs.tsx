@@ -24,7 +24,7 @@ export function Costs({ experiment }: { experiment: Experiment }) {
               {costs.person_answers === 0
                 ? "no labels"
                 : `${formatDuration(costs.person_seconds)} by ${plural(costs.people, "person", "people")}: ` +
-                  `${plural(costs.person_answers, "label")} with skips, ${perAnswer.toFixed(1)} s each`}
+                  `${formatCount(costs.person_answers)} labels and skips, ${perAnswer.toFixed(1)} s each`}
             </td>
           </tr>
           <tr>

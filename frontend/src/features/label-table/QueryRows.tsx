@@ -1,5 +1,5 @@
 import type { LabelRevision, RecordedLabel, RecordedQuery } from "@/shared/api/types";
-import { formatTime, plural } from "@/shared/ui/format";
+import { formatReturn, formatTime, plural } from "@/shared/ui/format";
 
 const STATUSES: Readonly<Record<RecordedQuery["status"], string>> = {
   rendering: "clips being rendered",
@@ -58,7 +58,7 @@ function Segments({ query }: { query: RecordedQuery }) {
               />
             </a>
           )}
-          <figcaption>true return {true_return.toFixed(1)}</figcaption>
+          <figcaption>true return {formatReturn(true_return)}</figcaption>
         </figure>
       ))}
     </div>

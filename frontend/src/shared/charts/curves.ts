@@ -40,7 +40,7 @@ export function curvePerVersion(name: string, colour: string, points: readonly M
 }
 
 /**
- * Exponential moving average, without bias towards the first value; it starts anew after an interruption.
+ * Exponential moving average, without bias towards the first value; it restarts after an interruption.
  *
  * @param weight of the past, from 0 (no smoothing) to below 1.
  */
