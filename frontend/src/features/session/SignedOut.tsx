@@ -24,8 +24,8 @@ export function SignedOut({ previous }: { previous: Me | undefined }) {
       )}
       {previous && (
         <p role="alert">
-          {previous.name} was signed out of this browser in another tab or by an admin, or the session has
-          expired.
+          {previous.name} was signed out of this browser, here, in another tab or by an admin, or the session
+          has expired.
         </p>
       )}
       {unsent > 0 && (

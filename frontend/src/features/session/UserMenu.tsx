@@ -8,7 +8,8 @@ export function UserMenu({ me }: { me: Me }) {
   const cache = useQueryClient();
   const signOut = useMutation({
     mutationFn: () => unwrap(api.POST("/api/v1/sign-out")),
-    onSuccess: () => cache.resetQueries({ queryKey: meQuery.queryKey }),
+    // The cache keeps the user, as when the session ends otherwise: the sign-in page shows who was signed in.
+    onSuccess: () => cache.invalidateQueries({ queryKey: meQuery.queryKey }),
   });
   return (
     <div className="user">
