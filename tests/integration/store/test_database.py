@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,24 @@ def test_sqlite_has_the_expected_pragmas(sqlite: Stores) -> None:
             for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
         }
     assert settings == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "busy_timeout": 20_000}
+
+
+def test_connections_that_open_a_new_file_at_once_all_succeed(tmp_path: Path) -> None:
+    # One file in forty makes SQLite refuse to switch it to the write-ahead log.
+    for number in range(100):
+        url = f"sqlite:///{tmp_path / f'{number}.db'}"
+        barrier = threading.Barrier(4)
+
+        def read(url: str = url, barrier: threading.Barrier = barrier) -> None:
+            database = Database.open(url)
+            barrier.wait()
+            with database.connection() as connection:
+                connection.execute(text("SELECT 1"))
+            database.close()
+
+        with ThreadPoolExecutor(4) as pool:
+            for reader in [pool.submit(read) for _ in range(4)]:
+                reader.result()
 
 
 def test_concurrent_processes_that_read_and_then_write_lose_no_update(sqlite: Stores) -> None:
