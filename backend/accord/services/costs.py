@@ -33,8 +33,8 @@ class Costs:
 
 def costs_of(session: Session, experiment_id: str) -> Costs:
     """Raises ExperimentNotFound."""
-    experiments.get(session, experiment_id)
-    answers = costs.answers(session, experiment_id)
+    row = experiments.get(session, experiment_id)
+    answers = costs.answers(session, experiment_id, since=row.created_at)
     clips, clip_bytes = costs.clips(session, experiment_id)
     versions = rewards.versions(session, experiment_id)
     return Costs(

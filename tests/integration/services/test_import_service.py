@@ -9,7 +9,7 @@ import pytest
 
 from accord.domain.enums import Role
 from accord.domain.errors import Invalid, NameTaken
-from accord.services import accounts, experiments, export, importing, label, lease, publish, select
+from accord.services import accounts, costs, experiments, export, importing, label, lease, publish, select
 from accord.store.tables import UserRow
 from mapt.preferences.formats.tables import PreferenceTables
 from support.sample_experiments import SampleExperiment, create_sample, user
@@ -78,6 +78,8 @@ def test_an_imported_experiment_has_the_labels_and_segments_of_the_export(
         assert row.config == sample.experiment.config
         found = publish.training_labels(session, id)
         assert sorted(each.value for each in found.items) == [0.0, 0.5, 1.0]
+        cost = costs.costs_of(session, id)
+        assert (cost.person_answers, cost.person_seconds, cost.program_labels) == (0, 0.0, 0)
         # The new policy's segments come first.
         assert all(steps < 0 for _, steps in select.candidates(session, id, limit=5))
         # The same installation knows both teachers.

@@ -9,7 +9,7 @@ import { Link } from "@/shared/routing/router";
 import { formatCompact, formatValue } from "@/shared/ui/format";
 import { Alert } from "@/shared/ui/Message";
 import { Results } from "./Results";
-import { type Axis, comparedCurves, groupsOf, metricsOf, type Run, xMaxOf } from "./runs";
+import { type Axis, comparedCurves, groupsOf, hasCommonScale, metricsOf, type Run, xMaxOf } from "./runs";
 import "./compare.css";
 
 const LIVE_MS = 10_000;
@@ -79,7 +79,7 @@ function Comparison({ runs }: { runs: readonly Run[] }) {
             <option value="labels">labels</option>
           </select>
         </label>
-        {hasSeeds && (
+        {hasSeeds && shown && hasCommonScale(shown.name) && (
           <label>
             <input type="checkbox" checked={mean} onChange={(event) => setMean(event.target.checked)} /> Mean
             and standard deviation over seeds

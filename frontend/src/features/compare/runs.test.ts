@@ -62,4 +62,6 @@ test("over labels, the last value with each number of labels counts", () => {
 test("learned returns of different versions are not connected", () => {
   const [curve] = comparedCurves(RUNS, { ...CHOICE, metric: "learned_return" });
   expect(curve?.y).toEqual([1, 2, null, 3]);
+  const averaged = comparedCurves(RUNS, { ...CHOICE, metric: "learned_return", mean: true });
+  expect(averaged).toHaveLength(RUNS.length);
 });

@@ -83,12 +83,20 @@ interface Choice {
   mean: boolean;
 }
 
+/** Whether values of different runs can be compared. Every reward version has a scale of its own. */
+export function hasCommonScale(metric: string): boolean {
+  return metric !== "learned_return";
+}
+
 /** The curves of a comparison: one for each run, or one for each group with the deviation of its seeds. */
 export function comparedCurves(
   runs: readonly Run[],
   { metric, axis, smoothing, mean: averaged }: Choice,
 ): Curve[] {
-  const groups = averaged ? groupsOf(runs) : runs.map((run) => ({ name: run.experiment.name, runs: [run] }));
+  const groups =
+    averaged && hasCommonScale(metric)
+      ? groupsOf(runs)
+      : runs.map((run) => ({ name: run.experiment.name, runs: [run] }));
   return groups.flatMap(({ name, runs: members }, index) => {
     const colour = `--series-${(index % COLOURS) + 1}`;
     const dash = DASHES[Math.floor(index / COLOURS) % DASHES.length];
@@ -108,8 +116,9 @@ export function comparedCurves(
 
 function oneCurve({ metrics }: Run, name: string, colour: string, metric: string, axis: Axis): Curve {
   const points = pointsOf(metrics, metric) ?? [];
-  const curve =
-    metric === "learned_return" ? curvePerVersion(name, colour, points) : curveOf(name, colour, points);
+  const curve = hasCommonScale(metric)
+    ? curveOf(name, colour, points)
+    : curvePerVersion(name, colour, points);
   if (axis === "steps") return curve;
   const labels = pointsOf(metrics, "labels") ?? [];
   return byLabels(curve, labels);
