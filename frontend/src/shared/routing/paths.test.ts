@@ -10,9 +10,12 @@ test("routeOf inverts paths", () => {
   expect(routeOf(paths.labels("exp_1"))).toEqual({ page: "labels", id: "exp_1" });
 });
 
-test.each(["/nowhere", "/experiments/a/b", "/experiments/a/label/x", "/experiments/new/x"])(
-  "%s has no page",
-  (path) => {
-    expect(routeOf(path)).toEqual({ page: "missing" });
-  },
-);
+test.each([
+  "/nowhere",
+  "/experiments/a/b",
+  "/experiments/a/label/x",
+  "/experiments/new/x",
+  "/experiments/100%",
+])("%s has no page", (path) => {
+  expect(routeOf(path)).toEqual({ page: "missing" });
+});

@@ -21,15 +21,28 @@ export type Route =
   | { page: "missing" };
 
 export function routeOf(path: string): Route {
-  const [first, second, third, ...more] = path.split("/").filter((part) => part !== "");
-  if (more.length > 0) return { page: "missing" };
+  const parts = partsOf(path);
+  if (parts === undefined || parts.length > 3) return { page: "missing" };
+  const [first, second, third] = parts;
   if (first === undefined || paths.isSignInLink(path) || (first === "experiments" && second === undefined))
     return { page: "experiments" };
   if (first === "compare" && second !== undefined && third === undefined)
-    return { page: "compare", ids: second.split(",").map(decodeURIComponent) };
+    return { page: "compare", ids: second.split(",") };
   if (first !== "experiments" || second === undefined) return { page: "missing" };
   if (second === "new") return third === undefined ? { page: "new-experiment" } : { page: "missing" };
-  const id = decodeURIComponent(second);
-  if (third === undefined) return { page: "experiment", id };
-  return third === "label" || third === "labels" ? { page: third, id } : { page: "missing" };
+  if (third === undefined) return { page: "experiment", id: second };
+  return third === "label" || third === "labels" ? { page: third, id: second } : { page: "missing" };
+}
+
+/** The decoded parts of a path; undefined if a percent sign in it begins no character. */
+function partsOf(path: string): string[] | undefined {
+  try {
+    return path
+      .split("/")
+      .filter((part) => part !== "")
+      .map(decodeURIComponent);
+  } catch (error) {
+    if (error instanceof URIError) return undefined;
+    throw error;
+  }
 }
