@@ -281,7 +281,7 @@ def test_a_label_is_changed_in_the_history_and_researchers_see_its_revisions(
     page.keyboard.press("h")
     items = page.get_by_role("complementary", name=re.compile("Your labels")).get_by_role("listitem")
     expect(items).to_have_count(2)
-    still = items.last.get_by_role("img", include_hidden=True).first
+    still = items.last.locator("img").first
     expect(still).to_have_js_property("naturalWidth", 160)
     current = labeller.pair()
     items.last.get_by_role("button").click()
@@ -300,7 +300,7 @@ def test_a_label_is_changed_in_the_history_and_researchers_see_its_revisions(
 
     other.get_by_role("link", name="All labels").click()
     expect(other.get_by_text("4 revisions")).to_be_visible()
-    other.get_by_label("Label", exact=True).select_option("Equally good")
+    other.get_by_role("combobox", name="Label", exact=True).select_option("Equally good")
     expect(other.get_by_text("4 revisions")).to_have_count(0)
     expect(other.get_by_role("rowheader")).to_have_count(1)
     with other.expect_download() as download:
