@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, exists, func, select
 from sqlalchemy.orm import Session, aliased
 
-from accord.store.queries import Response
+from accord.store.queries import RESPONSE_COLUMNS, Response
 from accord.store.tables import ClipRow, LabelRevisionRow, LabelRow, QueryRow, SegmentRow, UserRow
 
 
@@ -112,23 +112,17 @@ def own_labels(
 ) -> list[OwnLabel]:
     """A user's labels and skips, newest first; those with a revision below `before`."""
     statement = (
-        select(
-            LabelRow.query_id,
-            LabelRow.revision,
-            LabelRow.value,
-            LabelRow.state,
-            LabelRow.left_segment,
-            LabelRow.response_seconds,
-            LabelRow.teacher,
-            LabelRow.updated_at,
-        )
+        select(LabelRow.query_id, LabelRow.revision, LabelRow.updated_at, *RESPONSE_COLUMNS)
         .where(_given_by(experiment_id, user_id))
         .order_by(LabelRow.revision.desc())
         .limit(limit)
     )
     if before is not None:
         statement = statement.where(LabelRow.revision < before)
-    return [OwnLabel(row[0], row[1], Response(*row[2:7]), row[7]) for row in session.execute(statement)]
+    return [
+        OwnLabel(query_id, revision, Response(*response), updated_at)
+        for query_id, revision, updated_at, *response in session.execute(statement)
+    ]
 
 
 def own_counts(session: Session, experiment_id: str, user_id: str) -> OwnCounts:

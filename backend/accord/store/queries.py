@@ -58,6 +58,16 @@ class Response:
     teacher: dict[str, Any]
 
 
+#: the columns of a label that are the fields of its Response, in order
+RESPONSE_COLUMNS: tuple[Any, ...] = (
+    LabelRow.value,
+    LabelRow.state,
+    LabelRow.left_segment,
+    LabelRow.response_seconds,
+    LabelRow.teacher,
+)
+
+
 @dataclass(frozen=True, slots=True)
 class LockedQuery:
     """A locked query with everything that decides whether a user may label it."""
@@ -90,11 +100,7 @@ _LOCK = (
         PresentationRow.left_segment,
         LabelRow.id,
         LabelRow.revision,
-        LabelRow.value,
-        LabelRow.state,
-        LabelRow.left_segment,
-        LabelRow.response_seconds,
-        LabelRow.teacher,
+        *RESPONSE_COLUMNS,
     )
     .join(ExperimentRow, ExperimentRow.id == QueryRow.experiment_id)
     .outerjoin(LabelRow, (LabelRow.query_id == QueryRow.id) & (LabelRow.user_id == bindparam("user")))
