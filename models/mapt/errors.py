@@ -28,6 +28,7 @@ MaptError
 │   ├── NotFinite
 │   ├── InvalidMask
 │   ├── InvalidLabel
+│   ├── InvalidWeight
 │   ├── InvalidPair
 │   ├── NotEnoughPairs
 │   ├── NotOneHot
@@ -250,6 +251,15 @@ class InvalidLabel(PreferenceError):
         super().__init__(f"Label {index} is {label}; it must lie in [0, 1], where 1 means that segment 0 is preferred.")
         self.index = index
         self.label = label
+
+
+class InvalidWeight(PreferenceError):
+    """The weight of a label is not a number from 0 to 1."""
+
+    def __init__(self, index: int, weight: float) -> None:
+        super().__init__(f"The weight of label {index} is {weight}; it must lie in [0, 1].")
+        self.index = index
+        self.weight = weight
 
 
 class InvalidPair(PreferenceError):

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from mapt.benchmarks.recorded_dataset import RecordedDataset
 from mapt.errors import InvalidConfig, TooFewLabels
-from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
+from mapt.preferences.dataset import PreferenceDataset
 from mapt.preferences.teachers import ScriptedTeacher, TeacherView, make_teacher
-from mapt.rewards.data import EVALUATION_SEGMENTS
+from mapt.rewards.inspection import Predictions, predict
 from mapt.rewards.metrics import correlation, evaluate_logits, rank_correlation
 from mapt.rewards.model import RewardModel
 from mapt.settings import NamedSettings
@@ -104,11 +104,21 @@ class DatasetTeacher:
         """The parameters that determine its labels, for JSON."""
         return self._teacher.parameters()
 
-    def labels(self, pairs: IntArray) -> NDArray[np.float32]:
-        """Labels (P,) of pairs (P, 2): P(segment 0 preferred), NaN where it skips."""
-        parts = np.array_split(pairs, max(1, 2 * len(pairs) // _SEGMENTS_AT_ONCE))
-        sides = ((self._teacher_view(part[:, 0]), self._teacher_view(part[:, 1])) for part in parts)
-        return np.concatenate([self._teacher.judge(first, second) for first, second in sides])
+    def labels(self, pairs: IntArray, left_segments: IntArray | None = None) -> NDArray[np.float32]:
+        """Labels (P,) of pairs (P, 2): P(segment 0 preferred), NaN where it skips.
+
+        Args:
+            left_segments: see `ScriptedTeacher.judge`.
+        """
+        left_segments = np.zeros(len(pairs), np.int64) if left_segments is None else left_segments
+        n_parts = max(1, 2 * len(pairs) // _SEGMENTS_AT_ONCE)
+        parts = zip(np.array_split(pairs, n_parts), np.array_split(left_segments, n_parts), strict=True)
+        return np.concatenate(
+            [
+                self._teacher.judge(self._teacher_view(part[:, 0]), self._teacher_view(part[:, 1]), left)
+                for part, left in parts
+            ]
+        )
 
     def scores(self, indices: IntArray) -> NDArray[np.float64]:
         """Scores (S,) of segments by the teacher's criterion, without its mistakes and skips."""
@@ -174,36 +184,6 @@ def label_pairs(
         pairs, labels = np.concatenate((pairs, more)), np.concatenate((labels, teacher.labels(more)))
     kept = np.flatnonzero(np.isfinite(labels))
     return LabelledPairs(pairs[kept], labels[kept])
-
-
-@dataclass(frozen=True, slots=True)
-class Predictions:
-    """Outputs of a model for S segments."""
-
-    #: float32 (S,)
-    scores: NDArray[np.float32]
-    #: r-hat, float32 (S, T, N)
-    agent_rewards: NDArray[np.float32]
-    #: weight of each step in the score, float32 (S, T)
-    weights: NDArray[np.float32]
-
-    @property
-    def rewards(self) -> NDArray[np.float32]:
-        """r-hat of the team, (S, T): the mean over agents."""
-        return self.agent_rewards.mean(axis=2)
-
-
-@torch.inference_mode()
-def predict(model: RewardModel, segments: SegmentArrays) -> Predictions:
-    """Run `model` on the CPU over segments, in batches."""
-    arrays = (segments.observations, segments.actions, segments.mask)
-    parts = zip(*(torch.as_tensor(array).split(EVALUATION_SEGMENTS) for array in arrays), strict=True)
-    outputs = [model(*part) for part in parts]
-    return Predictions(
-        torch.cat([output.score for output in outputs]).numpy(),
-        torch.cat([output.agent_rewards for output in outputs]).numpy(),
-        torch.cat([output.weights for output in outputs]).numpy(),
-    )
 
 
 def preference_metrics(logits: NDArray[np.floating], labels: NDArray[np.floating]) -> dict[str, float]:

@@ -1,20 +1,16 @@
 """Measure a trained reward model on recorded segments: agreement with the true reward, calibration, attention."""
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
 
 from mapt.benchmarks.evaluate import (
     DatasetTeacher,
     IntArray,
-    Predictions,
-    predict,
     preference_metrics,
     random_pairs,
     reward_metrics,
@@ -24,7 +20,7 @@ from mapt.benchmarks.job import count_parameters
 from mapt.benchmarks.recorded_dataset import RecordedDataset, episodes_path
 from mapt.preferences.dataset import SegmentArrays
 from mapt.rewards.data import EVALUATION_SEGMENTS
-from mapt.rewards.mapt import CooperationAwareAttention, TemporalAwareAttention
+from mapt.rewards.inspection import AttentionMaps, Predictions, attention_maps, predict
 from mapt.rewards.metrics import CalibrationBin, calibration_bins, rank_correlation
 from mapt.rewards.model import RewardModel
 from mapt.rewards.relabelling import RolloutRelabeller
@@ -39,56 +35,6 @@ _AVERAGED_SEGMENTS = 100
 _MAX_STEPS = 300
 #: Segments drawn if no episode was recorded, as fractions of the dataset in the order of recording.
 _POSITIONS = (0.02, 0.25, 0.5, 0.75, 0.98)
-
-
-@dataclass(frozen=True, slots=True)
-class AttentionMaps:
-    """Attention weights over S segments; None where the model has no such attention."""
-
-    #: (S, T, query agent, key agent); each row sums to 1 (paper, eq. 4)
-    agents: NDArray[np.float32] | None
-    #: (S, query step, key step); each row sums to 1, 0 on padding (paper, eq. 5)
-    steps: NDArray[np.float32] | None
-
-
-@dataclass(slots=True)
-class _Recorded:
-    agents: list[Tensor] = field(default_factory=list)
-    steps: list[Tensor] = field(default_factory=list)
-
-
-@torch.inference_mode()
-def attention_maps(model: RewardModel, segments: SegmentArrays) -> AttentionMaps:
-    """Run `model` on the CPU over segments and record its preference attention weights."""
-    arrays = (segments.observations, segments.actions, segments.mask)
-    with _recording(model) as recorded:
-        model(*(torch.as_tensor(array) for array in arrays))
-    agents, steps = (torch.cat(found).numpy() if found else None for found in (recorded.agents, recorded.steps))
-    return AttentionMaps(agents, steps)
-
-
-@contextmanager
-def _recording(model: nn.Module) -> Iterator[_Recorded]:
-    """Forward hooks on every preference attention of `model`."""
-    recorded = _Recorded()
-
-    def record_agents(attention: CooperationAwareAttention, inputs: tuple[Tensor], _output: Tensor) -> None:
-        recorded.agents.append(attention.attention_weights(inputs[0]))
-
-    def record_steps(_attention: TemporalAwareAttention, _inputs: tuple[Tensor, ...], output: Tensor) -> None:
-        recorded.steps.append(output)
-
-    hooks = []
-    for module in model.modules():
-        if isinstance(module, CooperationAwareAttention):
-            hooks.append(module.register_forward_hook(record_agents))
-        elif isinstance(module, TemporalAwareAttention):
-            hooks.append(module.register_forward_hook(record_steps))
-    try:
-        yield recorded
-    finally:
-        for hook in hooks:
-            hook.remove()
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,9 @@ app = make_app(
     {
         "tasks": LazyCommand("mapt.cli.tasks", "tasks", "List the tasks."),
         "train": LazyCommand("mapt.cli.train", "train", "Train a policy per seed, evaluate it and record a video."),
-        "evaluate": LazyCommand("mapt.cli.results", "evaluate", "Evaluate a trained policy by the true reward."),
+        "evaluate": LazyCommand(
+            "mapt.cli.results", "evaluate", "Evaluate a trained policy by the true reward, and by a scripted teacher."
+        ),
         "curves": LazyCommand("mapt.cli.results", "curves", "Plot and tabulate the true return of runs."),
         "dataset": LazyCommand("mapt.cli.benchmarks", "dataset", "Record a dataset of segments per seed."),
         "table": LazyCommand("mapt.cli.benchmarks", "table", "Compare reward models on recorded datasets."),

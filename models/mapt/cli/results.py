@@ -1,17 +1,22 @@
 """The subcommands `mapt evaluate` and `mapt curves`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 import typer
+from numpy.typing import NDArray
 
-from mapt.cli.options import Device, Json, parse_numbers
+from mapt.cli.options import Device, Json, SegmentSteps, parse_numbers
 from mapt.cli.output import print_json, print_line, print_paths
 from mapt.io import atomic_write
+from mapt.preferences.teachers import make_teacher
+from mapt.settings import NamedSettings
 from mapt.training.curves import draw_curves
 from mapt.training.evaluation import EPISODES, evaluate_policy
 from mapt.training.results import RunResult, find_runs, grouped, markdown, returns_table
-from mapt.training.run_folder import load_policy
+from mapt.training.run_folder import SavedPolicy, load_policy
+from mapt.training.teacher_scores import score_policy
 from mapt.training.video import record_video
 
 
@@ -26,23 +31,47 @@ def evaluate(
     ] = None,
     device: Device = "auto",
     video: Annotated[Path | None, typer.Option(help="Record one episode to this mp4 file.")] = None,
+    teacher: Annotated[
+        str | None,
+        typer.Option(help="Also score segments by this scripted teacher; NAME:KEY=VALUE sets a parameter."),
+    ] = None,
+    segment_steps: SegmentSteps = 50,
     as_json: Json = False,
 ) -> None:
-    """Evaluate a trained policy by the true reward.
+    """Evaluate a trained policy by the true reward, and by a scripted teacher.
 
     The policy acts by its mean actions. Prints mean, standard deviation and interquartile mean of the return.
     """
     saved = load_policy(run, device, agent_obsk)
     evaluation = evaluate_policy(saved.policy, saved.task, agent_obsk=saved.agent_obsk, episodes=episodes, seed=seed)
     about = {"task": saved.task, "algorithm": saved.algorithm, "steps": saved.steps}
+    scores = _scores(saved, teacher, segment_steps, episodes, seed) if teacher else np.zeros(0)
     if as_json:
-        print_json(about | evaluation.to_dict())
+        judged = {"teacher": teacher, "teacher_scores": scores.tolist()} if teacher else {}
+        print_json(about | evaluation.to_dict() | judged)
     else:
         print_line(f"{saved.task}, {saved.algorithm} after {saved.steps:,} steps: {evaluation.describe()}")
+        if teacher:
+            found = f"score {scores.mean():.3f} ± {scores.std():.3f} over" if len(scores) else "no score:"
+            print_line(f"{teacher}: {found} {len(scores)} segments of at most {segment_steps} steps")
     if video is not None:
         record_video(saved.policy, saved.task, video, agent_obsk=saved.agent_obsk, seed=seed)
         if not as_json:
             print_paths(video)
+
+
+def _scores(saved: SavedPolicy, teacher: str, segment_steps: int, episodes: int, seed: int) -> NDArray[np.float64]:
+    named = NamedSettings.parse(teacher)
+    parameters: dict[str, Any] = {"seed": seed, **named.settings}
+    return score_policy(
+        saved.policy,
+        saved.task,
+        make_teacher(named.name, **parameters),
+        agent_obsk=saved.agent_obsk,
+        segment_steps=segment_steps,
+        episodes=episodes,
+        seed=seed,
+    )
 
 
 def curves(

@@ -39,6 +39,13 @@ def make_policy(spec: TaskSpec, config: PolicyConfig) -> Policy:
     return ActorCritic(spec, actor, (EncoderCritic if config.algorithm == "mat_dec" else StateCritic)(spec, config))
 
 
+def untrained_policy(spec: TaskSpec, config: PolicyConfig) -> Policy:
+    """The policy that training with these settings starts from; the seed determines its weights."""
+    # The last bits of orthogonal weights depend on the number of threads; with one thread, machines agree.
+    with seeded(config.seed, torch.device("cpu")), torch_threads(1):
+        return make_policy(spec, config)
+
+
 def make_update(policy: Policy, config: PolicyConfig) -> Update:
     """The update of the configured algorithm."""
     if isinstance(policy, ActorCritic) and config.algorithm == "happo":
@@ -67,9 +74,7 @@ class Learner:
         #: Factor of the scheduled learning rate, at most 1, that keeps updates near `config.target_kl`.
         self._learning_rate_factor = 1.0
         self._generator = torch.Generator().manual_seed(config.seed)
-        # The last bits of orthogonal weights depend on the number of threads; with one thread, machines agree.
-        with seeded(config.seed, torch.device("cpu")), torch_threads(1):
-            self.policy = make_policy(task.spec, config).to(self.device)
+        self.policy = untrained_policy(task.spec, config).to(self.device)
         self._update = make_update(self.policy, config)
         self._collector = Collector(task, config.seed)
         self._value_rescaler = ValueRescaler(config, task.spec.horizon_steps)

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.errors import InvalidLabel, InvalidMask, InvalidPair, NotEnoughPairs, NotFinite, ShapeError
+from mapt.errors import InvalidLabel, InvalidMask, InvalidPair, InvalidWeight, NotEnoughPairs, NotFinite, ShapeError
 
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
@@ -170,8 +170,9 @@ class PreferenceDataset:
     """Labelled pairs of segments, without skipped pairs.
 
     Raises:
-        ShapeError: if `pairs`, `labels` or `ids` has the wrong shape.
-        InvalidPair, InvalidLabel: for the first pair that refers to a missing segment or has an invalid label.
+        ShapeError: if `pairs`, `labels`, `ids` or `weights` has the wrong shape.
+        InvalidPair, InvalidLabel, InvalidWeight: for the first pair that refers to a missing segment, or has an invalid
+            label or weight.
     """
 
     #: in memory or on disk; several pairs may share a segment
@@ -182,6 +183,8 @@ class PreferenceDataset:
     labels: FloatArray
     #: int (P,), a number for each pair that never changes, such as its query's; by default its index
     ids: IntArray = None  # pyright: ignore[reportAssignmentType]  (set by __post_init__)
+    #: float32 (P,) in [0, 1], the weight of each label; see `preference_losses`. By default 1
+    weights: FloatArray = None  # pyright: ignore[reportAssignmentType]  (set by __post_init__)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pairs", np.asarray(self.pairs, dtype=np.int64))
@@ -194,6 +197,10 @@ class PreferenceDataset:
         if ids.shape != self.labels.shape:
             raise ShapeError("ids", ids.shape, f"{self.labels.shape}")
         object.__setattr__(self, "ids", ids)
+        weights = np.ones_like(self.labels) if self.weights is None else np.asarray(self.weights, dtype=np.float32)
+        if weights.shape != self.labels.shape:
+            raise ShapeError("weights", weights.shape, f"{self.labels.shape}")
+        object.__setattr__(self, "weights", weights)
         n_segments = len(self.segments)
         invalid = ((self.pairs < 0) | (self.pairs >= n_segments)).any(axis=1)
         invalid |= self.pairs[:, 0] == self.pairs[:, 1]
@@ -204,6 +211,9 @@ class PreferenceDataset:
         invalid = ~((self.labels >= 0) & (self.labels <= 1))
         if invalid.any():
             raise InvalidLabel(int(invalid.argmax()), float(self.labels[invalid.argmax()]))
+        invalid = ~((self.weights >= 0) & (self.weights <= 1))
+        if invalid.any():
+            raise InvalidWeight(int(invalid.argmax()), float(self.weights[invalid.argmax()]))
 
     def __len__(self) -> int:
         return len(self.pairs)
@@ -211,7 +221,13 @@ class PreferenceDataset:
     def take(self, indices: ArrayLike) -> "PreferenceDataset":
         """The pairs at `indices`; the segments are shared, not copied."""
         index = np.asarray(indices)
-        return PreferenceDataset(self.segments, self.pairs[index], self.labels[index], self.ids[index])
+        return PreferenceDataset(
+            self.segments, self.pairs[index], self.labels[index], self.ids[index], self.weights[index]
+        )
+
+    def weighted(self, weights: ArrayLike) -> "PreferenceDataset":
+        """The same pairs with other weights, (P,)."""
+        return PreferenceDataset(self.segments, self.pairs, self.labels, self.ids, np.asarray(weights, np.float32))
 
     def joined(self, other: "PreferenceDataset") -> "PreferenceDataset":
         """These pairs followed by those of `other`, which has the same segments."""
@@ -220,6 +236,7 @@ class PreferenceDataset:
             np.concatenate((self.pairs, other.pairs)),
             np.concatenate((self.labels, other.labels)),
             np.concatenate((self.ids, other.ids)),
+            np.concatenate((self.weights, other.weights)),
         )
 
     def held_out(self, fraction: float, seed: int) -> BoolArray:

@@ -14,7 +14,9 @@ from mapt.errors import ShapeError
 MAX_LOGIT = 30.0
 
 
-def preference_loss(score_0: Tensor, score_1: Tensor, label: Tensor, label_noise: float = 0.0) -> Tensor:
+def preference_loss(
+    score_0: Tensor, score_1: Tensor, label: Tensor, label_noise: float = 0.0, weight: Tensor | None = None
+) -> Tensor:
     """Mean cross-entropy, in nats, between labels and the Bradley-Terry probabilities (paper, eq. 2 and 3).
 
     Works on the logit score_0 - score_1, so that a large gap cannot produce log(0).
@@ -22,7 +24,7 @@ def preference_loss(score_0: Tensor, score_1: Tensor, label: Tensor, label_noise
     Args:
         score_0, score_1: segment scores, float32 (B,).
         label: P(segment 0 preferred), float32 (B,): 1, 0, 0.5 or anything between.
-        label_noise: see `preference_losses`.
+        label_noise, weight: see `preference_losses`.
 
     Raises:
         ShapeError: if the three shapes differ.
@@ -31,10 +33,10 @@ def preference_loss(score_0: Tensor, score_1: Tensor, label: Tensor, label_noise
         raise ShapeError("score_1", tuple(score_1.shape), f"that of score_0, {tuple(score_0.shape)}")
     if label.shape != score_0.shape:
         raise ShapeError("label", tuple(label.shape), f"that of the scores, {tuple(score_0.shape)}")
-    return preference_losses(score_0 - score_1, label, label_noise).mean()
+    return preference_losses(score_0 - score_1, label, label_noise, weight).mean()
 
 
-def preference_losses(logits: Tensor, label: Tensor, label_noise: float = 0.0) -> Tensor:
+def preference_losses(logits: Tensor, label: Tensor, label_noise: float = 0.0, weight: Tensor | None = None) -> Tensor:
     """Cross-entropy of each pair, in nats, (B,).
 
     Args:
@@ -43,8 +45,12 @@ def preference_losses(logits: Tensor, label: Tensor, label_noise: float = 0.0) -
         label_noise: assumed fraction e of random label flips. The likelihood of a label becomes
             (1 - e) P + e (1 - P), which bounds the loss of a confidently contradicted label by log(1 / e)
             (Christiano et al. 2017 use e = 0.1 for human labels).
+        weight: w, the probability that the labeller judged the pair, (B,) in [0, 1]; with probability 1 - w, the label
+            is a coin flip. Its likelihood is w P + (1 - w) / 2, so that the loss is log 2 whatever the logit for w = 0.
+            None stands for 1.
     """
-    return -(label * _log_likelihood(logits, label_noise) + (1 - label) * _log_likelihood(-logits, label_noise))
+    noise = label_noise if weight is None else (1 - weight * (1 - 2 * label_noise)) / 2
+    return -(label * _log_likelihood(logits, noise) + (1 - label) * _log_likelihood(-logits, noise))
 
 
 def smoothness_penalty(rewards: Tensor, mask: Tensor) -> Tensor:
@@ -63,9 +69,13 @@ def smoothness_penalty(rewards: Tensor, mask: Tensor) -> Tensor:
     return changes.square().sum() / both_real.sum().clamp(min=1)
 
 
-def _log_likelihood(logits: Tensor, noise: float) -> Tensor:
+def _log_likelihood(logits: Tensor, noise: float | Tensor) -> Tensor:
     """log((1 - e) sigmoid(x) + e sigmoid(-x)), computed in log space; constant beyond MAX_LOGIT."""
-    if noise == 0.0:
+    if not isinstance(noise, Tensor) and noise == 0.0:
         return F.logsigmoid(logits.clamp(max=MAX_LOGIT))
     logits = logits.clamp(-MAX_LOGIT, MAX_LOGIT)
-    return torch.logaddexp(F.logsigmoid(logits) + math.log1p(-noise), F.logsigmoid(-logits) + math.log(noise))
+    if isinstance(noise, Tensor):
+        kept, flipped = torch.log1p(-noise), torch.log(noise)
+    else:
+        kept, flipped = math.log1p(-noise), math.log(noise)
+    return torch.logaddexp(F.logsigmoid(logits) + kept, F.logsigmoid(-logits) + flipped)

@@ -1,19 +1,19 @@
-"""The appearance of clips: the colours, the model in these colours, and the geoms that are added to each frame.
+"""The appearance of clips: the colours, and the model in these colours. `overlays` adds geoms to each frame.
 
 Agents have the colours of Okabe and Ito's palette, which people with any of the common colour-vision deficiencies can
-distinguish. They are ordered so that neighbours in a leg differ in lightness as well as in hue. The page's legend shows
-the same colours.
+distinguish. They are ordered so that neighbours in a leg differ in lightness as well as in hue. Colours repeat after
+eight agents; the limbs of the next eight have dark stripes, those of the next eight light ones. The page's legend shows
+the same colours and stripes.
 """
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from mapt.rendering.settings import RenderSettings
 
@@ -34,13 +34,27 @@ BODY_COLOUR = "#AEB4BB"
 BACKDROP_COLOUR = "#252C36"
 FLOOR_COLOURS = ("#303945", "#48535F")
 SHADOW_COLOUR = "#14191F"
-#: distance posts, and the line at the start position
+#: distance posts, and the line at the start position, which is less bright than the body
 POST_COLOUR = "#717D8A"
-START_COLOUR = "#E8ECF0"
+START_COLOUR = "#7E8A97"
+#: stripes of agents 8 to 15 and 16 to 23
+STRIPE_COLOURS = ("#14191F", "#FFFFFF")
+
+
+#: shapes of limbs that can have rings and stripes
+ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
+#: cosine above which two directions are the same
+_ALONG = 0.99
+
+
+def stripe_colour(agent: int) -> str | None:
+    """The colour of the stripes on the limbs of an agent; None for the first eight agents, which have none."""
+    repeats = agent // len(AGENT_COLOURS)
+    return STRIPE_COLOURS[(repeats - 1) % len(STRIPE_COLOURS)] if repeats else None
 
 
 def agent_colour(agent: int) -> str:
-    """The colour of an agent as `#RRGGBB`. Colours repeat in teams larger than the palette."""
+    """The colour of an agent as `#RRGGBB`. Colours repeat in teams larger than the palette; see `stripe_colour`."""
     return AGENT_COLOURS[agent % len(AGENT_COLOURS)]
 
 
@@ -57,36 +71,21 @@ def rgba(colour: str) -> tuple[float, float, float, float]:
 
 #: vertical angle of view in degrees; narrow, so that perspective hardly changes the body's size within the frame
 VIEW_ANGLE_DEGREES = 25.0
-
-# Sizes of the added geoms, in squares of the floor, so that they scale with the robot.
-#: parts above this height have no contact shadow; lower parts have a larger one
-SHADOW_MAX_HEIGHT = 0.7
-#: distance between posts; a metre for most robots
-POST_SPACING = 2
-#: one post of this many is tall
-TALL_POST_EVERY = 5
-#: distance of the posts behind the robot's plane
-POST_DISTANCE = 1.8
-#: distance behind the robot at which the floor has faded into the backdrop and ends
-BACKDROP_DISTANCE = 10.0
-#: radius of a ring over that of its limb
-RING_RADIUS = 1.06
-
-_BOX = mujoco.mjtGeom.mjGEOM_BOX
-_CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
-_ELLIPSOID = mujoco.mjtGeom.mjGEOM_ELLIPSOID
-_UPRIGHT = np.eye(3).ravel()
-_SHADOW = np.array(rgba(SHADOW_COLOUR), dtype=np.float32)
-_BACKDROP = np.array(rgba(BACKDROP_COLOUR), dtype=np.float32)
-_POST = np.array(rgba(POST_COLOUR), dtype=np.float32)
-_GRID = np.array(rgba(FLOOR_COLOURS[1]), dtype=np.float32)
-_START = np.array(rgba(START_COLOUR), dtype=np.float32)
+#: distance between limbs that move in the same plane, over the sum of their radii: their surfaces never touch
+LIMB_CLEARANCE = 1.05
+#: least radius of a limb in squares of the floor; thinner ones are drawn thicker, so that colours are visible
+MIN_LIMB_RADIUS = 0.04
+#: radius of every other limb of a chain over its own
+ALTERNATE_RADIUS = 1.04
 
 
 def styled_model(
     model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]], settings: RenderSettings, square_metres: float = 0.5
 ) -> mujoco.MjModel:
-    """A copy of the model with the colours, light and quality of clips. Its dynamics are unchanged.
+    """A copy of the model with the colours, light and quality of clips. Use it for drawing only.
+
+    The limbs of a body that moves in a vertical plane lie beside each other instead of within each other, and very thin
+    limbs are thicker.
 
     Args:
         model: with or without a floor plane.
@@ -100,6 +99,8 @@ def styled_model(
     """
     model = copy.copy(model)
     _colour_geoms(model, agent_geoms)
+    _separate_limbs(model)
+    _set_radii(model, MIN_LIMB_RADIUS * square_metres)
     _colour_floors(model, square_metres)
     _set_light(model)
     _set_quality(model, settings)
@@ -133,6 +134,44 @@ def _colour_geoms(model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]]) -
     model.geom_rgba[body, 3] = 1
     for agent, geoms in reversed(list(enumerate(agent_geoms))):
         model.geom_rgba[list(geoms)] = rgba(agent_colour(agent))
+
+
+def _separate_limbs(model: mujoco.MjModel) -> None:
+    """Move limbs that start at the same body apart along y, where every hinge turns around the y axis.
+
+    Otherwise they interpenetrate, and which one is visible changes from pixel to pixel.
+    """
+    hinges = model.jnt_axis[model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE]
+    if not (np.abs(hinges[:, 1]) > _ALONG).all() or (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
+        return
+    for parent in range(1, model.nbody):
+        limbs = [body for body in range(1, model.nbody) if model.body_parentid[body] == parent]
+        radius = max((_radius(model, body) for body in limbs), default=0.0)
+        for limb, body in enumerate(limbs):
+            model.body_pos[body, 1] += 2 * LIMB_CLEARANCE * radius * (limb - (len(limbs) - 1) / 2)
+
+
+def _radius(model: mujoco.MjModel, root: int) -> float:
+    """The largest radius in metres of the geoms of a body and of those that hang on it."""
+    bodies = {root}
+    for body in range(root + 1, model.nbody):  # a parent comes before its children
+        if model.body_parentid[body] in bodies:
+            bodies.add(body)
+    return float(model.geom_size[np.isin(model.geom_bodyid, list(bodies)), 0].max(initial=0.0))
+
+
+def _set_radii(model: mujoco.MjModel, least: float) -> None:
+    """Give capsules and cylinders at least this radius in metres, and every other one of a chain a larger radius.
+
+    The ends of two limbs of the same radius would coincide, and their colours would mix.
+    """
+    depth = np.zeros(model.nbody, dtype=int)
+    for body in range(1, model.nbody):  # a parent comes before its children
+        depth[body] = depth[model.body_parentid[body]] + 1
+    geoms = moving_geoms(model)
+    geoms = geoms[np.isin(model.geom_type[geoms], ROUND)]
+    every_other = np.where(depth[model.geom_bodyid[geoms]] % 2, 1.0, ALTERNATE_RADIUS)
+    model.geom_size[geoms, 0] = np.maximum(model.geom_size[geoms, 0], least) * every_other
 
 
 def _colour_floors(model: mujoco.MjModel, square_metres: float) -> None:
@@ -185,119 +224,8 @@ def _set_quality(model: mujoco.MjModel, settings: RenderSettings) -> None:
     model.vis.global_.fovy = VIEW_ANGLE_DEGREES
     model.vis.global_.offwidth, model.vis.global_.offheight = settings.width, settings.height
     quality = model.vis.quality
-    if settings.quality == "pretty":
-        quality.offsamples, quality.shadowsize = 4, 1024
-    else:
-        # On a software renderer, the default shadow map of 4096 pixels takes most of the time,
-        # anti-aliasing the next most.
-        quality.offsamples, quality.shadowsize = 0, 0
+    # On a software renderer, the default shadow map of 4096 pixels takes most of the time, anti-aliasing the next most.
+    quality.offsamples = 0 if settings.quality == "fast" else 4
+    quality.shadowsize = 1024 if settings.quality == "pretty" else 0
+    if settings.quality != "pretty":
         quality.numslices, quality.numstacks, quality.numquads = 12, 6, 1
-
-
-def add_ground(scene: mujoco.MjvScene, centre: NDArray[np.float64], below: float, square: float) -> None:
-    """Add a plain ground below the floor, for where the floor ends within the view or is missing.
-
-    Args:
-        below: its height in metres.
-        square: the side of a square of the floor in metres, here and in the functions below.
-    """
-    _add(scene, _BOX, (100 * square, 100 * square, 0.001), (centre[0], centre[1], below), _BACKDROP)
-
-
-def add_backdrop(scene: mujoco.MjvScene, centre: NDArray[np.float64], square: float) -> None:
-    """Add a wall where the floor has faded. It is cheaper than a sky texture and hides the rest of the floor.
-
-    Args:
-        centre: the camera's target in metres (3,).
-    """
-    _add(
-        scene,
-        _BOX,
-        (100 * square, 0.01, 100 * square),
-        (centre[0], centre[1] + BACKDROP_DISTANCE * square, 0.0),
-        _BACKDROP,
-    )
-
-
-def add_shadows(
-    scene: mujoco.MjvScene, boxes: tuple[NDArray[np.float64], NDArray[np.float64]], floor: float, square: float
-) -> None:
-    """Add a contact shadow under each part that is near the floor.
-
-    Args:
-        boxes: centres and half sizes of the parts' bounding boxes in metres (parts, 3).
-        floor: its height in metres.
-    """
-    centre, half = boxes
-    nearness = 1 - (centre[:, 2] - half[:, 2] - floor) / (SHADOW_MAX_HEIGHT * square)
-    for box_centre, box_half, near in zip(centre, half, np.clip(nearness, 0, 1), strict=True):
-        if near > 0:
-            # Wider than a thin limb, so that it is visible from the side.
-            across = max(box_half[1], min(0.09 * square + box_half[1], 1.8 * box_half[1]))
-            size = (box_half[0] * near, across * near, 0.004 * square)
-            _add(scene, _ELLIPSOID, size, (box_centre[0], box_centre[1], floor), _SHADOW)
-
-
-def add_posts(scene: mujoco.MjvScene, centre: NDArray[np.float64], reach: float, floor: float, square: float) -> None:
-    """Add distance posts along the x axis within the view, at fixed places in the world.
-
-    Args:
-        centre: the camera's target in metres (3,).
-        reach: distance in metres from there to the last post.
-    """
-    spacing = POST_SPACING * square
-    first, last = (int(np.ceil((centre[0] + side * reach) / spacing)) for side in (-1, 1))
-    thickness, behind = 0.028 * square, POST_DISTANCE * square
-    for post in range(first, last):
-        half_height = (0.44 if post % TALL_POST_EVERY == 0 else 0.18) * square
-        _add(scene, _BOX, (thickness, thickness, half_height), (post * spacing, behind, floor + half_height), _POST)
-
-
-def add_start_line(scene: mujoco.MjvScene, start: NDArray[np.float64], floor: float, square: float) -> None:
-    """Add a line on the floor at the body's first position in the clip, `start` (3,) in metres."""
-    _add(scene, _BOX, (0.05 * square, POST_DISTANCE * square, 0.002 * square), (start[0], start[1], floor), _START)
-
-
-def add_grid(scene: mujoco.MjvScene, centre: NDArray[np.float64], reach: float, floor: float, square: float) -> None:
-    """Add a grid to a floor without squares, so that motion is visible.
-
-    Args:
-        centre: the camera's target in metres (3,).
-        reach: distance in metres from there to the end of the lines.
-    """
-    count = int(np.ceil(reach / square))
-    middle = np.round(centre[:2] / square).astype(int)
-    thin, length = 0.02 * square, count * square
-    for line in range(-count, count + 1):
-        x, y = (middle + line) * square
-        _add(scene, _BOX, (thin, length, 0.001 * square), (x, middle[1] * square, floor), _GRID)
-        _add(scene, _BOX, (length, thin, 0.001 * square), (middle[0] * square, y, floor), _GRID)
-
-
-def add_rings(scene: mujoco.MjvScene, data: mujoco.MjData, shared: Mapping[int, Sequence[int]]) -> None:
-    """Add a ring in the colour of each agent but the first around limbs that several agents move.
-
-    Args:
-        shared: agents by geom; capsules and cylinders only.
-    """
-    for geom, agents in shared.items():
-        radius, half = data.model.geom_size[geom, :2]
-        rotation, axis = data.geom_xmat[geom], data.geom_xmat[geom].reshape(3, 3)[:, 2]
-        for position, agent in enumerate(agents[1:], start=1):
-            along = half * ((2 * position + 1) / len(agents) - 1)
-            size = (radius * RING_RADIUS, radius * RING_RADIUS, half / len(agents) * 0.7)
-            colour = np.array(rgba(agent_colour(agent)), dtype=np.float32)
-            _add(scene, _CYLINDER, size, data.geom_xpos[geom] + along * axis, colour, rotation=rotation)
-
-
-def _add(
-    scene: mujoco.MjvScene,
-    shape: mujoco.mjtGeom,
-    size: tuple[float, float, float],
-    position: tuple[float, float, float] | NDArray[np.float64],
-    colour: NDArray[np.float32],
-    *,
-    rotation: NDArray[np.float64] = _UPRIGHT,
-) -> None:
-    mujoco.mjv_initGeom(scene.geoms[scene.ngeom], shape, np.array(size), np.array(position), rotation, colour)
-    scene.ngeom += 1

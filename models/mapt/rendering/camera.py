@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.rendering.appearance import VIEW_ANGLE_DEGREES, moving_geoms
+from mapt.rendering.settings import Camera
+from mapt.tasks import load_model, task_spec
 
 FloatArray = NDArray[np.float64]
 #: `side` for bodies that move in a vertical plane, `above` for a horizontal plane, `slanted` for others
@@ -25,6 +27,8 @@ ViewKind = Literal["side", "above", "slanted"]
 
 #: angle below the horizon in degrees; from the side, enough to see the floor's squares
 LOOK_DOWN_DEGREES: dict[ViewKind, float] = {"side": 9.0, "slanted": 28.0, "above": 65.0}
+#: that angle of the camera `top`; at 90 degrees, lights and limbs would show no depth
+TOP_LOOK_DOWN_DEGREES = 84.0
 #: size of the view over the largest size of a body that travels
 MARGIN: dict[ViewKind, float] = {"side": 1.2, "slanted": 1.3, "above": 1.2}
 #: size of the view over the region that a stationary body reaches in this share of its poses
@@ -173,9 +177,11 @@ def envelope(need: NDArray[np.float64], window: int) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Framing:
-    """Direction, size and target of the view, for all clips of a task."""
+    """Direction, size and target of the view, for all clips of a task with the same camera."""
 
     kind: ViewKind
+    #: angle of the camera below the horizon
+    look_down_degrees: float
     view: View
     #: (3, 3): rows are the directions right, up and away from the camera, in world coordinates
     axes: FloatArray
@@ -244,17 +250,37 @@ class Framing:
         return np.minimum(low, lowest[..., :2]).min(axis=1), np.maximum(high, highest[..., :2]).max(axis=1)
 
 
-def frame_body(body: BodyKinematics, aspect: float) -> Framing:
+_CAMERA_KINDS: dict[Camera, ViewKind] = {"side": "side", "top": "above"}
+
+
+def cameras_of(task_name: str) -> tuple[Camera, ...]:
+    """The cameras that show a task from different directions; the first one is the default.
+
+    Raises:
+        mapt.tasks.UnknownTask: if no task has this name.
+    """
+    if task_spec(task_name).nq == 0:  # it renders itself
+        return ("follow",)
+    body = BodyKinematics(load_model(task_name))
+    lowest, highest = body.extents(body.model.qpos0[None], np.eye(3))
+    kind = _kind(body, highest[0] - lowest[0])
+    return ("follow", *(camera for camera, shown in _CAMERA_KINDS.items() if shown != kind))
+
+
+def frame_body(body: BodyKinematics, aspect: float, camera: Camera = "follow") -> Framing:
     """Choose the framing of a body.
 
     Args:
         aspect: width of the image over its height.
+        camera: `follow` chooses the direction by the body.
     """
     model, poses = body.model, body.sample_poses()
     world = body.extents(poses, np.eye(3))
     body.set_pose(model.qpos0)
-    kind, follows, floor = _kind(body, world[1][0] - world[0][0]), _travels(model), _floor(body, world[0])
-    axes = camera_axes(LOOK_DOWN_DEGREES[kind])
+    kind = _CAMERA_KINDS.get(camera) or _kind(body, world[1][0] - world[0][0])
+    follows, floor = _travels(model), _floor(body, world[0])
+    look_down = TOP_LOOK_DOWN_DEGREES if camera == "top" else LOOK_DOWN_DEGREES[kind]
+    axes = camera_axes(look_down)
     lowest, highest = body.extents(poses, axes)
     if follows:
         width, height, _ = (highest - lowest).max(axis=0) * MARGIN[kind]
@@ -265,7 +291,7 @@ def frame_body(body: BodyKinematics, aspect: float) -> Framing:
         centre = (least + most) / 2 @ axes
     half_width = float(max(width, height * aspect) / 2)
     view = View(half_width, half_width / aspect)
-    framing = Framing(kind, view, axes, centre, follows, floor, _square(2 * half_width))
+    framing = Framing(kind, look_down, view, axes, centre, follows, floor, _square(2 * half_width))
     if follows:
         framing = framing.enlarged(max(1.0, _excess_in_any_orientation(body, framing, poses)))
     if kind == "side":

@@ -14,7 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.rendering.appearance import (
+from mapt.rendering.appearance import ROUND, has_squares, stripe_colour, styled_model
+from mapt.rendering.camera import SMOOTHING_SECONDS, BodyKinematics, Framing, camera_path, frame_body
+from mapt.rendering.overlays import (
     BACKDROP_DISTANCE,
     add_backdrop,
     add_grid,
@@ -23,10 +25,7 @@ from mapt.rendering.appearance import (
     add_rings,
     add_shadows,
     add_start_line,
-    has_squares,
-    styled_model,
 )
-from mapt.rendering.camera import LOOK_DOWN_DEGREES, SMOOTHING_SECONDS, BodyKinematics, Framing, camera_path, frame_body
 from mapt.rendering.settings import RenderSettings
 
 FloatArray = NDArray[np.float64]
@@ -38,7 +37,6 @@ FADE_START_RELATIVE, FADE_END_RELATIVE = 1.25, 2.2
 GROUND_DEPTH = 0.05
 #: extent of posts, lines and grid relative to the view
 OVERLAY_REACH = 1.5
-_ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
 class ClipRenderer:
@@ -50,16 +48,16 @@ class ClipRenderer:
         Args:
             model: the task's model, which is not changed.
             agent_geoms: ids of the geoms that each of the N agents moves.
-            settings: size and quality.
+            settings: size, quality and camera.
 
         Raises:
             ValueError: if the model lacks a geom.
         """
         self._settings = settings
-        self._framing: Framing = frame_body(BodyKinematics(model), settings.width / settings.height)
+        self._framing: Framing = frame_body(BodyKinematics(model), settings.width / settings.height, settings.camera)
         self._model = styled_model(model, agent_geoms, settings, self._framing.square_metres)
         self._body = BodyKinematics(self._model)
-        self._shared = _shared_geoms(self._model, agent_geoms)
+        self._ringed = _ringed_geoms(self._model, agent_geoms)
         self._squares = has_squares(self._model)
         self._ground = self._lowest_height() - GROUND_DEPTH * self._framing.square_metres
         self._camera = self._make_camera()
@@ -118,7 +116,7 @@ class ClipRenderer:
             add_shadows(scene, self._body.boxes(np.eye(3)), floor, square)
         if framing.follows and abs(start[0] - target[0]) < reach:
             add_start_line(scene, start, floor, square)
-        add_rings(scene, self._body.data, self._shared)
+        add_rings(scene, self._body.data, self._ringed)
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -147,7 +145,7 @@ class ClipRenderer:
     def _make_camera(self) -> mujoco.MjvCamera:
         camera = mujoco.MjvCamera()
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        camera.azimuth, camera.elevation = 90, -LOOK_DOWN_DEGREES[self._framing.kind]
+        camera.azimuth, camera.elevation = 90, -self._framing.look_down_degrees
         camera.distance = self._framing.distance
         return camera
 
@@ -166,10 +164,14 @@ class ClipRenderer:
         return min(self._framing.floor, float(lowest[0, 2]))
 
 
-def _shared_geoms(model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]]) -> dict[int, tuple[int, ...]]:
-    """Agents by geom, for the limbs that several agents move."""
+def _ringed_geoms(model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]]) -> dict[int, tuple[int, ...]]:
+    """Agents by geom, for the limbs that several agents move, and those of agents whose colour is repeated."""
     movers = {
         geom: tuple(agent for agent, geoms in enumerate(agent_geoms) if geom in geoms)
-        for geom in np.flatnonzero(np.isin(model.geom_type, _ROUND)).tolist()
+        for geom in np.flatnonzero(np.isin(model.geom_type, ROUND)).tolist()
     }
-    return {geom: agents for geom, agents in movers.items() if len(agents) > 1}
+    return {
+        geom: agents
+        for geom, agents in movers.items()
+        if len(agents) > 1 or any(stripe_colour(agent) for agent in agents)
+    }

@@ -30,6 +30,8 @@ IN_USE = "attention"
 GAIN, GAIN_ERROR, GAIN_PAIRS = "attention_gain", "attention_gain_error", "attention_gain_pairs"
 #: labels at the latest trial
 TRIAL_LABELS = "attention_trial_labels"
+#: labels when the network in use was last trained from untrained weights, whether or not the result was better
+RESTART_LABELS = "attention_restart_labels"
 #: seconds that this version spent on a trial
 TRIAL_SECONDS = "attention_trial_seconds"
 _KEPT = (GAIN, GAIN_ERROR, GAIN_PAIRS, TRIAL_LABELS)
@@ -69,14 +71,15 @@ def trial_metrics(
     return {IN_USE: float(in_use), TRIAL_SECONDS: 0.0 if trial is None else trial.seconds, **latest}
 
 
-def is_due(labels: int, initial: Mapping[str, float | None] | None, growth: float) -> bool:
-    """Whether a version with this many labels tries attention.
+def is_due(labels: int, initial: Mapping[str, float | None] | None, growth: float, latest: str = TRIAL_LABELS) -> bool:
+    """Whether a version with this many labels tries attention, or untrained weights.
 
     Args:
         initial: metrics of the version that it continues from; None without one.
-        growth: factor by which the labels must have grown since the latest trial.
+        growth: factor by which the labels must have grown since the latest attempt.
+        latest: metric with the labels at that attempt.
     """
-    tried_on = (initial or {}).get(TRIAL_LABELS)
+    tried_on = (initial or {}).get(latest)
     return tried_on is None or labels >= growth * tried_on
 
 

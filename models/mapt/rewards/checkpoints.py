@@ -19,8 +19,10 @@ from mapt.rewards.registry import build_reward_model
 
 FORMAT = "mapt.reward"
 # 2 added `architecture` and `discrete_actions` to the settings, 3 `segment_steps`; a model of an earlier format has
-# their defaults. With `segment_steps` 0, it keeps the score that it was trained with, a mean.
-FORMAT_VERSION = 3
+# their defaults. With `segment_steps` 0, it keeps the score that it was trained with, a mean. 4 added
+# `RewardModel.judged_weights`, under names with a prefix; a model without them has none.
+FORMAT_VERSION = 4
+_JUDGED_PREFIX = "judged."
 WEIGHTS_FILE = "reward.safetensors"
 CARD_FILE = "reward.json"
 POLARITY = "label is P(segment 0 preferred): 1 segment 0, 0 segment 1, 0.5 equal; P = sigmoid(score_0 - score_1)"
@@ -62,7 +64,8 @@ def save_reward_model(
     Args:
         segment_steps: T of the segments it was trained on, the window for relabelling.
     """
-    weights = save({name: tensor.contiguous().cpu() for name, tensor in model.state_dict().items()})
+    judged = {_JUDGED_PREFIX + name: tensor for name, tensor in (model.judged_weights or {}).items()}
+    weights = save({name: tensor.contiguous().cpu() for name, tensor in (model.state_dict() | judged).items()})
     card = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -97,7 +100,15 @@ def load_reward_model(weights: bytes | Path, card: bytes | Path) -> LoadedReward
     segment_steps = checked.get("segment_steps")
     if segment_steps is not None and not (isinstance(segment_steps, int) and segment_steps >= 1):
         raise DamagedCheckpoint(f"its segment_steps is {segment_steps!r}")
-    model = model_with_weights(config_in(checked), load_tensors(weight_bytes))
+    tensors, config = load_tensors(weight_bytes), config_in(checked)
+    judged = {
+        name.removeprefix(_JUDGED_PREFIX): tensors.pop(name)
+        for name in sorted(tensors)
+        if name.startswith(_JUDGED_PREFIX)
+    }
+    model = model_with_weights(config, tensors)
+    if judged:
+        model.judged_weights = model_with_weights(config, judged).state_dict()
     return LoadedRewardModel(model, metrics_in(checked), segment_steps, sha256)
 
 

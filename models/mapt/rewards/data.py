@@ -151,21 +151,37 @@ ScorerWithPenalty = Callable[[RewardModel, Tensor], tuple[Tensor, Tensor]]
 
 @dataclass(frozen=True, slots=True)
 class PairTensors:
-    """Pairs (P, 2) of segment indices and their labels (P,)."""
+    """Pairs (P, 2) of segment indices, their labels (P,), and the weights of these (P,), None if all are 1."""
 
     pairs: Tensor
     labels: Tensor
+    weights: Tensor | None = None
 
     @classmethod
     def of(cls, dataset: PreferenceDataset, device: torch.device) -> "PairTensors":
-        return cls(torch.as_tensor(dataset.pairs, device=device), torch.as_tensor(dataset.labels, device=device))
+        pairs, labels = (torch.as_tensor(array, device=device) for array in (dataset.pairs, dataset.labels))
+        weighted = bool((dataset.weights != 1).any())
+        return cls(pairs, labels, torch.as_tensor(dataset.weights, device=device) if weighted else None)
 
     def __len__(self) -> int:
         return len(self.labels)
 
     def first(self, n_pairs: int) -> "PairTensors":
         """The first `n_pairs` pairs, or all if there are fewer."""
-        return PairTensors(self.pairs[:n_pairs], self.labels[:n_pairs])
+        first = slice(n_pairs)
+        return PairTensors(self.pairs[first], self.labels[first], None if self.weights is None else self.weights[first])
+
+    def training_labels(self, index: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Labels and weights of the pairs at `index`, (B,)."""
+        return self.labels[index], None if self.weights is None else self.weights[index]
+
+    @property
+    def irreducible_loss(self) -> float:
+        """The mean loss, in nats, of a model that always prefers the better segment; see `preference_losses`."""
+        if self.weights is None:
+            return 0.0
+        right = (1 + self.weights) / 2
+        return -(torch.xlogy(right, right) + torch.xlogy(1 - right, 1 - right)).mean().item()
 
     def segments(self, index: Tensor) -> Tensor:
         """Segments 0, followed by segments 1, of the pairs at `index` (B,): (2B,), for one forward pass."""

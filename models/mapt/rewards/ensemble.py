@@ -24,7 +24,7 @@ from mapt.device import resolve_device
 from mapt.errors import DamagedCheckpoint, InvalidConfig, MemberTrainingFailed, ModelMismatch
 from mapt.preferences.dataset import PreferenceDataset, SegmentSource, in_batches
 from mapt.processes import ParentConnection, run_jobs
-from mapt.rewards.attention_trial import IN_USE, TRIAL_LABELS
+from mapt.rewards.attention_trial import IN_USE, RESTART_LABELS, TRIAL_LABELS
 from mapt.rewards.checkpoints import (
     POLARITY,
     SavedRewardModel,
@@ -57,7 +57,7 @@ FORMAT_VERSION = 2
 # A safetensors file begins with the length of its JSON header.
 _HEADER_LENGTH = struct.Struct("<Q")
 #: metrics of members that the ensemble's metrics average
-_AVERAGED_METRICS = ("loss", "accuracy", "holdout_loss", "holdout_accuracy", IN_USE, TRIAL_LABELS)
+_AVERAGED_METRICS = ("loss", "accuracy", "holdout_loss", "holdout_accuracy", IN_USE, TRIAL_LABELS, RESTART_LABELS)
 
 
 class RewardEnsemble:
@@ -290,7 +290,7 @@ def _mean_probability_metrics(
     for model in ensemble.members:
         probabilities += pairs.logits(model.to(device), network_scorer(segments)).sigmoid() / len(ensemble)
         model.cpu()
-    evaluation = evaluate_logits(probabilities.logit(eps=1e-6), pairs.labels, train_config.label_noise)
+    evaluation = evaluate_logits(probabilities.logit(eps=1e-6), pairs.labels, train_config.label_noise, pairs.weights)
     metrics = {"ensemble_holdout_loss": evaluation.loss, "ensemble_holdout_accuracy": evaluation.accuracy}
     return {name: value for name, value in metrics.items() if math.isfinite(value)}
 

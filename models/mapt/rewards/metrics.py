@@ -27,32 +27,46 @@ class Evaluation:
     calibration_error: float
 
 
-def evaluate_logits(logits: Tensor, labels: Tensor, label_noise: float = 0.0) -> Evaluation:
-    """Compare predicted logits of preferences (P,) with labels (P,)."""
-    if not len(labels):
+def evaluate_logits(
+    logits: Tensor, labels: Tensor, label_noise: float = 0.0, weights: Tensor | None = None
+) -> Evaluation:
+    """Compare predicted logits of preferences (P,) with labels (P,).
+
+    Args:
+        weights: see `preference_losses`, (P,). They weight the mean loss; accuracy and calibration error are over the
+            labels that are `counted`.
+    """
+    among = counted(labels, weights)
+    probabilities, label = logits[among].sigmoid().cpu().numpy(), labels[among].cpu().numpy()
+    if not len(label):
         return Evaluation(math.nan, math.nan, math.nan)
-    probabilities, label = logits.sigmoid().cpu().numpy(), labels.cpu().numpy()
-    return Evaluation(
-        preference_losses(logits, labels, label_noise).mean().item(),
-        accuracy(probabilities, label),
-        calibration_error(probabilities, label),
-    )
+    losses = preference_losses(logits, labels, label_noise)
+    loss = losses.mean() if weights is None else (weights * losses).sum() / weights.sum()
+    return Evaluation(loss.item(), accuracy(probabilities, label), calibration_error(probabilities, label))
 
 
-def confidence(logits: Tensor, labels: Tensor, label_noise: float = 0.0) -> float:
+def counted(labels: Tensor, weights: Tensor | None) -> Tensor:
+    """Whether each label (P,) is reliable enough to judge a model by, bool (P,): its weight is half or more."""
+    return torch.ones_like(labels, dtype=torch.bool) if weights is None else weights >= 0.5
+
+
+def confidence(logits: Tensor, labels: Tensor, label_noise: float = 0.0, weights: Tensor | None = None) -> float:
     """The factor of at most 1 with which logits (P,) have the lowest mean loss.
 
     It is the inverse of the temperature of Guo et al. (2017). A network that is trained on few pairs becomes too
     confident long before it ceases to order other pairs better.
     """
     factors = _CONFIDENCES.to(logits.device)
-    losses = preference_losses(factors[:, None] * logits, labels.expand(len(factors), -1), label_noise)
+    losses = preference_losses(factors[:, None] * logits, labels.expand(len(factors), -1), label_noise, weights)
     return factors[losses.mean(dim=1).argmin()].item()
 
 
-def calibrated_losses(logits: Tensor, labels: Tensor, label_noise: float = 0.0) -> Tensor:
+def calibrated_losses(
+    logits: Tensor, labels: Tensor, label_noise: float = 0.0, weights: Tensor | None = None
+) -> Tensor:
     """The loss of each pair, in nats, (P,), after multiplying the logits (P,) by their `confidence`."""
-    return preference_losses(confidence(logits, labels, label_noise) * logits, labels, label_noise)
+    factor = confidence(logits, labels, label_noise, weights)
+    return preference_losses(factor * logits, labels, label_noise, weights)
 
 
 def accuracy(probabilities: ArrayLike, labels: ArrayLike) -> float:

@@ -67,6 +67,9 @@ class RewardModel(nn.Module, ABC):
         self.action_normaliser = InputNormaliser(config.action_dim)
         self.register_buffer("reward_mean", torch.zeros(()))
         self.register_buffer("reward_deviation", torch.ones(()))
+        #: weights of the same network that were not trained on the hold-out, from which the next version continues;
+        #: None if its own were not
+        self.judged_weights: dict[str, Tensor] | None = None
 
     @abstractmethod
     def _encode(self, inputs: tuple[Tensor, Tensor], local: LocalAttention | None) -> tuple[Tensor, Tensor]:

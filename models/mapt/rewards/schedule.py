@@ -1,4 +1,4 @@
-"""The two stages of a reward model's training, and the tests on the hold-out that stop a stage or a version.
+"""The stages of a reward model's training, and the tests on the hold-out that stop a stage or a version.
 
 1. The Markov path alone, with the rest of the network fixed. It takes a tenth of the time of the whole network, and is
    sufficient if the true reward is Markov.
@@ -6,6 +6,7 @@
    and the Markov path does not: a trained Markov path has overfitted preferences that no Markov reward explains, and
    leaves little for attention to learn. The result must win a trial (`attention_trial.py`). With a hold-out that is too
    small, there is none.
+3. The whole network, if it is in use, again on all pairs (`VersionTrainer.refit`).
 
 A model that continues from an earlier version shrinks the Markov path's weights and perturbs them with new ones
 (`RewardModel.shrink_and_perturb`). It trains the whole network only if the earlier version uses it.

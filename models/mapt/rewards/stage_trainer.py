@@ -108,6 +108,8 @@ class StageLosses:
     before: Tensor
     #: after each epoch
     epochs: tuple[Tensor, ...]
+    #: the epoch, from 1, whose weights the model has; 0 for those before the stage
+    best_epoch: int
 
 
 class RewardTrainer:
@@ -139,7 +141,8 @@ class RewardTrainer:
         for part in batch.tensor_split(math.ceil(len(batch) / (stage.pairs_per_pass or len(batch)))):
             score, penalty = stage.training_scores(self._model, self._train.segments(part))
             score_0, score_1 = score.chunk(2)
-            part_loss = preference_loss(score_0, score_1, self._train.labels[part], stage.settings.label_noise)
+            labels, weights = self._train.training_labels(part)
+            part_loss = preference_loss(score_0, score_1, labels, stage.settings.label_noise, weights)
             share = len(part) / len(batch)
             (share * (part_loss + stage.settings.smoothness * penalty)).backward()
             loss += share * part_loss.detach()
@@ -159,7 +162,7 @@ class RewardTrainer:
         evaluated = self._hold_out if reliable else self._train
         self._model.eval()
         logits = evaluated.logits(self._model, stage.scorer)
-        before = calibrated_losses(logits, evaluated.labels, settings.label_noise)
+        before = calibrated_losses(logits, evaluated.labels, settings.label_noise, evaluated.weights)
         best, best_loss = self._weights(self._model), before.mean().item() if stage.start is None else math.inf
         best_epoch, above_chance, epochs = 0, False, list[Tensor]()
         if stage.start is not None:
@@ -171,10 +174,12 @@ class RewardTrainer:
             if self._log.stopped:
                 break
             hold_out_logits = self._hold_out.logits(averaged, stage.scorer)
-            evaluation = evaluate_logits(hold_out_logits, self._hold_out.labels, settings.label_noise)
+            evaluation = evaluate_logits(
+                hold_out_logits, self._hold_out.labels, settings.label_noise, self._hold_out.weights
+            )
             self._log.add(train_loss, evaluation.loss, evaluation.accuracy)
             logits = hold_out_logits if reliable else self._train.logits(averaged, stage.scorer)
-            losses = calibrated_losses(logits, evaluated.labels, settings.label_noise)
+            losses = calibrated_losses(logits, evaluated.labels, settings.label_noise, evaluated.weights)
             epochs.append(losses)
             if losses.mean().item() < best_loss:
                 best_loss, best, best_epoch = losses.mean().item(), self._weights(averaged), epoch
@@ -183,7 +188,20 @@ class RewardTrainer:
                 break
         self._model.load_state_dict(best)
         self._model.eval()
-        return StageLosses(before, tuple(epochs))
+        return StageLosses(before, tuple(epochs), best_epoch)
+
+    def run_epochs(self, stage: Stage, n_epochs: int) -> None:
+        """Train `stage.parameters` for `n_epochs` without a hold-out; leaves the model with its average weights."""
+        if stage.start is not None:
+            self._model.load_state_dict(stage.start)
+        optimiser, average = adamw(stage.parameters, stage.settings), weight_average(self._model)
+        for _ in range(n_epochs):
+            train_loss = self._train_epoch(stage, optimiser, average)
+            if self._log.stopped:
+                break
+            self._log.add(train_loss, math.nan, math.nan)
+        self._model.load_state_dict(self._weights(cast(RewardModel, average.module)))
+        self._model.eval()
 
     def _train_epoch(self, stage: Stage, optimiser: torch.optim.Optimizer, average: AveragedModel) -> float:
         """Mean loss of one pass over the training pairs; NaN if stopped."""

@@ -1,6 +1,7 @@
-"""Figures of runs: true return by environment steps, and by number of labels."""
+"""Figures of runs: true return by environment steps and by number of labels, and scores by teachers."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
 from mapt.plotting import (
+    GREY,
     LineStyle,
     draw_mean_and_deviation,
     format_steps,
@@ -17,7 +19,7 @@ from mapt.plotting import (
     sample_deviation,
     save_figure,
 )
-from mapt.training.results import Group
+from mapt.training.results import Group, TeacherRow, teacher_rows
 
 #: Models at the same number of labels are drawn this far apart, as a fraction of the labels.
 _SHIFT = 0.02
@@ -28,21 +30,26 @@ def draw_curves(groups: Sequence[Group], path: Path) -> None:
 
     One panel per task shows training curves by environment steps: means over seeds with standard deviations, thin
     lines for single seeds, markers for evaluations with mean actions. A task whose reward models were trained on
-    several numbers of labels has a second panel with the final evaluations by number of labels.
+    several numbers of labels has a second panel with the final evaluations by number of labels, and one more panel for
+    each teacher that scored its policies.
     """
-    panels = [
-        (task, draw)
-        for task in dict.fromkeys(group.task for group in groups)
-        for draw in (_draw_steps, _draw_labels)
-        if draw is _draw_steps or len({group.labels for group in groups if group.task == task} - {None}) > 1
-    ]
+    panels: list[tuple[str, Callable[[Axes], None]]] = []
+    for task in dict.fromkeys(group.task for group in groups):
+        own = [group for group in groups if group.task == task]
+        panels.append((task, partial(_draw_steps, groups=own)))
+        if len({group.labels for group in own} - {None}) > 1:
+            panels.append((task, partial(_draw_labels, groups=own)))
+        for teacher, rows in teacher_rows(groups, task).items():
+            # The colours of the first panel.
+            styles = [line_style(own.index(row.group)) for row in rows]
+            panels.append(
+                (f"{task}, judged by the teacher {teacher}", partial(_draw_teacher, rows=rows, styles=styles))
+            )
     figure, axes_of = panel_grid(len(panels), width=6.5, height=4.5, max_columns=len(panels))
-    for axes, (task, draw) in zip(axes_of, panels, strict=True):
-        draw(axes, [group for group in groups if group.task == task])
-        axes.set_title(task)
+    for axes, (title, draw) in zip(axes_of, panels, strict=True):
+        draw(axes)
+        axes.set_title(title)
         axes.grid(alpha=0.25)
-        axes.legend(frameon=False, fontsize="small", loc="best")
-        format_thousands(axes)
     save_figure(figure, path)
 
 
@@ -56,7 +63,9 @@ def _draw_steps(axes: Axes, groups: Sequence[Group]) -> None:
         evaluations = [(one.steps, one.mean) for run in group.runs for one in run.evaluations]
         axes.plot(*np.array(evaluations).reshape(-1, 2).T, style.marker, markersize=5, color=style.colour)
     format_steps(axes)
+    format_thousands(axes)
     axes.set_ylabel("true return of an episode")
+    axes.legend(frameon=False, fontsize="small", loc="best")
 
 
 def _draw_labels(axes: Axes, groups: Sequence[Group]) -> None:
@@ -79,7 +88,25 @@ def _draw_labels(axes: Axes, groups: Sequence[Group]) -> None:
     axes.set_xticks(counts, [f"{count:,}" for count in counts])
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_xlabel("labels")
+    format_thousands(axes)
     axes.set_ylabel("true return of the final policy")
+    axes.legend(frameon=False, fontsize="small", loc="best")
+
+
+def _draw_teacher(axes: Axes, rows: Sequence[TeacherRow], styles: Sequence[LineStyle]) -> None:
+    """One line per reward: a marker for each seed, and the mean. The first line are the untrained policies."""
+    untrained = {seed: value for row in rows for seed, value in zip(row.seeds, row.untrained, strict=True)}
+    lines = [
+        ("untrained", list(untrained.values()), LineStyle(GREY, "o", "solid")),
+        *((row.group.label, row.final, style) for row, style in zip(rows, styles, strict=True)),
+    ]
+    for index, (_, values, style) in enumerate(lines):
+        axes.plot(values, [index] * len(values), style.marker, color=style.colour, alpha=0.5, markersize=6)
+        axes.plot(float(np.mean(values)), index, "|", color=style.colour, markersize=18, markeredgewidth=3)
+    axes.axvline(float(np.mean(lines[0][1])), color=GREY, linestyle="dotted")
+    axes.set_yticks(range(len(lines)), [name for name, *_ in lines])
+    axes.set_ylim(len(lines) - 0.5, -0.5)
+    axes.set_xlabel("teacher's score of a segment of the final policy: each seed, and the mean")
 
 
 def _draw_baseline(axes: Axes, name: str, returns: Sequence[float], style: LineStyle) -> None:

@@ -1,4 +1,4 @@
-"""Read runs from disk, group them by their settings and tabulate their returns."""
+"""Read runs from disk, group them by their settings and tabulate their returns and their scores by teachers."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from mapt.plotting import Curve
 from mapt.training.metrics import Metrics, read_metrics
 from mapt.training.run_folder import RUN_FILE, RunFolder
 from mapt.training.settings import TRUE, LearnedRewardSettings, PreferenceRewardSettings, RunSettings
+from mapt.training.teacher_scores import TeacherScores, preference_rate, read_teacher_scores
 
 #: Runs that differ only in these settings belong to one group.
 _PER_RUN = frozenset({"policy.seed", "policy.device", "policy.n_threads", "steps", "evaluate_every_steps"})
@@ -42,6 +43,8 @@ class RunResult:
     evaluations: tuple[EvaluationPoint, ...]
     #: seconds by part, over the whole run
     seconds: dict[str, float]
+    #: by the names of the teachers that scored it
+    teacher_scores: dict[str, TeacherScores]
 
     @classmethod
     def read(cls, folder: RunFolder) -> "RunResult":
@@ -64,6 +67,7 @@ class RunResult:
             Curve(np.array([step for step, _ in points], dtype=np.int64), np.array([value for _, value in points])),
             tuple(evaluations.values()),
             {part: sum(float(line.get(f"seconds_{part}", 0.0)) for line in lines) for part in PARTS},
+            {name: scores for name, scores in read_teacher_scores(folder).items() if scores.steps == steps},
         )
 
     def evaluation_at(self, steps: int) -> EvaluationPoint | None:
@@ -190,8 +194,55 @@ def returns_table(groups: Sequence[Group], milestones: Sequence[int] = ()) -> li
     return rows
 
 
+@dataclass(frozen=True, slots=True)
+class TeacherRow:
+    """Scores of the runs of one group by one teacher. Lists have one entry per seed."""
+
+    group: Group
+    seeds: list[int]
+    #: mean score of the segments
+    untrained: list[float]
+    final: list[float]
+    #: how often the teacher prefers a segment of the final policy to one of the untrained policy
+    over_untrained: list[float]
+    #: ... to one of the policy that trained on the true reward; empty without such a policy for every seed
+    over_true_reward: list[float]
+
+
+def teacher_rows(groups: Sequence[Group], task: str) -> dict[str, list[TeacherRow]]:
+    """One row per teacher and group of a task, for the runs that the teacher scored.
+
+    Policies are compared with the policy that trained on the true reward with the same algorithm and seed.
+    """
+    rows: dict[str, list[TeacherRow]] = {}
+    own = [group for group in groups if group.task == task]
+    for teacher in dict.fromkeys(name for group in own for run in group.runs for name in run.teacher_scores):
+        scored = [(group, scores) for group in own if (scores := _scores_by_seed(group, teacher))]
+        true = {group.algorithm: scores for group, scores in scored if group.reward == TRUE}
+        for group, scores in scored:
+            reference = true.get(group.algorithm, {}) if group.reward != TRUE else {}
+            row = TeacherRow(
+                group,
+                seeds=list(scores),
+                untrained=[float(one.untrained.mean()) for one in scores.values()],
+                final=[float(one.final.mean()) for one in scores.values()],
+                over_untrained=[preference_rate(one.final, one.untrained) for one in scores.values()],
+                over_true_reward=[preference_rate(one.final, reference[seed].final) for seed, one in scores.items()]
+                if scores.keys() <= reference.keys()
+                else [],
+            )
+            rows.setdefault(teacher, []).append(row)
+    return rows
+
+
+def _scores_by_seed(group: Group, teacher: str) -> dict[int, TeacherScores]:
+    return {
+        run.settings.policy.seed: run.teacher_scores[teacher] for run in group.runs if teacher in run.teacher_scores
+    }
+
+
 def markdown(groups: Sequence[Group], milestones: Sequence[int] = ()) -> str:
-    """Markdown tables of returns and of where the time went, and a list of unfinished runs.
+    """Markdown tables of returns, of scores by teachers and of where the time went, and a list of unfinished runs.
 
     Args:
         milestones: see `returns_table`.
@@ -204,6 +255,7 @@ def markdown(groups: Sequence[Group], milestones: Sequence[int] = ()) -> str:
         "|---|---|---|---:|---:|---:|---:|---:|---|",
         *(_returns_line(row) for row in returns_table(groups, milestones)),
         "",
+        *_teacher_lines(groups),
         "| task | algorithm | reward | steps/s | " + " | ".join(PARTS) + " |",
         "|---|---|---|---:|" + "---:|" * len(PARTS),
         *(line for group in groups if (line := _time_line(group))),
@@ -221,6 +273,39 @@ def _returns_line(row: dict[str, object]) -> str:
         str(row["seeds"]),
         *(_rounded(row[name]) for name in ("mean", "std", "iqm")),
         ", ".join(f"{seed}: {_rounded(value)}" for seed, value in by_seed.items()) or _NONE,
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def _teacher_lines(groups: Sequence[Group]) -> list[str]:
+    """A table of the scores by each teacher, if there is one."""
+    lines: list[str] = []
+    for task in dict.fromkeys(group.task for group in groups):
+        for teacher, rows in teacher_rows(groups, task).items():
+            lines += [
+                f"{task}: score by the teacher `{teacher}` with mean actions. Mean and sample standard deviation are "
+                "over seeds; a seed's value is the mean over the segments of its episodes. Preferred: how often the "
+                "teacher prefers a segment of the policy to one of the other policy.",
+                "",
+                "| algorithm | reward | seeds | untrained | score | std | preferred to the untrained policy | "
+                "preferred to the policy of the true reward | by seed |",
+                "|---|---|---:|---:|---:|---:|---:|---:|---|",
+                *map(_teacher_line, rows),
+                "",
+            ]
+    return lines
+
+
+def _teacher_line(row: TeacherRow) -> str:
+    group = row.group
+    cells = [
+        *_names(group.task, group.algorithm, group.reward, group.labels, group.differs)[1:],
+        str(len(row.seeds)),
+        f"{np.mean(row.untrained):.3f}",
+        f"{np.mean(row.final):.3f}",
+        f"{np.std(row.final, ddof=1):.3f}" if len(row.final) > 1 else _NONE,
+        *(f"{np.mean(rates):.0%}" if rates else _NONE for rates in (row.over_untrained, row.over_true_reward)),
+        ", ".join(f"{seed}: {value:.3f}" for seed, value in zip(row.seeds, row.final, strict=True)),
     ]
     return f"| {' | '.join(cells)} |"
 

@@ -1,4 +1,4 @@
-"""The folder of a run: settings, checkpoint, metrics, evaluation and video."""
+"""The folder of a run: settings, checkpoint, metrics, evaluation, scores by teachers and video."""
 
 import fcntl
 import json
@@ -69,6 +69,7 @@ RUN_FILE = "run.json"
 CHECKPOINT_FILE = "checkpoint.safetensors"
 METRICS_FILE = "metrics.jsonl"
 EVALUATION_FILE = "evaluation.json"
+TEACHER_SCORES_FILE = "teacher-scores.json"
 VIDEO_FILE = "final.mp4"
 REWARDS_FOLDER = "rewards"
 
@@ -81,6 +82,7 @@ class RunFolder:
         self.checkpoint = path / CHECKPOINT_FILE
         self.metrics = path / METRICS_FILE
         self.evaluation = path / EVALUATION_FILE
+        self.teacher_scores = path / TEACHER_SCORES_FILE
         self.video = path / VIDEO_FILE
         self.rewards = path / REWARDS_FOLDER
 

@@ -5,17 +5,16 @@ import pytest
 
 from mapt.benchmarks.evaluate import (
     DatasetTeacher,
-    Predictions,
     evaluate_model,
     held_out_pairs,
     labelled_dataset,
-    predict,
     preference_metrics,
     reward_metrics,
     split_dataset,
     training_pairs,
 )
 from mapt.errors import InvalidConfig, InvalidTeacher, TooFewLabels, UnknownTeacher
+from mapt.rewards.inspection import Predictions, predict
 from unit.benchmarks.tiny_dataset import TrueRewardModel, write_dataset
 
 

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from mapt.benchmarks.evaluate import predict, split_dataset
+from mapt.benchmarks.evaluate import split_dataset
 from mapt.benchmarks.job import network_of
 from mapt.benchmarks.recorded_dataset import RecordedDataset, episodes_path
 from mapt.benchmarks.report import ReportPlan, agent_names, make_report
 from mapt.benchmarks.reward_analysis import (
     STATE_ACTIONS,
     analyse,
-    attention_maps,
     breadth,
     draw_sample,
     rollout_series,
@@ -27,6 +26,7 @@ from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.storage import SegmentWriter
 from mapt.rewards.checkpoints import save_reward_model
 from mapt.rewards.config import MODEL_NAMES
+from mapt.rewards.inspection import attention_maps, predict
 from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
 from support.tolerance import assert_float32_close

@@ -140,7 +140,10 @@ def test_runs_are_trained_evaluated_and_compared(mapt, tmp_path):
     evaluation = json.loads(evaluated.printed)
     assert evaluation["steps"] == 2 * STEPS_PER_ITERATION
     assert len(evaluation["returns"]) == evaluation["episodes"] == 3
-    assert "over 3 episodes of 20 steps" in mapt("evaluate", tmp_path / "runs" / "seed-1", "--episodes", "3").printed
+    judging = ("--teacher", "phase:want=equal", "--segment-steps", "8")
+    judged = mapt("evaluate", tmp_path / "runs" / "seed-1", "--episodes", "3", *judging)
+    assert "over 3 episodes of 20 steps" in judged.printed
+    assert "over 6 segments" in judged.printed
 
     plotted = mapt(
         "curves", tmp_path / "runs", "--output", tmp_path / "a" / "c.png", "--table", tmp_path / "b" / "t.md"

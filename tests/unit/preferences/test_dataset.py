@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapt.errors import InvalidLabel, InvalidMask, InvalidPair, NotEnoughPairs, NotFinite, ShapeError
+from mapt.errors import InvalidLabel, InvalidMask, InvalidPair, InvalidWeight, NotEnoughPairs, NotFinite, ShapeError
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 
 
@@ -172,3 +172,24 @@ def test_split_depends_on_the_seed():
 def test_one_pair_cannot_be_split():
     with pytest.raises(NotEnoughPairs):
         dataset(1).split(0.2, 0)
+
+
+def test_pairs_keep_their_weights():
+    weights = np.linspace(0, 1, 20, dtype=np.float32)
+    whole = dataset(20).weighted(weights)
+    assert whole.take([3, 5]).weights.tolist() == weights[[3, 5]].tolist()
+    assert whole.take([3]).joined(whole.take([5])).weights.tolist() == weights[[3, 5]].tolist()
+    assert (dataset(20).weights == 1).all()
+
+
+@pytest.mark.parametrize("weight", [-0.1, 1.1, float("nan")])
+def test_weight_outside_0_to_1_is_refused(weight):
+    with pytest.raises(InvalidWeight) as refused:
+        dataset(2).weighted([1, weight])
+    assert refused.value.index == 1
+
+
+def test_every_label_needs_a_weight():
+    with pytest.raises(ShapeError) as refused:
+        dataset(3).weighted([1, 1])
+    assert refused.value.name == "weights"

@@ -88,3 +88,40 @@ def test_smoothness_penalty_is_the_mean_squared_change_between_real_steps():
 
 def test_segments_of_one_step_have_no_smoothness_penalty():
     assert smoothness_penalty(torch.ones(3, 1), torch.ones(3, 1, dtype=torch.bool)).item() == 0
+
+
+@given(st.lists(st.tuples(finite, probability), min_size=1, max_size=20), st.sampled_from([0.0, 0.1]))
+def test_loss_of_labels_of_weight_1_is_that_of_labels_without_weights(pairs, noise):
+    logits, labels = (torch.tensor(values) for values in zip(*pairs, strict=True))
+    logits = logits.clamp(-30, 30)
+    weighted = preference_losses(logits, labels, noise, torch.ones_like(labels))
+    torch.testing.assert_close(weighted, preference_losses(logits, labels, noise), rtol=1e-5, atol=1e-6)
+
+
+@given(finite, probability, st.floats(0, 1, width=32))
+def test_weight_is_the_probability_that_the_labeller_judged_the_pair(logit, label, weight):
+    p = 1 / (1 + math.exp(-max(-30.0, min(30.0, logit))))
+    likelihoods = weight * p + (1 - weight) / 2, weight * (1 - p) + (1 - weight) / 2
+    expected = (
+        -(label * math.log(likelihoods[0]) + (1 - label) * math.log(likelihoods[1])) if min(likelihoods) else None
+    )
+    loss = preference_losses(torch.tensor([logit]), torch.tensor([label]), weight=torch.tensor([weight])).item()
+    assert math.isfinite(loss)
+    if expected is not None:
+        assert loss == pytest.approx(expected, rel=1e-3, abs=1e-4)
+
+
+def test_label_of_weight_0_has_no_gradient_and_the_loss_of_a_coin_flip():
+    logits = torch.tensor([-40.0, 0.0, 3.0], requires_grad=True)
+    losses = preference_losses(logits, torch.tensor([1.0, 0.0, 0.5]), weight=torch.zeros(3))
+    losses.sum().backward()
+    assert losses.tolist() == pytest.approx([math.log(2)] * 3)
+    assert logits.grad.tolist() == pytest.approx([0, 0, 0], abs=1e-7)
+
+
+def test_gradients_of_all_weights_are_finite():
+    logits = torch.tensor([-90.0, -30.0, 0.0, 30.0, 90.0]).repeat(3).requires_grad_()
+    weights = torch.tensor([0.0, 0.5, 1.0]).repeat_interleave(5)
+    for label in (0.0, 0.5, 1.0):
+        preference_losses(logits, torch.full((15,), label), weight=weights).sum().backward()
+    assert torch.isfinite(logits.grad).all()

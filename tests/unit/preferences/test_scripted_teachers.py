@@ -353,3 +353,37 @@ def test_teacher_can_be_made_from_a_rule_and_parameters():
 def test_invalid_episode_returns_are_refused(mean, length):
     with pytest.raises(InvalidTeacher):
         make_teacher("skip").set_episode_return(mean, length)
+
+
+def test_careless_teacher_guesses_on_its_share_of_the_pairs():
+    labels = make_teacher("careless", guess=0.6).judge(*many_pairs(5.0))
+    assert within_binomial_bounds((labels == 0).mean(), 0.3)
+    assert set(labels.tolist()) == {0, 1}
+
+
+@pytest.mark.parametrize("preferred", [1.0, -1.0])
+def test_left_biased_teacher_prefers_the_left_segment_on_its_share_of_the_pairs(preferred):
+    pairs, sides = many_pairs(preferred), np.arange(MANY) % 2
+    labels = make_teacher("left", left=0.4).judge(*pairs, left_segments=sides)
+    better = 0 if preferred > 0 else 1
+    on_left, on_right = labels[sides == better], labels[sides != better]
+    assert set(on_left.tolist()) == {1.0 - better}
+    assert within_binomial_bounds((on_right == better).mean(), 0.4, MANY // 2)
+
+
+def test_without_sides_segment_0_is_on_the_left():
+    pairs = random_pairs(200)
+    first = make_teacher("left", seed=3).judge(*pairs)
+    assert first.tolist() == make_teacher("left", seed=3).judge(*pairs, left_segments=np.zeros(200, int)).tolist()
+
+
+def test_opposite_teacher_reverses_every_strict_label():
+    pairs = random_pairs(50)
+    assert (make_teacher("opposite").judge(*pairs) == 1 - make_teacher("oracle").judge(*pairs)).all()
+
+
+@pytest.mark.parametrize("name", ["stochastic", "mistake"])
+def test_inattention_leaves_the_other_labels_as_they_are(name):
+    pairs = random_pairs(500)
+    usual, inattentive = make_teacher(name, seed=5).judge(*pairs), make_teacher(name, seed=5, guess=0.2).judge(*pairs)
+    assert 0.02 < (usual != inattentive).mean() < 0.2

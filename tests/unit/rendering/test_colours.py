@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 from mapt.rendering.appearance import (
     AGENT_COLOURS,
     BACKDROP_COLOUR,
+    BODY_COLOUR,
     FLOOR_COLOURS,
+    POST_COLOUR,
+    START_COLOUR,
     agent_colour,
     rgb_bytes,
     rgba,
@@ -57,6 +60,10 @@ def test_neighbours_in_a_leg_differ_in_lightness() -> None:
 def test_every_agent_is_lighter_than_the_background() -> None:
     background = max(lab(colour)[0] for colour in (BACKDROP_COLOUR, *FLOOR_COLOURS))
     assert min(lab(colour)[0] for colour in AGENT_COLOURS) > background + 10
+
+
+def test_start_line_and_posts_are_darker_than_the_body() -> None:
+    assert max(lab(colour)[0] for colour in (START_COLOUR, POST_COLOUR)) < lab(BODY_COLOUR)[0] - 10
 
 
 def test_palette_colours_are_unique() -> None:

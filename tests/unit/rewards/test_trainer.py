@@ -1,3 +1,4 @@
+import copy
 import threading
 from dataclasses import replace
 
@@ -43,8 +44,11 @@ def preferences(n_pairs, n_steps=8, seed=0, labels=None):
 
 
 def same_weights(first: MAPT, second: MAPT) -> bool:
-    states = first.state_dict(), second.state_dict()
-    return all(torch.equal(tensor, states[1][name]) for name, tensor in states[0].items())
+    return same_states(first.state_dict(), second.state_dict())
+
+
+def same_states(first, second) -> bool:
+    return all(torch.equal(tensor, second[name]) for name, tensor in first.items())
 
 
 def test_test_accuracy_is_well_above_chance():
@@ -80,9 +84,9 @@ def test_metrics_have_the_documented_names():
     metrics = train_reward_model(preferences(60), CONFIG, QUICK).metrics
     assert set(metrics) == {
         *("loss", "accuracy", "holdout_loss", "holdout_accuracy", "ece", "epochs", "seconds"),
-        *("labels", "holdout_labels", "holdout_strict_labels", "holdout_reliable", "stopped"),
+        *("labels", "holdout_labels", "holdout_strict_labels", "holdout_reliable", "refit", "stopped"),
         *("attention", "attention_trial_seconds", "attention_trial_labels"),
-        *("attention_gain", "attention_gain_error", "attention_gain_pairs"),
+        *("attention_gain", "attention_gain_error", "attention_gain_pairs", "attention_restart_labels"),
     }
     assert (metrics["labels"], metrics["holdout_reliable"], metrics["attention_trial_labels"]) == (60, 1, 60)
     assert 10 <= metrics["holdout_labels"] <= metrics["attention_gain_pairs"] <= 60
@@ -265,7 +269,8 @@ def test_significantly_worse_markov_path_does_not_replace_the_initial_model():
 def test_warm_start_takes_fewer_epochs():
     settings = TrainConfig(markov_epochs=6, max_epochs=4, warm_markov_epochs=2, warm_epochs=1, device="cpu")
     first = train_reward_model(preferences(60), CONFIG, settings)
-    warm = train_reward_model(preferences(80), CONFIG, settings, initial=first.model)
+    # With 78 labels or more, the whole network could restart.
+    warm = train_reward_model(preferences(70), CONFIG, settings, initial=first.model, initial_metrics=first.metrics)
     assert warm.metrics["epochs"] <= 3 < first.metrics["epochs"]
 
 
@@ -396,12 +401,67 @@ def test_attention_in_use_is_trained_further_without_a_trial(monkeypatch):
     assert second.metrics["attention_gain"] == first.metrics["attention_gain"]
 
 
-def test_attention_in_use_is_never_replaced_by_a_worse_version(monkeypatch):
+@pytest.mark.parametrize("labels_of_restart", [20, 80])
+def test_attention_in_use_is_never_replaced_by_a_worse_version(monkeypatch, labels_of_restart):
     first = accepted(monkeypatch)
     divergent = replace(QUICK, lr=1.0, markov_lr=1.0, warm_share=0.0, warm_markov_epochs=1, warm_epochs=1)
-    second = train_reward_model(preferences(80), CONFIG, divergent, initial=first.model)
+    metrics = first.metrics | {"attention_restart_labels": labels_of_restart}
+    second = train_reward_model(preferences(80), CONFIG, divergent, initial=first.model, initial_metrics=metrics)
     assert second.metrics["holdout_loss"] == pytest.approx(first.metrics["holdout_loss"], rel=1e-3)
     assert second.metrics["attention"] == 1
+    assert same_weights(first.model, second.model)
+
+
+def test_model_with_attention_is_trained_on_the_hold_out_too_and_keeps_the_weights_that_were_not(monkeypatch):
+    first = accepted(monkeypatch)
+    assert first.metrics["refit"] == 1
+    assert first.model.judged_weights is not None
+    assert not same_states(first.model.judged_weights, first.model.state_dict())
+
+    data = preferences(80)
+    held_out = data.held_out(QUICK.hold_out_fraction, QUICK.seed)
+    train, hold_out = (data.take(np.flatnonzero(side)) for side in (~held_out, held_out))
+    separate = train_reward_model(train, CONFIG, QUICK, hold_out=hold_out)
+    assert separate.metrics["refit"] == 0
+    assert separate.model.judged_weights is None
+    assert separate.metrics["holdout_loss"] == first.metrics["holdout_loss"]
+
+
+def test_network_in_use_restarts_from_untrained_weights_when_labels_have_grown(monkeypatch):
+    first = accepted(monkeypatch)
+    initial = copy.deepcopy(first.model)
+    # Weights that say the opposite: further training for one epoch does not mend them.
+    opposite = {name: -tensor if "reward.weight" in name else tensor for name, tensor in initial.state_dict().items()}
+    initial.load_state_dict(opposite)
+    initial.judged_weights = opposite
+    once = replace(QUICK, warm_epochs=1, max_epochs=6)
+    losses = {}
+    for n_pairs in (90, 110):
+        trained = train_reward_model(preferences(n_pairs), CONFIG, once, initial=initial, initial_metrics=first.metrics)
+        losses[n_pairs] = trained.metrics["holdout_loss"]
+        # 90 labels are fewer than 1.3 times 80.
+        assert trained.metrics["attention_restart_labels"] == (80 if n_pairs == 90 else 110)
+    assert losses[110] < losses[90]
+
+
+def test_next_version_is_judged_by_weights_that_were_not_trained_on_the_hold_out(monkeypatch):
+    first = accepted(monkeypatch)
+    initial = copy.deepcopy(first.model)
+    with torch.no_grad():
+        for parameter in initial.parameters():
+            parameter.add_(0.3)
+    once = replace(QUICK, warm_epochs=1)
+    expected, changed = (
+        train_reward_model(preferences(90), CONFIG, once, initial=each, initial_metrics=first.metrics)
+        for each in (first.model, initial)
+    )
+    assert changed.metrics["holdout_loss"] == expected.metrics["holdout_loss"]
+    assert not same_weights(changed.model, expected.model)
+
+
+def test_markov_model_is_not_refitted():
+    trained = train_reward_model(preferences(60), CONFIG, replace(QUICK, markov_epochs=20))
+    assert (trained.metrics["attention"], trained.metrics["refit"], trained.model.judged_weights) == (0, 0, None)
 
 
 def test_untrained_markov_scorer_equals_the_network_scorer():
@@ -551,3 +611,37 @@ def test_average_of_constant_weights_converges_to_them():
     for _ in range(1500):
         average.update_parameters(model)
     assert average.module.weight.item() == pytest.approx(2.0, rel=1e-5)
+
+
+def test_labels_of_weight_0_do_not_mislead_the_model():
+    clean = preferences(300)
+    misled = np.arange(300) % 5 < 3
+    labels = np.where(misled, 1 - clean.labels, clean.labels)
+    both = PreferenceDataset(clean.segments, clean.pairs, labels)
+    fresh = preferences(200, seed=1)
+
+    def predicted_correctly(pairs):
+        trained = train_reward_model(pairs, CONFIG, QUICK)
+        segments = fresh.segments
+        with torch.inference_mode():
+            arrays = (torch.as_tensor(x) for x in (segments.observations, segments.actions, segments.mask))
+            score = trained.model(*arrays).score.numpy()
+        return trained, ((score[fresh.pairs[:, 0]] > score[fresh.pairs[:, 1]]) == (fresh.labels == 1)).mean()
+
+    assert predicted_correctly(both)[1] < 0.5
+    weighted, share = predicted_correctly(both.weighted(np.where(misled, 0.0, 1.0)))
+    assert share > 0.75
+    # Nor do they count in the accuracy on the hold-out.
+    assert weighted.metrics["holdout_strict_labels"] < weighted.metrics["holdout_labels"] / 2
+    assert weighted.metrics["holdout_accuracy"] > 0.6
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_weights_of_1_train_the_same_model(noise):
+    data = preferences(60)
+    settings = replace(QUICK, label_noise=noise)
+    first, second = (train_reward_model(each, CONFIG, settings) for each in (data, data.weighted(np.ones(60))))
+    assert same_weights(first.model, second.model)
+    assert {**first.metrics, "seconds": 0} == {**second.metrics, "seconds": 0} | {
+        name: first.metrics[name] for name in first.metrics if name.endswith("seconds") and name != "seconds"
+    }

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from mapt.errors import DamagedRun, RunNotFound
 from mapt.plotting import bin_curves
@@ -14,7 +15,8 @@ from mapt.training.evaluation import Evaluation, interquartile_mean
 from mapt.training.metrics import MetricsFile
 from mapt.training.results import RunResult, find_runs, grouped, markdown
 from mapt.training.run_folder import RunFolder
-from mapt.training.settings import LearnedRewardSettings, RunSettings
+from mapt.training.settings import LearnedRewardSettings, PreferenceRewardSettings, RunSettings
+from mapt.training.teacher_scores import TeacherScores, write_teacher_scores
 from support.training_runs import STEPS_PER_ITERATION
 
 
@@ -117,6 +119,27 @@ def test_the_table_shows_intermediate_steps_and_unfinished_runs(settings, tmp_pa
     assert f"| {second:,} | 1 | 8 | - | 8 | 0: 8 |" in text
     assert f"| {1000 * second:,} | 0 | - | - | - | - |" in text
     assert f"seed 1: {first} of {second} steps" in text
+
+
+def test_the_table_and_the_figure_show_scores_by_teachers(settings, tmp_path):
+    learned = PreferenceRewardSettings("MAPT", 12, 2, 5, "phase")
+    folders: list[RunFolder] = []
+    for name, reward, finals in (("true", None, ([0.5], [0.5])), ("learned", learned, ([0.4, 0.8], [1.0]))):
+        for seed, final in enumerate(finals):
+            folder = write_run(tmp_path / f"{name}-{seed}", settings(1, policy_seed=seed, reward=reward), [1.0], [1.0])
+            scores = TeacherScores(STEPS_PER_ITERATION, 50, np.array([-0.25]), np.array(final))
+            write_teacher_scores(folder, "phase", scores)
+            write_teacher_scores(folder, "outdated", dataclasses.replace(scores, steps=1))
+            folders.append(folder)
+    text = markdown(grouped(read(*folders)))
+    assert "| mappo | true | 2 | -0.250 | 0.500 | 0.000 | 100% | - | 0: 0.500, 1: 0.500 |" in text
+    assert "| mappo | MAPT, 12 labels | 2 | -0.250 | 0.800 | 0.283 | 100% | 75% | 0: 0.600, 1: 1.000 |" in text
+    assert "outdated" not in text
+    draw_curves(grouped(read(*folders)), tmp_path / "with.png")
+    for folder in folders:
+        folder.teacher_scores.unlink()
+    draw_curves(grouped(read(*folders)), tmp_path / "without.png")
+    assert imread(tmp_path / "with.png").shape[1] > imread(tmp_path / "without.png").shape[1]
 
 
 def test_bins_are_complete_where_every_run_has_a_value(settings, tmp_path):

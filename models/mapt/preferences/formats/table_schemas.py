@@ -14,8 +14,11 @@ from mapt.preferences.formats.records import POLARITY
 from mapt.preferences.storage_layout import SegmentLayout
 
 FORMAT = "accord preferences"
-SCHEMA_VERSION = 1
+#: 2 added the columns of `OPTIONAL`
+SCHEMA_VERSION = 2
 SEGMENTS, QUERIES, LABELS = "segments", "queries", "labels"
+#: columns that files of earlier versions lack
+OPTIONAL = frozenset({"repeats_id", "gold", "excluded", "final", "instructions_revision"})
 _KEY = b"accord"
 
 
@@ -42,6 +45,15 @@ class QueryRow:
     selector: str | None = None
     #: reward version whose scores the selector used
     reward_version_id: str | None = None
+    #: the query that it repeats with its segments swapped, to check the labellers
+    repeats_id: str | None = None
+    #: the known answer of a query that checks the labellers
+    gold: float | None = None
+
+    @property
+    def is_check(self) -> bool:
+        """Whether it checks the labellers, so that its labels are not for training."""
+        return self.repeats_id is not None or self.gold is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +77,12 @@ class LabelRow:
     revision: int | None = None
     #: UTC
     labelled_at: datetime | None = None
+    #: a researcher excluded it from training
+    excluded: bool | None = None
+    #: a researcher's decision between the labels of others, which training uses in their place
+    final: bool | None = None
+    #: revision of the instructions that the labeller had read
+    instructions_revision: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +172,8 @@ _COLUMNS: dict[str, list[pa.Field]] = {
         pa.field("segment_1_id", pa.string(), nullable=False),
         pa.field("selector", pa.string()),
         pa.field("reward_version_id", pa.string()),
+        pa.field("repeats_id", pa.string()),
+        pa.field("gold", pa.float32()),
     ],
     LABELS: [
         pa.field("query_id", pa.string(), nullable=False),
@@ -165,5 +185,8 @@ _COLUMNS: dict[str, list[pa.Field]] = {
         pa.field("teacher", pa.string(), nullable=False),
         pa.field("revision", pa.int64()),
         pa.field("labelled_at", pa.timestamp("us", tz="UTC")),
+        pa.field("excluded", pa.bool_()),
+        pa.field("final", pa.bool_()),
+        pa.field("instructions_revision", pa.int64()),
     ],
 }

@@ -23,6 +23,7 @@ from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.formats.records import SegmentRecords, save_records
 from mapt.preferences.formats.table_schemas import (
     LABELS,
+    OPTIONAL,
     QUERIES,
     SEGMENTS,
     LabelRow,
@@ -93,6 +94,18 @@ class PreferenceTables:
             labels.append(LabelRow(**{**row, "teacher": _teacher(path, index, row["teacher"])}))
         return labels
 
+    def segment_ids(self) -> list[str]:
+        """The id of every segment, without reading the arrays. Raises InvalidFile if the table is damaged."""
+        path = _name(self.path, SEGMENTS)
+        with _file(self.path, SEGMENTS) as file:
+            try:
+                ids = file.read(columns=["segment_id"]).column("segment_id").to_pylist()
+            except (pa.ArrowException, OSError, MemoryError) as error:
+                raise InvalidFile(path, f"is damaged ({error})") from error
+        if None in ids:
+            raise InvalidFile(path, "has a row without segment_id")
+        return ids
+
     def segments(self) -> Iterator[tuple[list[SegmentRow], SegmentRecords]]:
         """Read all segments, one row group at a time.
 
@@ -111,8 +124,8 @@ class PreferenceTables:
     def load(self, folder: Path | str) -> PreferenceDataset:
         """Make a dataset for training: write the segments to a new `SegmentFolder`, and pair the labels with them.
 
-        Labels of several teachers for one query become several pairs; skips are left out. Takes the memory of one row
-        group and of all labels.
+        Labels of several teachers for one query become several pairs. Skips, excluded labels and labels of checks are
+        left out; a final label replaces the others' of its query. Takes the memory of one row group and of all labels.
 
         Raises:
             AlreadyExists: if `folder` exists.
@@ -123,10 +136,12 @@ class PreferenceTables:
         if Path(folder).exists():
             raise AlreadyExists(folder)
         queries = {query.query_id: query for query in self.queries()}
-        labelled = [label for label in self.labels() if label.label is not None]
-        for label in labelled:
+        given = [label for label in self.labels() if label.label is not None and not label.excluded]
+        for label in given:
             if label.query_id not in queries:
                 raise InvalidFile(_name(self.path, LABELS), f"refers to query {label.query_id!r}, which does not exist")
+        decided = {label.query_id: label.label for label in given if label.final}
+        labelled = [label for label in given if not label.final and not queries[label.query_id].is_check]
         for query in queries.values():
             if query.segment_0_id == query.segment_1_id:
                 raise InvalidFile(_name(self.path, QUERIES), f"compares {query.segment_0_id!r} with itself")
@@ -151,7 +166,7 @@ class PreferenceTables:
         )
         compared = [queries[label.query_id] for label in labelled]
         pairs = [(index_of[query.segment_0_id], index_of[query.segment_1_id]) for query in compared]
-        labels = np.array([label.label for label in labelled], dtype=np.float32)
+        labels = np.array([decided.get(label.query_id, label.label) for label in labelled], dtype=np.float32)
         return PreferenceDataset(segments, np.array(pairs, dtype=np.int64), labels)
 
     def _rows(self, table: str) -> Iterator[dict[str, Any]]:
@@ -196,6 +211,8 @@ def _read_group(path: Path, file: pq.ParquetFile, index: int) -> pa.Table:
 def _check_columns(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:
     for field in wanted:
         if field.name not in found.names:
+            if field.name in OPTIONAL:
+                continue
             raise MissingPart(path, f"column {field.name!r}")
         column = found.field(field.name).type
         same_lists = pa.types.is_list(column) and pa.types.is_list(field.type)

@@ -100,26 +100,31 @@ class BPrefParameters:
     skip: float = 0.0
     #: eps of the equality threshold: a pair is labelled 0.5 if its scores differ by less
     equal: float = 0.0
+    #: fraction of pairs that are labelled without looking: 1 or 0 with equal probability
+    guess: float = 0.0
+    #: fraction of pairs for which the segment on the left is preferred without looking
+    left: float = 0.0
 
     def __post_init__(self) -> None:
         if self.beta is not None and not 0 < self.beta < np.inf:
             raise InvalidTeacher(f"beta is {self.beta}; it must be above 0 and finite, or None for no noise.")
-        for name, value, highest in (("gamma", self.gamma, 1.0), ("mistake", self.mistake, 1.0)):
-            if not 0 <= value <= highest:
-                raise InvalidTeacher(f"{name} is {value}; it must lie in [0, 1].")
+        for name in ("gamma", "mistake", "guess", "left"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InvalidTeacher(f"{name} is {getattr(self, name)}; it must lie in [0, 1].")
         for name, value in (("skip", self.skip), ("equal", self.equal)):
             if not 0 <= value < np.inf:
                 raise InvalidTeacher(f"{name} is {value}; it must be 0 or more and finite.")
 
 
 class ScriptedTeacher:
-    """Labels pairs by a rule and `BPrefParameters`, in B-Pref's order.
+    """Labels pairs by a rule and `BPrefParameters`, in B-Pref's order, followed by two errors of inattentive people.
 
     1. Skip the pair if both scores are below the skip threshold.
     2. Myopia: discount rewards by gamma per step of age, and score the segments again.
     3. Prefer the higher score, or sample from the Boltzmann model with beta. Equal scores give 0.5.
     4. Flip the label with probability `mistake`.
     5. Replace the label by 0.5 if the scores differ by less than the equality threshold.
+    6. Replace the label by a guess, or by the left segment, for the fractions `guess` and `left` of the pairs.
 
     Steps 1 and 5 compare scores of undiscounted rewards, as B-Pref's code does.
 
@@ -148,12 +153,20 @@ class ScriptedTeacher:
         self.rule = rule
         self.bpref = bpref
         self._rng = rng
+        # A generator of its own, so that the draws of the other errors stay what they were.
+        self._inattention = rng.spawn(1)[0]
         self._record = record or {}
         self._statistics = RunningStatistics()
         self._episode_reward: float | None = None
 
-    def judge(self, first: TeacherView, second: TeacherView) -> NDArray[np.float32]:
-        """See `Teacher.judge`."""
+    def judge(
+        self, first: TeacherView, second: TeacherView, left_segments: NDArray[np.integer] | None = None
+    ) -> NDArray[np.float32]:
+        """See `Teacher.judge`.
+
+        Args:
+            left_segments: the segment of each pair, 0 or 1, that is shown on the left, (B,); segment 0 by default.
+        """
         if len(first) != len(second):
             raise ShapeError("second", (len(second),), f"as many segments as in first, {len(first)}")
         scores = np.stack((self.rule.scores(first), self.rule.scores(second)), axis=1)
@@ -168,6 +181,9 @@ class ScriptedTeacher:
             label[np.abs(scores[:, 0] - scores[:, 1]) < thresholds.equal] = 0.5
         if self.bpref.skip:
             label[scores.max(axis=1) <= thresholds.skip] = np.nan
+        guess_draw, side_draw, left_draw = self._inattention.random((len(scores), 3)).T
+        label = np.where(guess_draw < self.bpref.guess, side_draw < 0.5, label)
+        label = np.where(left_draw < self.bpref.left, left_segments != 1 if left_segments is not None else 1.0, label)
         return label.astype(np.float32)
 
     def scores(self, view: TeacherView) -> Float64s:
@@ -198,7 +214,10 @@ class ScriptedTeacher:
 
     def parameters(self) -> dict[str, Any]:
         """See `Teacher.parameters`."""
-        return {**self._record, **_fields(self.bpref), **_fields(self.rule)}
+        errors = _fields(self.bpref)
+        # Fields that were added later are left out at 0, so that stored results of earlier teachers keep their keys.
+        errors = {name: value for name, value in errors.items() if value or name not in ("guess", "left")}
+        return {**self._record, **errors, **_fields(self.rule)}
 
     def _prefer(self, difference: Float64s, unit: Float64s, draw: Float64s) -> Float64s:
         if self.bpref.beta is None:
@@ -245,7 +264,7 @@ def _fields(settings: Any) -> dict[str, Any]:
 
 Settings = TypeVar("Settings", BPrefParameters, Rule)
 
-#: B-Pref's teachers (Lee et al. 2021, table 1).
+#: B-Pref's teachers (Lee et al. 2021, table 1), and three people whose labels a quality check should find.
 PRESETS = {
     "oracle": BPrefParameters(),
     "stochastic": BPrefParameters(beta=1.0),
@@ -253,6 +272,9 @@ PRESETS = {
     "skip": BPrefParameters(skip=0.1),
     "myopic": BPrefParameters(gamma=0.9),
     "equal": BPrefParameters(equal=0.1),
+    "careless": BPrefParameters(guess=0.8),
+    "left": BPrefParameters(left=0.5),
+    "opposite": BPrefParameters(mistake=1.0),
 }
 
 #: The rules with their default parameters. Observation columns are those of HalfCheetah-6x1 with agent_obsk 1: column 4

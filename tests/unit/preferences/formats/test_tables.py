@@ -111,6 +111,37 @@ def test_loaded_dataset_has_all_labels_but_skips(tmp_path):
     assert_same_segments(dataset.segments, records.segments)
 
 
+def test_labels_that_are_not_for_training_are_not_loaded(tmp_path):
+    queries = [
+        QueryRow("qry_0", "seg_0", "seg_1"),
+        QueryRow("qry_1", "seg_1", "seg_0", repeats_id="qry_0"),
+        QueryRow("qry_2", "seg_2", "seg_3", gold=1.0),
+        QueryRow("qry_3", "seg_1", "seg_3"),
+    ]
+    labels = [
+        LabelRow("qry_0", "usr_a", "label", 1.0),
+        LabelRow("qry_0", "usr_b", "label", 0.5, excluded=True),
+        LabelRow("qry_1", "usr_a", "label", 0.0),
+        LabelRow("qry_2", "usr_a", "label", 0.0),
+        LabelRow("qry_3", "usr_a", "label", 1.0),
+        LabelRow("qry_3", "usr_b", "label", 0.0),
+        LabelRow("qry_3", "usr_c", "label", 0.5, final=True),
+    ]
+    write(tmp_path / "export", queries=queries, labels=labels)
+    dataset = PreferenceTables.open(tmp_path / "export").load(tmp_path / "segments")
+    assert dataset.pairs.tolist() == [[0, 1], [1, 3], [1, 3]]
+    assert dataset.labels.tolist() == [1.0, 0.5, 0.5]
+
+
+def test_export_of_version_1_is_read(tmp_path):
+    write(tmp_path / "export")
+    for name, added in (("queries", ["repeats_id", "gold"]), ("labels", ["excluded", "final"])):
+        change_table(tmp_path / "export" / f"{name}.parquet", lambda table, added=added: table.drop_columns(added))
+        change_metadata(tmp_path / "export" / f"{name}.parquet", schema_version=1)
+    tables = PreferenceTables.open(tmp_path / "export")
+    assert (tables.queries(), tables.labels()) == (QUERIES, LABELS)
+
+
 @pytest.mark.parametrize("discrete", [False, True])
 def test_dataset_on_disk_is_exported_and_loaded_equal(tmp_path, discrete):
     records = made_records(300, discrete=discrete)
@@ -139,7 +170,7 @@ def test_metadata_describes_labels_schema_and_source(tmp_path):
     for table in ("segments", "queries", "labels"):
         metadata = json.loads(pq.read_schema(tmp_path / "export" / f"{table}.parquet").metadata[b"accord"])
         assert metadata["polarity"] == "1: segment 0 is better; 0: segment 1 is better; 0.5: equal"
-        assert (metadata["schema_version"], metadata["table"], metadata["about"]) == (1, table, ABOUT)
+        assert (metadata["schema_version"], metadata["table"], metadata["about"]) == (2, table, ABOUT)
 
 
 def test_plain_pyarrow_reads_the_tables(tmp_path):
@@ -198,10 +229,10 @@ def change_metadata(path, **changes):
 @pytest.mark.parametrize("table", ["segments", "queries", "labels"])
 def test_newer_schema_version_is_refused(tmp_path, table):
     write(tmp_path / "export")
-    change_metadata(tmp_path / "export" / f"{table}.parquet", schema_version=2)
+    change_metadata(tmp_path / "export" / f"{table}.parquet", schema_version=3)
     with pytest.raises(NewerFile) as refused:
         PreferenceTables.open(tmp_path / "export")
-    assert (refused.value.found, refused.value.known) == (2, 1)
+    assert (refused.value.found, refused.value.known) == (3, 2)
 
 
 @pytest.mark.parametrize(
