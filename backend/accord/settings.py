@@ -1,6 +1,7 @@
 """Settings of the service: environment variables with the prefix ACCORD_."""
 
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -24,6 +25,9 @@ class Settings(BaseSettings):
         description="How long a query is reserved for a labeller who sends neither a label nor a heartbeat.",
     )
     max_body_bytes: int = Field(default=2_000_000, ge=1000, le=10**9, description="Largest request body.")
+    max_import_bytes: int = Field(
+        default=4_000_000_000, ge=1000, le=10**13, description="Largest export that can be uploaded to the page."
+    )
     poll_seconds: float = Field(
         default=0.25, gt=0, le=60, description="How long a worker waits before it looks for work again."
     )
@@ -41,6 +45,11 @@ class Settings(BaseSettings):
         gt=0,
         le=3600,
         description="Longest time to render one clip; after it the render process is replaced.",
+    )
+    clip_quality: Literal["fast", "smooth", "pretty"] = Field(
+        default="smooth",
+        description="smooth: clips with anti-aliasing. fast: without, in 0.6 of the time. pretty: with shadows, in "
+        "twice the time.",
     )
     torch_threads: int = Field(
         default=1,

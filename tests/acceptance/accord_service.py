@@ -105,7 +105,9 @@ class Accord:
     def all_ready(self) -> dict[str, psutil.Process] | None:
         """All processes, once every worker has finished its imports and handles signals; else None."""
         running = self.all_running()
-        states = [state for (state,) in self.rows("SELECT state FROM workers")] if running else []
+        if not running or not ("child" in self._absent or ignores_interrupts(running["child"])):
+            return None
+        states = [state for (state,) in self.rows("SELECT state FROM workers")]
         return running if len(states) == 3 - len(self._absent) and "starting" not in states else None
 
     def send_signal(self, number: signal.Signals = signal.SIGTERM) -> None:
@@ -159,6 +161,15 @@ def alive(process: psutil.Process) -> bool:
     """Whether the process is running. A zombie is not."""
     with suppress(psutil.NoSuchProcess):
         return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    return False
+
+
+def ignores_interrupts(process: psutil.Process) -> bool:
+    """Whether the process ignores SIGINT: the render process does so once the kernel would kill it with its parent."""
+    with suppress(OSError):
+        status = Path(f"/proc/{process.pid}/status").read_text()
+        ignored = int(status.partition("SigIgn:")[2].split()[0], 16)
+        return bool(ignored & 1 << signal.SIGINT - 1)
     return False
 
 

@@ -103,6 +103,22 @@ def test_a_database_of_a_newer_version_is_refused(tmp_path: Path) -> None:
     assert_refused(up(tmp_path, "--port", "0"), "from_the_future", "Use that version")
 
 
+@pytest.mark.parametrize("content", [b"", b"garbage" * 1000], ids=["emptied", "overwritten"])
+def test_a_lost_database_beside_blobs_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "accord.db").write_bytes(content)
+    blob = tmp_path / "blobs" / "segments" / "exp_1" / "seg_1.safetensors"
+    blob.parent.mkdir(parents=True)
+    blob.write_bytes(b"arrays")
+    assert_refused(up(tmp_path, "--port", "0"), "accord.db")
+    assert (tmp_path / "accord.db").read_bytes()[: len(content)] == content
+
+
+def test_a_home_folder_in_use_is_refused(accord: Accord) -> None:
+    accord.start(without=["policy", "reward", "render"])
+    done = up(accord.home, "--port", "0")
+    assert_refused(done, str(accord.home), "--home")
+
+
 def test_an_invalid_setting_is_named(tmp_path: Path) -> None:
     assert_refused(up(tmp_path, "--port", "0", ACCORD_POLL_SECONDS="soon"), "ACCORD_POLL_SECONDS")
 

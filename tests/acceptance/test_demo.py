@@ -10,26 +10,29 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+import av
 import pytest
 
 from acceptance.accord_service import ENVIRONMENT, TINY, TINY_POLICY, Accord, Client
+from accord.cli.demo_versions import read_reports
 from mapt.training.metrics import read_metrics
 from mapt.training.results import RunResult, find_runs
 from mapt.training.settings import PreferenceRewardSettings
+from support import short_tasks
 from support.mapt_command import CommandResult
 from support.waiting import PATIENCE_SECONDS, until
 
 STEPS = 2000
 
 
-def test_a_killed_demo_resumes_with_every_label_and_writes_runs_figure_and_table(
+def test_a_killed_demo_resumes_with_every_label_and_writes_runs_scores_videos_figure_and_table(
     tmp_path: Path, mapt: Callable[..., CommandResult], short_episodes: None
 ) -> None:
     output = tmp_path / "out"
     policy = [argument for name, value in TINY_POLICY.items() for argument in ("--set", f"{name}={value}")]
     command = [
         *("demo", "--task", TINY["task"], "--steps", str(STEPS), "--models", "MA-MLP,MAPT-paper"),
-        *("--labels", "12", "--labels-per-version", "5", "--seeds", "3", "--json"),
+        *("--teacher", "phase", "--labels", "12", "--labels-per-version", "5", "--seeds", "3", "--video", "--json"),
         *("--output", str(output), *policy),
     ]
     database = output / "home" / "accord.db"
@@ -60,7 +63,7 @@ def test_a_killed_demo_resumes_with_every_label_and_writes_runs_figure_and_table
 
     folders = find_runs([output])
     runs = {run.settings.reward: run for run in (RunResult.read(folder) for folder in folders)}
-    learned = [PreferenceRewardSettings(model, 12, 2, 5, "oracle") for model in ("MA-MLP", "MAPT-paper")]
+    learned = [PreferenceRewardSettings(model, 12, 2, 5, "phase") for model in ("MA-MLP", "MAPT-paper")]
     assert runs.keys() == {None, *learned}
     for run in runs.values():
         assert run.settings.policy.seed == 3
@@ -72,8 +75,23 @@ def test_a_killed_demo_resumes_with_every_label_and_writes_runs_figure_and_table
     last = read_metrics(folder.metrics)[-1]
     assert last["labels"] == 12
     assert {"learned_return", "reward_version"} <= set(last)
+    versions = read_reports(folder.path / "versions.csv")
+    assert (versions[-1].labels, versions[-1].fresh_pairs > 0) == (12, True)
+    assert rows[1]["fresh_accuracy"] == versions[-1].fresh_accuracy
     assert (output / "returns.png").read_bytes().startswith(b"\x89PNG")
     assert "| MA-MLP, 12 labels |" in (output / "returns.md").read_text()
+
+    scores = {run.settings.reward: run.teacher_scores["phase"] for run in runs.values()}
+    untrained_scores = {tuple(each.untrained) for each in scores.values()}
+    assert len(untrained_scores) == 1
+    for row, settings in zip(rows, learned, strict=True):
+        assert row["teacher_learned_reward"] == pytest.approx(scores[settings].final.mean())
+        assert row["teacher_true_reward"] == pytest.approx(scores[None].final.mean())
+        assert 0 <= row["preferred_to_true_reward"] <= 1
+    assert "score by the teacher `phase`" in (output / "returns.md").read_text()
+    for each in folders:
+        with av.open(str(each.video)) as container:
+            assert container.streams.video[0].frames == short_tasks.HORIZON_STEPS
 
     evaluated = mapt("evaluate", folder.path, "--seed", "3", "--json")
     stored = folder.read_evaluation(runs[learned[1]].steps)

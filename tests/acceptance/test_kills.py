@@ -103,3 +103,18 @@ def assert_clips_complete(accord: Accord) -> None:
     for blob_key, frames in ready:
         with av.open(io.BytesIO((accord.home / "blobs" / blob_key).read_bytes())) as container:
             assert sum(1 for _ in container.decode(video=0)) == frames == TINY["segment_steps"]
+
+
+def test_a_worker_that_hangs_is_killed_and_restarted(accord: Accord) -> None:
+    accord.start(without=["reward", "render"])
+    until(lambda: "policy" in accord.processes(), "the policy worker runs")
+    hung = accord.processes()["policy"]
+    until(lambda: accord.rows("SELECT pid FROM workers WHERE id = 'policy-0'") == [(hung.pid,)], "it reports")
+    hung.suspend()
+    until(lambda: not alive(hung), "the hung worker is killed")
+
+    def replaced() -> bool:
+        [(pid, state)] = accord.rows("SELECT pid, state FROM workers WHERE id = 'policy-0'")
+        return pid not in (0, hung.pid) and state == "idle"
+
+    until(replaced, "another one works in its place")

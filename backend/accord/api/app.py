@@ -9,12 +9,29 @@ from accord.api import errors
 from accord.api.body_limit import BodyLimit
 from accord.api.dependencies import AppState
 from accord.api.pages import Page
-from accord.api.routes import accounts, clips, events, experiments, exports, health, label_history, labelling, segments
+from accord.api.routes import (
+    accounts,
+    clips,
+    credit,
+    events,
+    experiments,
+    exports,
+    health,
+    imports,
+    label_history,
+    labelling,
+    people,
+    quality,
+    segments,
+    shares,
+)
 from accord.settings import Settings
 from accord.store.blobs import BlobStore
 from accord.store.database import Database
 
 PREFIX = "/api/v1"
+#: need no sign-in
+_PUBLIC = ("/health", "/join/{token}")
 _DESCRIPTION = """Preference-based reward learning for cooperative multi-agent reinforcement learning.
 
 Sign in with `Authorization: Bearer <token>`. Every error has the same body: a stable `code`, a `message`, and
@@ -35,13 +52,33 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         responses=errors.RESPONSES,
     )
     app.state.accord = AppState(settings, database, blobs)
+    app.state.streams = events.Streams()
     # Routes are matched in this order, so the busiest come first.
-    for module in (labelling, clips, label_history, segments, experiments, exports, events, accounts, health):
+    for module in (
+        labelling,
+        clips,
+        label_history,
+        segments,
+        experiments,
+        quality,
+        credit,
+        exports,
+        imports,
+        shares,
+        events,
+        accounts,
+        people,
+        health,
+    ):
         app.include_router(module.router, prefix=PREFIX)
     app.include_router(accounts.pages)
     app.router.default = Page()
     errors.install(app)
-    app.add_middleware(BodyLimit, limit_bytes=settings.max_body_bytes)
+    app.add_middleware(
+        BodyLimit,
+        limit_bytes=settings.max_body_bytes,
+        larger={f"{PREFIX}{imports.PATH}": settings.max_import_bytes},
+    )
     return app
 
 
@@ -62,5 +99,7 @@ class _App(FastAPI):
                 "cookie": {"type": "apiKey", "in": "cookie", "name": "accord_session"},
             }
             document["security"] = [{"bearer": []}, {"cookie": []}]
-            document["paths"][f"{PREFIX}/health"]["get"]["security"] = []
+            for path in _PUBLIC:
+                for operation in document["paths"][f"{PREFIX}{path}"].values():
+                    operation["security"] = []
         return document

@@ -1,5 +1,7 @@
 """Rejects large request bodies before they are in memory, with or without a Content-Length."""
 
+from collections.abc import Mapping
+
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from accord.api.errors import accord_error_response
@@ -9,16 +11,22 @@ from accord.domain.errors import BodyTooLarge
 class BodyLimit:
     """ASGI middleware: responds 413 to a body above the limit, and reads no more of it."""
 
-    def __init__(self, app: ASGIApp, limit_bytes: int) -> None:
+    def __init__(self, app: ASGIApp, limit_bytes: int, larger: Mapping[str, int]) -> None:
+        """
+        Args:
+            larger: limits of the paths that store their body in a file.
+        """
         self.app = app
         self._limit_bytes = limit_bytes
+        self._larger = larger
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        if _content_length(scope) > self._limit_bytes:
-            await self._refuse(scope, receive, send)
+        limit_bytes = self._larger.get(scope["path"], self._limit_bytes)
+        if _content_length(scope) > limit_bytes:
+            await _refuse(limit_bytes, scope, receive, send)
             return
         received = 0
         started = too_large = False
@@ -27,9 +35,9 @@ class BodyLimit:
             nonlocal received, too_large
             message = await receive()
             received += len(message.get("body", b""))
-            if received > self._limit_bytes:
+            if received > limit_bytes:
                 too_large = True
-                raise BodyTooLarge(self._limit_bytes)
+                raise BodyTooLarge(limit_bytes)
             return message
 
         async def watched_send(message: Message) -> None:
@@ -46,13 +54,14 @@ class BodyLimit:
             if started:
                 raise
         if too_large and not started:
-            await self._refuse(scope, receive, send)
+            await _refuse(limit_bytes, scope, receive, send)
 
-    async def _refuse(self, scope: Scope, receive: Receive, send: Send) -> None:
-        response = accord_error_response(BodyTooLarge(self._limit_bytes))
-        # the client is still sending the rest of the body
-        response.headers["Connection"] = "close"
-        await response(scope, receive, send)
+
+async def _refuse(limit_bytes: int, scope: Scope, receive: Receive, send: Send) -> None:
+    response = accord_error_response(BodyTooLarge(limit_bytes))
+    # the client is still sending the rest of the body
+    response.headers["Connection"] = "close"
+    await response(scope, receive, send)
 
 
 def _content_length(scope: Scope) -> int:

@@ -59,7 +59,9 @@ class Auth:
     def writing(self) -> Generator[CallerSession]:
         """A transaction that may write, committed at the end of the block. Raises Unauthenticated."""
         with self.app.database.transaction() as session:
-            yield self._authenticated(session)
+            caller = self._authenticated(session)
+            accounts.note_seen(session, caller.user)
+            yield caller
 
     @contextmanager
     def reading(self) -> Generator[CallerSession]:
@@ -130,10 +132,26 @@ def _segment_id(id: str) -> str:
     return check_id(id, "seg")
 
 
+def _user_id(id: str) -> str:
+    return check_id(id, "usr")
+
+
+def _invitation_id(id: str) -> str:
+    return check_id(id, "inv")
+
+
+def _share_id(id: str) -> str:
+    return check_id(id, "shr")
+
+
 ExperimentId = Annotated[str, AfterValidator(_experiment_id), Path(description="The experiment, exp_...")]
 QueryId = Annotated[str, AfterValidator(_query_id), Path(description="The query, qry_...")]
 ClipId = Annotated[str, AfterValidator(_clip_id), Path(description="The clip, clp_...")]
 SegmentId = Annotated[str, AfterValidator(_segment_id), Path(description="The segment, seg_...")]
+ShareId = Annotated[str, AfterValidator(_share_id), Path(description="The link, shr_...")]
+
+UserId = Annotated[str, AfterValidator(_user_id), Path(description="The user, usr_...")]
+InvitationId = Annotated[str, AfterValidator(_invitation_id), Path(description="The invitation, inv_...")]
 
 
 def json_response(model: BaseModel, status: int = 200) -> Response:

@@ -20,6 +20,7 @@ from accord.domain.errors import (
     LeaseLost,
     NotFound,
     TaskUnavailable,
+    TooManyStreams,
     Unauthenticated,
     Unavailable,
     WrongState,
@@ -38,6 +39,7 @@ STATUS: tuple[tuple[type[AccordError], int], ...] = (
     (LeaseLost, 410),
     (BodyTooLarge, 413),
     (Invalid, 422),
+    (TooManyStreams, 429),
     (DatabaseFull, 507),
     (Unavailable, 503),
 )
@@ -70,7 +72,7 @@ def accord_error_response(error: AccordError) -> JSONResponse:
     headers: dict[str, str] = {}
     if isinstance(error, Unauthenticated):
         headers["WWW-Authenticate"] = 'Bearer realm="accord"'
-    elif isinstance(error, Unavailable):
+    elif isinstance(error, Unavailable | TooManyStreams):
         headers["Retry-After"] = "5"
     field = getattr(error, "field", None)
     details = [] if field is None else [{"field": field, "problem": str(error)}]

@@ -2,25 +2,39 @@
 
 from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 from sqlalchemy.orm import Session
 
 from accord.api import schemas
-from accord.domain.enums import ExperimentStatus, Phase, QueryStatus, Role, WorkerRole, WorkerState
+from accord.domain.enums import (
+    ClipCamera,
+    ClipStatus,
+    ExperimentStatus,
+    Phase,
+    QueryStatus,
+    Role,
+    WorkerRole,
+    WorkerState,
+)
 from accord.domain.permissions import may_see_returns
-from accord.services import experiments, metrics
+from accord.services import attempts, experiments, metrics
 from accord.services.collect import load_arrays
+from accord.services.credit import Answer
 from accord.services.experiments import LabelCounts
 from accord.services.label import LabelOutcome
 from accord.services.label_history import OwnLabels, QueryPage
 from accord.services.lease import LeasedQuery
 from accord.services.metrics import EvaluatedReturns, Series
 from accord.services.waiting import waiting
+from accord.store import credits
 from accord.store.blobs import BlobStore
 from accord.store.label_history import RecordedLabel, RecordedQuery
 from accord.store.queries import QuerySegment
-from accord.store.tables import ExperimentRow, RewardVersionRow, WorkerRow, utc_now
+from accord.store.rewards import NamedReliability
+from accord.store.tables import ClipViewRow, ExperimentRow, RewardVersionRow, WorkerRow, utc_now
 from mapt.rendering.appearance import agent_colour
+from mapt.rendering.camera import cameras_of
 from mapt.tasks import task_names, task_spec
 
 
@@ -32,6 +46,7 @@ def task_response(name: str) -> schemas.TaskSchema:
         n_agents=spec.n_agents,
         agent_names=list(spec.agent_names),
         agent_colours=[agent_colour(agent) for agent in range(spec.n_agents)],
+        cameras=[ClipCamera(camera) for camera in cameras_of(name)[1:]],
         observation_dim=spec.observation_dim,
         action_dim=spec.action_dim,
         horizon_steps=spec.horizon_steps,
@@ -49,9 +64,18 @@ def experiment_responses(session: Session, rows: Sequence[ExperimentRow], role: 
     counts = experiments.label_counts_of(session, rows)
     versions = experiments.newest_versions(session, rows)
     sees_returns = may_see_returns(role)
-    returns = metrics.evaluated_returns(session, [row.id for row in rows]) if sees_returns else {}
+    ids = [row.id for row in rows]
+    returns = metrics.evaluated_returns(session, ids) if sees_returns else {}
+    problems = attempts.problems(session, ids) if sees_returns else {}
     return [
-        _experiment_response(row, counts[row.id], versions.get(row.id), returns.get(row.id), sees_returns=sees_returns)
+        _experiment_response(
+            row,
+            counts[row.id],
+            versions.get(row.id),
+            returns.get(row.id),
+            problems.get(row.id, ""),
+            sees_returns=sees_returns,
+        )
         for row in rows
     ]
 
@@ -61,6 +85,7 @@ def _experiment_response(
     counts: LabelCounts,
     newest: RewardVersionRow | None,
     returns: EvaluatedReturns | None,
+    problem: str,
     *,
     sees_returns: bool,
 ) -> schemas.Experiment:
@@ -72,10 +97,11 @@ def _experiment_response(
         name=row.name,
         task=task_response(row.config["task"]),
         instructions=row.instructions,
+        instructions_revision=row.instructions_revision,
         config=row.config,
         status=ExperimentStatus(row.status),
         phase=Phase(row.phase),
-        phase_detail="" if hidden else state.detail,
+        phase_detail="" if hidden else f"{problem} {state.detail}".strip(),
         waiting_for=state.waiting_for,
         estimated_seconds=state.seconds,
         steps=row.steps,
@@ -117,6 +143,20 @@ def reward_version_response(row: RewardVersionRow, role: Role) -> schemas.Reward
     )
 
 
+def reliability_response(found: NamedReliability) -> schemas.LabellerReliability:
+    row = found.row
+    return schemas.LabellerReliability(
+        user_id=row.user_id,
+        name=found.user_name,
+        labels=row.labels,
+        accuracy=row.accuracy,
+        left_weight=row.left_weight,
+        equal_weight=row.equal_weight,
+        right_weight=row.right_weight,
+        mean_weight=row.mean_weight,
+    )
+
+
 def worker_response(row: WorkerRow, role: Role) -> schemas.Worker:
     return schemas.Worker(
         id=row.id,
@@ -155,6 +195,7 @@ def label_response(outcome: LabelOutcome) -> schemas.Label:
             "left_segment": row.left_segment,
             "revision": row.revision,
             "created": outcome.created,
+            "final": row.final,
         }
     )
 
@@ -195,6 +236,9 @@ def _recorded_query(query: RecordedQuery) -> schemas.RecordedQuery:
         status=QueryStatus(query.status),
         selector=query.selector,
         created_at=query.created_at,
+        labels_wanted=query.labels_wanted,
+        repeats_id=query.repeats_id,
+        gold=query.gold_value,
         segments=[
             schemas.RecordedSegment(
                 segment_id=segment.id,
@@ -216,6 +260,8 @@ def _recorded_label(label: RecordedLabel) -> schemas.RecordedLabel:
         user_name=label.user_name,
         role=Role(label.role),
         teacher=label.teacher,
+        excluded=label.excluded,
+        final=label.final,
         revisions=[
             schemas.LabelRevision.model_validate(
                 {
@@ -224,6 +270,7 @@ def _recorded_label(label: RecordedLabel) -> schemas.RecordedLabel:
                     "state": each.state,
                     "left_segment": each.left_segment,
                     "response_seconds": each.response_seconds,
+                    "instructions_revision": each.instructions_revision,
                     "created_at": each.created_at,
                 }
             )
@@ -232,8 +279,40 @@ def _recorded_label(label: RecordedLabel) -> schemas.RecordedLabel:
     )
 
 
+def credit_response(answer: Answer, query: schemas.Query, label: float | None) -> schemas.Credit:
+    return schemas.Credit(
+        status=answer.status,
+        detail=answer.detail,
+        version=answer.version.number,
+        query=query,
+        label=label,
+        result=schemas.PairCredit.model_validate(answer.result) if answer.result else None,
+    )
+
+
+def report_response(session: Session, answer: Answer) -> schemas.RewardReport:
+    result = None
+    if answer.result:
+        pairs: list[dict[str, Any]] = answer.result["pairs"]
+        clips = credits.clips(session, [pair["query_id"] for pair in pairs])
+        pairs = [
+            pair | {"thumbnail_urls": [_thumbnail_url(clip) for clip in clips.get(pair["query_id"], ())]}
+            for pair in pairs
+        ]
+        result = schemas.VersionReport.model_validate({**answer.result, "pairs": pairs})
+    return schemas.RewardReport(
+        status=answer.status, detail=answer.detail, version=answer.version.number, result=result
+    )
+
+
 def _clip_url(clip_id: str | None) -> str | None:
     return None if clip_id is None else f"/api/v1/clips/{clip_id}.mp4"
+
+
+def view_response(row: ClipViewRow) -> schemas.ClipView:
+    ready = row.status == ClipStatus.READY
+    url = f"/api/v1/clips/{row.clip_id}/views/{row.camera}.mp4" if ready else None
+    return schemas.ClipView(status=ClipStatus(row.status), clip_url=url)
 
 
 def _thumbnail_url(clip_id: str | None) -> str | None:
@@ -248,6 +327,7 @@ def _segment_response(index: int, side: QuerySegment, task: str, blobs: BlobStor
     return schemas.SegmentView(
         index=1 if index else 0,
         segment_id=side.segment_id,
+        clip_id=side.clip_id,
         clip_url=_clip_url(side.clip_id),
         thumbnail_url=_thumbnail_url(side.clip_id),
         seconds=seconds,

@@ -5,7 +5,17 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from accord.domain.enums import ExperimentStatus, Phase, QueryStatus, Role, WorkerRole, WorkerState
+from accord.domain.enums import (
+    ClipCamera,
+    ClipStatus,
+    CreditStatus,
+    ExperimentStatus,
+    Phase,
+    QueryStatus,
+    Role,
+    WorkerRole,
+    WorkerState,
+)
 from accord.services.experiment_config import ExperimentConfig
 from mapt.settings import json_schema
 
@@ -25,14 +35,24 @@ class Me(Schema):
     role: Role = Field(description="What the user may do.")
 
 
+class Access(Schema):
+    """Which experiments a labeller or teacher may see. Researchers and admins see all."""
+
+    all_experiments: bool = Field(description="Also those that are started later.")
+    experiment_ids: list[str] = Field(
+        default_factory=list[str], max_length=1000, description="Otherwise only these, exp_..."
+    )
+
+
 class NewUser(Schema):
     """A user to create."""
 
     name: str = Field(min_length=1, max_length=100, description="Must be unique, and one line.")
     role: Role = Field(
         description="labeller: a person who labels. teacher: a program that labels and may read true returns. "
-        "researcher: also runs experiments. admin: also adds users."
+        "researcher: also runs experiments. admin: also manages users."
     )
+    access: Access | None = Field(default=None, description="Which experiments they may see; all by default.")
 
 
 class CreatedUser(Schema):
@@ -45,6 +65,98 @@ class CreatedUser(Schema):
     sign_in_url: str = Field(description="Signs a browser in as this user. Works once.")
 
 
+class UserAccount(Schema):
+    """A user with what they have done, what they may see, and whether they can sign in."""
+
+    id: str = Field(description="usr_...")
+    name: str = Field(description="Unique name.")
+    role: Role = Field(description="What the user may do.")
+    access: Access = Field(description="Which experiments they may see, if they are a labeller or teacher.")
+    labels: int = Field(description="Labels in all experiments, without skips.")
+    browsers: int = Field(description="Browsers that are signed in.")
+    bearer_tokens: int = Field(description="Valid tokens of programs.")
+    created_at: datetime = Field(description="When they were added.")
+    last_seen_at: datetime | None = Field(description="Their last request, to the minute; null if there was none yet.")
+    removed_at: datetime | None = Field(description="When they were removed; their labels are kept.")
+
+
+class UserChanges(Schema):
+    """What to change about a user. What is null stays as it is."""
+
+    role: Role | None = Field(default=None, description="The new role. It applies to their open browsers at once.")
+    access: Access | None = Field(
+        default=None, description="Which experiments they may see. Their pairs in other experiments are released."
+    )
+
+
+class SignInLink(Schema):
+    """A link that signs one browser in, once."""
+
+    sign_in_url: str = Field(description="It cannot be shown again.")
+    minutes: float = Field(description="It expires after this many minutes.")
+
+
+class BearerToken(Schema):
+    """A token for programs."""
+
+    token: str = Field(description="Only its hash is stored, so it cannot be shown again.")
+
+
+class RemovedUser(Schema):
+    """What remains of a removed user."""
+
+    deleted: bool = Field(
+        description="True if nothing remains. False if labels or experiments are kept under their name."
+    )
+
+
+class NewInvitation(Schema):
+    """An invitation to create."""
+
+    experiment_id: str | None = Field(
+        default=None, description="The only experiment that its labellers will see, exp_...; all if null."
+    )
+    max_uses: int = Field(default=1, ge=1, le=1000, description="Number of people who can join by it.")
+    days: float = Field(default=7.0, gt=0, le=365, description="It expires after this many days.")
+
+
+class Invitation(Schema):
+    """A link with which people create their own labeller accounts."""
+
+    id: str = Field(description="inv_...")
+    experiment_id: str | None = Field(description="The only experiment that its labellers see; null for all.")
+    max_uses: int = Field(description="Number of people who can join by it.")
+    uses: int = Field(description="Number of people who have joined.")
+    created_by: str = Field(description="Name of the admin.")
+    created_at: datetime = Field(description="When it was created.")
+    expires_at: datetime = Field(description="When it expires.")
+
+
+class CreatedInvitation(Invitation):
+    """A new invitation with its link."""
+
+    url: str = Field(description="The link to send. It cannot be shown again.")
+
+
+class InvitationView(Schema):
+    """What somebody who opens an invitation sees."""
+
+    experiment: str | None = Field(description="Name of the experiment to label; null for all experiments.")
+    invited_by: str = Field(description="Name of the admin who created it.")
+
+
+class NewMember(Schema):
+    """Somebody who joins by an invitation."""
+
+    name: str = Field(min_length=1, max_length=100, description="Must be unique, and one line.")
+
+
+class Member(Me):
+    """A labeller who has just joined; the response sets the browser's cookie."""
+
+    experiment_id: str | None = Field(description="The experiment to label; null for all experiments.")
+
+
 # Experiments
 
 
@@ -55,6 +167,9 @@ class TaskSchema(Schema):
     n_agents: int = Field(description="Agents in the team, N.")
     agent_names: list[str] = Field(description="Names of the agents, in agent order.")
     agent_colours: list[str] = Field(description="CSS colours of the agents in the clips, in agent order.")
+    cameras: list[ClipCamera] = Field(
+        description="Cameras from which clips can be requested, beside the one that suits the task."
+    )
     observation_dim: int = Field(description="Size of one agent's observation, C.")
     action_dim: int = Field(description="Size of one agent's action, A.")
     horizon_steps: int = Field(description="Longest episode, in steps.")
@@ -78,7 +193,7 @@ class NewExperiment(Schema):
 
     name: str = Field(min_length=1, max_length=200, description="Must be unique, and one line.")
     instructions: str | None = Field(
-        default=None, max_length=4000, description="Shown to labellers; by default, those of the task."
+        default=None, max_length=20_000, description="Shown to labellers, as Markdown; by default, those of the task."
     )
 
     @property
@@ -120,12 +235,14 @@ class Experiment(Schema):
     id: str = Field(description="exp_...")
     name: str = Field(description="Unique name.")
     task: TaskSchema = Field(description="The task.")
-    instructions: str = Field(description="Shown to labellers.")
+    instructions: str = Field(description="Shown to labellers. Markdown.")
+    instructions_revision: int = Field(description="Number of their newest revision: 1, 2, 3, ...")
     config: dict[str, Any] = Field(description="Every setting; they never change.")
     status: ExperimentStatus = Field(description="Whether it runs, and how it ended.")
     phase: Phase = Field(description="What the policy worker is doing.")
     phase_detail: str = Field(
-        description="One sentence about the phase, or why it failed. Labellers get it only while the experiment waits."
+        description="One sentence about the phase, or why it failed, and failed attempts that are repeated. Labellers "
+        "get it only while the experiment waits."
     )
     waiting_for: Literal["", "policy_worker", "labels", "reward_version"] = Field(
         description="What the policy waits for; empty while it trains, and unless the experiment is running."
@@ -147,7 +264,41 @@ class Experiment(Schema):
 class ExperimentChanges(Schema):
     """What may be changed after an experiment is started."""
 
-    instructions: str = Field(max_length=4000, description="Shown to labellers; if empty, those of the task.")
+    instructions: str = Field(
+        max_length=20_000,
+        description="Shown to labellers; if empty, those of the task. Markdown without HTML; "
+        "`![caption](clip:clp_...)` shows a clip. Another text becomes a new revision.",
+    )
+
+
+class InstructionRevision(Schema):
+    """What labellers of an experiment read at some time."""
+
+    number: int = Field(description="1, 2, 3, ... within the experiment.")
+    text: str = Field(description="Markdown.")
+    author: str = Field(description="Name of who wrote it; empty if it is not known.")
+    created_at: datetime = Field(description="When it was written.")
+
+
+class NewReadOnlyLink(Schema):
+    """A read-only link to create."""
+
+    days: int = Field(default=30, ge=1, le=365, description="Days until it expires.")
+
+
+class ReadOnlyLink(Schema):
+    """A link that shows an experiment without an account."""
+
+    id: str = Field(description="shr_...")
+    created_by: str = Field(description="Name of the user who created it.")
+    created_at: datetime = Field(description="When it was created.")
+    expires_at: datetime = Field(description="When it stops working.")
+
+
+class CreatedReadOnlyLink(ReadOnlyLink):
+    """A new link with its address."""
+
+    url: str = Field(description="Only the hash of its token is stored, so it cannot be shown again.")
 
 
 class Costs(Schema):
@@ -220,16 +371,51 @@ class RewardVersion(Schema):
             "Loss, accuracy and so on, on training and held-out labels. attention is 1 if rewards depend on MAPT's "
             "attention, else 0; attention_gain is the reduction of the held-out loss by attention, in nats, with its "
             "standard error attention_gain_error over attention_gain_pairs pairs, at the latest trial; "
-            "attention_trial_seconds is the time that this version spent on a trial."
+            "attention_trial_seconds is the time that this version spent on a trial. refit is 1 if the version was "
+            "trained on all labels in the end, else 0; the figures on held-out labels are those of the same training "
+            "without them. labels_unreadable is the number of labels left out because the arrays of a segment are "
+            "missing or damaged. label_weight is the mean weight of the labels, where they were weighted by the "
+            "reliability of their labellers."
         )
     )
     created_at: datetime = Field(description="When it was published.")
+
+
+class LabellerReliability(Schema):
+    """What was estimated of a labeller for a reward version. Weights are from 0, a coin flip, to 1."""
+
+    user_id: str = Field(description="usr_...")
+    name: str = Field(description="The labeller's name.")
+    labels: int = Field(description="Number of labels that the version was trained on.")
+    accuracy: float = Field(description="Estimated share of strict answers that prefer the better segment.")
+    left_weight: float = Field(description="Weight in training of answers that prefer the left clip.")
+    equal_weight: float = Field(description="Weight in training of equal answers.")
+    right_weight: float = Field(description="Weight in training of answers that prefer the right clip.")
+    mean_weight: float = Field(description="Mean weight of the labels.")
+
+
+class LabellerReliabilities(Schema):
+    """How reliable the labellers of a reward version are."""
+
+    reward_version: int | None = Field(description="Number of the version; null before the first.")
+    items: list[LabellerReliability] = Field(
+        description="By name. Empty with one labeller, and where weight_labellers is false."
+    )
 
 
 class RewardVersionPage(Schema):
     """Reward versions of an experiment."""
 
     items: list[RewardVersion] = Field(description="Oldest first.")
+
+
+class SharedExperiment(Schema):
+    """What a read-only link shows."""
+
+    experiment: Experiment = Field(description="Its settings, state and results.")
+    metrics: Metrics = Field(description="All curves.")
+    reward_versions: list[RewardVersion] = Field(description="Every version of the reward model, oldest first.")
+    expires_at: datetime = Field(description="When the link stops working.")
 
 
 class Worker(Schema):
@@ -260,7 +446,8 @@ class SegmentView(Schema):
 
     index: Literal[0, 1] = Field(description="The segment's number within the query: label 1 prefers 0.")
     segment_id: str = Field(description="seg_...")
-    clip_url: str | None = Field(description="Path of the MP4 file; null if the experiment renders no clips.")
+    clip_id: str | None = Field(description="clp_...; null if there is no clip, or none yet.")
+    clip_url: str | None = Field(description="Path of the MP4 file; null if there is none, or none yet.")
     thumbnail_url: str | None = Field(description="Path of a still image of the clip; null if there is no clip.")
     seconds: float = Field(description="Duration of the clip.")
     frames: int = Field(description="Frames of the clip, one per step.")
@@ -268,6 +455,15 @@ class SegmentView(Schema):
         default=None, description="With `returns=true`, for teachers, researchers and admins; otherwise null."
     )
     true_rewards: list[float] | None = Field(default=None, description="Per step; as `true_return`.")
+
+
+class ClipView(Schema):
+    """A clip from another camera."""
+
+    status: ClipStatus = Field(
+        description="failed: it cannot be rendered, for example because the task renders itself."
+    )
+    clip_url: str | None = Field(description="Path of the MP4 file, as long as the clip; null until it is ready.")
 
 
 class Query(Schema):
@@ -287,8 +483,20 @@ class Queries(Schema):
     """Queries leased to the caller."""
 
     items: list[Query] = Field(description="Sorted by number.")
-    reason: Literal["", "rendering", "policy_training", "all_labelled", "experiment_over", "paused"] = Field(
-        default="", description="Why there are fewer than requested."
+    reason: Literal[
+        "",
+        "rendering",
+        "policy_training",
+        "all_labelled",
+        "experiment_over",
+        "paused",
+        "labeller_paused",
+        "others",
+        "all_decided",
+    ] = Field(
+        default="",
+        description="Why there are fewer than requested. labeller_paused: a researcher has paused the caller. others: "
+        "the open queries that are left want labels of other users. all_decided: with `disputed`, no labels differ.",
     )
 
 
@@ -306,6 +514,13 @@ class NewLabel(Schema):
     response_seconds: float | None = Field(
         default=None, ge=0, le=86_400, description="Seconds from the start of both clips to the label."
     )
+    instructions_revision: int | None = Field(
+        default=None,
+        ge=1,
+        le=2**31 - 1,
+        description="Revision of the instructions that a person had read. Ignored if the experiment has none of that "
+        "number.",
+    )
     teacher: dict[str, Any] = Field(
         default_factory=dict[str, Any], description="A scripted teacher's name and parameters."
     )
@@ -314,6 +529,11 @@ class NewLabel(Schema):
         ge=0,
         description="Revision of your label that this one replaces; 0 if you have not labelled the query. If it has "
         "another one, the response is 409 label_changed. Without it, any label is replaced.",
+    )
+    final: bool | None = Field(
+        default=None,
+        description="Whether it decides between the labels of others, for researchers and admins. Training uses a "
+        "final label in place of every other label of the query. Null keeps what the caller's label is.",
     )
 
 
@@ -328,6 +548,7 @@ class Label(Schema):
         description="Label revision of the experiment: one more with every label written, changed or undone."
     )
     created: bool = Field(description="False if the same label was already stored.")
+    final: bool = Field(description="Whether it decides between the labels of others.")
 
 
 class OwnLabel(Schema):
@@ -358,6 +579,9 @@ class LabelRevision(Schema):
     state: Literal["label", "skip", "undone"] = Field(description="What the labeller did.")
     left_segment: int | None = Field(description="The segment shown on the left; null for a program.")
     response_seconds: float | None = Field(description="Seconds from the start of both clips to the label.")
+    instructions_revision: int | None = Field(
+        description="Of the instructions that the labeller had read; null for programs, and if it is not known."
+    )
     created_at: datetime = Field(description="When it was given.")
 
 
@@ -369,6 +593,8 @@ class RecordedLabel(Schema):
     user_name: str = Field(description="Who gave it.")
     role: Role = Field(description="The author's role.")
     teacher: dict[str, Any] = Field(description="A scripted teacher's name and parameters.")
+    excluded: bool = Field(description="Whether a researcher excluded it from training.")
+    final: bool = Field(description="Whether it decides between the labels of others; training uses it in their place.")
     revisions: list[LabelRevision] = Field(description="Oldest first; the last one is the current label.")
 
 
@@ -390,6 +616,14 @@ class RecordedQuery(Schema):
     status: QueryStatus = Field(description="Whether it can be labelled.")
     selector: str = Field(description="Name of the query selector that chose it.")
     created_at: datetime = Field(description="When it was created.")
+    labels_wanted: int = Field(description="Labels by different users that it wants.")
+    repeats_id: str | None = Field(
+        description="The query that it repeats with segments 0 and 1 swapped, to check the labellers; null unless it "
+        "is a repeat. Its labels are not trained on."
+    )
+    gold: float | None = Field(
+        description="The known answer of a gold query, in segment order; otherwise null. Its labels are not trained on."
+    )
     segments: list[RecordedSegment] = Field(description="Segments 0 and 1.")
     labels: list[RecordedLabel] = Field(description="In the order in which they were first given.")
 
@@ -408,6 +642,114 @@ class QueryPage(Schema):
     items: list[RecordedQuery] = Field(description="Newest first.")
     authors: list[LabelAuthor] = Field(description="Everyone who has labelled the experiment, by name.")
     next_before: int | None = Field(description="Pass it as `before` to get older ones; null at the end.")
+
+
+class Share(Schema):
+    """A proportion with its 95% interval (Wilson)."""
+
+    count: int = Field(description="How often it was so.")
+    of: int = Field(description="Number of trials.")
+    low: float = Field(description="Lower end of the interval.")
+    high: float = Field(description="Upper end of the interval.")
+
+
+class Estimate(Schema):
+    """A number with its 95% bootstrap interval."""
+
+    value: float = Field(description="The estimate.")
+    low: float = Field(description="Lower end of the interval.")
+    high: float = Field(description="Upper end of the interval.")
+    of: int = Field(description="Number of samples.")
+
+
+class LabellerQuality(Schema):
+    """Statistics of one labeller in an experiment. Null where there is nothing to compute a number from."""
+
+    user_id: str = Field(description="usr_...")
+    name: str = Field(description="Unique name.")
+    role: Role = Field(description="Their role.")
+    labels: int = Field(description="Labels, also of checks and excluded ones, without skips and final labels.")
+    skips: int = Field(description="Skips.")
+    excluded: int = Field(description="Labels that are excluded from training.")
+    seconds: Estimate | None = Field(description="Median time from the start of both clips to the label.")
+    left: Share | None = Field(description="The left clip was preferred, among labels that prefer one.")
+    equal: Share | None = Field(description="Labels that say equal.")
+    gold: Share | None = Field(description="Right answers to gold queries.")
+    consistency: Share | None = Field(description="The same answer to a repeat.")
+    agreement: Share | None = Field(
+        description="The same answer as another labeller, over all labels of others on the same queries."
+    )
+    teacher: Share | None = Field(
+        description="The segment with the higher true return was preferred, as by a scripted teacher without noise."
+    )
+    paused_at: datetime | None = Field(description="Since when the user gets no queries; null if they do.")
+    excluded_at: datetime | None = Field(description="Since when the user's labels are excluded; null if they are not.")
+    flags: list[Literal["fast", "left", "right", "equal", "gold", "inconsistent", "opposite", "disagrees"]] = Field(
+        description="What is conspicuous, judged by the intervals. fast: the median label takes less than a second. "
+        "left, right: prefers one side more than randomised sides allow. equal: mostly equal, and more often than "
+        "others. gold, inconsistent: often wrong on gold queries or repeats. opposite: mostly prefers the other clip "
+        "than others do. disagrees: agrees less with others than they do among themselves."
+    )
+
+
+class Quality(Schema):
+    """Quality of the labels of an experiment."""
+
+    labellers: list[LabellerQuality] = Field(description="Everyone who has labelled it, by name.")
+    alpha: Estimate | None = Field(
+        description="Krippendorff's alpha of labels as an ordinal scale, over queries with several labels, without "
+        "excluded ones: 1 is full agreement, 0 that of chance. Null if there are none, or all labels are the same."
+    )
+    disputed: int = Field(description="Queries on which labels differ and which nobody has decided.")
+    decided: int = Field(description="Queries that a researcher has decided with a final label.")
+    gold_queries: int = Field(description="Queries whose answer is known.")
+
+
+class GoldAnswer(Schema):
+    """The known answer of a query."""
+
+    label: float = Field(strict=True, description="1, 0 or 0.5, in segment order: 1 means that segment 0 is better.")
+
+
+class GoldQuery(Schema):
+    """Whether a query is gold."""
+
+    query_id: str = Field(description="qry_...")
+    gold: float | None = Field(description="Its known answer, in segment order; null for an ordinary query.")
+
+
+class LabelExclusion(Schema):
+    """Labels to exclude from training, or to include again."""
+
+    label_ids: list[str] = Field(min_length=1, max_length=10_000, description="lbl_...")
+    excluded: bool = Field(description="True excludes them.")
+
+
+class ExclusionResult(Schema):
+    """Result of excluding or including labels."""
+
+    changed: int = Field(description="How many were not so before.")
+
+
+class LabellerChanges(Schema):
+    """What to change about a labeller in an experiment; null changes nothing."""
+
+    paused: bool | None = Field(
+        default=None, description="A paused labeller gets no queries; labels on the way are stored."
+    )
+    excluded: bool | None = Field(
+        default=None,
+        description="True excludes all labels of the user, past and future, from training. False includes them, also "
+        "those that were excluded one by one.",
+    )
+
+
+class LabellerState(Schema):
+    """What researchers decided about a labeller."""
+
+    user_id: str = Field(description="usr_...")
+    paused_at: datetime | None = Field(description="Since when the user gets no queries; null if they do.")
+    excluded_at: datetime | None = Field(description="Since when the user's labels are excluded; null if they are not.")
 
 
 class BatchLabel(NewLabel):
@@ -445,6 +787,104 @@ class Lease(Schema):
 
     query_id: str = Field(description="qry_...")
     lease_seconds: float = Field(description="The lease expires after this many seconds without another heartbeat.")
+
+
+# What a reward version learned
+
+
+class SegmentCredit(Schema):
+    """What a reward version says about a segment of T steps and N agents."""
+
+    score: float = Field(description="The logit of P(segment 0 is preferred) is the difference of both scores.")
+    rewards: list[list[float]] = Field(description="N lists of T rewards, as the policy receives them.")
+    weights: list[float] = Field(description="Weight of each step in the score; they sum to 1.")
+    agent_attention: list[list[float]] | None = Field(
+        description="Attention of each agent (row) to each agent, mean over steps; each row sums to 1. Null if the "
+        "rewards do not depend on attention."
+    )
+
+
+class PairCredit(Schema):
+    """What a reward version says about a pair."""
+
+    probability: float = Field(description="P(segment 0 is preferred).")
+    member_probabilities: list[float] = Field(
+        description="The same of each model of the version's ensemble; empty if query selection needs none."
+    )
+    segments: list[SegmentCredit] = Field(description="Segments 0 and 1.")
+    lacks_ensemble: bool = Field(
+        default=False, description="The version's ensemble was not trained yet. Asking again computes the answer again."
+    )
+
+
+class Credit(Schema):
+    """The answer to a request, and the query that it is about."""
+
+    status: CreditStatus = Field(description="pending: a reward worker has not answered yet.")
+    detail: str = Field(description="Why it failed; empty otherwise.")
+    version: int = Field(description="Number of the reward version.")
+    query: Query = Field(description="On the sides that the caller saw; with true rewards for researchers.")
+    label: float | None = Field(
+        description="Mean of its labels, in segment order; null if there is none, and for labellers."
+    )
+    result: PairCredit | None = Field(description="Null until it is ready.")
+
+
+class PredictedPair(Schema):
+    """A query of a report."""
+
+    query_id: str = Field(description="qry_...")
+    number: int = Field(description="1, 2, 3, ... within the experiment.")
+    probability: float = Field(description="P(segment 0 is preferred).")
+    spread: float | None = Field(
+        description="Standard deviation of that probability over the ensemble; null without an ensemble."
+    )
+    label: float | None = Field(description="Mean of its labels, in segment order; null if there is none.")
+    trained_on: bool = Field(description="Whether the version was trained on its label.")
+    thumbnail_urls: list[str] = Field(description="Paths of still images of segments 0 and 1; empty without clips.")
+
+
+class CalibrationBin(Schema):
+    """Predictions of similar probability."""
+
+    predicted: float = Field(description="Mean predicted probability.")
+    observed: float = Field(description="Mean label.")
+    count: int = Field(description="Predictions in the bin.")
+
+
+class RewardHistograms(Schema):
+    """Learned rewards of each agent beside the true team reward, both standardised."""
+
+    edges: list[float] = Field(description="Limits of K bins, K + 1 numbers; the outermost hold all beyond.")
+    learned: list[list[int]] = Field(description="Steps in each bin, by agent.")
+    true: list[int] = Field(description="The same of the true team reward.")
+    correlation: list[float | None] = Field(
+        description="Correlation of each agent's learned reward with the true team reward; null where it is undefined."
+    )
+    team_correlation: float | None = Field(description="The same of the mean over agents.")
+
+
+class VersionReport(Schema):
+    """What a reward version says about the newest labelled and open queries."""
+
+    pairs: list[PredictedPair] = Field(description="Labelled ones first, newest first.")
+    calibration: list[CalibrationBin] = Field(
+        description="Over the labelled queries that the version was not trained on, each in both orders."
+    )
+    calibration_pairs: int = Field(description="Number of those queries.")
+    histograms: RewardHistograms = Field(description="Over all steps of the segments of these queries.")
+    segments: int = Field(description="Number of segments.")
+    steps: int = Field(description="Number of their steps.")
+    lacks_ensemble: bool = Field(default=False, description="As in PairCredit.")
+
+
+class RewardReport(Schema):
+    """The answer to a request for a report."""
+
+    status: CreditStatus = Field(description="pending: a reward worker has not answered yet.")
+    detail: str = Field(description="Why it failed; empty otherwise.")
+    version: int = Field(description="Number of the reward version.")
+    result: VersionReport | None = Field(description="Null until it is ready.")
 
 
 # Errors

@@ -69,7 +69,7 @@ def user_link(name: Name, home: Home = None) -> None:
 
 @user.command("list")
 def list_users(*, home: Home = None, as_json: Json = False) -> None:
-    """List the users with their roles, labels, signed-in browsers, bearer tokens and the day they were added."""
+    """List the users with their roles, labels, signed-in browsers and bearer tokens, and when they were last seen."""
     with migrated(load_settings(home)) as database, database.reading() as session:
         found = accounts.summaries(session)
     if as_json:
@@ -82,12 +82,14 @@ def list_users(*, home: Home = None, as_json: Json = False) -> None:
                     "browsers": each.browsers,
                     "tokens": each.bearer_tokens,
                     "created_at": each.created_at.isoformat(),
+                    "last_seen_at": each.last_seen_at and each.last_seen_at.isoformat(),
+                    "removed_at": each.removed_at and each.removed_at.isoformat(),
                 }
                 for each in found
             ]
         )
         return
-    rows = [("user", "role", "labels", "browsers", "tokens", "added")]
+    rows = [("user", "role", "labels", "browsers", "tokens", "added", "last seen")]
     rows += [
         (
             each.name,
@@ -96,6 +98,7 @@ def list_users(*, home: Home = None, as_json: Json = False) -> None:
             str(each.browsers),
             str(each.bearer_tokens),
             f"{each.created_at:%Y-%m-%d}",
+            "removed" if each.removed_at else f"{each.last_seen_at:%Y-%m-%d}" if each.last_seen_at else "never",
         )
         for each in found
     ]

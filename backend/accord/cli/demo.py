@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from datetime import datetime
 from pathlib import Path
 from statistics import mean, stdev
@@ -53,6 +53,7 @@ from mapt.processes import parallel_jobs
 from mapt.settings import parse_assignments
 from mapt.training.curves import draw_curves
 from mapt.training.results import RunResult, find_runs, grouped, markdown
+from mapt.training.teacher_scores import TeacherScores, preference_rate
 
 _RUNS, _FIGURE, _TABLE = "runs", "returns.png", "returns.md"
 _DEFAULT_ALGORITHM = "mappo"
@@ -71,6 +72,9 @@ def demo(
     settings: PolicySettings = None,
     baseline: Annotated[bool, typer.Option(help="Also train on the true reward, once per seed.")] = True,
     clips: Annotated[bool, typer.Option(help="Render the clips that people would see.")] = False,
+    video: Annotated[
+        bool, typer.Option(help="Record an episode of each final policy; all start from the same state.")
+    ] = False,
     initial_labels: Annotated[
         int | None,
         typer.Option(min=2, help="Labels before the first reward version.  [default: a fifth, at most 100]"),
@@ -88,8 +92,9 @@ def demo(
     """Train policies from a scripted teacher's labels.
 
     Starts a service of its own, labels through its REST API, and compares each policy with one trained on the true
-    reward. Trains one policy for each combination of --labels, --models and --seeds. Writes a run folder for each, as
-    `mapt train` does, with a figure and a table of all. Rerun the command to resume.
+    reward: by true returns and, if the teacher judges by something else, by the teacher's own scores. Trains one policy
+    for each combination of --labels, --models and --seeds. Writes a run folder for each, as `mapt train` does, with a
+    figure and a table of all. Rerun the command to resume.
     """
     choice = TeacherChoice.parse(teacher)
     own = parse_assignments(settings or ())
@@ -113,12 +118,14 @@ def demo(
     n_runs = parallel_jobs(workers, len(plans))
     service = OwnService(home or folder / "home", _environment(clips, n_runs), lambda: stop.requested)
     with closing(service), closing(_connect(service, choice, stop, quiet=as_json)) as clients:
-        runs = _run_all(clients, plans, n_runs, stop, folder, quiet=as_json)
+        runs = _run_all(clients, plans, n_runs, stop, folder, video=video, quiet=as_json)
     rows = rows_of(runs)
     if as_json:
         print_json([asdict(row) | {"share": row.share} for row in rows])
     else:
         out.print(table(rows, f"{task}: true return after {steps:,} steps"))
+        if any(row.scored for row in rows):
+            out.print(score_table(rows, f"{task}: score by the teacher {choice.title} after {steps:,} steps"))
         print_paths(*(folder / name for name in (_RUNS, _FIGURE, _TABLE)))
 
 
@@ -142,7 +149,14 @@ def _connect(service: OwnService, teacher: TeacherChoice, stop: Stop, *, quiet: 
 
 
 def _run_all(
-    clients: DemoClients, plans: Sequence[RunPlan], n_runs: int, stop: Stop, folder: Path, *, quiet: bool
+    clients: DemoClients,
+    plans: Sequence[RunPlan],
+    n_runs: int,
+    stop: Stop,
+    folder: Path,
+    *,
+    video: bool,
+    quiet: bool,
 ) -> list[DemoRun]:
     """Finished runs in the order of the plans. Figure and table are written again after every run."""
     known = experiments_by_name(clients.researcher)
@@ -155,7 +169,8 @@ def _run_all(
         # Those that are finished already come first, so that figure and table always include them.
         order = sorted(plans, key=lambda plan: known.get(plan.name, {}).get("status") != "finished")
         runs = [
-            pool.submit(run_experiment, clients, plan, known, folder / _RUNS, _updater(bars, plan)) for plan in order
+            pool.submit(run_experiment, clients, plan, known, folder / _RUNS, _updater(bars, plan), video=video)
+            for plan in order
         ]
         try:
             for run in as_completed(runs):
@@ -192,7 +207,7 @@ def describe(plan: RunPlan, state: RunState) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A line of the table: true returns of one seed, or their means over seeds."""
+    """A line of the tables: true returns and the teacher's scores of one seed, or their means over seeds."""
 
     reward_model: str
     labels: float
@@ -205,6 +220,24 @@ class Row:
     seconds: float
     #: standard deviation of `learned_reward` over seeds; NaN for one seed
     std: float = math.nan
+    #: mean scores of segments by the teacher, of the same three policies; NaN if it scores by true returns
+    teacher_untrained: float = math.nan
+    teacher_true_reward: float = math.nan
+    teacher_learned_reward: float = math.nan
+    #: how often the teacher prefers a segment of the policy of the learned reward to one of the other policies
+    preferred_to_untrained: float = math.nan
+    preferred_to_true_reward: float = math.nan
+    #: standard deviation of `teacher_learned_reward` over seeds; NaN for one seed
+    teacher_std: float = math.nan
+    #: 1 if the last reward version uses MAPT's attention, else 0; NaN for other models; of several seeds, the fraction
+    attention: float = math.nan
+    #: of the last reward version on pairs that nobody labelled; see `VersionReport`
+    fresh_accuracy: float = math.nan
+
+    @property
+    def scored(self) -> bool:
+        """Whether the row has the teacher's scores."""
+        return not math.isnan(self.teacher_learned_reward)
 
     @property
     def share(self) -> float:
@@ -214,35 +247,64 @@ class Row:
 
 def rows_of(runs: Sequence[DemoRun]) -> list[Row]:
     """One row per seed for each number of labels and reward model, and one of means if there are several seeds."""
-    true = {run.plan.seed: run.final for run in runs if run.plan.reward_source == TRUE}
+    true = {run.plan.seed: run for run in runs if run.plan.reward_source == TRUE}
     kinds: dict[tuple[int, str], list[Row]] = {}
     for run in runs:
         if run.plan.reward_source == PREFERENCES:
+            baseline = true.get(run.plan.seed)
             row = Row(
                 run.plan.reward_model,
                 run.labels,
                 str(run.plan.seed),
                 run.untrained,
-                true.get(run.plan.seed, math.nan),
+                baseline.final if baseline else math.nan,
                 run.final,
                 run.versions,
                 run.seconds,
+                fresh_accuracy=run.reports[-1].fresh_accuracy if run.reports else math.nan,
+                attention=math.nan if run.attention is None else float(run.attention),
+                **_scores(run.scores, baseline.scores if baseline else None),
             )
             kinds.setdefault((run.plan.label_budget, run.plan.reward_model), []).append(row)
     return [row for _, rows in sorted(kinds.items()) for row in (rows if len(rows) == 1 else [*rows, _mean(rows)])]
 
 
+def _scores(own: TeacherScores | None, true_reward: TeacherScores | None) -> dict[str, float]:
+    """The teacher's fields of a row."""
+    if own is None:
+        return {}
+    scores = {
+        "teacher_untrained": float(own.untrained.mean()),
+        "teacher_learned_reward": float(own.final.mean()),
+        "preferred_to_untrained": preference_rate(own.final, own.untrained),
+    }
+    if true_reward is not None:
+        scores["teacher_true_reward"] = float(true_reward.final.mean())
+        scores["preferred_to_true_reward"] = preference_rate(own.final, true_reward.final)
+    return scores
+
+
 def _mean(rows: Sequence[Row]) -> Row:
-    names = ("labels", "untrained", "true_reward", "learned_reward", "versions", "seconds")
-    means = {name: mean(getattr(row, name) for row in rows) for name in names}
-    return Row(rows[0].reward_model, seed="mean", std=stdev(row.learned_reward for row in rows), **means)
+    means = {
+        field.name: mean(getattr(row, field.name) for row in rows)
+        for field in fields(Row)
+        if field.name not in {"reward_model", "seed", "std", "teacher_std"}
+    }
+    stds = {
+        "std": stdev(row.learned_reward for row in rows),
+        "teacher_std": stdev(row.teacher_learned_reward for row in rows) if rows[0].scored else math.nan,
+    }
+    return Row(rows[0].reward_model, seed="mean", **means, **stds)
 
 
 def table(rows: Sequence[Row], title: str) -> Table:
     """The rows for the terminal."""
     made = Table(title=title)
     made.add_column("reward model")
-    for heading in ("labels", "seed", "untrained", "true reward", "learned reward", "share", "versions", "minutes"):
+    for heading in (
+        *("labels", "seed", "untrained", "true reward", "learned reward"),
+        *("share", "versions", "minutes", "fresh pairs"),
+    ):
         made.add_column(heading, justify="right")
     for row in rows:
         made.add_row(
@@ -255,10 +317,34 @@ def table(rows: Sequence[Row], title: str) -> Table:
             "-" if math.isnan(row.share) else f"{row.share:.0%}",
             _number(row.versions),
             f"{row.seconds / 60:.1f}",
+            _number(row.fresh_accuracy, ".1%"),
             end_section=row.seed == "mean",
         )
     return made
 
 
-def _number(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:,.0f}"
+def score_table(rows: Sequence[Row], title: str) -> Table:
+    """The teacher's scores of the rows for the terminal."""
+    made = Table(title=title)
+    made.add_column("reward model")
+    for heading in (
+        *("labels", "seed", "untrained", "true reward", "learned reward"),
+        *("preferred to untrained", "preferred to true reward"),
+    ):
+        made.add_column(heading, justify="right")
+    for row in rows:
+        made.add_row(
+            row.reward_model,
+            _number(row.labels),
+            row.seed,
+            *(_number(value, ".3f") for value in (row.teacher_untrained, row.teacher_true_reward)),
+            _number(row.teacher_learned_reward, ".3f")
+            + ("" if math.isnan(row.teacher_std) else f" ± {_number(row.teacher_std, '.3f')}"),
+            *(_number(rate, ".0%") for rate in (row.preferred_to_untrained, row.preferred_to_true_reward)),
+            end_section=row.seed == "mean",
+        )
+    return made
+
+
+def _number(value: float, form: str = ",.0f") -> str:
+    return "-" if math.isnan(value) else format(value, form)

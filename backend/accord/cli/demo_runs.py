@@ -11,23 +11,34 @@ from typing import Any
 import numpy as np
 
 from accord.cli.client import Api
+from accord.cli.demo_versions import VersionReport, read_reports, report_versions, write_reports
 from accord.cli.own_service import OwnService
 from accord.cli.teach import TeacherChoice, teach_experiment
 from accord.domain.errors import AccordError, Invalid, Unavailable
+from mapt.cli.output import print_error
+from mapt.errors import RenderingError
 from mapt.io import atomic_write
 from mapt.policies import PolicyConfig
+from mapt.policies.learner import untrained_policy
+from mapt.tasks import task_spec
 from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import MetricsFile
 from mapt.training.run_folder import RunFolder, load_policy
 from mapt.training.settings import PreferenceRewardSettings, RunSettings
+from mapt.training.teacher_scores import TeacherScores, read_teacher_scores, score_policy, write_teacher_scores
+from mapt.training.video import record_video
 
 TRUE = "true"
 PREFERENCES = "preferences"
 #: More labels of the untrained policy's few segments make the reward model overfit them: of 3,000 labels, 600 before
 #: the first version led to a return of 2,976, 100 to 4,167 (HalfCheetah-6x1, seed 2).
 MAX_INITIAL_LABELS = 100
+#: One line per reward version of a run.
+VERSIONS_FILE = "versions.csv"
 _POLL_SECONDS = 0.5
 _SHOW_SECONDS = 1.0
+#: All videos start from the same state, so that they can be compared.
+_VIDEO_SEED = 0
 #: Names of the service's single-point curves, and of the same measurements in metrics.jsonl.
 _EVALUATIONS = {
     "true_return_untrained": "evaluation_mean",
@@ -181,6 +192,12 @@ class DemoRun:
     #: mean true return with mean actions before and after the training
     untrained: float
     final: float
+    #: scores by the teacher; None if its scores are true returns, or no episode was long enough for a segment
+    scores: TeacherScores | None = None
+    #: whether the last reward version uses MAPT's attention; None for other models
+    attention: bool | None = None
+    #: of the reward versions; empty with the true reward, or if every stored segment is in a query
+    reports: tuple[VersionReport, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,8 +257,13 @@ def run_experiment(
     known: Mapping[str, dict[str, Any]],
     root: Path,
     show: Callable[[RunState], None],
+    *,
+    video: bool = False,
 ) -> DemoRun:
     """Create or resume the plan's experiment, label it, wait until it is finished and save its run folder in `root`.
+
+    Args:
+        video: also record one episode of the final policy.
 
     Raises:
         RunFailed: if it failed or was stopped.
@@ -275,7 +297,10 @@ def run_experiment(
     if experiment["status"] != "finished":
         raise RunFailed(f"{plan.name} is {experiment['status']}: {experiment['phase_detail']}")
     show(_state(clients.researcher, experiment_id))
-    return save_run(clients, plan, experiment, RunFolder(root / plan.folder_name))
+    run = save_run(clients, plan, experiment, RunFolder(root / plan.folder_name))
+    if video:
+        _record_video(run)
+    return run
 
 
 def _create_or_resume(api: Api, plan: RunPlan, known: dict[str, Any] | None) -> str:
@@ -299,7 +324,9 @@ def _state(api: Api, experiment_id: str) -> RunState:
 
 
 def save_run(clients: DemoClients, plan: RunPlan, experiment: dict[str, Any], folder: RunFolder) -> DemoRun:
-    """Write run.json, metrics.jsonl, checkpoint.safetensors and evaluation.json of a finished experiment.
+    """Write run.json, metrics.jsonl, checkpoint.safetensors, evaluation.json and versions.csv of a finished experiment.
+
+    And teacher-scores.json, if the teacher judges by something else than the true return.
 
     `mapt curves` and `mapt evaluate` read such a folder as they read those of `mapt train`.
     """
@@ -316,6 +343,7 @@ def save_run(clients: DemoClients, plan: RunPlan, experiment: dict[str, Any], fo
         saved = load_policy(folder.path)
         evaluation = evaluate_policy(saved.policy, saved.task, agent_obsk=saved.agent_obsk, seed=plan.seed)
         folder.write_evaluation(experiment["steps"], evaluation)
+    versions = clients.researcher.get(f"/experiments/{id}/reward-versions")["items"]
     ended, created = (datetime.fromisoformat(experiment[name]) for name in ("ended_at", "created_at"))
     return DemoRun(
         plan=plan,
@@ -325,7 +353,68 @@ def save_run(clients: DemoClients, plan: RunPlan, experiment: dict[str, Any], fo
         versions=experiment["reward_version"] or 0,
         untrained=next(iter(curves["true_return_untrained"].values())),
         final=float(np.mean(evaluation.returns)),
+        scores=_teacher_scores(clients.choice, plan, folder, experiment["config"]["segment_steps"]),
+        attention=_attention(versions) if plan.reward_model.startswith("MAPT") else None,
+        reports=_version_reports(clients, plan, id, folder),
     )
+
+
+def _attention(versions: Sequence[dict[str, Any]]) -> bool | None:
+    last = versions[-1]["metrics"] if versions else {}
+    return bool(last["attention"]) if "attention" in last else None
+
+
+def _teacher_scores(
+    choice: TeacherChoice, plan: RunPlan, folder: RunFolder, segment_steps: int
+) -> TeacherScores | None:
+    """Scores of the untrained and the final policy by a new teacher, read from the run folder if they are there."""
+    teacher = choice.teacher(plan.seed)
+    if teacher.rule.is_return:
+        return None
+    saved = load_policy(folder.path)
+    known = read_teacher_scores(folder).get(choice.title)
+    if known is not None and (known.steps, known.segment_steps) == (saved.steps, segment_steps):
+        return known
+    spec = task_spec(saved.task, agent_obsk=saved.agent_obsk)
+    untrained, final = (
+        score_policy(
+            policy,
+            saved.task,
+            teacher,
+            agent_obsk=saved.agent_obsk,
+            segment_steps=segment_steps,
+            seed=plan.seed,
+        )
+        for policy in (untrained_policy(spec, folder.settings().policy), saved.policy)
+    )
+    if not (len(untrained) and len(final)):
+        return None
+    scores = TeacherScores(saved.steps, segment_steps, untrained, final)
+    write_teacher_scores(folder, choice.title, scores)
+    return scores
+
+
+def _record_video(run: DemoRun) -> None:
+    """Record one episode of the final policy, if there is no video yet. Without a renderer, the run is complete."""
+    folder = RunFolder(run.folder)
+    if folder.video.exists():
+        return
+    saved = load_policy(folder.path)
+    try:
+        record_video(saved.policy, saved.task, folder.video, agent_obsk=saved.agent_obsk, seed=_VIDEO_SEED)
+    except RenderingError as error:
+        print_error(f"No video of {run.plan.name}: {error}", "accord")
+
+
+def _version_reports(
+    clients: DemoClients, plan: RunPlan, experiment_id: str, folder: RunFolder
+) -> tuple[VersionReport, ...]:
+    """Written to versions.csv, or read from there."""
+    path = folder.path / VERSIONS_FILE
+    if not path.exists() and plan.reward_source == PREFERENCES:
+        teacher = clients.choice.teacher(plan.seed)
+        write_reports(report_versions(clients.service, experiment_id, teacher, plan.seed), path)
+    return tuple(read_reports(path)) if path.exists() else ()
 
 
 def write_metrics(folder: RunFolder, curves: Mapping[str, Mapping[int, float]]) -> None:

@@ -37,13 +37,13 @@ def import_experiment(
             experiments.require_unused_name(session, name)
         with ProgressBars(hidden=as_json) as bars:
             bars.add("segments", "segments", tables.n_segments)
-            found = importing.store(
+            storing = importing.storing(
                 open_blobs(settings.resolved_blob_url),
                 tables,
                 lambda count: bars.update("segments", count, f"{count}/{tables.n_segments}"),
             )
-        with database.transaction() as session:
-            importing.create(session, accounts.ensure_admin(session).id, name, found)
+            with storing as found, database.transaction() as session:
+                importing.create(session, accounts.ensure_admin(session).id, name, found)
     counts = {
         "segments": len(found.segments),
         "queries": len(found.queries),

@@ -4,16 +4,18 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from pathlib import Path
+
+from sqlalchemy.orm import Session
 
 from accord.cli.options import address_file, load_settings
 from accord.domain.enums import Role
 from accord.domain.errors import Unavailable
 from accord.services import accounts, checkpoints
 from accord.store import accounts as users
-from accord.store.blobs import open_blobs
+from accord.store.blobs import BlobStore, open_blobs
 from accord.store.database import Database
 from mapt.processes import end_process
 
@@ -95,12 +97,18 @@ class OwnService:
         Raises:
             Unavailable: if there is none.
         """
+        with self.reading() as (session, blobs):
+            row = checkpoints.newest(session, experiment_id)
+            if row is None:
+                raise Unavailable(f"The experiment {experiment_id} has no checkpoint.")
+            return blobs.read(row.blob_key)
+
+    @contextmanager
+    def reading(self) -> Iterator[tuple[Session, BlobStore]]:
+        """The service's rows and blobs, to read what its API does not offer."""
         settings = load_settings(self.home)
         with closing(Database.open(settings.resolved_database_url)) as database, database.reading() as session:
-            row = checkpoints.newest(session, experiment_id)
-        if row is None:
-            raise Unavailable(f"The experiment {experiment_id} has no checkpoint.")
-        return open_blobs(settings.resolved_blob_url).read(row.blob_key)
+            yield session, open_blobs(settings.resolved_blob_url)
 
     def close(self) -> None:
         """End the service, which ends its workers."""

@@ -189,7 +189,9 @@ def judge(teacher: ScriptedTeacher, reader: SegmentReader, queries: Sequence[dic
     Raises:
         PreferenceError: if the segments lack what the teacher judges by.
     """
-    return [None if math.isnan(label) else label for label in teacher.judge(*reader.read(queries)).tolist()]
+    left_segments = np.array([query["left"]["index"] for query in queries])
+    labels = teacher.judge(*reader.read(queries), left_segments=left_segments).tolist()
+    return [None if math.isnan(label) else label for label in labels]
 
 
 def _label(

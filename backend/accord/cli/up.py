@@ -1,28 +1,28 @@
 """The subcommand `accord up`: a parent process that keeps the API and the workers running."""
 
+import fcntl
 import os
 import socket
-import time
-from collections.abc import Iterable
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, TextIO
 
 import typer
 from rich.markup import escape
-from sqlalchemy.exc import SQLAlchemyError
 
 from accord.api.listener import listen
 from accord.cli.options import Home, Port, address_file, load_settings, url_of
-from accord.domain.enums import WorkerRole, WorkerState
-from accord.domain.errors import AccordError, NameTaken, Unavailable
-from accord.services import accounts, experiments, workers
+from accord.cli.worker_status import WorkerStatus
+from accord.domain.errors import NameTaken, Unavailable
+from accord.services import accounts, experiments
 from accord.services.experiment_config import ExperimentConfig
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
-from accord.store.migrate import migrate
-from accord.workers.runner import RETRY_TEXT, Stop
-from accord.workers.supervisor import ChildSpec, Death, Supervisor
+from accord.store.migrate import is_new, migrate
+from accord.workers.runner import Stop
+from accord.workers.supervisor import ChildSpec, Supervisor
 from mapt.cli.output import log_line, on_terminal, out, print_line
 from mapt.io import atomic_write
 from mapt.processes import SHARED_CORES_ENVIRONMENT, follow_parent
@@ -42,6 +42,8 @@ class Ready:
     database: Database
     #: listening; the API's process inherits it
     listener: socket.socket
+    #: locked until it is closed or the process ends, so that no other service uses the home folder
+    lock: TextIO
 
 
 def up(
@@ -67,6 +69,7 @@ def up(
         address_file(ready.settings).unlink(missing_ok=True)
         ready.listener.close()
         ready.database.close()
+        ready.lock.close()
 
 
 def announce(ready: Ready, example: bool) -> None:
@@ -83,7 +86,7 @@ def announce(ready: Ready, example: bool) -> None:
 
 
 def _serve(ready: Ready, stop: Stop) -> None:
-    status, specs = WorkerStatus(ready.database), child_specs(ready)
+    status, specs = WorkerStatus(ready.database, ready.settings.worker_lease_seconds), child_specs(ready)
     status.reset(specs)
     supervisor = Supervisor(specs, ready.settings.home / "logs", status.record_death)
     spinner = out.status("starting", refresh_per_second=2) if on_terminal() else None
@@ -93,6 +96,9 @@ def _serve(ready: Ready, stop: Stop) -> None:
         while not stop.wait(_TICK_SECONDS):
             supervisor.tick()
             line = status.poll()
+            for name, pid, age_seconds in status.hanging():
+                if supervisor.kill(name, pid):
+                    log_line(f"killed, because it has not reported for {age_seconds:.0f} s", name)
             if spinner and line:
                 spinner.update(escape(line))
     finally:
@@ -151,22 +157,40 @@ class HomeNotWritable(Unavailable):
     code = "home_not_writable"
 
 
+class HomeInUse(Unavailable):
+    """Another `accord up` uses the home folder."""
+
+    code = "home_in_use"
+
+
+class DatabaseEmptied(Unavailable):
+    """The database is new, but the blobs are those of an earlier one."""
+
+    code = "database_emptied"
+
+
 def prepare(settings: Settings) -> Ready:
     """Check the home folder, the blobs and the port, and migrate the database.
 
     Raises:
-        HomeNotWritable, BlobsNotWritable, DatabaseTooNew, DatabaseUnreachable, PortInUse: with what to do about it.
+        HomeNotWritable, HomeInUse, BlobsNotWritable, DatabaseTooNew, DatabaseUnreachable, DatabaseEmptied, PortInUse:
+            with what to do about it.
     """
     make_home(settings)
-    open_blobs(settings.resolved_blob_url).check_writable()
-    listener = listen(settings.host, settings.port)
-    database = Database.open(settings.resolved_database_url)
-    try:
+    with ExitStack() as opened:
+        lock = opened.enter_context(lock_home(settings.home))
+        blobs = open_blobs(settings.resolved_blob_url)
+        blobs.check_writable()
+        listener = opened.enter_context(listen(settings.host, settings.port))
+        database = opened.enter_context(closing(Database.open(settings.resolved_database_url)))
+        if is_new(database) and not blobs.is_empty():
+            raise DatabaseEmptied(
+                f"The database {database.name} is empty, but {settings.resolved_blob_url} holds blobs. Restore the "
+                "database from a backup, or use another --home."
+            )
         migrate(database)
-    except Exception:
-        listener.close()
-        raise
-    return Ready(settings.model_copy(update={"port": listener.getsockname()[1]}), database, listener)
+        opened.pop_all()
+    return Ready(settings.model_copy(update={"port": listener.getsockname()[1]}), database, listener, lock)
 
 
 def make_home(settings: Settings) -> None:
@@ -189,6 +213,28 @@ def make_home(settings: Settings) -> None:
         )
 
 
+def lock_home(home: Path) -> TextIO:
+    """Lock the home folder for this process. The lock ends with the process, even if it is killed.
+
+    Raises:
+        HomeInUse: if another process holds the lock.
+    """
+    file = (home / "lock").open("a+")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        file.seek(0)
+        holder = file.read().strip()
+        file.close()
+        raise HomeInUse(
+            f"Another `accord up` (process {holder}) uses the home folder {home}. Stop it, or use another --home."
+        ) from error
+    file.truncate(0)
+    file.write(f"{os.getpid()}\n")
+    file.flush()
+    return file
+
+
 def sign_in_link(ready: Ready) -> str:
     """A one-time link that signs the admin in; the admin is created at the first start."""
     with ready.database.transaction() as session:
@@ -207,72 +253,3 @@ def create_example(database: Database) -> bool:
     except NameTaken:
         return False
     return True
-
-
-_POLL_SECONDS = 1.0
-#: states in which the detail says more than the state's name
-_SHOWN_BY_DETAIL = frozenset({WorkerState.WORKING, WorkerState.WAITING})
-
-
-class WorkerStatus:
-    """Reads the workers' rows once a second, and prints each failure once."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-        self._printed: dict[str, str] = {}
-        self._next_poll = 0.0
-
-    def reset(self, specs: Iterable[ChildSpec]) -> None:
-        """Set the number of restarts of these workers to 0."""
-        with self._database.transaction() as session:
-            for spec in specs:
-                if spec.role:
-                    workers.report(session, spec.name, WorkerRole(spec.role), 0, WorkerState.STARTING, restarts=0)
-
-    def record_death(self, death: Death) -> None:
-        """Print that a process died, and write it to the worker's row, which the page shows."""
-        log_line(death.description, death.name)
-        self._printed.pop(death.name, None)
-        if not death.role:
-            return
-        try:
-            with self._database.transaction() as session:
-                workers.report(
-                    session,
-                    death.name,
-                    WorkerRole(death.role),
-                    0,
-                    WorkerState.RESTARTING,
-                    death.description,
-                    restarts=death.restarts,
-                )
-        except (AccordError, SQLAlchemyError) as error:
-            log_line(f"The restart of {death.name} could not be recorded: {error}", "accord")
-
-    def poll(self) -> str | None:
-        """One line about all workers, once a second; None in between. Prints new failures."""
-        if time.monotonic() < self._next_poll:
-            return None
-        self._next_poll = time.monotonic() + _POLL_SECONDS
-        try:
-            with self._database.reading() as session:
-                rows = [(row.id, row.state, row.detail) for row in workers.all(session)]
-        except (AccordError, SQLAlchemyError) as error:
-            return f"The database is unreachable: {error}"
-        for id, state, detail in rows:
-            self._print_failure(id, state, detail)
-        return " · ".join(
-            f"{id}: {detail if state in _SHOWN_BY_DETAIL and detail else state.replace('_', ' ')}"
-            for id, state, detail in rows
-        )
-
-    def _print_failure(self, id: str, state: str, detail: str) -> None:
-        if state == WorkerState.WORKING:
-            self._printed.pop(id, None)
-        if state != WorkerState.BACKING_OFF:
-            return
-        # Without the time of the next attempt, repeated failures are equal.
-        failure = detail.partition(RETRY_TEXT)[0].strip()
-        if failure and self._printed.get(id) != failure:
-            self._printed[id] = failure
-            log_line(failure, id)

@@ -52,6 +52,21 @@ class ClipStatus(StrEnum):
     FAILED = "failed"
 
 
+class CreditStatus(StrEnum):
+    """State of a request for what a reward version learned."""
+
+    PENDING = "pending"
+    READY = "ready"
+    FAILED = "failed"
+
+
+class ClipCamera(StrEnum):
+    """A camera that is rendered on demand. Every clip is rendered with the camera that suits its task."""
+
+    SIDE = "side"
+    TOP = "top"
+
+
 class WorkerRole(StrEnum):
     """What a worker process does."""
 

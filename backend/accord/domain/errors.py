@@ -3,18 +3,21 @@
     AccordError
     ├── Unauthenticated               the caller is not signed in
     ├── Forbidden                     the caller's role does not allow it
-    │   └── ReturnsHidden
+    │   └── ReturnsHidden, CreditHidden
     ├── NotFound                      the object does not exist
-    │   └── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound, UserNotFound
+    │   └── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound, UserNotFound,
+    │       CreditNotFound, RewardVersionNotFound, InvitationNotFound, InvitationNotValid, ShareNotFound
     ├── WrongState                    the object is in a state that does not allow it
-    │   └── ExperimentNotActive, ExperimentInUse, QueryClosed, LabelConflict, LabelChanged, NameTaken
+    │   └── ExperimentNotActive, ExperimentInUse, QueryClosed, LabelConflict, LabelChanged, NameTaken, OwnAccount
     ├── LeaseLost                     the caller holds no lease on the query
     ├── Invalid                       a value is not valid
     │   └── InvalidLabel, InvalidId, InvalidExperiment, UnknownTask
     ├── BodyTooLarge                  the request is too large
+    ├── TooManyStreams                the user follows too many experiments at once
     └── Unavailable                   this machine cannot do it now; the message says what to do
-        └── DatabaseTooNew, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, BlobMissing, TaskUnavailable,
-            PortInUse
+        ├── DatabaseTooNew, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, TaskUnavailable, PortInUse
+        └── BlobUnreadable
+            └── BlobMissing, BlobDamaged
 
 `accord.api.errors` maps each class to an HTTP status. `code` is stable and part of the public API; the message says
 what is wrong and what to do.
@@ -48,6 +51,15 @@ class ReturnsHidden(Forbidden):
     """True rewards and returns are for researchers and scripted teachers, never for labellers."""
 
     code = "returns_hidden"
+
+    def __init__(self) -> None:
+        super().__init__(type(self).__doc__)
+
+
+class CreditHidden(Forbidden):
+    """Labellers see what the reward model learned about a pair after they labelled it, if the experiment allows it."""
+
+    code = "credit_hidden"
 
     def __init__(self) -> None:
         super().__init__(type(self).__doc__)
@@ -89,12 +101,48 @@ class LabelNotFound(NotFound):
     thing = "label of yours on query"
 
 
+class CreditNotFound(NotFound):
+    code = "credit_not_found"
+
+    def __init__(self, id: str) -> None:
+        AccordError.__init__(self, f"Nobody has asked what the reward model learned about {id!r}. Ask with PUT first.")
+        self.id = id
+
+
+class RewardVersionNotFound(NotFound):
+    code = "reward_version_not_found"
+
+    def __init__(self, experiment_id: str, number: int | None) -> None:
+        version = "reward version yet" if number is None else f"reward version {number}"
+        AccordError.__init__(self, f"Experiment {experiment_id!r} has no {version}.")
+        self.id = experiment_id
+
+
+class ShareNotFound(NotFound):
+    code = "share_not_found"
+    thing = "read-only link"
+
+
 class UserNotFound(NotFound):
     code = "user_not_found"
 
     def __init__(self, name: str) -> None:
         AccordError.__init__(self, f"There is no user {name!r}. `accord user list` shows every user.")
         self.id = name
+
+
+class InvitationNotFound(NotFound):
+    code = "invitation_not_found"
+    thing = "invitation"
+
+
+class InvitationNotValid(NotFound):
+    """This invitation is unknown or was withdrawn, has expired, or has been used up. Ask for a new one."""
+
+    code = "invitation_not_valid"
+
+    def __init__(self) -> None:
+        AccordError.__init__(self, type(self).__doc__)
 
 
 class WrongState(AccordError):
@@ -143,6 +191,15 @@ class NameTaken(WrongState):
 
     code = "name_taken"
     field = "name"
+
+
+class OwnAccount(WrongState):
+    """You cannot change, revoke or remove your own account. Ask another admin."""
+
+    code = "own_account"
+
+    def __init__(self) -> None:
+        super().__init__(type(self).__doc__)
 
 
 class LeaseLost(AccordError):
@@ -200,7 +257,17 @@ class BodyTooLarge(AccordError):
     code = "body_too_large"
 
     def __init__(self, limit_bytes: int) -> None:
-        super().__init__(f"The body is larger than {limit_bytes} bytes. Send labels in smaller batches.")
+        super().__init__(
+            f"The body is larger than {limit_bytes} bytes. Send labels in smaller batches, and import a large export "
+            "with `accord import`."
+        )
+
+
+class TooManyStreams(AccordError):
+    code = "too_many_streams"
+
+    def __init__(self, limit: int) -> None:
+        super().__init__(f"You follow experiments in {limit} places already. Close some tabs or programs.")
 
 
 class Unavailable(AccordError):
@@ -227,12 +294,30 @@ class BlobsNotWritable(Unavailable):
     code = "blobs_not_writable"
 
 
-class BlobMissing(Unavailable):
+class BlobUnreadable(Unavailable):
+    """A row names a blob that cannot be read. `key` is the blob's."""
+
+    code = "blob_unreadable"
+
+    def __init__(self, key: str, message: str) -> None:
+        super().__init__(message)
+        self.key = key
+
+
+class BlobMissing(BlobUnreadable):
     code = "blob_missing"
 
     def __init__(self, key: str) -> None:
-        super().__init__(f"The blob {key!r} is missing from the store. Check whether its folder was moved or emptied.")
-        self.key = key
+        super().__init__(
+            key, f"The blob {key!r} is missing from the store. Check whether its folder was moved or emptied."
+        )
+
+
+class BlobDamaged(BlobUnreadable):
+    code = "blob_damaged"
+
+    def __init__(self, key: str, reason: str) -> None:
+        super().__init__(key, f"The blob {key!r} is damaged ({reason}). Restore it from a backup.")
 
 
 class TaskUnavailable(Unavailable):

@@ -25,8 +25,8 @@ from mapt.rendering.renderer import ClipRenderer
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model
 
-#: OpenGL contexts kept open, one per task and settings
-RENDERERS_KEPT = 4
+#: OpenGL contexts kept open, one per task and settings; three cameras of two tasks
+RENDERERS_KEPT = 6
 #: scene of the probe
 BALL = """
 <mujoco>
@@ -42,8 +42,8 @@ def main() -> None:
         probe()
         return
     descriptor, parent = int(sys.argv[1]), int(sys.argv[2])
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and ends this process
     kill_with_parent(parent)  # even if a driver hangs
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and ends this process
     with Connection(descriptor) as connection:
         serve(connection)
 

@@ -13,7 +13,7 @@ from typing import Protocol
 from sqlalchemy.orm import Session
 
 from accord.domain.enums import Role
-from accord.domain.errors import NameTaken, Unauthenticated, UserNotFound
+from accord.domain.errors import NameTaken, OwnAccount, Unauthenticated, UserNotFound
 from accord.domain.ids import new_id
 from accord.services.validation import check_line
 from accord.store import accounts
@@ -21,6 +21,8 @@ from accord.store.accounts import User, UserSummary
 from accord.store.tables import TokenRow, UserRow, utc_now
 
 _ADMIN_NAME = "admin"
+#: the time of the last request is recorded no more often
+_SEEN_EVERY = timedelta(minutes=1)
 
 
 class Caller(Protocol):
@@ -32,6 +34,9 @@ class Caller(Protocol):
     @property
     def role(self) -> str: ...
 
+    @property
+    def all_experiments(self) -> bool: ...
+
 
 def create_user(session: Session, name: str, role: Role) -> tuple[UserRow, str]:
     """Creates a user; returns it with its bearer token, which cannot be read again.
@@ -41,15 +46,25 @@ def create_user(session: Session, name: str, role: Role) -> tuple[UserRow, str]:
         NameTaken: if another user has this name.
     """
     line = check_line(name, "name", 100)
-    if accounts.user_by_name(session, line) is not None:
+    if name_is_taken(session, line):
         raise NameTaken(
             f"A user named {line!r} already exists. Choose another name; or, for a new sign-in link for {line!r}, run "
             f"`accord user link {shlex.quote(line)}` where Accord runs."
         )
-    user = UserRow(id=new_id("usr"), name=line, role=role.value)
+    user = add_row(session, line, role)
+    return user, _new_token(session, user.id, "bearer", None)
+
+
+def name_is_taken(session: Session, name: str) -> bool:
+    return accounts.user_by_name(session, name) is not None
+
+
+def add_row(session: Session, name: str, role: Role) -> UserRow:
+    """Adds a user who cannot sign in yet. The name must be checked, and not be taken."""
+    user = UserRow(id=new_id("usr"), name=name, role=role.value)
     session.add(user)
     session.flush()
-    return user, _new_token(session, user.id, "bearer", None)
+    return user
 
 
 def user_by_id(session: Session, user_id: str) -> UserRow | None:
@@ -62,12 +77,8 @@ def ensure_admin(session: Session) -> UserRow:
     found = accounts.first_with_role(session, Role.ADMIN.value)
     if found is not None:
         return found
-    taken = accounts.user_by_name(session, _ADMIN_NAME) is not None
-    name = new_id(_ADMIN_NAME) if taken else _ADMIN_NAME
-    admin = UserRow(id=new_id("usr"), name=name, role=Role.ADMIN.value)
-    session.add(admin)
-    session.flush()
-    return admin
+    name = new_id(_ADMIN_NAME) if name_is_taken(session, _ADMIN_NAME) else _ADMIN_NAME
+    return add_row(session, name, Role.ADMIN)
 
 
 def by_name(session: Session, name: str) -> UserRow:
@@ -83,8 +94,33 @@ def by_name(session: Session, name: str) -> UserRow:
 
 
 def summaries(session: Session) -> list[UserSummary]:
-    """Every user by name, with their labels and sign-ins."""
+    """Every user by name, with their labels, sign-ins and experiments; also those who were removed."""
     return accounts.summaries(session, utc_now())
+
+
+def get(session: Session, user_id: str) -> UserRow:
+    """Raises UserNotFound."""
+    user = accounts.user(session, user_id)
+    if user is None:
+        raise UserNotFound(user_id)
+    return user
+
+
+def require_other(session: Session, caller: Caller, user_id: str) -> UserRow:
+    """A user other than the caller, so that an admin cannot lock themselves out and one admin always remains.
+
+    Raises:
+        UserNotFound: if there is no such user.
+        OwnAccount: if it is the caller.
+    """
+    if user_id == caller.id:
+        raise OwnAccount
+    return get(session, user_id)
+
+
+def revoke(session: Session, user_id: str) -> None:
+    """Signs a user's browsers out, makes their tokens and links invalid, and ends their leases."""
+    accounts.revoke(session, user_id)
 
 
 def remove(session: Session, user: UserRow) -> bool:
@@ -94,8 +130,10 @@ def remove(session: Session, user: UserRow) -> bool:
         Whether the user was deleted too. One with labels or experiments stays on record as their author; a new link
         lets them in again.
     """
-    accounts.revoke(session, user.id)
+    revoke(session, user.id)
     if accounts.has_history(session, user.id):
+        user.removed_at = user.removed_at or utc_now()
+        session.flush()
         return False
     accounts.delete_user(session, user.id)
     return True
@@ -107,8 +145,18 @@ def new_bearer(session: Session, user_id: str) -> str:
     Raises:
         UserNotFound: if there is no such user.
     """
-    _require_user(session, user_id)
+    _let_in(session, user_id)
     return _new_token(session, user_id, "bearer", None)
+
+
+def note_seen(session: Session, user: User) -> None:
+    """Records that a user is here, at most once a minute."""
+    if not was_seen_lately(user):
+        accounts.set_last_seen(session, user.id, utc_now())
+
+
+def was_seen_lately(user: User) -> bool:
+    return user.last_seen_at is not None and utc_now() - user.last_seen_at <= _SEEN_EVERY
 
 
 def authenticate(session: Session, token: str) -> User:
@@ -129,7 +177,7 @@ def make_link(session: Session, user_id: str, minutes: float) -> str:
     Raises:
         UserNotFound: if there is no such user.
     """
-    _require_user(session, user_id)
+    _let_in(session, user_id)
     return _new_token(session, user_id, "link", timedelta(minutes=minutes))
 
 
@@ -148,7 +196,13 @@ def redeem_link(session: Session, token: str, session_days: float) -> tuple[User
             "This sign-in link has been used or has expired; each link works once. Ask whoever runs Accord for a new "
             "one: `accord user link NAME`, or `accord link` for the admin."
         )
-    return user, _new_token(session, user.id, "session", timedelta(days=session_days))
+    return user, start_session(session, user, session_days)
+
+
+def start_session(session: Session, user: UserRow, session_days: float) -> str:
+    """The token of a new browser session."""
+    user.last_seen_at = utc_now()
+    return _new_token(session, user.id, "session", timedelta(days=session_days))
 
 
 def sign_out(session: Session, token: str) -> None:
@@ -160,9 +214,9 @@ def hash_of(token: str) -> str:
     return hashlib.sha256(token.encode("utf-8", "surrogatepass")).hexdigest()
 
 
-def _require_user(session: Session, user_id: str) -> None:
-    if accounts.user(session, user_id) is None:
-        raise UserNotFound(user_id)
+def _let_in(session: Session, user_id: str) -> None:
+    """A new link or token ends a removal. Raises UserNotFound."""
+    get(session, user_id).removed_at = None
 
 
 def _new_token(session: Session, user_id: str, kind: str, lasts: timedelta | None) -> str:

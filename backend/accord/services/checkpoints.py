@@ -31,6 +31,11 @@ def newest(session: Session, experiment_id: str) -> PolicyCheckpointRow | None:
     return found[0] if found else None
 
 
+def kept(session: Session, experiment_id: str) -> list[PolicyCheckpointRow]:
+    """Newest first: training resumes from the first one that can be read."""
+    return rewards.checkpoints(session, experiment_id, KEPT)
+
+
 def prune(session: Session, experiment_id: str, keep: int = KEPT) -> list[str]:
     """Deletes the rows of all but the newest checkpoints; returns the keys of their blobs.
 

@@ -6,10 +6,11 @@ from importlib.metadata import version
 
 import numpy as np
 from numpy.typing import NDArray
+from safetensors import SafetensorError
 from safetensors.numpy import load, save
 from sqlalchemy.orm import Session
 
-from accord.domain.errors import Invalid, SegmentNotFound
+from accord.domain.errors import BlobDamaged, Invalid, SegmentNotFound
 from accord.domain.ids import new_id
 from accord.store import segments
 from accord.store.blobs import BlobStore
@@ -113,6 +114,14 @@ def blob_key(session: Session, segment_id: str) -> str:
     return found
 
 
+def experiment_of(session: Session, segment_id: str) -> str:
+    """Id of a segment's experiment. Raises SegmentNotFound."""
+    row = segments.get(session, segment_id)
+    if row is None:
+        raise SegmentNotFound(segment_id)
+    return row.experiment_id
+
+
 def replayed_clip_key(segment_blob_key: str) -> str:
     """Key of the clip of a segment whose task renders itself; see `accord.workers.replayed_clips`."""
     return segment_blob_key.removesuffix(".safetensors") + ".mp4"
@@ -123,5 +132,10 @@ def load_arrays(blobs: BlobStore, blob_key: str) -> dict[str, NDArray[np.floatin
 
     Raises:
         BlobMissing: if the blob does not exist.
+        BlobDamaged: if it does not hold arrays.
     """
-    return load(blobs.read(blob_key))
+    content = blobs.read(blob_key)
+    try:
+        return load(content)
+    except SafetensorError as error:
+        raise BlobDamaged(blob_key, str(error)) from error

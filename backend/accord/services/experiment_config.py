@@ -64,6 +64,39 @@ class ExperimentConfig(Settings):
     labels_per_version: Annotated[
         int, setting("New labels before the next version of the reward model.", ge=1, le=10**6, unit="labels")
     ] = 50
+    labels_per_pair: Annotated[
+        int,
+        setting(
+            "Labels by different people that an overlap pair gets, none of whom sees the labels of the others. Each of "
+            "them counts towards label_budget.",
+            ge=1,
+            le=5,
+            unit="labels",
+        ),
+    ] = 1
+    overlap_share: Annotated[
+        float,
+        setting("Share of pairs that get labels_per_pair labels; the others get one.", ge=0, le=1),
+    ] = 0.2
+    gold_share: Annotated[
+        float,
+        setting(
+            "Share of the pairs shown to each labeller that are gold: their answer is known, so that it measures the "
+            "labeller. Takes effect once a researcher has marked pairs as gold. Checks do not count towards "
+            "label_budget and are never trained on.",
+            ge=0,
+            le=0.3,
+        ),
+    ] = 0.0
+    repeat_share: Annotated[
+        float,
+        setting(
+            "Share of the pairs shown to each labeller that repeat an earlier one with the sides swapped, as a check "
+            "of consistency.",
+            ge=0,
+            le=0.3,
+        ),
+    ] = 0.0
     lookahead_queries: Annotated[
         int,
         setting(
@@ -129,6 +162,13 @@ class ExperimentConfig(Settings):
         float,
         setting("Share of labels assumed to be wrong in training; 0.1 is usual for people.", ge=0, le=0.49),
     ] = 0.0
+    weight_labellers: Annotated[
+        bool,
+        setting(
+            "Where several people label, weight each label by the estimated reliability of its labeller. Labels are "
+            "stored as given."
+        ),
+    ] = True
     policy_reward: Annotated[
         PolicyReward,
         setting(
@@ -141,6 +181,13 @@ class ExperimentConfig(Settings):
         Credit, setting("shared: every agent gets the mean reward. individual: each agent gets its own.")
     ] = "shared"
     render_clips: Annotated[bool, setting("Render clips for people; false if only programs label.")] = True
+    show_credit: Annotated[
+        bool,
+        setting(
+            "Show labellers what the reward model learned about a pair after they labelled it. Their later labels then "
+            "depend on the model."
+        ),
+    ] = False
     policy: Annotated[
         dict[str, object],
         setting("Settings of the policy that differ from the algorithm's defaults.", overrides=PolicyConfig),

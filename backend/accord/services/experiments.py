@@ -10,12 +10,14 @@ from accord.domain.errors import ExperimentNotActive, ExperimentNotFound, Invali
 from accord.domain.ids import new_id
 from accord.services.experiment_config import ExperimentConfig
 from accord.services.validation import check_line, check_lines
-from accord.store import experiments
-from accord.store.tables import ExperimentRow, RewardVersionRow, utc_now
+from accord.store import attempts, experiments
+from accord.store.tables import ExperimentRow, InstructionRevisionRow, RewardVersionRow, utc_now
 from mapt.errors import UnknownTask as UnknownMaptTask
 from mapt.tasks import task_names, task_spec
 
-_OVER = frozenset({ExperimentStatus.CANCELLED, ExperimentStatus.FINISHED, ExperimentStatus.FAILED})
+OVER = frozenset({ExperimentStatus.CANCELLED, ExperimentStatus.FINISHED, ExperimentStatus.FAILED})
+#: characters of the instructions
+MAX_INSTRUCTIONS = 20_000
 _COUNTED = (QueryStatus.OPEN.value, QueryStatus.RENDERING.value)
 
 
@@ -75,7 +77,7 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
             f"episode of {config.task}.",
             "segment_steps",
         )
-    shown = check_lines(instructions or "", "instructions", 4000) or spec.instructions
+    shown = check_lines(instructions or "", "instructions", MAX_INSTRUCTIONS) or spec.instructions
     row = ExperimentRow(
         id=experiment_id or new_id("exp"),
         name=line,
@@ -84,6 +86,8 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
         owner_id=owner_id,
     )
     session.add(row)
+    session.flush()
+    session.add(InstructionRevisionRow(experiment_id=row.id, number=1, text=shown))
     session.flush()
     return row
 
@@ -109,9 +113,15 @@ def config_of(row: ExperimentRow) -> ExperimentConfig:
     return ExperimentConfig.from_stored(row.config)
 
 
-def list_page(session: Session, limit: int, cursor: str | None, archived: bool | None = None) -> ExperimentPage:
-    """At most `limit` experiments, newest first, from `cursor` on; None lists archived ones and others."""
-    rows = experiments.newest(session, limit + 1, cursor, archived=archived)
+def list_page(
+    session: Session, limit: int, cursor: str | None, archived: bool | None = None, *, only_of: str | None = None
+) -> ExperimentPage:
+    """At most `limit` experiments, newest first, from `cursor` on; `archived` None lists archived ones and others.
+
+    Args:
+        only_of: id of a user; only the experiments that they were given access to.
+    """
+    rows = experiments.newest(session, limit + 1, cursor, archived=archived, only_of=only_of)
     more = len(rows) > limit
     return ExperimentPage(rows[:limit], rows[limit - 1].id if more else None)
 
@@ -168,6 +178,7 @@ def resume(session: Session, experiment_id: str) -> ExperimentRow:
     """
     row = _change(session, experiment_id, ExperimentStatus.RUNNING, (ExperimentStatus.PAUSED, ExperimentStatus.FAILED))
     row.ended_at = row.archived_at = None
+    attempts.delete(session, experiment_id)
     return row
 
 
@@ -180,11 +191,28 @@ def cancel(session: Session, experiment_id: str) -> ExperimentRow:
     return row
 
 
-def edit_instructions(session: Session, experiment_id: str, instructions: str) -> ExperimentRow:
-    """Changes what labellers read; the task's own instructions if empty. Raises ExperimentNotFound, Invalid."""
+def edit_instructions(session: Session, experiment_id: str, instructions: str, author: str = "") -> ExperimentRow:
+    """Changes what labellers read; the task's own instructions if empty. Another text is a new revision.
+
+    Raises:
+        ExperimentNotFound: if there is no such experiment.
+        Invalid: if the text is too long, or contains characters that are not printable.
+    """
     row = _locked(session, experiment_id)
-    row.instructions = check_lines(instructions, "instructions", 4000) or task_spec(config_of(row).task).instructions
+    text = check_lines(instructions, "instructions", MAX_INSTRUCTIONS) or task_spec(config_of(row).task).instructions
+    if text != row.instructions:
+        row.instructions = text
+        row.instructions_revision += 1
+        number = row.instructions_revision
+        session.add(InstructionRevisionRow(experiment_id=row.id, number=number, text=text, author=author))
+        session.flush()
     return row
+
+
+def instruction_revisions(session: Session, experiment_id: str) -> list[InstructionRevisionRow]:
+    """Everything that labellers of the experiment have read, oldest first. Raises ExperimentNotFound."""
+    get(session, experiment_id)
+    return experiments.instruction_revisions(session, experiment_id)
 
 
 def archive(session: Session, experiment_id: str) -> ExperimentRow:
@@ -237,7 +265,7 @@ def fail(session: Session, experiment_id: str, reason: str) -> bool:
 
 def require_not_over(experiment_id: str, status: str) -> None:
     """Raises ExperimentNotActive if the experiment has ended, after which its labels are final."""
-    if status in _OVER:
+    if status in OVER:
         raise ExperimentNotActive(experiment_id, status, "running or paused")
 
 

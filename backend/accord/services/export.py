@@ -47,6 +47,10 @@ def contents(session: Session, experiment_id: str) -> Contents:
     """
     row = experiments.get(session, experiment_id)
     about = _about(row, publish.versions(session, experiment_id))
+    about["instruction_revisions"] = [
+        {"number": each.number, "text": each.text, "author": each.author, "created_at": each.created_at.isoformat()}
+        for each in experiments.instruction_revisions(session, experiment_id)
+    ]
     found = Contents(
         about,
         exports.segments(session, experiment_id),
@@ -95,7 +99,15 @@ def _write(blobs: BlobStore, found: Contents, folder: Path, on_segments: Callabl
             written += len(part)
             on_segments(written)
         tables.add_queries(
-            QueryRow(query.id, query.segment_0_id, query.segment_1_id, query.selector, query.reward_version_id)
+            QueryRow(
+                query.id,
+                query.segment_0_id,
+                query.segment_1_id,
+                query.selector,
+                query.reward_version_id,
+                query.repeats_id,
+                query.gold_value,
+            )
             for query in found.queries
         )
         tables.add_labels(
@@ -109,6 +121,9 @@ def _write(blobs: BlobStore, found: Contents, folder: Path, on_segments: Callabl
                 teacher=label.teacher,
                 revision=label.revision,
                 labelled_at=label.updated_at,
+                excluded=label.excluded,
+                final=label.final,
+                instructions_revision=label.instructions_revision,
             )
             for label in found.labels
         )

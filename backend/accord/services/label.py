@@ -21,7 +21,8 @@ from accord.domain.errors import (
     QueryNotFound,
 )
 from accord.domain.ids import new_id
-from accord.domain.permissions import may_label_in_batches
+from accord.domain.permissions import may_label_in_batches, may_run_experiments, require
+from accord.services import access
 from accord.services.accounts import Caller
 from accord.services.experiments import require_not_over
 from accord.services.lease import now_and_end
@@ -53,51 +54,76 @@ def put_label(
     *,
     response_seconds: float | None = None,
     teacher: dict[str, Any] | None = None,
+    instructions_revision: int | None = None,
     experiment_id: str | None = None,
     replaces: int | None = None,
+    final: bool | None = None,
 ) -> LabelOutcome:
     """Writes or changes a user's label on a query; sending the same label again changes nothing.
 
-    A label closes the query. A skip leaves it open for other users; this user does not get it again.
+    The query closes when it has as many labels as it wants. A skip leaves it open for other users; this user does not
+    get it again.
 
     Args:
         value: 1, 0 or 0.5; None skips.
         order: `segments`: 1 prefers segment 0. `shown`: 1 prefers the left clip, and is converted to segment order.
         experiment_id: when given, the query must be of this experiment.
+        instructions_revision: of the instructions that the user had read; ignored if the experiment has none of that
+            number, because that must not cost a label.
         replaces: revision of the user's label that this one replaces, 0 for none. None replaces any.
+        final: whether it decides between the labels of others, for researchers; None keeps what the user's label is.
 
     Raises:
         InvalidLabel: for any other value.
+        Forbidden: if a labeller or teacher sends a final label.
         Invalid: if `teacher` is too long or not JSON.
         QueryNotFound: if there is no such query (in this experiment).
+        ExperimentNotFound: if the experiment is hidden from the user, unless the query was shown to them before.
         ExperimentNotActive: if the experiment is over.
         LabelChanged: if the user's label has another revision than `replaces`: another tab has written it.
         QueryClosed: if another user has labelled it.
-        LabelConflict: if its clips are not ready, or could not be rendered.
+        LabelConflict: if its clips are not ready, or could not be rendered; or if another researcher has decided it.
         LeaseLost: if another user holds it; if it was never shown to a labeller; or if `shown` is sent for such a
             query.
     """
     if value is not None and value not in LABEL_VALUES:
         raise InvalidLabel(value)
     described = check_teacher(teacher) if teacher else {}
+    if final:
+        require(may_run_experiments(Role(user.role)), Role(user.role), "decide between the labels of others")
     found = _locked(session, user, query_id, experiment_id)
+    final = found.final if final is None else final
     if order == "shown":
         if found.left_segment is None:
             raise LeaseLost(query_id)
         value = 1.0 - value if value is not None and found.left_segment == 1 else value
-    response = Response(value, "skip" if value is None else "label", found.left_segment, response_seconds, described)
+    known = instructions_revision is not None and 1 <= instructions_revision <= found.instructions_revision
+    response = Response(
+        value,
+        "skip" if value is None else "label",
+        found.left_segment,
+        response_seconds,
+        described,
+        instructions_revision if known else None,
+    )
     previous, label_id = found.response, found.label_id
     if (
         previous is not None
         and label_id is not None
-        and (previous.state, previous.value) == (response.state, response.value)
+        and (previous.state, previous.value, found.final) == (response.state, response.value, final)
     ):
-        return LabelOutcome(_stored(found, user, label_id, found.label_revision, previous), created=False)
+        row = _stored(found, user, label_id, found.label_revision, previous, final=found.final, excluded=found.excluded)
+        return LabelOutcome(row, created=False)
     _require_revision(found, replaces)
-    _require_labellable(user, found)
-    row = _write(session, user, found, response)
-    status = QueryStatus.CLOSED if response.state == "label" else QueryStatus.OPEN
-    queries.set_lease(session, query_id, status.value, None, None)
+    if final and labels.final_of_another(session, query_id, user.id):
+        raise LabelConflict(f"Another researcher has decided query {query_id!r} already.")
+    _require_labellable(session, user, found, final=final)
+    row = _write(session, user, found, response, final=final)
+    status = _status_after(session, found, row)
+    if _held_by_another(user, found):
+        queries.set_status(session, query_id, status.value)
+    else:
+        queries.set_lease(session, query_id, status.value, None, None)
     return LabelOutcome(row, created=True)
 
 
@@ -110,7 +136,9 @@ def undo(
     tab: str = "",
     replaces: int | None = None,
 ) -> StoredLabel:
-    """Undoes a user's label or skip; the query is open again, and leased to this tab of the user.
+    """Undoes a user's label or skip; the query wants it again, and is leased to this tab of the user.
+
+    Where several users label a query and another one holds it by now, that lease stays; this user may label it too.
 
     Args:
         tab: as in `lease.next_queries`.
@@ -118,19 +146,25 @@ def undo(
 
     Raises:
         QueryNotFound: if there is no such query.
+        ExperimentNotFound: if the experiment is hidden from the user.
         LabelNotFound: if the user has no label on it.
         LabelChanged: if the label has another revision than `replaces`.
         ExperimentNotActive: if the experiment is over.
         QueryClosed, LeaseLost: if, after a skip, another user has labelled it or holds it.
     """
     found = _locked(session, user, query_id, None)
+    access.require(session, user, found.experiment_id)
     if found.response is None or found.response.state not in _GIVEN:
         raise LabelNotFound(query_id)
     _require_revision(found, replaces)
-    _require_labellable(user, found)
-    row = _write(session, user, found, replace(found.response, value=None, state="undone"))
-    _, until = now_and_end(lease_seconds)
-    queries.set_lease(session, query_id, QueryStatus.OPEN.value, user.id, until, tab=tab)
+    _require_labellable(session, user, found, final=found.final)
+    row = _write(session, user, found, replace(found.response, value=None, state="undone"), final=found.final)
+    status = _status_after(session, found, row)
+    if _held_by_another(user, found):
+        queries.set_status(session, query_id, status.value)
+    else:
+        _, until = now_and_end(lease_seconds)
+        queries.set_lease(session, query_id, status.value, user.id, until, tab=tab)
     return row
 
 
@@ -147,38 +181,74 @@ def _require_revision(found: LockedQuery, replaces: int | None) -> None:
         raise LabelChanged(found.query_id)
 
 
-def _require_labellable(user: Caller, found: LockedQuery) -> None:
+def _require_labellable(session: Session, user: Caller, found: LockedQuery, *, final: bool) -> None:
     """Raises unless this user may label this query now."""
     require_not_over(found.experiment_id, found.experiment_status)
     previous_state = None if found.response is None else found.response.state
     if previous_state == "label":
-        return  # this label closed the query; its author may change it
-    if found.status == QueryStatus.CLOSED:
-        raise QueryClosed(found.query_id)
-    if found.status != QueryStatus.OPEN:
+        return  # its author may change a label at any time
+    if found.status not in (QueryStatus.OPEN, QueryStatus.CLOSED):
         raise LabelConflict(f"Query {found.query_id!r} has no clips ({found.status}). Ask for the next query.")
+    # Checks and queries to decide are labelled while they are closed.
+    if found.status == QueryStatus.CLOSED and not (found.is_check or final):
+        raise QueryClosed(found.query_id)
     if found.leased_by == user.id:
         # An expired lease that no other user has taken is still valid.
         return
-    if found.leased_until is not None and found.leased_until > utc_now():
+    shown = found.left_segment is not None
+    # Whoever was shown a query that several people label may label it, whoever holds it now.
+    if _held_by_another(user, found) and not (shown and _is_for_several(found)):
         raise LeaseLost(found.query_id)
     # A released query that nobody holds may be labelled by whoever has seen it: the page that showed it was closed
     # while its label was on the way.
-    shown = found.left_segment is not None
-    if not shown and previous_state != "skip" and not may_label_in_batches(Role(user.role)):
-        raise LeaseLost(found.query_id)
+    if not shown and previous_state != "skip":
+        if not may_label_in_batches(Role(user.role)):
+            raise LeaseLost(found.query_id)
+        access.require(session, user, found.experiment_id)
 
 
-def _write(session: Session, user: Caller, found: LockedQuery, response: Response) -> StoredLabel:
+def _is_for_several(found: LockedQuery) -> bool:
+    return found.is_check or found.labels_wanted > 1
+
+
+def _held_by_another(user: Caller, found: LockedQuery) -> bool:
+    """Whether another user holds an unexpired lease."""
+    return found.leased_by not in (None, user.id) and found.leased_until is not None and found.leased_until > utc_now()
+
+
+def _status_after(session: Session, found: LockedQuery, label: StoredLabel) -> QueryStatus:
+    """Status of a query after a label of it was written."""
+    if found.is_check or (label.final and label.state == "label"):
+        return QueryStatus.CLOSED
+    if found.labels_wanted == 1 and not label.excluded and not found.final:
+        return QueryStatus.CLOSED if label.state == "label" else QueryStatus.OPEN
+    enough = queries.count_labels(session, found.query_id) >= found.labels_wanted
+    return QueryStatus.CLOSED if enough else QueryStatus.OPEN
+
+
+def _write(session: Session, user: Caller, found: LockedQuery, response: Response, *, final: bool) -> StoredLabel:
     """Writes the label, its history and the counters."""
-    before = found.response is not None and found.response.state == "label"
-    revision = labels.advance_revision(session, found.experiment_id, (response.state == "label") - before)
-    label = _stored(found, user, found.label_id or new_id("lbl"), revision, response)
+    # A label keeps its exclusion; a new one takes that of its author.
+    excluded = found.labeller_excluded if found.label_id is None else found.excluded
+    before = found.response is not None and found.response.state == "label" and not found.final
+    after = response.state == "label" and not final
+    delta = 0 if found.is_check or excluded else after - before
+    revision = labels.advance_revision(session, found.experiment_id, delta)
+    label = _stored(found, user, found.label_id or new_id("lbl"), revision, response, final=final, excluded=excluded)
     labels.write(session, label, response, utc_now(), new=found.label_id is None)
     return label
 
 
-def _stored(found: LockedQuery, user: Caller, label_id: str, revision: int, response: Response) -> StoredLabel:
+def _stored(
+    found: LockedQuery,
+    user: Caller,
+    label_id: str,
+    revision: int,
+    response: Response,
+    *,
+    final: bool,
+    excluded: bool,
+) -> StoredLabel:
     return StoredLabel(
         id=label_id,
         experiment_id=found.experiment_id,
@@ -188,4 +258,6 @@ def _stored(found: LockedQuery, user: Caller, label_id: str, revision: int, resp
         state=response.state,
         revision=revision,
         left_segment=response.left_segment,
+        final=final,
+        excluded=excluded,
     )

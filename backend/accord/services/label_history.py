@@ -3,12 +3,13 @@
 import csv
 import io
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
 from sqlalchemy.orm import Session
 
-from accord.services import experiments, lease
+from accord.services import access, experiments, lease
 from accord.services.accounts import Caller
 from accord.services.lease import LeasedQuery
 from accord.store import label_history
@@ -35,6 +36,11 @@ COLUMNS = (
     "revision",
     "created_at",
     "current",
+    "excluded",
+    "final",
+    "instructions_revision",
+    "gold",
+    "repeats_id",
 )
 #: a spreadsheet runs a cell that begins with one of these as a formula
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
@@ -74,14 +80,17 @@ class QueryPage:
     next_before: int | None
 
 
-def own(session: Session, user: Caller, experiment_id: str, limit: int, before: int | None) -> OwnLabels:
-    """A user's labels and skips. A read-only session is enough.
+def own(  # noqa: PLR0917 (a page of a list, and its filter)
+    session: Session, user: Caller, experiment_id: str, limit: int, before: int | None, final: bool = False
+) -> OwnLabels:
+    """A user's labels and skips; with `final`, decisions only. A read-only session is enough.
 
     Raises:
-        ExperimentNotFound: if there is no such experiment.
+        ExperimentNotFound: if there is no such experiment, or it is hidden from the user.
     """
+    access.require(session, user, experiment_id)
     experiment = experiments.get(session, experiment_id)
-    rows = label_history.own_labels(session, experiment_id, user.id, limit, before)
+    rows = label_history.own_labels(session, experiment_id, user.id, limit, before, final)
     shown = {query.id: query for query in lease.shown_queries(session, user, [row.query_id for row in rows])}
     items = [
         OwnLabel(
@@ -94,10 +103,8 @@ def own(session: Session, user: Caller, experiment_id: str, limit: int, before: 
         )
         for row in rows
     ]
-    counts = label_history.own_counts(session, experiment_id, user.id)
-    return OwnLabels(
-        experiment.config["task"], items, counts, rows[-1].revision if rows and len(rows) == limit else None
-    )
+    counts = label_history.own_counts(session, experiment_id, user.id, final)
+    return OwnLabels(experiment.config["task"], items, counts, _next_before([row.revision for row in rows], limit))
 
 
 def table(session: Session, experiment_id: str, filters: Filters, limit: int, before: int | None) -> QueryPage:
@@ -108,8 +115,13 @@ def table(session: Session, experiment_id: str, filters: Filters, limit: int, be
     """
     experiments.get(session, experiment_id)
     items = label_history.queries(session, experiment_id, filters, limit, before)
-    following = items[-1].number if items and len(items) == limit else None
+    following = _next_before([item.number for item in items], limit)
     return QueryPage(items, label_history.authors(session, experiment_id), following)
+
+
+def _next_before(positions: Sequence[int], limit: int) -> int | None:
+    """The position of the last item of a full page, before which the next page begins; None at the end."""
+    return positions[-1] if positions and len(positions) == limit else None
 
 
 def table_as_csv(session: Session, experiment_id: str, filters: Filters) -> str:
@@ -132,7 +144,8 @@ def table_as_csv(session: Session, experiment_id: str, filters: Filters) -> str:
         cells = [query.number, query.id, query.status, query.selector, first.id, second.id]
         cells += [first.true_return, second.true_return]
         for label in query.labels:
-            writer.writerows([*cells, *row] for row in _revision_cells(label))
+            check = [query.gold_value, query.repeats_id]
+            writer.writerows([*cells, *row, *check] for row in _revision_cells(label))
         if not query.labels:
             writer.writerow([*cells, *([""] * (len(COLUMNS) - len(cells)))])
     return output.getvalue()
@@ -145,6 +158,7 @@ def _revision_cells(label: RecordedLabel) -> list[list[object]]:
         [
             *(name, label.role, teacher, each.value, each.state, each.left_segment, each.response_seconds),
             *(each.revision, each.created_at.isoformat(), each is label.revisions[-1]),
+            *(label.excluded, label.final, each.instructions_revision),
         ]
         for each in label.revisions
     ]

@@ -7,22 +7,35 @@ Other leases share `now_and_end`.
 """
 
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Literal
 
 from sqlalchemy.orm import Session
 
-from accord.domain.enums import ExperimentStatus, QueryStatus
+from accord.domain.enums import ExperimentStatus, QueryStatus, Role
 from accord.domain.errors import ExperimentNotFound, LeaseLost, QueryClosed, QueryNotFound
+from accord.domain.permissions import may_run_experiments, require
+from accord.services import access, checks
 from accord.services.accounts import Caller
+from accord.services.experiments import OVER
 from accord.store import experiments, queries
 from accord.store.experiments import LabellingState
 from accord.store.queries import QuerySegment, ShownQuery
 from accord.store.tables import utc_now
 
-Reason = Literal["", "rendering", "policy_training", "all_labelled", "experiment_over", "paused"]
+Reason = Literal[
+    "",
+    "rendering",
+    "policy_training",
+    "all_labelled",
+    "experiment_over",
+    "paused",
+    "labeller_paused",
+    "others",
+    "all_decided",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +67,14 @@ def next_queries(
 ) -> Leased:
     """Leases up to `count` queries to a user: first those this tab holds already, then free ones, by number.
 
-    A query keeps the sides it was first shown with, so that reloading the page changes nothing.
+    A query keeps the sides it was first shown with, so that reloading the page changes nothing. Checks of the labeller
+    are mixed in at the experiment's shares, as long as there are ordinary queries too.
 
     Raises:
-        ExperimentNotFound: if there is no such experiment.
+        ExperimentNotFound: if there is no such experiment, or it is hidden from the user.
     """
-    state = experiments.labelling_state(session, experiment_id)
+    access.require(session, user, experiment_id)
+    state = experiments.labelling_state(session, experiment_id, user.id)
     if state is None:
         raise ExperimentNotFound(experiment_id)
     task = str(state.config["task"])
@@ -68,13 +83,43 @@ def next_queries(
         return Leased(task, [], closed)
     now, until = now_and_end(lease_seconds)
     ids = queries.leased_ids(session, user.id, experiment_id, now, count, tab=tab)
+    left_segments: dict[str, int] = {}
     if len(ids) < count:
-        ids += queries.lock_free_ids(session, user.id, experiment_id, now, count - len(ids))
+        free = queries.lock_free_ids(session, user.id, experiment_id, now, count - len(ids))
+        if free:
+            drawn = checks.draw(session, user, experiment_id, state.config, now, count - len(ids))
+            left_segments = drawn.left_segments
+            ids += (drawn.ids + free)[: count - len(ids)]
     if not ids:
-        return Leased(task, [], _waiting_reason(session, experiment_id))
+        return Leased(task, [], _waiting_reason(session, user, experiment_id))
+    queries.lease(session, ids, user.id, until, tab)
+    items = _with_sides(session, user.id, ids, left_segments)
+    return Leased(task, items, "" if len(items) == count else _waiting_reason(session, user, experiment_id))
+
+
+def next_disputed(
+    session: Session, user: Caller, experiment_id: str, count: int, lease_seconds: float, *, tab: str = ""
+) -> Leased:
+    """Leases up to `count` queries on which labellers disagree, for a researcher's final label.
+
+    Raises:
+        Forbidden: if the user is a labeller or teacher.
+        ExperimentNotFound: if there is no such experiment.
+    """
+    require(may_run_experiments(Role(user.role)), Role(user.role), "decide between the labels of others")
+    state = experiments.labelling_state(session, experiment_id, user.id)
+    if state is None:
+        raise ExperimentNotFound(experiment_id)
+    task = str(state.config["task"])
+    if state.status in OVER:
+        return Leased(task, [], "experiment_over")
+    now, until = now_and_end(lease_seconds)
+    ids = queries.lock_disputed_ids(session, user.id, experiment_id, now, count, tab=tab)
+    if not ids:
+        return Leased(task, [], "all_decided")
     queries.lease(session, ids, user.id, until, tab)
     items = _with_sides(session, user.id, ids)
-    return Leased(task, items, "" if len(items) == count else _waiting_reason(session, experiment_id))
+    return Leased(task, items, "" if len(items) == count else "all_decided")
 
 
 def leased_query(session: Session, user: Caller, query_id: str) -> LeasedQuery:
@@ -102,11 +147,9 @@ def heartbeat(session: Session, user: Caller, query_id: str, lease_seconds: floa
     found = queries.lock(session, query_id, user.id)
     if found is None:
         raise QueryNotFound(query_id)
-    if found.status == QueryStatus.CLOSED:
-        raise QueryClosed(query_id)
     # An expired lease that no other user has taken is still valid: a laptop that slept must not lose its pair.
     if (found.leased_by, found.leased_tab) != (user.id, tab):
-        raise LeaseLost(query_id)
+        raise QueryClosed(query_id) if found.status == QueryStatus.CLOSED else LeaseLost(query_id)
     queries.set_lease(session, query_id, found.status, user.id, until, tab=tab)
 
 
@@ -123,10 +166,14 @@ def release(session: Session, user: Caller, query_id: str, tab: str = "") -> Non
         queries.set_lease(session, query_id, found.status, None, None)
 
 
-def _with_sides(session: Session, user_id: str, ids: Sequence[str]) -> list[LeasedQuery]:
+def _with_sides(
+    session: Session, user_id: str, ids: Sequence[str], left_segments: Mapping[str, int] | None = None
+) -> list[LeasedQuery]:
+    """The queries by number, on the sides they were first shown with, else on those given, else on random ones."""
+    given = left_segments or {}
     rows = queries.with_sides(session, ids, user_id)
     # The system's random source, not a seeded one, so that nobody can predict a side.
-    drawn = {row.query_id: secrets.randbelow(2) for row in rows if row.left_segment is None}
+    drawn = {row.query_id: given.get(row.query_id, secrets.randbelow(2)) for row in rows if row.left_segment is None}
     if drawn:
         queries.add_presentations(session, user_id, drawn, utc_now())
     return [_placed(row, drawn[row.query_id] if row.left_segment is None else row.left_segment) for row in rows]
@@ -147,14 +194,18 @@ def _closed_reason(state: LabellingState) -> Reason:
         return "paused"
     if state.status != ExperimentStatus.RUNNING:
         return "experiment_over"
+    if state.labeller_paused_at is not None:
+        return "labeller_paused"
     config = state.config
     if config["reward_source"] == "true" or state.label_count >= config["label_budget"]:
         return "all_labelled"
     return ""
 
 
-def _waiting_reason(session: Session, experiment_id: str) -> Reason:
-    return "rendering" if queries.count_rendering(session, experiment_id) else "policy_training"
+def _waiting_reason(session: Session, user: Caller, experiment_id: str) -> Reason:
+    if queries.count_rendering(session, experiment_id):
+        return "rendering"
+    return "others" if queries.wants_labels_of_others(session, experiment_id, user.id) else "policy_training"
 
 
 def now_and_end(lease_seconds: float) -> tuple[datetime, datetime]:

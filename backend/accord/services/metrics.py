@@ -8,14 +8,14 @@ from sqlalchemy.orm import Session
 
 from accord.domain.enums import Role
 from accord.domain.permissions import may_see_returns
-from accord.services.experiments import config_of
 from accord.store import experiments, metrics
-from accord.store.tables import ExperimentRow, MetricRow
+from accord.store.tables import MetricRow
 
 #: labellers do not get curves whose names begin with this
 _TRUE_PREFIX = "true_"
-#: also hidden from labellers if the policy learns from the true reward, which these would reveal
-_TRUE_IF_LEARNED_FROM = frozenset({"learned_return", "value_loss"})
+#: Nor these: how good the reward model finds the policy would influence what people find good, and where the policy
+#: learns from the true reward, they reveal it.
+_RETURNS = frozenset({"learned_return", "value_loss"})
 #: metrics of a reward version that labellers may see; rank correlation, for example, reveals true returns
 _OPEN_VERSION_METRICS = frozenset(
     {
@@ -26,6 +26,7 @@ _OPEN_VERSION_METRICS = frozenset(
         "holdout_labels",
         "holdout_strict_labels",
         "holdout_reliable",
+        "refit",
         "ece",
         "seconds",
         "epochs",
@@ -102,16 +103,11 @@ def series(session: Session, experiment_id: str, names: Sequence[str] | None = N
     return [Series(name, points) for name, points in curves.items()]
 
 
-def visible(found: Sequence[Series], experiment: ExperimentRow, role: Role) -> list[Series]:
+def visible(found: Sequence[Series], role: Role) -> list[Series]:
     """The curves that a role may see."""
     if may_see_returns(role):
         return list(found)
-    learns_true_reward = config_of(experiment).reward_source == "true"
-    return [
-        curve
-        for curve in found
-        if not curve.name.startswith(_TRUE_PREFIX) and not (learns_true_reward and curve.name in _TRUE_IF_LEARNED_FROM)
-    ]
+    return [curve for curve in found if not curve.name.startswith(_TRUE_PREFIX) and curve.name not in _RETURNS]
 
 
 def visible_version_metrics(found: Mapping[str, object], role: Role) -> dict[str, object]:

@@ -1,7 +1,7 @@
 """Versions of the reward model: the labels they are trained on, and their publication. A version never changes."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy.orm import Session
@@ -10,8 +10,26 @@ from accord.domain.errors import ExperimentNotFound
 from accord.domain.ids import new_id
 from accord.services import experiments as experiment_service
 from accord.store import experiments, labels, rewards
-from accord.store.labels import LabelledPair
-from accord.store.tables import RewardVersionRow
+from accord.store.labels import GoldLabel, LabelledPair
+from accord.store.rewards import NamedReliability
+from accord.store.tables import LabellerReliabilityRow, RewardVersionRow
+
+
+@dataclass(frozen=True, slots=True)
+class LabellerReliability:
+    """What is estimated of a labeller from the labels of a version; see `mapt.preferences.reliability`."""
+
+    user_id: str
+    #: labels the version was trained on
+    labels: int
+    #: P(the better segment is preferred | a strict answer)
+    accuracy: float
+    #: weight in training of each answer, as the labeller saw it
+    left_weight: float
+    equal_weight: float
+    right_weight: float
+    #: over the labels
+    mean_weight: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +37,8 @@ class TrainingLabels:
     """Every label (no skips) up to a revision."""
 
     items: list[LabelledPair]
+    #: labels that are not trained on, but tell how reliable a labeller is
+    gold: list[GoldLabel]
     #: the experiment's label revision; `items` has every change up to it and none after it
     watermark: int
 
@@ -37,7 +57,11 @@ def training_labels(session: Session, experiment_id: str) -> TrainingLabels:
     """All labels for the next version. Raises ExperimentNotFound."""
     # Read the watermark first: a label written in between is above it, and belongs to the next version.
     watermark = experiment_service.get(session, experiment_id).label_revision
-    return TrainingLabels(labels.up_to(session, experiment_id, watermark), watermark)
+    return TrainingLabels(
+        labels.up_to(session, experiment_id, watermark),
+        labels.of_gold_queries(session, experiment_id, watermark),
+        watermark,
+    )
 
 
 def publish(
@@ -49,6 +73,7 @@ def publish(
     label_count: int,
     policy_steps: int,
     metrics: Mapping[str, float | None],
+    reliabilities: Sequence[LabellerReliability] = (),
 ) -> RewardVersionRow:
     """Publishes the next version of an experiment's reward model, as child of the newest; its blob is stored already.
 
@@ -56,6 +81,7 @@ def publish(
         label_watermark, label_count: the labels it was trained on, from `training_labels`.
         policy_steps: current environment steps of the policy.
         metrics: loss, accuracy and so on; a number that is not finite is stored as None, since JSON has no NaN.
+        reliabilities: of the labellers, where their labels were weighted.
 
     Raises:
         ExperimentNotFound: if there is no such experiment.
@@ -78,7 +104,26 @@ def publish(
     )
     session.add(row)
     session.flush()
+    session.add_all(
+        LabellerReliabilityRow(
+            reward_version_id=row.id,
+            user_id=each.user_id,
+            labels=each.labels,
+            accuracy=each.accuracy,
+            left_weight=each.left_weight,
+            equal_weight=each.equal_weight,
+            right_weight=each.right_weight,
+            mean_weight=each.mean_weight,
+        )
+        for each in reliabilities
+    )
+    session.flush()
     return row
+
+
+def reliabilities(session: Session, version: RewardVersionRow) -> list[NamedReliability]:
+    """What was estimated of the labellers for a version, by name; empty where labels were not weighted."""
+    return rewards.reliabilities(session, version.id)
 
 
 def newest(session: Session, experiment_id: str) -> RewardVersionRow | None:

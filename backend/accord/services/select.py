@@ -1,13 +1,14 @@
 """Adding queries: how many are needed, which segments they may compare, and their rows."""
 
 from collections.abc import Sequence
-from math import comb
+from math import comb, floor
 
 from sqlalchemy.orm import Session
 
 from accord.domain.enums import ClipStatus, ExperimentStatus, QueryStatus
 from accord.domain.errors import SegmentNotFound
 from accord.domain.ids import new_id
+from accord.services.experiment_config import ExperimentConfig
 from accord.services.experiments import config_of
 from accord.store import clips, experiments, queries, segments
 from accord.store.tables import ClipRow, ExperimentRow, QueryRow
@@ -16,20 +17,36 @@ from accord.store.tables import ClipRow, ExperimentRow, QueryRow
 def queries_to_add(session: Session, row: ExperimentRow) -> int:
     """Number of queries to add now, so that those due by the schedule and `lookahead_queries` more exist.
 
-    A query that failed, or was skipped and has no label, is replaced.
+    A query that failed, or was skipped and has no label, is replaced. One that wants several labels counts as several.
     """
     config = config_of(row)
     if row.status != ExperimentStatus.RUNNING or config.reward_source == "true":
         return 0
-    return config.schedule.queries_wanted(row.steps, queries.count_labellable(session, row.id))
+    wanted = config.schedule.queries_wanted(row.steps, queries.count_given_and_expected_labels(session, row.id))
+    if not wanted or config.labels_per_pair == 1:
+        return wanted
+    number = queries.last_number(session, row.id)
+    added = 0
+    while wanted > 0:
+        added += 1
+        wanted -= labels_wanted(config, number + added)
+    return added
+
+
+def labels_wanted(config: ExperimentConfig, number: int) -> int:
+    """Labels that the query with this number wants. Overlap pairs are spread evenly over the numbers."""
+    share = config.overlap_share
+    # The summand keeps rounding errors of the product from moving an overlap pair to the next number.
+    is_overlap = floor(number * share + 1e-9) > floor((number - 1) * share + 1e-9)
+    return config.labels_per_pair if is_overlap else 1
 
 
 def queries_within_budget(session: Session, row: ExperimentRow) -> int:
-    """Number of queries that the label budget still allows. Failed and skipped ones do not count."""
+    """Number of labels that the budget still allows. Labels that existing queries still want are counted as given."""
     config = config_of(row)
     if config.reward_source == "true":
         return 0
-    return max(0, config.label_budget - queries.count_labellable(session, row.id))
+    return max(0, config.label_budget - queries.count_given_and_expected_labels(session, row.id))
 
 
 def exhausted(session: Session, row: ExperimentRow) -> bool:
@@ -91,7 +108,8 @@ def add_queries(
     if absent:
         raise SegmentNotFound(min(absent))
     known = queries.pairs(session, row.id)
-    clip_of = clips.of_segments(session, wanted) if config_of(row).render_clips else None
+    config = config_of(row)
+    clip_of = clips.of_segments(session, wanted) if config.render_clips else None
     number = queries.last_number(session, row.id)
     added: list[str] = []
     for pair in pairs:
@@ -111,6 +129,7 @@ def add_queries(
             number=number,
             status=status.value,
             selector=selector,
+            labels_wanted=labels_wanted(config, number),
             reward_version_id=reward_version_id,
         )
         session.add(query)

@@ -1,16 +1,26 @@
 """Rows of users and their tokens."""
 
+from collections import defaultdict
 from dataclasses import dataclass
 from datetime import datetime
 
 from sqlalchemy import ScalarSelect, bindparam, delete, exists, func, or_, select, update
 from sqlalchemy.orm import Session
 
-from accord.store.tables import ExperimentRow, LabelRow, PresentationRow, QueryRow, TokenRow, UserRow
+from accord.store.tables import (
+    ExperimentAccessRow,
+    ExperimentRow,
+    LabellerRow,
+    LabelRow,
+    PresentationRow,
+    QueryRow,
+    TokenRow,
+    UserRow,
+)
 
 #: built once, because every request runs it
 _SIGNED_IN = (
-    select(UserRow.id, UserRow.name, UserRow.role)
+    select(UserRow.id, UserRow.name, UserRow.role, UserRow.all_experiments, UserRow.last_seen_at)
     .join(TokenRow, TokenRow.user_id == UserRow.id)
     .where(
         TokenRow.hash == bindparam("hash"),
@@ -18,6 +28,7 @@ _SIGNED_IN = (
         or_(TokenRow.expires_at.is_(None), TokenRow.expires_at > bindparam("now")),
     )
 )
+_SEEN = update(UserRow).where(UserRow.id == bindparam("user"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +38,9 @@ class User:
     id: str
     name: str
     role: str
+    #: False if they see only the experiments that they were given access to
+    all_experiments: bool
+    last_seen_at: datetime | None
 
 
 def user(session: Session, user_id: str) -> UserRow | None:
@@ -39,16 +53,24 @@ def user_by_name(session: Session, name: str) -> UserRow | None:
 
 @dataclass(frozen=True, slots=True)
 class UserSummary:
-    """A user, with what they have done and whether they can sign in."""
+    """A user, with what they have done, what they may see, and whether they can sign in."""
 
+    id: str
     name: str
     role: str
+    #: False: only `experiment_ids`
+    all_experiments: bool
+    experiment_ids: list[str]
     #: state `label` in any experiment; skips do not count
     labels: int
     #: browsers that are signed in
     browsers: int
     bearer_tokens: int
     created_at: datetime
+    #: None if they have not signed in since this is recorded
+    last_seen_at: datetime | None
+    #: None unless they were removed
+    removed_at: datetime | None
 
 
 def summaries(session: Session, now: datetime) -> list[UserSummary]:
@@ -61,12 +83,37 @@ def summaries(session: Session, now: datetime) -> list[UserSummary]:
         )
 
     labels = select(func.count()).where(LabelRow.user_id == UserRow.id, LabelRow.state == "label").scalar_subquery()
+    users = session.execute(select(UserRow, labels, tokens("session"), tokens("bearer")).order_by(UserRow.name))
+    experiments = _experiments_of_users(session)
+    return [
+        UserSummary(
+            id=row.id,
+            name=row.name,
+            role=row.role,
+            all_experiments=row.all_experiments,
+            experiment_ids=experiments.get(row.id, []),
+            labels=n_labels,
+            browsers=n_sessions,
+            bearer_tokens=n_bearers,
+            created_at=row.created_at,
+            last_seen_at=row.last_seen_at,
+            removed_at=row.removed_at,
+        )
+        for row, n_labels, n_sessions, n_bearers in users
+    ]
+
+
+def _experiments_of_users(session: Session) -> dict[str, list[str]]:
+    """User id -> the experiments that they were given access to, oldest first."""
+    found: dict[str, list[str]] = defaultdict(list)
     rows = session.execute(
-        select(UserRow.name, UserRow.role, labels, tokens("session"), tokens("bearer"), UserRow.created_at).order_by(
-            UserRow.name
+        select(ExperimentAccessRow.user_id, ExperimentAccessRow.experiment_id).order_by(
+            ExperimentAccessRow.experiment_id
         )
     )
-    return [UserSummary(*row) for row in rows]
+    for user_id, experiment_id in rows:
+        found[user_id].append(experiment_id)
+    return found
 
 
 def has_history(session: Session, user_id: str) -> bool:
@@ -83,8 +130,14 @@ def revoke(session: Session, user_id: str) -> None:
 
 def delete_user(session: Session, user_id: str) -> None:
     """Deletes a user without history, who has been revoked."""
+    session.execute(delete(ExperimentAccessRow).where(ExperimentAccessRow.user_id == user_id))
+    session.execute(delete(LabellerRow).where(LabellerRow.user_id == user_id))
     session.execute(delete(PresentationRow).where(PresentationRow.user_id == user_id))
     session.execute(delete(UserRow).where(UserRow.id == user_id))
+
+
+def set_last_seen(session: Session, user_id: str, now: datetime) -> None:
+    session.connection().execute(_SEEN, {"user": user_id, "last_seen_at": now})
 
 
 def first_with_role(session: Session, role: str) -> UserRow | None:

@@ -46,6 +46,10 @@ class BlobStore(Protocol):
         """Deletes a blob that no row refers to; does nothing if there is none."""
         ...
 
+    def is_empty(self) -> bool:
+        """Whether it holds nothing."""
+        ...
+
     def check_writable(self) -> None:
         """Stores and deletes a small blob.
 
@@ -117,6 +121,10 @@ class FolderBlobs:
     def delete(self, key: str) -> None:
         self._path(key).unlink(missing_ok=True)
 
+    def is_empty(self) -> bool:
+        # Folders of deleted blobs stay, and a killed process may leave a probe.
+        return not any(path.is_file() and path.parent.name != _PROBE for path in self._root.rglob("*"))
+
     def check_writable(self) -> None:
         key = f"{_PROBE}/{secrets.token_hex(8)}"
         # larger than a block, so that a full disk shows
@@ -173,6 +181,12 @@ class RemoteBlobs:
     def delete(self, key: str) -> None:
         if self.exists(key):
             self._filesystem.rm_file(self._path(key))
+
+    def is_empty(self) -> bool:
+        if not self.exists(""):
+            return True
+        names = [str(each).rstrip("/").rpartition("/")[2] for each in self._filesystem.ls(self._root, detail=False)]
+        return all(name == _PROBE for name in names)
 
     def check_writable(self) -> None:
         key = f"{_PROBE}/{secrets.token_hex(8)}"

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import func, or_, select, union_all
+from sqlalchemy import exists, func, or_, select, union_all
 from sqlalchemy.orm import Session
 
 from accord.store.tables import ClipRow, ExperimentRow, QueryRow, SegmentRow
@@ -12,7 +12,7 @@ from accord.store.tables import ClipRow, ExperimentRow, QueryRow, SegmentRow
 
 @dataclass(frozen=True, slots=True)
 class PendingClip:
-    """A clip to render, for which a query waits."""
+    """A clip to render."""
 
     row: ClipRow
     task: str
@@ -34,29 +34,35 @@ def of_segments(session: Session, segment_ids: Sequence[str]) -> dict[str, ClipR
 
 
 def lock_pending(session: Session, now: datetime) -> PendingClip | None:
-    """Locks the unclaimed clip whose query has the lowest number; concurrent callers get different clips."""
+    """Locks the next unclaimed clip; concurrent callers get different clips.
+
+    First come those that a query waits for, by its number, then those of imported pairs, which nobody waits for.
+    """
     waiting = union_all(
-        select(QueryRow.segment_0_id.label("segment_id"), QueryRow.number, QueryRow.experiment_id).where(
-            QueryRow.status == "rendering"
-        ),
-        select(QueryRow.segment_1_id.label("segment_id"), QueryRow.number, QueryRow.experiment_id).where(
-            QueryRow.status == "rendering"
-        ),
+        select(QueryRow.segment_0_id.label("segment_id"), QueryRow.number).where(QueryRow.status == "rendering"),
+        select(QueryRow.segment_1_id.label("segment_id"), QueryRow.number).where(QueryRow.status == "rendering"),
     ).subquery()
     soonest = (
         select(waiting.c.segment_id, func.min(waiting.c.number).label("number"))
-        .join(ExperimentRow, ExperimentRow.id == waiting.c.experiment_id)
-        .where(ExperimentRow.status.in_(("running", "paused")))
         .group_by(waiting.c.segment_id)
         .subquery()
     )
+    labelled = exists().where(
+        QueryRow.status == "closed",
+        or_(QueryRow.segment_0_id == ClipRow.segment_id, QueryRow.segment_1_id == ClipRow.segment_id),
+    )
     found = session.execute(
         select(ClipRow, ExperimentRow.config, SegmentRow.blob_key)
-        .join(soonest, soonest.c.segment_id == ClipRow.segment_id)
+        .outerjoin(soonest, soonest.c.segment_id == ClipRow.segment_id)
         .join(SegmentRow, SegmentRow.id == ClipRow.segment_id)
         .join(ExperimentRow, ExperimentRow.id == ClipRow.experiment_id)
-        .where(ClipRow.status == "pending", or_(ClipRow.claimed_until.is_(None), ClipRow.claimed_until <= now))
-        .order_by(soonest.c.number, ClipRow.id)
+        .where(
+            ClipRow.status == "pending",
+            ExperimentRow.status.in_(("running", "paused")),
+            or_(ClipRow.claimed_until.is_(None), ClipRow.claimed_until <= now),
+            or_(soonest.c.number.is_not(None), labelled),
+        )
+        .order_by(soonest.c.number.is_(None), soonest.c.number, ClipRow.id)
         .limit(1)
         .with_for_update(of=ClipRow, skip_locked=True)
         .execution_options(populate_existing=True)

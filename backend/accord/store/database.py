@@ -56,6 +56,11 @@ class Database:
             ) from error
 
     @property
+    def name(self) -> str:
+        """Its URL without the password."""
+        return self.engine.url.render_as_string(hide_password=True)
+
+    @property
     def is_sqlite(self) -> bool:
         return self.engine.dialect.name == "sqlite"
 
@@ -115,10 +120,9 @@ class Database:
             yield
         except (DatabaseError, CommitFailed) as failure:
             error = failure.__cause__ if isinstance(failure, CommitFailed) else failure
-            url = self.engine.url.render_as_string(hide_password=True)
             if isinstance(error, DatabaseError) and _is_full(error):
                 raise DatabaseFull(
-                    f"There is no space left for the database {url}, so nothing of this request was stored. "
+                    f"There is no space left for the database {self.name}, so nothing of this request was stored. "
                     "Free some space on its disk, then try again."
                 ) from failure
             # The other subclasses of DatabaseError report a mistake in a statement, not a fault of the machine.
@@ -127,7 +131,8 @@ class Database:
             # drivers add hints on further lines
             reason = str(error.orig).partition("\n")[0] if isinstance(error, DatabaseError) else "out of memory"
             raise DatabaseUnreachable(
-                f"The database {url} failed: {reason}. Check that it exists, runs, is writable and has space left."
+                f"The database {self.name} failed: {reason}. "
+                "Check that it exists, runs, is writable and has space left."
             ) from failure
 
 

@@ -11,6 +11,7 @@ from accord.store.tables import (
     Base,
     ClaimRow,
     ClipRow,
+    ClipViewRow,
     DeletionRow,
     ExperimentRow,
     PolicyCheckpointRow,
@@ -38,23 +39,28 @@ class BlobKeys:
     checkpoints: list[str]
     #: weights of reward versions
     rewards: list[str]
-    #: without those that another experiment shows, too
+    #: without those that another experiment shows too: earlier versions of Accord stored equal clips once
     clips: list[str]
 
 
 def blob_keys(session: Session, experiment_id: str) -> BlobKeys:
-    shared = select(ClipRow.blob_key).where(ClipRow.experiment_id != experiment_id, ClipRow.blob_key.is_not(None))
-    clips = select(ClipRow.blob_key).where(
-        ClipRow.experiment_id == experiment_id, ClipRow.blob_key.is_not(None), ClipRow.blob_key.not_in(shared)
-    )
     of_experiment = [
         select(table.blob_key).where(table.experiment_id == experiment_id)
         for table in (SegmentRow, PolicyCheckpointRow, RewardVersionRow)
     ]
     return BlobKeys(
         *(list(session.scalars(statement)) for statement in of_experiment),
-        clips=[key for key in session.scalars(clips) if key is not None],
+        clips=[key for table in (ClipRow, ClipViewRow) for key in _own_clips(session, table, experiment_id)],
     )
+
+
+def _own_clips(session: Session, table: type[ClipRow | ClipViewRow], experiment_id: str) -> list[str]:
+    """Blobs of clips that no other experiment shows."""
+    shared = select(table.blob_key).where(table.experiment_id != experiment_id, table.blob_key.is_not(None))
+    own = select(table.blob_key).where(
+        table.experiment_id == experiment_id, table.blob_key.is_not(None), table.blob_key.not_in(shared)
+    )
+    return [key for key in session.scalars(own) if key is not None]
 
 
 def is_claimed(session: Session, experiment_id: str, now: datetime) -> bool:
@@ -63,7 +69,10 @@ def is_claimed(session: Session, experiment_id: str, now: datetime) -> bool:
     rendered = exists().where(
         ClipRow.experiment_id == experiment_id, ClipRow.status == "pending", ClipRow.claimed_until > now
     )
-    return bool(session.scalar(select(claims | rendered)))
+    viewed = exists().where(
+        ClipViewRow.experiment_id == experiment_id, ClipViewRow.status == "pending", ClipViewRow.claimed_until > now
+    )
+    return bool(session.scalar(select(claims | rendered | viewed)))
 
 
 def newest(session: Session, limit: int) -> list[DeletionRow]:

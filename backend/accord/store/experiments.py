@@ -2,31 +2,47 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
-from sqlalchemy import bindparam, func, select
+from sqlalchemy import bindparam, func, select, update
 from sqlalchemy.orm import Session, aliased
 
-from accord.store.tables import ExperimentRow, LabelRow, QueryRow, RewardVersionRow
+from accord.store.tables import (
+    ExperimentAccessRow,
+    ExperimentRow,
+    InstructionRevisionRow,
+    LabellerRow,
+    LabelRow,
+    QueryRow,
+    RewardVersionRow,
+)
 
 
 @dataclass(frozen=True, slots=True)
 class LabellingState:
-    """What decides whether an experiment has queries to label."""
+    """What decides whether an experiment has queries for a user to label."""
 
     status: str
     label_count: int
     config: dict[str, Any]
+    #: since when the user is paused
+    labeller_paused_at: datetime | None
 
 
 #: built once, because every request for the next query runs it
-_LABELLING_STATE = select(ExperimentRow.status, ExperimentRow.label_count, ExperimentRow.config).where(
-    ExperimentRow.id == bindparam("experiment")
+_LABELLING_STATE = (
+    select(ExperimentRow.status, ExperimentRow.label_count, ExperimentRow.config, LabellerRow.paused_at)
+    .outerjoin(
+        LabellerRow, (LabellerRow.experiment_id == ExperimentRow.id) & (LabellerRow.user_id == bindparam("user"))
+    )
+    .where(ExperimentRow.id == bindparam("experiment"))
 )
 
 
-def labelling_state(session: Session, experiment_id: str) -> LabellingState | None:
-    found = session.connection().execute(_LABELLING_STATE, {"experiment": experiment_id}).first()
+def labelling_state(session: Session, experiment_id: str, user_id: str) -> LabellingState | None:
+    values = {"experiment": experiment_id, "user": user_id}
+    found = session.connection().execute(_LABELLING_STATE, values).first()
     return None if found is None else LabellingState(*found)
 
 
@@ -39,17 +55,36 @@ def lock(session: Session, experiment_id: str) -> ExperimentRow | None:
     return session.get(ExperimentRow, experiment_id, with_for_update=True, populate_existing=True)
 
 
+def set_label_count(session: Session, experiment_id: str, count: int) -> None:
+    """Sets the number of labels that count towards the budget."""
+    session.execute(update(ExperimentRow).where(ExperimentRow.id == experiment_id).values(label_count=count))
+
+
+def instruction_revisions(session: Session, experiment_id: str) -> list[InstructionRevisionRow]:
+    """Oldest first."""
+    statement = select(InstructionRevisionRow).where(InstructionRevisionRow.experiment_id == experiment_id)
+    return list(session.scalars(statement.order_by(InstructionRevisionRow.number)))
+
+
 def by_name(session: Session, name: str) -> ExperimentRow | None:
     return session.scalar(select(ExperimentRow).where(ExperimentRow.name == name))
 
 
-def newest(session: Session, limit: int, before_id: str | None, *, archived: bool | None) -> list[ExperimentRow]:
-    """Newest first; identifiers sort by time of creation. With `archived` None, archived ones and others."""
+def newest(
+    session: Session, limit: int, before_id: str | None, *, archived: bool | None, only_of: str | None
+) -> list[ExperimentRow]:
+    """Newest first; identifiers sort by time of creation. With `archived` None, archived ones and others.
+
+    With `only_of`, those that this user was given access to.
+    """
     statement = select(ExperimentRow).order_by(ExperimentRow.id.desc()).limit(limit)
     if archived is not None:
         statement = statement.where(ExperimentRow.archived_at.is_not(None) == archived)
     if before_id is not None:
         statement = statement.where(ExperimentRow.id < before_id)
+    if only_of is not None:
+        given = select(ExperimentAccessRow.experiment_id).where(ExperimentAccessRow.user_id == only_of)
+        statement = statement.where(ExperimentRow.id.in_(given))
     return list(session.scalars(statement))
 
 

@@ -27,6 +27,10 @@ class ExportedQuery:
     segment_1_id: str
     selector: str
     reward_version_id: str | None
+    #: the query that it repeats with its segments swapped; None unless it is a repeat
+    repeats_id: str | None
+    #: the known answer of a gold query
+    gold_value: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +48,9 @@ class ExportedLabel:
     teacher: dict[str, Any]
     revision: int
     updated_at: datetime
+    excluded: bool
+    final: bool
+    instructions_revision: int | None
 
 
 def segments(session: Session, experiment_id: str) -> list[ExportedSegment]:
@@ -66,7 +73,15 @@ def segments(session: Session, experiment_id: str) -> list[ExportedSegment]:
 def queries(session: Session, experiment_id: str) -> list[ExportedQuery]:
     """By number."""
     rows = session.execute(
-        select(QueryRow.id, QueryRow.segment_0_id, QueryRow.segment_1_id, QueryRow.selector, QueryRow.reward_version_id)
+        select(
+            QueryRow.id,
+            QueryRow.segment_0_id,
+            QueryRow.segment_1_id,
+            QueryRow.selector,
+            QueryRow.reward_version_id,
+            QueryRow.repeats_id,
+            QueryRow.gold_value,
+        )
         .where(QueryRow.experiment_id == experiment_id)
         .order_by(QueryRow.number)
     )
@@ -86,6 +101,9 @@ def labels(session: Session, experiment_id: str) -> list[ExportedLabel]:
             LabelRow.teacher,
             LabelRow.revision,
             LabelRow.updated_at,
+            LabelRow.excluded,
+            LabelRow.final,
+            LabelRow.instructions_revision,
         )
         .where(LabelRow.experiment_id == experiment_id, LabelRow.state.in_(("label", "skip")))
         .order_by(LabelRow.created_at, LabelRow.id)

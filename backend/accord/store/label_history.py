@@ -41,6 +41,8 @@ class Revision:
     state: str
     left_segment: int | None
     response_seconds: float | None
+    #: of the instructions that the labeller had read; None for programs, and if it is not known
+    instructions_revision: int | None
     created_at: datetime
 
 
@@ -53,6 +55,10 @@ class RecordedLabel:
     user_name: str
     role: str
     teacher: dict[str, Any]
+    #: not trained on
+    excluded: bool
+    #: a researcher's decision between the labels of others
+    final: bool
     #: oldest first; the last one is the current label
     revisions: list[Revision]
 
@@ -77,6 +83,11 @@ class RecordedQuery:
     status: str
     selector: str
     created_at: datetime
+    labels_wanted: int
+    #: the query that it repeats with its segments swapped; None unless it is a repeat
+    repeats_id: str | None
+    #: the known answer of a gold query
+    gold_value: float | None
     segments: tuple[RecordedSegment, RecordedSegment]
     #: by the time they were first given
     labels: list[RecordedLabel]
@@ -107,13 +118,13 @@ class Filters:
     changed: bool | None = None
 
 
-def own_labels(
-    session: Session, experiment_id: str, user_id: str, limit: int, before: int | None = None
+def own_labels(  # noqa: PLR0917 (a page of a list, and its filter)
+    session: Session, experiment_id: str, user_id: str, limit: int, before: int | None = None, final: bool = False
 ) -> list[OwnLabel]:
-    """A user's labels and skips, newest first; those with a revision below `before`."""
+    """A user's labels and skips, newest first; those with a revision below `before`. With `final`, decisions only."""
     statement = (
         select(LabelRow.query_id, LabelRow.revision, LabelRow.updated_at, *RESPONSE_COLUMNS)
-        .where(_given_by(experiment_id, user_id))
+        .where(_given_by(experiment_id, user_id, final))
         .order_by(LabelRow.revision.desc())
         .limit(limit)
     )
@@ -125,20 +136,21 @@ def own_labels(
     ]
 
 
-def own_counts(session: Session, experiment_id: str, user_id: str) -> OwnCounts:
+def own_counts(session: Session, experiment_id: str, user_id: str, final: bool = False) -> OwnCounts:
     rows = session.execute(
-        select(LabelRow.state, func.count()).where(_given_by(experiment_id, user_id)).group_by(LabelRow.state)
+        select(LabelRow.state, func.count()).where(_given_by(experiment_id, user_id, final)).group_by(LabelRow.state)
     )
     counts: dict[str, int] = {row[0]: row[1] for row in rows}
     return OwnCounts(counts.get("label", 0), counts.get("skip", 0))
 
 
-def _given_by(experiment_id: str, user_id: str) -> ColumnElement[bool]:
-    return (
+def _given_by(experiment_id: str, user_id: str, final: bool) -> ColumnElement[bool]:
+    given = (
         (LabelRow.experiment_id == experiment_id)
         & (LabelRow.user_id == user_id)
         & LabelRow.state.in_(("label", "skip"))
     )
+    return given & LabelRow.final if final else given
 
 
 def authors(session: Session, experiment_id: str) -> list[Author]:
@@ -161,6 +173,7 @@ def queries(
     segment_0, segment_1, clip_0, clip_1 = aliased(SegmentRow), aliased(SegmentRow), aliased(ClipRow), aliased(ClipRow)
     columns: list[Any] = [
         *(QueryRow.id, QueryRow.number, QueryRow.status, QueryRow.selector, QueryRow.created_at),
+        *(QueryRow.labels_wanted, QueryRow.repeats_id, QueryRow.gold_value),
         *(segment_0.id, segment_0.policy_steps, segment_0.true_return, clip_0.id),
         *(segment_1.id, segment_1.policy_steps, segment_1.true_return, clip_1.id),
     ]
@@ -179,7 +192,7 @@ def queries(
     rows = session.execute(statement).all()
     labels = _labels_of(session, [row[0] for row in rows])
     return [
-        RecordedQuery(*row[:5], (RecordedSegment(*row[5:9]), RecordedSegment(*row[9:13])), labels[row[0]])
+        RecordedQuery(*row[:8], (RecordedSegment(*row[8:12]), RecordedSegment(*row[12:16])), labels[row[0]])
         for row in rows
     ]
 
@@ -219,11 +232,14 @@ def _labels_of(session: Session, query_ids: Sequence[str]) -> dict[str, list[Rec
             UserRow.name,
             UserRow.role,
             LabelRow.teacher,
+            LabelRow.excluded,
+            LabelRow.final,
             LabelRevisionRow.revision,
             LabelRevisionRow.value,
             LabelRevisionRow.state,
             LabelRevisionRow.left_segment,
             LabelRevisionRow.response_seconds,
+            LabelRevisionRow.instructions_revision,
             LabelRevisionRow.created_at,
         )
         .join(UserRow, UserRow.id == LabelRow.user_id)
@@ -236,6 +252,6 @@ def _labels_of(session: Session, query_ids: Sequence[str]) -> dict[str, list[Rec
     for row in rows:
         labels = found[row[0]]
         if not labels or labels[-1].id != row[1]:
-            labels.append(RecordedLabel(row[1], row[2], row[3], row[4], row[5], []))
-        labels[-1].revisions.append(Revision(*row[6:]))
+            labels.append(RecordedLabel(*row[1:8], revisions=[]))
+        labels[-1].revisions.append(Revision(*row[8:]))
     return found

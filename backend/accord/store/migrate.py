@@ -30,6 +30,16 @@ def migrate(database: Database) -> None:
         _upgrade(connection)
 
 
+def is_new(database: Database) -> bool:
+    """Whether no version of Accord has ever migrated it.
+
+    Raises:
+        DatabaseUnreachable: if it cannot be reached.
+    """
+    with database.connection() as connection:
+        return MigrationContext.configure(connection).get_current_revision() is None
+
+
 def is_current(database: Database) -> bool:
     """Whether no migration is missing. Takes the write lock for a moment, but changes nothing.
 

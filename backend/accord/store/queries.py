@@ -9,13 +9,28 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import bindparam, exists, func, insert, or_, select, update
+from sqlalchemy import bindparam, case, exists, func, insert, or_, select, update
 from sqlalchemy.orm import Session, aliased
 
-from accord.store.tables import ClipRow, ExperimentRow, LabelRow, PresentationRow, QueryRow, SegmentRow
+from accord.store.tables import (
+    ClipRow,
+    ExperimentRow,
+    LabellerRow,
+    LabelRow,
+    PresentationRow,
+    QueryRow,
+    SegmentRow,
+)
 
+#: most identifiers in one statement
+_MAX_IDS = 500
+#: a query whose labels are trained on; the others check the labellers
+IS_TRAINED_ON = QueryRow.repeats_id.is_(None) & QueryRow.gold_value.is_(None)
+#: a label that counts towards the budget, if its query is trained on
+IS_COUNTED = (LabelRow.state == "label") & ~LabelRow.excluded & ~LabelRow.final
 _SEGMENT_0, _SEGMENT_1 = aliased(SegmentRow), aliased(SegmentRow)
 _CLIP_0, _CLIP_1 = aliased(ClipRow), aliased(ClipRow)
+_DECISION = aliased(LabelRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +41,7 @@ class QuerySegment:
     blob_key: str
     length_steps: int
     true_return: float
-    #: None if the experiment renders no clips
+    #: None if there is none (yet)
     clip_id: str | None
     clip_seconds: float | None
     clip_frames: int | None
@@ -56,6 +71,8 @@ class Response:
     left_segment: int | None
     response_seconds: float | None
     teacher: dict[str, Any]
+    #: of the instructions that the labeller had read; None for programs, and if it is not known
+    instructions_revision: int | None = None
 
 
 #: the columns of a label that are the fields of its Response, in order
@@ -65,6 +82,7 @@ RESPONSE_COLUMNS: tuple[Any, ...] = (
     LabelRow.left_segment,
     LabelRow.response_seconds,
     LabelRow.teacher,
+    LabelRow.instructions_revision,
 )
 
 
@@ -75,6 +93,8 @@ class LockedQuery:
     query_id: str
     experiment_id: str
     experiment_status: str
+    #: newest revision of the experiment's instructions
+    instructions_revision: int
     status: str
     leased_by: str | None
     leased_until: datetime | None
@@ -85,6 +105,14 @@ class LockedQuery:
     #: the user's own label and its content; None if there is none
     label_id: str | None
     label_revision: int
+    #: whether that label is excluded, and whether it is a final decision
+    excluded: bool
+    final: bool
+    #: whether new labels of the user are excluded
+    labeller_excluded: bool
+    labels_wanted: int
+    #: whether it is a repeat or gold, so that its labels are not trained on
+    is_check: bool
     response: Response | None
 
 
@@ -100,12 +128,22 @@ _LOCK = (
         PresentationRow.left_segment,
         LabelRow.id,
         LabelRow.revision,
+        LabelRow.excluded,
+        LabelRow.final,
+        LabellerRow.excluded_at,
+        QueryRow.labels_wanted,
+        ~IS_TRAINED_ON,
+        ExperimentRow.instructions_revision,
         *RESPONSE_COLUMNS,
     )
     .join(ExperimentRow, ExperimentRow.id == QueryRow.experiment_id)
     .outerjoin(LabelRow, (LabelRow.query_id == QueryRow.id) & (LabelRow.user_id == bindparam("user")))
     .outerjoin(
         PresentationRow, (PresentationRow.query_id == QueryRow.id) & (PresentationRow.user_id == bindparam("user"))
+    )
+    .outerjoin(
+        LabellerRow,
+        (LabellerRow.experiment_id == QueryRow.experiment_id) & (LabellerRow.user_id == bindparam("user")),
     )
     .where(QueryRow.id == bindparam("query"))
     .with_for_update(of=QueryRow)
@@ -115,8 +153,8 @@ _LEASED = (
     .where(
         QueryRow.leased_by == bindparam("user"),
         QueryRow.experiment_id == bindparam("experiment"),
-        # No condition on the status: only open queries are leased, and with one SQLite would scan all open queries
-        # instead of this user's.
+        # No condition on the status: checks are leased while they are closed, and with one SQLite would scan all open
+        # queries instead of this user's.
         QueryRow.leased_until > bindparam("now"),
         QueryRow.leased_tab == bindparam("tab"),
     )
@@ -138,6 +176,40 @@ _FREE = (
     .order_by(QueryRow.number)
     .limit(bindparam("limit"))
     .with_for_update(skip_locked=True)
+)
+_REPEATED, _LABEL_OF_REPEAT = aliased(QueryRow), aliased(LabelRow)
+_GOLD = (
+    select(QueryRow.id)
+    .where(
+        QueryRow.experiment_id == bindparam("experiment"),
+        QueryRow.gold_value.is_not(None),
+        or_(QueryRow.leased_by.is_(None), QueryRow.leased_until <= bindparam("now")),
+        ~exists().where(
+            LabelRow.query_id == QueryRow.id, LabelRow.user_id == bindparam("user"), LabelRow.state != "undone"
+        ),
+    )
+    .with_for_update(skip_locked=True)
+)
+_REPEATABLE = (
+    select(QueryRow.id, QueryRow.segment_0_id, QueryRow.segment_1_id, LabelRow.left_segment, _REPEATED.id)
+    .select_from(LabelRow)
+    .join(QueryRow, QueryRow.id == LabelRow.query_id)
+    .outerjoin(_REPEATED, _REPEATED.repeats_id == QueryRow.id)
+    .where(
+        LabelRow.experiment_id == bindparam("experiment"),
+        LabelRow.user_id == bindparam("user"),
+        LabelRow.state == "label",
+        ~LabelRow.final,
+        LabelRow.revision <= bindparam("revision"),
+        IS_TRAINED_ON,
+        or_(_REPEATED.id.is_(None), _REPEATED.leased_by.is_(None), _REPEATED.leased_until <= bindparam("now")),
+        ~exists().where(
+            _LABEL_OF_REPEAT.query_id == _REPEATED.id,
+            _LABEL_OF_REPEAT.user_id == bindparam("user"),
+            _LABEL_OF_REPEAT.state != "undone",
+        ),
+    )
+    .order_by(LabelRow.revision)
 )
 _SET = update(QueryRow).where(QueryRow.id == bindparam("query"))
 _PRESENT = insert(PresentationRow)
@@ -169,6 +241,20 @@ _SHOWN = (
 )
 
 
+def lock_row(session: Session, query_id: str) -> QueryRow | None:
+    """Reads a query again and locks it until the transaction ends."""
+    return session.get(QueryRow, query_id, with_for_update=True, populate_existing=True)
+
+
+def release_all(session: Session, experiment_id: str, user_id: str) -> None:
+    """Ends every lease of a user in an experiment."""
+    session.execute(
+        update(QueryRow)
+        .where(QueryRow.leased_by == user_id, QueryRow.experiment_id == experiment_id)
+        .values(leased_by=None, leased_until=None, leased_tab="")
+    )
+
+
 def lock(session: Session, query_id: str, user_id: str) -> LockedQuery | None:
     """Locks a query until the end of the transaction; returns it with one user's label and side."""
     found: Any = session.connection().execute(_LOCK, {"query": query_id, "user": user_id}).first()
@@ -185,7 +271,13 @@ def lock(session: Session, query_id: str, user_id: str) -> LockedQuery | None:
         left_segment=found[7],
         label_id=found[8],
         label_revision=found[9] or 0,
-        response=None if found[8] is None else Response(*found[10:]),
+        excluded=bool(found[10]),
+        final=bool(found[11]),
+        labeller_excluded=found[12] is not None,
+        labels_wanted=found[13],
+        is_check=bool(found[14]),
+        instructions_revision=found[15],
+        response=None if found[8] is None else Response(*found[16:]),
     )
 
 
@@ -199,6 +291,84 @@ def lock_free_ids(session: Session, user_id: str, experiment_id: str, now: datet
     """Open queries without a lease that the user has not skipped, by number."""
     values = {"user": user_id, "experiment": experiment_id, "now": now, "limit": limit}
     return list(session.connection().scalars(_FREE, values))
+
+
+def lock_gold_ids(session: Session, user_id: str, experiment_id: str, now: datetime) -> list[str]:
+    """Gold queries without a lease that the user has not labelled."""
+    return list(session.connection().scalars(_GOLD, {"user": user_id, "experiment": experiment_id, "now": now}))
+
+
+@dataclass(frozen=True, slots=True)
+class Repeatable:
+    """A query that a user has labelled, and may label again with its sides swapped."""
+
+    query_id: str
+    segment_0_id: str
+    segment_1_id: str
+    #: the segment that was shown to the user on the left
+    left_segment: int | None
+    #: the query that repeats it for any user; None if there is none yet
+    repeat_id: str | None
+
+
+def repeatable(session: Session, user_id: str, experiment_id: str, now: datetime, gap: int) -> list[Repeatable]:
+    """Queries that the user has labelled before the latest `gap` labels, and not yet again; oldest label first."""
+    revision = session.scalar(
+        select(LabelRow.revision)
+        .where(LabelRow.experiment_id == experiment_id, LabelRow.user_id == user_id, LabelRow.state == "label")
+        .order_by(LabelRow.revision.desc())
+        .offset(gap)
+        .limit(1)
+    )
+    if revision is None:
+        return []
+    values = {"user": user_id, "experiment": experiment_id, "now": now, "revision": revision}
+    rows: Iterable[Any] = session.connection().execute(_REPEATABLE, values)
+    return [Repeatable(*row) for row in rows]
+
+
+def _disputed(experiment_id: str) -> Any:
+    """Ids and numbers of queries on which labels differ and which nobody has decided; the largest difference first."""
+    spread = func.max(LabelRow.value) - func.min(LabelRow.value)
+    return (
+        select(QueryRow.id, QueryRow.number)
+        .join(LabelRow, LabelRow.query_id == QueryRow.id)
+        .where(
+            QueryRow.experiment_id == experiment_id,
+            QueryRow.status.in_(("open", "closed")),
+            IS_TRAINED_ON,
+            IS_COUNTED,
+            ~exists().where(_DECISION.query_id == QueryRow.id, _DECISION.final, _DECISION.state != "undone"),
+        )
+        .group_by(QueryRow.id, QueryRow.number)
+        .having(spread > 0)
+        .order_by(spread.desc(), QueryRow.number)
+    )
+
+
+def count_disputed(session: Session, experiment_id: str) -> int:
+    """Queries on which labels differ and which nobody has decided."""
+    return session.scalar(select(func.count()).select_from(_disputed(experiment_id).subquery())) or 0
+
+
+def lock_disputed_ids(
+    session: Session, user_id: str, experiment_id: str, now: datetime, limit: int, *, tab: str
+) -> list[str]:
+    """Queries on which labels differ and which nobody has decided; the largest difference first.
+
+    Without those that another user or tab holds.
+    """
+    free = or_(
+        QueryRow.leased_by.is_(None),
+        QueryRow.leased_until <= now,
+        (QueryRow.leased_by == user_id) & (QueryRow.leased_tab == tab),
+    )
+    disputed = _disputed(experiment_id).where(free).limit(limit)
+    ids = [row[0] for row in session.execute(disputed)]
+    # PostgreSQL cannot lock the rows of a grouped statement.
+    locked = select(QueryRow.id).where(QueryRow.id.in_(ids)).with_for_update(skip_locked=True)
+    free = set(session.scalars(locked))
+    return [id for id in ids if id in free]
 
 
 def lease(session: Session, query_ids: Sequence[str], user_id: str, until: datetime, tab: str) -> None:
@@ -217,6 +387,11 @@ def set_lease(
         _SET,
         {"query": query_id, "status": status, "leased_by": leased_by, "leased_until": until, "leased_tab": tab},
     )
+
+
+def set_status(session: Session, query_id: str, status: str) -> None:
+    """Sets the status of a locked query, and keeps its lease."""
+    session.connection().execute(_SET, {"query": query_id, "status": status})
 
 
 def with_sides(session: Session, query_ids: Sequence[str], user_id: str) -> list[ShownQuery]:
@@ -252,22 +427,59 @@ def last_number(session: Session, experiment_id: str) -> int:
     return session.scalar(select(func.max(QueryRow.number)).where(QueryRow.experiment_id == experiment_id)) or 0
 
 
-def count_labellable(session: Session, experiment_id: str) -> int:
-    """Queries that are labelled or may still be: neither failed nor skipped."""
-    return _count_not_skipped(session, experiment_id, ("rendering", "open", "closed"))
+_COUNTED_LABELS = (
+    select(func.count()).where(LabelRow.query_id == QueryRow.id, IS_COUNTED).correlate(QueryRow).scalar_subquery()
+)
+_NOT_SKIPPED = ~(
+    (QueryRow.status == "open") & exists().where(LabelRow.query_id == QueryRow.id, LabelRow.state == "skip")
+)
+
+
+def count_given_and_expected_labels(session: Session, experiment_id: str) -> int:
+    """Labels that count towards the budget, and those that queries still want that did not fail and are not skipped."""
+    expected = select(func.coalesce(func.sum(QueryRow.labels_wanted - _COUNTED_LABELS), 0)).where(
+        QueryRow.experiment_id == experiment_id, QueryRow.status.in_(("rendering", "open")), _NOT_SKIPPED
+    )
+    given = select(ExperimentRow.label_count).where(ExperimentRow.id == experiment_id)
+    return int(session.scalar(given) or 0) + int(session.scalar(expected) or 0)
 
 
 def count_unanswered(session: Session, experiment_id: str) -> int:
-    """Queries that may still get a label: not failed, labelled or skipped."""
-    return _count_not_skipped(session, experiment_id, ("rendering", "open"))
-
-
-def _count_not_skipped(session: Session, experiment_id: str, statuses: Sequence[str]) -> int:
-    skipped = (QueryRow.status == "open") & exists().where(LabelRow.query_id == QueryRow.id, LabelRow.state == "skip")
+    """Queries that still want labels: not failed, closed or skipped."""
     statement = select(func.count()).where(
-        QueryRow.experiment_id == experiment_id, QueryRow.status.in_(statuses), ~skipped
+        QueryRow.experiment_id == experiment_id, QueryRow.status.in_(("rendering", "open")), _NOT_SKIPPED
     )
     return session.scalar(statement) or 0
+
+
+def wants_labels_of_others(session: Session, experiment_id: str, user_id: str) -> bool:
+    """Whether a user has labelled an open query, which still wants labels of others."""
+    labelled = exists().where(
+        QueryRow.experiment_id == experiment_id,
+        QueryRow.status == "open",
+        LabelRow.query_id == QueryRow.id,
+        LabelRow.user_id == user_id,
+        LabelRow.state == "label",
+    )
+    return bool(session.scalar(select(labelled)))
+
+
+def count_labels(session: Session, query_id: str) -> int:
+    """Labels of a query that count."""
+    return session.scalar(select(func.count()).where(LabelRow.query_id == query_id, IS_COUNTED)) or 0
+
+
+def update_statuses(session: Session, query_ids: Sequence[str]) -> None:
+    """Opens and closes queries by the number of their labels, after these were excluded or included."""
+    decided = exists().where(LabelRow.query_id == QueryRow.id, LabelRow.final, LabelRow.state == "label")
+    closed = ~IS_TRAINED_ON | decided | (QueryRow.labels_wanted <= _COUNTED_LABELS)
+    session.flush()
+    for first in range(0, len(query_ids), _MAX_IDS):
+        session.execute(
+            update(QueryRow)
+            .where(QueryRow.id.in_(query_ids[first : first + _MAX_IDS]), QueryRow.status.in_(("open", "closed")))
+            .values(status=case((closed, "closed"), else_="open"))
+        )
 
 
 def count_rendering(session: Session, experiment_id: str) -> int:

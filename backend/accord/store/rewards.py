@@ -1,9 +1,11 @@
 """Rows of reward versions and policy checkpoints."""
 
+from dataclasses import dataclass
+
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
-from accord.store.tables import PolicyCheckpointRow, RewardVersionRow
+from accord.store.tables import LabellerReliabilityRow, PolicyCheckpointRow, RewardVersionRow, UserRow
 
 
 def versions(session: Session, experiment_id: str) -> list[RewardVersionRow]:
@@ -24,6 +26,25 @@ def newest_version(session: Session, experiment_id: str) -> RewardVersionRow | N
         .order_by(RewardVersionRow.number.desc())
         .limit(1)
     )
+
+
+@dataclass(frozen=True, slots=True)
+class NamedReliability:
+    """The reliability of a labeller, with the name."""
+
+    row: LabellerReliabilityRow
+    user_name: str
+
+
+def reliabilities(session: Session, version_id: str) -> list[NamedReliability]:
+    """By name."""
+    rows = session.execute(
+        select(LabellerReliabilityRow, UserRow.name)
+        .join(UserRow, UserRow.id == LabellerReliabilityRow.user_id)
+        .where(LabellerReliabilityRow.reward_version_id == version_id)
+        .order_by(UserRow.name)
+    )
+    return [NamedReliability(row, name) for row, name in rows]
 
 
 def checkpoints(session: Session, experiment_id: str, limit: int) -> list[PolicyCheckpointRow]:

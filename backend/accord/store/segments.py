@@ -5,7 +5,11 @@ from collections.abc import Sequence
 from sqlalchemy import exists, select
 from sqlalchemy.orm import Session
 
-from accord.store.tables import ClipRow, SegmentRow
+from accord.store.tables import ClipRow, QueryRow, SegmentRow
+
+
+def get(session: Session, segment_id: str) -> SegmentRow | None:
+    return session.get(SegmentRow, segment_id)
 
 
 def newest(session: Session, experiment_id: str, limit: int) -> list[tuple[str, int]]:
@@ -28,6 +32,21 @@ def newest_with_clips(session: Session, experiment_id: str, limit: int | None) -
             .where(SegmentRow.experiment_id == experiment_id, ~failed)
             .order_by(SegmentRow.policy_steps.desc(), SegmentRow.id.desc())
             .limit(limit)
+        )
+    )
+
+
+def blob_keys_without_query(session: Session, experiment_id: str) -> list[str]:
+    """Blob keys of the segments that are in no query, oldest first."""
+    queried = exists().where(
+        QueryRow.experiment_id == experiment_id,
+        (QueryRow.segment_0_id == SegmentRow.id) | (QueryRow.segment_1_id == SegmentRow.id),
+    )
+    return list(
+        session.scalars(
+            select(SegmentRow.blob_key)
+            .where(SegmentRow.experiment_id == experiment_id, ~queried)
+            .order_by(SegmentRow.policy_steps, SegmentRow.id)
         )
     )
 

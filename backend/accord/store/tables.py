@@ -7,7 +7,19 @@ a crash may leave an orphan blob, but no row without its data.
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, DateTime, ForeignKey, Index, Integer, MetaData, String, UniqueConstraint
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    DateTime,
+    ForeignKey,
+    Index,
+    Integer,
+    MetaData,
+    String,
+    UniqueConstraint,
+    false,
+    true,
+)
 from sqlalchemy.engine import Dialect
 from sqlalchemy.orm import DeclarativeBase, Mapped, MappedAsDataclass, mapped_column
 from sqlalchemy.types import TypeDecorator
@@ -59,6 +71,36 @@ class UserRow(Base):
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     name: Mapped[str] = mapped_column(String(100), unique=True)
     role: Mapped[str] = mapped_column(String(20))
+    #: False: only those of `ExperimentAccessRow`. Researchers and admins always see all.
+    all_experiments: Mapped[bool] = mapped_column(default=True, server_default=true())
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    #: their last request that wrote something or opened the page, to the minute
+    last_seen_at: Mapped[datetime | None] = mapped_column(default=None)
+    #: when an admin removed them; their labels and experiments are kept
+    removed_at: Mapped[datetime | None] = mapped_column(default=None)
+
+
+class ExperimentAccessRow(Base):
+    """An experiment that a user without access to all experiments may see and label."""
+
+    __tablename__ = "experiment_access"
+    user_id: Mapped[str] = mapped_column(ForeignKey("users.id"), primary_key=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), primary_key=True, index=True)
+
+
+class InvitationRow(Base):
+    """A link that creates labellers; only the SHA-256 of its token is stored."""
+
+    __tablename__ = "invitations"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    hash: Mapped[str] = mapped_column(String(64), unique=True)
+    #: the only experiment that its labellers see; None for all experiments
+    experiment_id: Mapped[str | None] = mapped_column(ForeignKey("experiments.id"), index=True)
+    max_uses: Mapped[int]
+    #: name of the admin who created it
+    created_by: Mapped[str] = mapped_column(String(100))
+    expires_at: Mapped[datetime]
+    uses: Mapped[int] = mapped_column(default=0)
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
 
 
@@ -94,12 +136,28 @@ class ExperimentRow(Base):
     steps_per_second: Mapped[float | None] = mapped_column(default=None)
     #: incremented with every label written, changed or undone
     label_revision: Mapped[int] = mapped_column(default=0)
-    #: labels, without skips and undone ones
+    #: labels that count towards the budget: without skips, undone and excluded ones, checks and final decisions
     label_count: Mapped[int] = mapped_column(default=0)
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
     ended_at: Mapped[datetime | None] = mapped_column(default=None)
     #: when it was moved out of the list of experiments
     archived_at: Mapped[datetime | None] = mapped_column(default=None)
+    #: number of the newest row of `instruction_revisions`, which holds the same text as `instructions`
+    instructions_revision: Mapped[int] = mapped_column(default=1, server_default="1")
+
+
+class InstructionRevisionRow(Base):
+    """What labellers of an experiment read at some time. Rows are never updated."""
+
+    __tablename__ = "instruction_revisions"
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), primary_key=True)
+    #: 1, 2, 3, ... within the experiment
+    number: Mapped[int] = mapped_column(primary_key=True)
+    #: Markdown
+    text: Mapped[str]
+    #: name of the user who wrote it; empty if it is not known
+    author: Mapped[str] = mapped_column(String(100), default="")
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
 
 
 class DeletionRow(Base):
@@ -115,6 +173,19 @@ class DeletionRow(Base):
     deleted_by: Mapped[str] = mapped_column(String(100))
     #: table -> number of deleted rows, for example {"labels": 500}
     rows: Mapped[dict[str, Any]]
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
+class ShareRow(Base):
+    """A link with which anyone may read the progress of an experiment. Only the SHA-256 of its token is stored."""
+
+    __tablename__ = "shares"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    hash: Mapped[str] = mapped_column(String(64), unique=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), index=True)
+    #: name of the user who created it
+    created_by: Mapped[str] = mapped_column(String(100))
+    expires_at: Mapped[datetime]
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
 
 
@@ -180,8 +251,30 @@ class ClipRow(Base):
     __table_args__ = (UniqueConstraint("segment_id"),)
 
 
+class ClipViewRow(Base):
+    """A clip from another camera, rendered because somebody asked for it."""
+
+    __tablename__ = "clip_views"
+    clip_id: Mapped[str] = mapped_column(ForeignKey("clips.id"), primary_key=True)
+    #: side | top
+    camera: Mapped[str] = mapped_column(String(10), primary_key=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), index=True)
+    status: Mapped[str] = mapped_column(String(10), default="pending", index=True)
+    attempts: Mapped[int] = mapped_column(default=0)
+    blob_key: Mapped[str | None] = mapped_column(default=None)
+    size_bytes: Mapped[int] = mapped_column(default=0)
+    #: the render worker that holds the claim, and when the claim expires
+    claimed_by: Mapped[str | None] = mapped_column(String(64), default=None)
+    claimed_until: Mapped[datetime | None] = mapped_column(default=None)
+    requested_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
 class QueryRow(Base):
-    """Two segments to compare. A label closes it."""
+    """Two segments to compare. It closes when as many people have labelled it as it wants.
+
+    Repeats and queries with a known answer are checks of the labellers: their labels are never trained on, and they
+    are always closed, so that they are offered only as checks.
+    """
 
     __tablename__ = "queries"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -195,6 +288,13 @@ class QueryRow(Base):
     selector: Mapped[str] = mapped_column(String(40))
     #: the reward version whose ensemble scored it; None if chosen without one
     reward_version_id: Mapped[str | None] = mapped_column(ForeignKey("reward_versions.id"), default=None)
+    #: labels by different users that it wants
+    labels_wanted: Mapped[int] = mapped_column(default=1, server_default="1")
+    #: The query that this one repeats, with its segments swapped, to compare a user's two labels. No foreign key: in
+    #: SQLite, a column that has one cannot be dropped again.
+    repeats_id: Mapped[str | None] = mapped_column(String(32), default=None)
+    #: the known answer of a gold query, P(segment 0 is preferred)
+    gold_value: Mapped[float | None] = mapped_column(default=None)
     leased_by: Mapped[str | None] = mapped_column(ForeignKey("users.id"), default=None)
     leased_until: Mapped[datetime | None] = mapped_column(default=None)
     #: the tab or process of that user, so that two tabs show different pairs; empty if the client names none
@@ -209,6 +309,9 @@ class QueryRow(Base):
         # Deleting a segment looks up the queries that refer to it.
         Index("ix_queries_segment_0", "segment_0_id"),
         Index("ix_queries_segment_1", "segment_1_id"),
+        Index("ix_queries_repeats", "repeats_id"),
+        # the gold queries of an experiment
+        Index("ix_queries_gold", "experiment_id", "gold_value"),
     )
 
 
@@ -241,14 +344,34 @@ class LabelRow(Base):
     left_segment: Mapped[int | None] = mapped_column(default=None)
     #: measured by the page, from the start of both clips to the label
     response_seconds: Mapped[float | None] = mapped_column(default=None)
+    #: revision of the instructions that the labeller had read; None for programs, and if it is not known
+    instructions_revision: Mapped[int | None] = mapped_column(default=None)
     #: a scripted teacher's name and parameters
     teacher: Mapped[dict[str, Any]] = mapped_column(default_factory=dict[str, Any])
+    #: a researcher excluded it from training
+    excluded: Mapped[bool] = mapped_column(default=False, server_default=false())
+    #: experiments.label_revision when it was last excluded or included, or its query became gold or ceased to be
+    exclusion_revision: Mapped[int | None] = mapped_column(default=None)
+    #: a researcher's decision between the labels of others: training uses it in their place
+    final: Mapped[bool] = mapped_column(default=False, server_default=false())
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
     updated_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
     __table_args__ = (
         UniqueConstraint("query_id", "user_id"),
         UniqueConstraint("experiment_id", "revision"),
     )
+
+
+class LabellerRow(Base):
+    """What researchers decided about a user's labels in an experiment; there is no row until they decide something."""
+
+    __tablename__ = "labellers"
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), primary_key=True)
+    user_id: Mapped[str] = mapped_column(ForeignKey("users.id"), primary_key=True)
+    #: since when the user gets no queries
+    paused_at: Mapped[datetime | None] = mapped_column(default=None)
+    #: since when new labels of the user are excluded
+    excluded_at: Mapped[datetime | None] = mapped_column(default=None)
 
 
 class LabelRevisionRow(Base):
@@ -262,6 +385,8 @@ class LabelRevisionRow(Base):
     state: Mapped[str] = mapped_column(String(10))
     left_segment: Mapped[int | None] = mapped_column(default=None)
     response_seconds: Mapped[float | None] = mapped_column(default=None)
+    #: revision of the instructions that the labeller had read; None for programs, and if it is not known
+    instructions_revision: Mapped[int | None] = mapped_column(default=None)
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
 
 
@@ -286,6 +411,49 @@ class RewardVersionRow(Base):
     __table_args__ = (UniqueConstraint("experiment_id", "number"),)
 
 
+class CreditRow(Base):
+    """A request for what a reward version learned about a query, or about the labelled queries together.
+
+    The reward worker answers it. The newest answers are kept; see `accord.services.credit`.
+    """
+
+    __tablename__ = "credits"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), index=True)
+    reward_version_id: Mapped[str] = mapped_column(ForeignKey("reward_versions.id"))
+    #: None for a report on the version
+    query_id: Mapped[str | None] = mapped_column(ForeignKey("queries.id"), default=None)
+    status: Mapped[str] = mapped_column(String(10), default="pending", index=True)
+    #: why it failed
+    detail: Mapped[str] = mapped_column(default="")
+    #: see `accord.services.credit`
+    result: Mapped[dict[str, Any]] = mapped_column(default_factory=dict[str, Any])
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    __table_args__ = (
+        UniqueConstraint("reward_version_id", "query_id"),
+        # Deleting a query looks up the rows that refer to it.
+        Index("ix_credits_query", "query_id"),
+    )
+
+
+class LabellerReliabilityRow(Base):
+    """What was estimated of a labeller for a reward version, from which the weights of the labels follow."""
+
+    __tablename__ = "labeller_reliabilities"
+    reward_version_id: Mapped[str] = mapped_column(ForeignKey("reward_versions.id"), primary_key=True)
+    user_id: Mapped[str] = mapped_column(ForeignKey("users.id"), primary_key=True)
+    #: labels the version was trained on
+    labels: Mapped[int]
+    #: P(the better segment is preferred | a strict answer)
+    accuracy: Mapped[float]
+    #: weight in training, from 0 to 1, of the answers left, equal and right as the labeller saw them
+    left_weight: Mapped[float]
+    equal_weight: Mapped[float]
+    right_weight: Mapped[float]
+    #: over the labels
+    mean_weight: Mapped[float]
+
+
 class MetricRow(Base):
     """One point of one curve. A new point replaces that of the same step, because a resumed run repeats steps."""
 
@@ -303,6 +471,8 @@ class MetricRow(Base):
         UniqueConstraint("experiment_id", "name", "step"),
         # a replaced point gets a new, higher id, so that live events find it
         Index("ix_metrics_newer", "experiment_id", "id"),
+        # Deleting a reward version looks up the points that refer to it.
+        Index("ix_metrics_reward_version", "reward_version_id"),
         {"sqlite_autoincrement": True},
     )
 
@@ -321,6 +491,25 @@ class WorkerRow(Base):
     restarts: Mapped[int] = mapped_column(default=0)
     started_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
     heartbeat_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
+class AttemptRow(Base):
+    """Failed attempts in a row of one worker role at one experiment; there is no row while the work succeeds.
+
+    The row is written before an attempt, so that a process that is killed, for example for lack of memory, counts too.
+    """
+
+    __tablename__ = "attempts"
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), primary_key=True)
+    #: policy | reward
+    role: Mapped[str] = mapped_column(String(20), primary_key=True)
+    failures: Mapped[int]
+    #: no worker tries again before
+    retry_at: Mapped[datetime]
+    #: why the last attempt failed; empty while one is under way, or if its process ended without a word
+    reason: Mapped[str] = mapped_column(default="")
+    #: environment steps of the policy at the last failure: only progress beyond them counts as success
+    steps: Mapped[int] = mapped_column(default=0)
 
 
 class ClaimRow(Base):

@@ -95,8 +95,8 @@ class Heartbeat:
         self._holder = holder
         self._lease_seconds = lease_seconds
         self._state, self._detail = WorkerState.STARTING, ""
-        #: failure of a background thread of the worker; see `set_background_failure`
-        self._background_failure = ""
+        #: failures of background threads of the worker by name; see `set_background_failure`
+        self._background_failures: dict[str, str] = {}
         self._claims: dict[str, Claim] = {}
         self._lock = threading.Lock()
         self._wake = threading.Event()
@@ -111,7 +111,7 @@ class Heartbeat:
         self._closed = True
         self._wake.set()
         self._thread.join(timeout=self._lease_seconds)
-        self._background_failure = ""
+        self._background_failures = {}
         self.set_state(WorkerState.STOPPED)
         self._send()
 
@@ -121,10 +121,10 @@ class Heartbeat:
             self._state, self._detail = state, detail
             self._wake.set()
 
-    def set_background_failure(self, failure: str) -> None:
+    def set_background_failure(self, thread: str, failure: str) -> None:
         """Report the worker as backing off for this reason, whatever its main thread does; "" ends that."""
-        if failure != self._background_failure:
-            self._background_failure = failure
+        if failure != self._background_failures.get(thread, ""):
+            self._background_failures = self._background_failures | {thread: failure}
             self._wake.set()
 
     @contextmanager
@@ -167,8 +167,8 @@ class Heartbeat:
     def _send(self) -> None:
         sent_at = time.monotonic()
         state, detail = self._state, self._detail
-        if self._background_failure:
-            state, detail = WorkerState.BACKING_OFF, self._background_failure
+        if failure := " ".join(filter(None, self._background_failures.values())):
+            state, detail = WorkerState.BACKING_OFF, failure
         try:
             with self._database.transaction() as session:
                 workers.report(session, self._worker_id, self._role, os.getpid(), state, detail)

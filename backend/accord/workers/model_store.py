@@ -3,16 +3,21 @@
 import logging
 import secrets
 import threading
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 
+from accord.domain.errors import BlobDamaged
 from accord.domain.ids import new_id
 from accord.services.publish import card_key, ensemble_key
 from accord.store.blobs import BlobStore
 from accord.store.tables import RewardVersionRow
 from mapt.errors import DamagedCheckpoint
+from mapt.policies import Learner
 from mapt.rewards.checkpoints import load_reward_model, save_reward_model
 from mapt.rewards.ensemble import RewardEnsemble, load_reward_ensemble, save_reward_ensemble
 from mapt.rewards.model import RewardModel
+from mapt.tasks import Task
+from mapt.training.reward_source import Context as RewardContext
 from mapt.training.run_folder import PolicyCheckpoint
 
 log = logging.getLogger(__name__)
@@ -37,10 +42,12 @@ def read_reward_model(blobs: BlobStore, weights_key: str) -> RewardModel:
     """The model of the reward version whose row holds this key.
 
     Raises:
-        BlobMissing: if a blob is missing.
-        CheckpointError: if it is damaged, or newer than this program.
+        BlobMissing, BlobDamaged: if its weights or its card cannot be read.
+        NewerCheckpoint: if a later version of this program wrote it.
     """
-    return load_reward_model(blobs.read(weights_key), blobs.read(card_key(weights_key))).model
+    weights, card = blobs.read(weights_key), blobs.read(card_key(weights_key))
+    with _named(weights_key):
+        return load_reward_model(weights, card).model
 
 
 def store_checkpoint(blobs: BlobStore, experiment_id: str, steps: int, checkpoint: PolicyCheckpoint) -> str:
@@ -55,9 +62,26 @@ def store_checkpoint(blobs: BlobStore, experiment_id: str, steps: int, checkpoin
     return key
 
 
-def read_checkpoint(blobs: BlobStore, key: str) -> PolicyCheckpoint:
-    """Raises BlobMissing, CheckpointError."""
-    return PolicyCheckpoint.from_bytes(blobs.read(key))
+def read_checkpoint(blobs: BlobStore, key: str, task: Task) -> tuple[RewardContext, Learner]:
+    """The context of the reward source and the learner of a stored checkpoint.
+
+    Raises:
+        BlobMissing, BlobDamaged: if it cannot be read.
+        CheckpointError: if it belongs to another task, or a later version of this program wrote it.
+    """
+    content = blobs.read(key)
+    with _named(key):
+        stored = PolicyCheckpoint.from_bytes(content)
+        return stored.context, Learner.from_bytes(stored.learner, task)
+
+
+@contextmanager
+def _named(key: str) -> Generator[None]:
+    """Name the blob in the error of a damaged checkpoint."""
+    try:
+        yield
+    except DamagedCheckpoint as error:
+        raise BlobDamaged(key, error.reason) from error
 
 
 class EnsembleStore:

@@ -6,7 +6,8 @@ them. A process may be killed anywhere: its successor resumes from the last chec
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from sqlalchemy.orm import Session
 
 from accord.domain.enums import ExperimentStatus, Phase, WorkerState
-from accord.domain.errors import InvalidExperiment
+from accord.domain.errors import AccordError, BlobUnreadable, InvalidExperiment
 from accord.services import checkpoints, collect, experiments, metrics, publish, select
 from accord.services.collect import NewSegment
 from accord.services.experiment_config import ExperimentConfig
@@ -39,6 +40,17 @@ log = logging.getLogger(__name__)
 #: most seconds and iterations between two checkpoints
 CHECKPOINT_SECONDS = 30.0
 CHECKPOINT_ITERATIONS = 20
+
+
+class CheckpointsUnreadable(AccordError):
+    """No checkpoint of the policy can be read."""
+
+    code = "checkpoints_unreadable"
+
+    def __init__(self, errors: Sequence[BlobUnreadable]) -> None:
+        super().__init__(
+            f"None of the policy's {len(errors)} checkpoints can be read. {errors[0]} Then resume the experiment."
+        )
 
 
 class Interrupted(Exception):
@@ -66,7 +78,8 @@ class PolicyRun:
         Raises:
             InvalidConfig: if the device is not available, or another version of Accord stored settings that are not
                 valid in this one.
-            BlobMissing, CheckpointError: if the checkpoint is missing or damaged.
+            CheckpointsUnreadable: if there are checkpoints, but none can be read.
+            CheckpointError: if the checkpoint belongs to another task or a later version of Accord.
         """
         self._context = context
         self._id = experiment_id
@@ -124,6 +137,11 @@ class PolicyRun:
         if self._trainer.iteration > self._saved_iteration and self._rollout is None and not self._claim.lost:
             self._save()
 
+    @property
+    def steps(self) -> int:
+        """Environment steps of the finished iterations."""
+        return self._trainer.steps
+
     def close(self) -> None:
         self._trainer.learner.task.close()
 
@@ -131,12 +149,22 @@ class PolicyRun:
         settings = self._config.policy_config(self._context.settings.torch_threads)
         task = make_task(self._config.task, settings.n_envs, n_threads=settings.n_threads)
         with self._context.database.reading() as session:
-            row = checkpoints.newest(session, self._id)
-        if row is None:
+            rows = checkpoints.kept(session, self._id)
+        if not rows:
             return PolicyTrainer(Learner(task, settings), self._reward_source(settings.n_envs, None, {}))
-        stored = read_checkpoint(self._context.blobs, row.blob_key)
-        source = self._reward_source(settings.n_envs, row.reward_version_id, stored.context)
-        return PolicyTrainer(Learner.from_bytes(stored.learner, task), source, row.iteration)
+        unreadable: list[BlobUnreadable] = []
+        for row in rows:
+            try:
+                context, learner = read_checkpoint(self._context.blobs, row.blob_key, task)
+            except BlobUnreadable as error:
+                # The iterations since an older checkpoint are repeated; that is better than to stop.
+                log.exception("Experiment %s cannot resume from its checkpoint at step %d", self._id, row.steps)
+                unreadable.append(error)
+                continue
+            source = self._reward_source(settings.n_envs, row.reward_version_id, context)
+            return PolicyTrainer(learner, source, row.iteration)
+        task.close()
+        raise CheckpointsUnreadable(unreadable)
 
     def _reward_source(self, n_envs: int, version: str | None, context: RewardContext) -> RewardSource:
         config = self._config
@@ -230,13 +258,38 @@ class PolicyRun:
             # Not earlier: until the first version exists, the cores are needed for the first clips.
             self._evaluate(UNTRAINED)
         if version is not None:
-            trainer.set_reward_version(version.id, lambda: read_reward_model(self._context.blobs, version.blob_key))
+            version = self._use_newest_readable(version)
         values = trainer.update(rollout)
         self._rollout = None
         if self._config.reward_source == "preferences":
             values |= {"labels": rows.labels, "reward_version": version.number if version else 0}
         self._record(values)
         self._save_if_due()
+
+    def _use_newest_readable(self, newest: RewardVersionRow) -> RewardVersionRow:
+        """Relabel with the newest reward version whose blobs can be read, and return it.
+
+        Raises:
+            BlobUnreadable: if none can be read; about the newest one.
+        """
+        try:
+            self._use(newest)
+        except BlobUnreadable as error:
+            with self._context.database.reading() as session:
+                older = [each for each in publish.versions(session, self._id) if each.number < newest.number]
+            for version in reversed(older):
+                with suppress(BlobUnreadable):
+                    if self._use(version):
+                        log.error("Version %d is used instead of %d: %s", version.number, newest.number, error)
+                    return version
+            raise
+        return newest
+
+    def _use(self, version: RewardVersionRow) -> bool:
+        """Relabel with this version from now on. Returns whether that is a change. Raises BlobUnreadable."""
+        return self._trainer.set_reward_version(
+            version.id, lambda: read_reward_model(self._context.blobs, version.blob_key)
+        )
 
     def _record(self, values: dict[str, float]) -> None:
         trainer = self._trainer

@@ -5,7 +5,6 @@ for a training to end.
 """
 
 import logging
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -13,13 +12,14 @@ from itertools import groupby
 import numpy as np
 from sqlalchemy.orm import Session
 
+from accord.domain.errors import BlobUnreadable
 from accord.services import experiments, publish, select
 from accord.services.collect import load_arrays
 from accord.services.experiment_config import ExperimentConfig
 from accord.store.tables import RewardVersionRow
 from accord.workers.heartbeat import Claim
 from accord.workers.model_store import EnsembleStore
-from accord.workers.runner import Context, error_sentence, work_until_stopped
+from accord.workers.runner import Context, error_sentence
 from mapt.errors import UnknownSelector
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.selection import (
@@ -113,7 +113,11 @@ class QueryPlanner:
         if found is None:
             return False
         # Segments are read and scored outside any transaction, so that no label waits for it.
-        view, version = self._view(experiment_id, found)
+        try:
+            view, version = self._view(experiment_id, found)
+        except BlobUnreadable:
+            log.exception("The next queries of experiment %s are chosen without their segments' arrays", experiment_id)
+            view, version = None, None
         chosen = choose_pairs(
             found.segment_ids,
             found.paired,
@@ -156,7 +160,7 @@ class QueryPlanner:
         return scorer.view(keys, version.id, lambda segments: ensemble.scores(segments, device), pairs), version
 
     def _read(self, blob_keys: Sequence[str]) -> SegmentArrays:
-        """Raises BlobMissing."""
+        """Raises BlobMissing, BlobDamaged."""
         arrays = [load_arrays(self._context.blobs, key) for key in blob_keys]
         return SegmentArrays.stack([each["observations"] for each in arrays], [each["actions"] for each in arrays])
 
@@ -167,29 +171,6 @@ class QueryPlanner:
             while len(self._loaded) > _KEPT_ENSEMBLES:
                 del self._loaded[next(iter(self._loaded))]
         return ensemble
-
-
-class PlannerThread:
-    """Runs a `QueryPlanner` until a stop is requested; its failures show in the worker's row."""
-
-    def __init__(self, context: Context, planner: QueryPlanner) -> None:
-        self._context, self._planner = context, planner
-        self._thread = threading.Thread(target=self._run, name="query-planner", daemon=True)
-        self._thread.start()
-
-    def join(self, seconds: float) -> None:
-        """Wait for the thread to end, after a stop was requested."""
-        self._thread.join(seconds)
-
-    def _run(self) -> None:
-        heartbeat = self._context.heartbeat
-        work_until_stopped(
-            self._planner,
-            self._context.stop,
-            self._context.settings.poll_seconds,
-            on_failure=lambda failure: heartbeat.set_background_failure(f"Queries cannot be created. {failure}"),
-            on_success=lambda _: heartbeat.set_background_failure(""),
-        )
 
 
 def wants_ensemble(config: ExperimentConfig) -> bool:

@@ -2,9 +2,10 @@
 
 import hashlib
 import io
+import logging
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import av
@@ -13,18 +14,21 @@ from av.error import FFmpegError
 from mujoco import MjModel  # pyright: ignore[reportAttributeAccessIssue]  (compiled, without stubs)
 
 from accord.domain.enums import WorkerRole, WorkerState
-from accord.domain.errors import BlobMissing
+from accord.domain.errors import BlobMissing, BlobUnreadable
 from accord.rendering.checks import probe_backend
 from accord.rendering.clip_key import clip_key
 from accord.rendering.process import ClipJob as RenderJob
 from accord.rendering.process import RenderFailed, RenderProcess
-from accord.services import clips
+from accord.services import clip_views, clips
+from accord.services.clip_views import ViewJob
 from accord.services.clips import ClipJob, StoredClip
 from accord.services.collect import load_arrays, replayed_clip_key
 from accord.workers.runner import Context, run_worker
 from mapt.rendering.encode import ClipFile
-from mapt.rendering.settings import RenderSettings
+from mapt.rendering.settings import Camera, RenderSettings
 from mapt.tasks import agent_geoms, load_model, task_spec
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,12 @@ class RenderWorker:
         context = self._context
         lease = context.settings.worker_lease_seconds
         with context.database.transaction() as session:
-            job = clips.claim_pending(session, context.holder, lease)
+            # Somebody looks at the pair of a view, so it comes before the clips of later pairs.
+            view = clip_views.claim_pending(session, context.holder, lease)
+            job = None if view else clips.claim_pending(session, context.holder, lease)
+        if view is not None:
+            self._render_view(process, view, lease)
+            return True
         if job is None:
             return False
         context.heartbeat.set_state(WorkerState.WORKING, f"Rendering a clip of {job.task}.")
@@ -90,21 +99,30 @@ class RenderWorker:
         with self._context.database.transaction() as session:
             clips.finish(session, job.clip_id, made)
 
+    def _render_view(self, process: RenderProcess, job: ViewJob, lease: float) -> None:
+        """Render a clip from another camera."""
+        context = self._context
+        context.heartbeat.set_state(WorkerState.WORKING, f"Rendering a clip of {job.task} from another camera.")
+        with context.heartbeat.renewing(
+            f"{job.clip_id}:{job.camera}",
+            lambda session: clip_views.heartbeat(session, job, context.holder, lease),
+        ):
+            try:
+                if task_spec(job.task).nq == 0:
+                    raise RenderFailed(f"{job.task} renders itself, from one direction.")
+                _, _, blob_key = self._render_states(process, job, job.camera.value)
+            except RenderFailed as error:
+                log.warning("%s from the camera %s: %s", job.clip_id, job.camera, error)
+                with context.database.transaction() as session:
+                    clip_views.fail(session, job)
+                return
+            with context.database.transaction() as session:
+                clip_views.finish(session, job, blob_key, context.blobs.size(blob_key))
+
     def _render_and_store(self, process: RenderProcess, job: ClipJob) -> StoredClip:
         if task_spec(job.task).nq == 0:
             return self._replayed_clip(job)
-        arrays = load_arrays(self._context.blobs, job.segment_blob_key)
-        task = self._task(job.task)
-        qpos, qvel = (arrays[name].astype(np.float64, copy=False) for name in ("qpos", "qvel"))
-        key = clip_key(qpos, qvel, task.model, task.agents, task.settings)
-        path = Path(self._folder.name) / f"{job.clip_id}.mp4"
-        clip: ClipFile = process.render(RenderJob(job.task, qpos, qvel, task.settings, path))
-        blob_key = f"clips/{key[:2]}/{key}.mp4"
-        try:
-            content = path.read_bytes()
-        finally:
-            path.unlink()
-        self._context.blobs.put(blob_key, content)
+        key, clip, blob_key = self._render_states(process, job, "follow")
         return StoredClip(
             cache_key=key,
             blob_key=blob_key,
@@ -115,6 +133,29 @@ class RenderWorker:
             width=clip.width,
             height=clip.height,
         )
+
+    def _render_states(
+        self, process: RenderProcess, job: ClipJob | ViewJob, camera: Camera
+    ) -> tuple[str, ClipFile, str]:
+        """Render a segment and store the clip; return its cache key, its properties, and the key of its blob."""
+        try:
+            arrays = load_arrays(self._context.blobs, job.segment_blob_key)
+        except BlobUnreadable as error:
+            raise RenderFailed(str(error)) from error
+        task = self._task(job.task)
+        settings = replace(task.settings, camera=camera)
+        qpos, qvel = (arrays[name].astype(np.float64, copy=False) for name in ("qpos", "qvel"))
+        key = clip_key(qpos, qvel, task.model, task.agents, settings)
+        path = Path(self._folder.name) / f"{key}.mp4"
+        clip: ClipFile = process.render(RenderJob(job.task, qpos, qvel, settings, path))
+        # Not shared between experiments: deleting one of them must not delete a clip that another one is about to use.
+        blob_key = f"clips/{job.experiment_id}/{key}.mp4"
+        try:
+            content = path.read_bytes()
+        finally:
+            path.unlink()
+        self._context.blobs.put(blob_key, content)
+        return key, clip, blob_key
 
     def _replayed_clip(self, job: ClipJob) -> StoredClip:
         """The clip that `accord.workers.replayed_clips` stored with the segment.
@@ -142,7 +183,9 @@ class RenderWorker:
 
     def _task(self, name: str) -> _TaskRendering:
         if name not in self._tasks:
-            settings = RenderSettings(frame_rate_hz=1.0 / task_spec(name).step_seconds)
+            settings = RenderSettings(
+                frame_rate_hz=1.0 / task_spec(name).step_seconds, quality=self._context.settings.clip_quality
+            )
             self._tasks[name] = _TaskRendering(settings, load_model(name), agent_geoms(name))
         return self._tasks[name]
 

@@ -1,4 +1,7 @@
-"""The reward worker: `python -m accord.workers.reward_worker`. Trains reward versions; a thread creates queries."""
+"""The reward worker: `python -m accord.workers.reward_worker`. Trains reward versions.
+
+One thread creates queries, another one answers requests for what the versions learned.
+"""
 
 import logging
 import sys
@@ -8,16 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accord.domain.enums import WorkerRole, WorkerState
-from accord.services import experiments, metrics, publish, select
+from accord.domain.errors import BlobUnreadable
+from accord.services import attempts, experiments, metrics, publish, select
 from accord.services.collect import load_arrays
 from accord.services.experiment_config import ExperimentConfig
+from accord.services.publish import LabellerReliability
 from accord.store.blobs import BlobStore
 from accord.store.labels import LabelledPair
 from accord.store.tables import ExperimentRow, RewardVersionRow
+from accord.workers.attempts import counted_attempt
 from accord.workers.heartbeat import Claim
+from accord.workers.label_weights import weight_labels, weights_of_version
 from accord.workers.model_store import EnsembleStore, read_reward_model, store_reward_model
-from accord.workers.query_planner import PlannerThread, QueryPlanner, wants_ensemble
-from accord.workers.runner import Context, error_sentence, run_worker
+from accord.workers.query_planner import QueryPlanner, wants_ensemble
+from accord.workers.reward_inspector import RewardInspector
+from accord.workers.runner import BackgroundThread, Context, run_worker
 from mapt.errors import InvalidConfig, ModelMismatch
 from mapt.preferences.dataset import PreferenceDataset
 from mapt.rewards.config import RewardConfig, TrainConfig
@@ -30,8 +38,11 @@ from mapt.training.preference_loop import RewardSettings, labelled_dataset
 
 log = logging.getLogger(__name__)
 
-#: how long the process waits for the query planner at its end
-_PLANNER_END_SECONDS = 2.0
+#: how long the process waits for each thread at its end
+_THREAD_END_SECONDS = 1.0
+
+#: errors that a retry would raise again: the experiment fails with their message
+_PERMANENT = (InvalidConfig, ModelMismatch)
 
 _Arrays = tuple[NDArray[np.float32], NDArray[np.float32]]
 
@@ -46,15 +57,28 @@ class SegmentCache:
         self._arrays: dict[str, _Arrays] = {}
 
     def dataset(self, experiment_id: str, labels: Sequence[LabelledPair]) -> PreferenceDataset:
-        """The labelled pairs of an experiment.
+        """The labelled pairs of an experiment whose segments can be read; others are left out and logged.
 
         Raises:
-            BlobMissing: if a segment's arrays are missing.
+            BlobUnreadable: if fewer than two pairs can be read.
         """
         if experiment_id != self._experiment_id:
             self._experiment_id, self._arrays = experiment_id, {}
-        pairs = [(label.segment_0_blob, label.segment_1_blob) for label in labels]
-        values, numbers = [label.value for label in labels], [label.query_number for label in labels]
+        readable: list[LabelledPair] = []
+        unreadable: BlobUnreadable | None = None
+        for label in labels:
+            try:
+                for key in (label.segment_0_blob, label.segment_1_blob):
+                    self._read(key)
+            except BlobUnreadable as error:
+                log.error("The label of query %d is not used: %s", label.query_number, error)
+                unreadable = error
+            else:
+                readable.append(label)
+        if len(readable) < 2 and unreadable is not None:
+            raise unreadable
+        pairs = [(label.segment_0_blob, label.segment_1_blob) for label in readable]
+        values, numbers = [label.value for label in readable], [label.query_number for label in readable]
         return labelled_dataset(pairs, values, self._read, numbers)
 
     def _read(self, key: str) -> _Arrays:
@@ -64,6 +88,13 @@ class SegmentCache:
         return self._arrays[key]
 
 
+def readable(labels: Sequence[LabelledPair], dataset: PreferenceDataset) -> list[LabelledPair]:
+    """The labels whose segments could be read, one for each pair of their `SegmentCache.dataset`."""
+    # Labels of one query share their segments, so that all or none of them can be read.
+    numbers = set(dataset.ids.tolist())
+    return [label for label in labels if label.query_number in numbers]
+
+
 class RewardWorker:
     """Trains the reward versions of all running experiments, one at a time."""
 
@@ -71,30 +102,32 @@ class RewardWorker:
         self._context = context
         self._segments = SegmentCache(context.blobs)
         self._ensembles = EnsembleStore(context.blobs)
-        #: creates queries; runs in its own thread after `start_planner`
+        #: creates queries; runs in its own thread after `start_threads`
         self.planner = QueryPlanner(context, self._ensembles)
-        self._planner_thread: PlannerThread | None = None
-        self._round = 0
+        #: answers requests for what the versions learned, likewise
+        self.inspector = RewardInspector(context, self._ensembles)
+        self._threads: list[BackgroundThread] = []
 
-    def start_planner(self) -> None:
-        """Create queries in a thread from now on."""
-        self._planner_thread = PlannerThread(self._context, self.planner)
+    def start_threads(self) -> None:
+        """Create queries and answer requests in threads from now on."""
+        self._threads = [
+            BackgroundThread(self._context, self.planner, "query-planner", "Queries cannot be created."),
+            BackgroundThread(self._context, self.inspector, "reward-inspector", "Rewards cannot be shown."),
+        ]
 
     def work(self) -> bool:
         """Train what is due in each experiment. Returns whether anything was."""
         with self._context.database.reading() as session:
-            rows = experiments.running(session)
+            failing = attempts.failing(session, WorkerRole.REWARD)
+            rows = [row for row in experiments.running(session) if attempts.is_due(failing.get(row.id))]
         rows = [row for row in rows if experiments.config_of(row).reward_source == "preferences"]
-        # Start with another experiment each time: if one raises, the others still get their turn.
-        self._round += 1
-        first = self._round % max(1, len(rows))
-        did = [self._train_if_due(row) for row in rows[first:] + rows[:first]]
+        did = [self._train_if_due(row) for row in rows]
         return any(did)
 
     def close(self) -> None:
-        """Wait a little for the planner's thread, so that it does not use a closed database."""
-        if self._planner_thread is not None:
-            self._planner_thread.join(_PLANNER_END_SECONDS)
+        """Wait a little for the threads, so that they do not use a closed database."""
+        for thread in self._threads:
+            thread.join(_THREAD_END_SECONDS)
 
     def _train_if_due(self, row: ExperimentRow) -> bool:
         config = experiments.config_of(row)
@@ -112,18 +145,17 @@ class RewardWorker:
         with self._context.heartbeat.claim(f"reward:{row.id}") as claim:
             if claim is None:
                 return False
-            try:
+            with counted_attempt(self._context, claim, row.id, WorkerRole.REWARD, _PERMANENT) as attempt:
+                if attempt is None:
+                    return False
                 # The version comes first: the policy may wait for it, and until then the parent's ensemble is used.
                 if due:
-                    return self._train_version(row, newest, claim)
-                return without_ensemble is not None and self._train_ensemble(row, without_ensemble, claim)
-            except (InvalidConfig, ModelMismatch) as error:
-                # A retry would fail again.
-                log.exception("Experiment %s failed", row.id)
-                with self._context.database.transaction() as session:
-                    claim.check_within(session)
-                    experiments.fail(session, row.id, error_sentence(error))
-                return True
+                    did = self._train_version(row, newest, claim)
+                else:
+                    did = without_ensemble is not None and self._train_ensemble(row, without_ensemble, claim)
+                attempt.succeed()
+                return did
+        return True
 
     def _train_version(self, row: ExperimentRow, newest: RewardVersionRow | None, claim: Claim) -> bool:
         """Train the next version on all labels, starting from the newest one, and publish it."""
@@ -133,8 +165,15 @@ class RewardWorker:
             labels = publish.training_labels(session, row.id)
         if len(labels.items) < 2:
             return False
-        dataset = self._segments.dataset(row.id, labels.items)
+        dataset, reliabilities = self._segments.dataset(row.id, labels.items), list[LabellerReliability]()
+        if experiments.config_of(row).weight_labellers:
+            weighted = weight_labels(dataset, readable(labels.items, dataset), labels.gold)
+            dataset, reliabilities = weighted.dataset, weighted.reliabilities
         trained = self._fit(row, dataset, newest, claim, number)
+        if reliabilities:
+            trained.metrics["label_weight"] = float(dataset.weights.mean())
+        if unreadable := len(labels.items) - len(dataset):
+            trained.metrics["labels_unreadable"] = unreadable
         if trained.metrics["stopped"]:
             claim.check()
             return False
@@ -152,6 +191,7 @@ class RewardWorker:
                 label_count=len(labels.items),
                 policy_steps=steps,
                 metrics=trained.metrics,
+                reliabilities=reliabilities,
             )
             shown = {
                 name: trained.metrics[name] for name in ("holdout_accuracy", "holdout_loss") if name in trained.metrics
@@ -182,11 +222,13 @@ class RewardWorker:
         """Train the ensemble of a published version on the version's labels, and store it."""
         with self._context.database.reading() as session:
             labels = publish.version_labels(session, version)
+            reliabilities = publish.reliabilities(session, version)
             parents = [each for each in publish.versions(session, row.id) if each.id == version.parent_id]
         if len(labels) < 2:
             return False
         settings = experiments.config_of(row)
         dataset = self._segments.dataset(row.id, labels)
+        dataset = weights_of_version(dataset, readable(labels, dataset), reliabilities)
         config, training = _training(settings, dataset)
         parent = self._ensembles.load(parents[0]) if parents else None
         fits = parent is not None and parent.config == config and len(parent) == settings.ensemble_members
@@ -212,10 +254,14 @@ class RewardWorker:
         )
 
     def _parent(self, newest: RewardVersionRow | None, config: RewardConfig) -> RewardModel | None:
-        """The newest model, if it has the settings of the next one."""
+        """The newest model, if it can be read and has the settings of the next one."""
         if newest is None:
             return None
-        model = read_reward_model(self._context.blobs, newest.blob_key)
+        try:
+            model = read_reward_model(self._context.blobs, newest.blob_key)
+        except BlobUnreadable:
+            log.exception("The next version starts from new weights")
+            return None
         return model if model.config == config else None
 
 
@@ -241,7 +287,7 @@ def _training(config: ExperimentConfig, dataset: PreferenceDataset) -> tuple[Rew
 
 def _start(context: Context) -> RewardWorker:
     worker = RewardWorker(context)
-    worker.start_planner()
+    worker.start_threads()
     return worker
 
 

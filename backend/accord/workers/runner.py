@@ -8,6 +8,7 @@ import secrets
 import select
 import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import FrameType
@@ -146,6 +147,33 @@ def work_until_stopped(
         on_success(worked)
         if not worked:
             stop.wait(poll_seconds)
+
+
+class BackgroundThread:
+    """A thread of a worker's process that works until a stop is requested; its failures show in the worker's row."""
+
+    def __init__(self, context: Context, worker: Worker, name: str, failing: str) -> None:
+        """
+        Args:
+            failing: a sentence for the worker's row, before the failure: what does not happen now.
+        """
+        self._context, self._worker, self._failing = context, worker, failing
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def join(self, seconds: float) -> None:
+        """Wait for the thread to end, after a stop was requested."""
+        self._thread.join(seconds)
+
+    def _run(self) -> None:
+        heartbeat, name = self._context.heartbeat, self._thread.name
+        work_until_stopped(
+            self._worker,
+            self._context.stop,
+            self._context.settings.poll_seconds,
+            on_failure=lambda failure: heartbeat.set_background_failure(name, f"{self._failing} {failure}"),
+            on_success=lambda _: heartbeat.set_background_failure(name, ""),
+        )
 
 
 def run_loop(context: Context, worker: Worker) -> None:

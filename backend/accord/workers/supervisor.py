@@ -149,6 +149,14 @@ class Supervisor:
         """Process ids of the running children, by name."""
         return {slot.spec.name: slot.child.pid for slot in self._slots if slot.child}
 
+    def kill(self, name: str, pid: int) -> bool:
+        """Kill a child that hangs; the next `tick` handles its death. Returns False if this process is gone already."""
+        for slot in self._slots:
+            if slot.child is not None and slot.spec.name == name and slot.child.pid == pid:
+                slot.child.kill_group()
+                return True
+        return False
+
     def tick(self) -> None:
         """Start the processes that are due and handle those that died."""
         now = time.monotonic()

@@ -3,6 +3,11 @@
 import pytest
 
 from accord.api.routes.clips import ByteRange, parse_range
+from accord.domain.enums import ClipCamera
+from accord.domain.errors import ClipNotFound
+from accord.domain.ids import new_id
+from accord.services import clip_views, deletion, experiments
+from accord.store import deletions
 from support.api_in_thread import ApiServer
 from support.sample_experiments import CLIP_BYTES, create_sample
 
@@ -78,3 +83,46 @@ def test_clip_without_its_file_is_a_503_error(api: ApiServer, clip: str) -> None
 )
 def test_range_headers_are_parsed_as_in_rfc_9110(header: str, expected: ByteRange | None) -> None:
     assert parse_range(header, 100) == expected
+
+
+def test_view_is_requested_once_and_served_when_it_is_rendered(api: ApiServer, clip: str) -> None:
+    view = clip.replace(".mp4", "/views/top")
+    assert api.labeller.get(f"{view}.mp4").json()["error"]["code"] == "clip_not_found"
+    for _ in range(2):
+        response = api.labeller.put(view)
+        assert (response.status_code, response.json()) == (200, {"status": "pending", "clip_url": None})
+    api.stores.blobs.put("clips/view.mp4", CLIP_BYTES)
+    with api.stores.database.transaction() as session:
+        job = clip_views.claim_pending(session, "worker", 60.0)
+        assert job is not None
+        assert (job.task, job.camera) == ("HalfCheetah-6x1", "top")
+        assert clip_views.claim_pending(session, "another", 60.0) is None
+        clip_views.finish(session, job, "clips/view.mp4", SIZE)
+    ready = api.labeller.put(view).json()
+    assert ready == {"status": "ready", "clip_url": f"{view}.mp4"}
+    whole = api.labeller.get(ready["clip_url"])
+    part = api.labeller.get(ready["clip_url"], headers={"Range": "bytes=0-9"})
+    assert (whole.content, part.status_code, part.content) == (CLIP_BYTES, 206, CLIP_BYTES[:10])
+
+
+def test_unknown_camera_and_clip_are_refused(api: ApiServer, clip: str) -> None:
+    assert api.labeller.put(clip.replace(".mp4", "/views/below")).status_code == 422
+    missing = api.labeller.put(f"/api/v1/clips/{new_id('clp')}/views/top")
+    assert (missing.status_code, missing.json()["error"]["code"]) == (404, "clip_not_found")
+
+
+def test_views_of_deleted_experiments_are_deleted(api: ApiServer, clip: str) -> None:
+    clip_id = clip.rsplit("/", maxsplit=1)[-1].removesuffix(".mp4")
+    api.labeller.put(clip.replace(".mp4", "/views/top"))
+    api.stores.blobs.put("clips/view.mp4", CLIP_BYTES)
+    with api.stores.database.transaction() as session:
+        job = clip_views.claim_pending(session, "worker", 60.0)
+        assert job is not None
+        clip_views.finish(session, job, "clips/view.mp4", SIZE)
+        row = experiments.cancel(session, job.experiment_id)
+        deleted, keys = deletion.delete(session, row.id, row.name, "Rosa")
+        assert deletions.blob_keys(session, row.id).clips == []
+    assert "clips/view.mp4" in keys
+    with pytest.raises(ClipNotFound), api.stores.database.transaction() as session:
+        clip_views.request(session, clip_id, ClipCamera.TOP)
+    del deleted

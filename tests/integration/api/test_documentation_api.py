@@ -76,10 +76,10 @@ def test_operation_ids_are_unique_and_short(api_document: dict[str, Any]) -> Non
     assert all(name.isidentifier() and len(name) < 30 for name in names)
 
 
-def test_only_health_needs_no_sign_in(api_document: dict[str, Any]) -> None:
+def test_only_health_and_invitations_need_no_sign_in(api_document: dict[str, Any]) -> None:
     assert api_document["security"]
     public = [address for address, operation in operations(api_document) if operation.get("security") == []]
-    assert public == ["get /api/v1/health"]
+    assert sorted(public) == ["get /api/v1/health", "get /api/v1/join/{token}", "post /api/v1/join/{token}"]
 
 
 def test_document_is_deterministic(tmp_path: Path) -> None:

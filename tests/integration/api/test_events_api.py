@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+from sqlalchemy import event
 
+from accord.api.routes.events import MAX_STREAMS
 from accord.domain.enums import Phase, Role, WorkerRole, WorkerState
 from accord.services import experiments, label, metrics, workers
 from accord.settings import Settings
@@ -19,7 +21,7 @@ from support.api_in_thread import ApiServer, client
 from support.api_process import running_server
 from support.sample_experiments import create_sample, user
 from support.stores import Stores
-from support.waiting import PATIENCE_SECONDS
+from support.waiting import PATIENCE_SECONDS, until
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,11 +140,67 @@ def test_open_streams_do_not_block_other_requests(api: ApiServer) -> None:
     # More streams than the server has threads: a stream must not hold a thread.
     with api.client(api.tokens[Role.LABELLER], limits=httpx.Limits(max_connections=None)) as many:
         responses = [many.send(many.build_request("GET", path), stream=True) for _ in range(60)]
-        for response in responses:
-            next(events(response))
+        # A generator that is collected closes its response.
+        streams = [events(response) for response in responses]
+        for stream in streams:
+            next(stream)
         assert api.labeller.get("/api/v1/me").status_code == 200
         for response in responses:
             response.close()
+
+
+def test_a_user_cannot_open_any_number_of_streams(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    path = f"/api/v1/experiments/{sample.experiment.id}/events"
+    with api.client(api.tokens[Role.LABELLER], limits=httpx.Limits(max_connections=None)) as many:
+        responses = [many.send(many.build_request("GET", path), stream=True) for _ in range(MAX_STREAMS)]
+        # A generator that is collected closes its response.
+        streams = [events(response) for response in responses]
+        for stream in streams:
+            next(stream)
+        refused = many.get(path)
+        assert (refused.status_code, refused.json()["error"]["code"]) == (429, "too_many_streams")
+        with api.researcher.stream("GET", path) as other:
+            next(events(other))
+        for response in responses:
+            response.close()
+
+        def has_room() -> bool:
+            with many.stream("GET", path) as response:
+                return response.status_code == 200
+
+        until(has_room, "closed streams do not count")
+
+
+def test_streams_of_one_experiment_share_their_looks_at_the_database(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    path = f"/api/v1/experiments/{sample.experiment.id}/events"
+    statements = 0
+
+    def count(*_: object) -> None:
+        nonlocal statements
+        statements += 1
+
+    def statements_per_change(clients: int) -> int:
+        """Statements until each of the clients has received a change."""
+        nonlocal statements
+        with api.client(api.tokens[Role.LABELLER], limits=httpx.Limits(max_connections=None)) as many:
+            responses = [many.send(many.build_request("GET", path), stream=True) for _ in range(clients)]
+            streams = [events(response) for response in responses]
+            for stream in streams:
+                next_where(stream, lambda event: event.name == "workers")
+            statements = 0
+            step = 10 * clients
+            record(api.stores, sample.experiment.id, step, 1.0)
+            for stream in streams:
+                next_where(stream, lambda event: event.name == "metrics")
+            for response in responses:
+                response.close()
+            return statements
+
+    event.listen(api.stores.database.engine, "before_cursor_execute", count)
+    alone, together = statements_per_change(1), statements_per_change(40)
+    assert together < 10 * alone
 
 
 def test_server_stops_gracefully_while_streams_are_open(tmp_path: Path) -> None:

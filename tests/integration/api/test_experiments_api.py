@@ -134,7 +134,7 @@ def test_experiments_are_changed_archived_and_deleted_by_researchers(api_per_dat
     assert api.researcher.delete(path).status_code == 422
     assert api.researcher.get(f"{path}/costs").json()["person_answers"] == 0
     deleted = api.researcher.delete(path, params={"name": "one"})
-    assert (deleted.status_code, deleted.json()["rows"]) == (200, {})
+    assert (deleted.status_code, deleted.json()["rows"]) == (200, {"instruction_revisions": 2})
     assert api.researcher.get(path).status_code == 404
     assert api.admin.get("/api/v1/deletions").json() == [deleted.json()]
 

@@ -132,3 +132,48 @@ def test_a_still_shows_the_middle_of_a_clip(api: ApiServer, tmp_path: Path) -> N
     assert api.labeller.get(path, headers={"If-None-Match": still.headers["etag"]}).status_code == 304
     with api.client(None) as stranger:
         assert stranger.get(path).status_code == 401
+
+
+def test_a_clip_is_also_served_as_a_gif_of_the_same_length(api: ApiServer, tmp_path: Path) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs, queries=1)
+    frames = [np.full((96, 128, 3), 20 * number, dtype=np.uint8) for number in range(10)]
+    # 125 frames per second, as of a walker: every third one is shown.
+    clip = write_clip(frames, tmp_path / "clip.mp4", RenderSettings(width=128, height=96, frame_rate_hz=125))
+    (query,) = api.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next").json()["items"]
+    path = query["left"]["clip_url"].replace(".mp4", ".gif")
+    assert api.labeller.get(path).status_code == 404  # the sample's clip is not a video
+    key = f"clips/{Path(path).stem}.mp4"
+    api.stores.blobs.delete(key)
+    api.stores.blobs.put(key, clip.path.read_bytes())
+    response = api.labeller.get(path)
+    assert (response.status_code, response.headers["content-type"]) == (200, "image/gif")
+    shown = iio.imread(response.content, extension=".gif")
+    assert shown.shape[:3] == (4, 240, 320)
+    np.testing.assert_allclose(shown.mean(axis=(1, 2, 3)), [0, 60, 120, 180], atol=8)
+    assert iio.immeta(response.content, extension=".gif")["loop"] == 0
+
+
+def test_every_edit_of_the_instructions_is_a_revision_that_labels_name(api_per_database: ApiServer) -> None:
+    api = api_per_database
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    path = f"/api/v1/experiments/{sample.experiment.id}"
+    for text, number in (("Run **fast**.", 2), ("Run **fast**.", 2), ("Run far.", 3)):
+        changed = api.researcher.patch(path, json={"instructions": text}).json()
+        assert (changed["instructions"], changed["instructions_revision"]) == (text, number)
+    listed = api.labeller.get(f"{path}/instructions").json()
+    assert [(each["number"], each["text"], each["author"]) for each in listed] == [
+        (1, sample.experiment.instructions, ""),
+        (2, "Run **fast**.", "the researcher"),
+        (3, "Run far.", "the researcher"),
+    ]
+    queries = api.labeller.post(f"{path}/queries/next", params={"count": 3}).json()["items"]
+    for query, revision in zip(queries, (2, 9, None), strict=True):
+        body = {"label": 1, "instructions_revision": revision}
+        assert api.labeller.put(f"/api/v1/queries/{query['id']}/label", json=body).status_code == 201
+    api.labeller.put(f"/api/v1/queries/{queries[0]['id']}/label", json={"label": 0, "instructions_revision": 3})
+    table = api.researcher.get(f"{path}/queries").json()["items"]
+    found = {query["id"]: query["labels"][0]["revisions"] for query in table if query["labels"]}
+    given = [[each["instructions_revision"] for each in found[query["id"]]] for query in queries]
+    assert given == [[2, 3], [None], [None]], "a number that does not exist costs no label"
+    rows = list(csv.DictReader(io.StringIO(api.researcher.get(f"{path}/queries.csv").text)))
+    assert [row["instructions_revision"] for row in rows if row["query_id"] == queries[0]["id"]] == ["2", "3"]

@@ -37,6 +37,7 @@ def test_labeller_labels_undoes_and_labels_again(api_per_database: ApiServer) ->
         "left_segment": query["left"]["index"],
         "revision": 1,
         "created": True,
+        "final": False,
     }
     again = client.put(path, json={"label": 1, "order": "shown"})
     assert (again.status_code, again.json()) == (200, first.json() | {"created": False})

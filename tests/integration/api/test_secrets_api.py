@@ -8,6 +8,7 @@ import httpx
 import pytest
 
 from accord.domain.enums import Phase, WorkerRole, WorkerState
+from accord.domain.ids import new_id
 from accord.services import experiments, metrics, publish, workers
 from support.api_in_thread import ApiServer
 from support.sample_experiments import SampleExperiment, create_sample
@@ -22,10 +23,7 @@ def sample(api: ApiServer, request: pytest.FixtureRequest) -> SampleExperiment:
     """An experiment with the secret in every field that workers write."""
     database, blobs = api.stores.database, api.stores.blobs
     found = create_sample(database, blobs, reward_source=request.param)
-    names = ["true_return", "true_return_mean", "entropy"]
-    if request.param == "true":
-        # The policy learns from the true reward, so these curves reveal it too.
-        names += ["learned_return", "value_loss"]
+    names = ["true_return", "true_return_mean", "learned_return", "value_loss", "entropy"]
     with database.transaction() as session:
         for name in names:
             value = 0.5 if name == "entropy" else SECRET
@@ -49,7 +47,13 @@ def fill_path(path: str, sample: SampleExperiment, clip_id: str) -> str:
         experiment_id=sample.experiment.id,
         query_id=sample.query_ids[0],
         clip_id=clip_id,
+        camera="top",
         segment_id=sample.segment_ids[0],
+        user_id=sample.owner.id,
+        invitation_id=new_id("inv"),
+        token="no-invitation",
+        number="1",
+        share_id=new_id("shr"),
     )
 
 

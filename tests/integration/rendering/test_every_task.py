@@ -1,6 +1,8 @@
 """Frames of every task: the whole body is visible and large enough, and agents have their colours."""
 
 import re
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ from numpy.typing import NDArray
 
 from integration.rendering.drawing import Drawing
 from mapt.rendering.appearance import AGENT_COLOURS, moving_geoms, rgb_bytes
+from mapt.rendering.camera import cameras_of
 from mapt.rendering.settings import RenderSettings
 from mapt.tasks import agent_geoms, load_model, make_task, task_names, task_spec
 
@@ -16,7 +19,7 @@ SMALL = RenderSettings(width=320, height=240)
 FRAMES = 8
 #: steps between frames; with random actions, episodes of many tasks end after twenty steps
 STRIDE = 6
-ORANGE, SKY_BLUE, WHITE = 0, 2, 7
+ORANGE, BLUE, SKY_BLUE, WHITE = 0, 1, 2, 7
 
 
 def states(task: str) -> NDArray[np.float64]:
@@ -79,6 +82,46 @@ def test_rings_show_the_agents_that_share_a_limb(drawing: Drawing) -> None:
     assert not pixels_of(alone, (SKY_BLUE,)).any()
     assert pixels_of(shared, (SKY_BLUE,)).sum() > 20
     assert pixels_of(shared, (WHITE,)).sum() > 20
+
+
+def test_near_leg_of_a_walker_hides_the_far_one_without_gaps(drawing: Drawing) -> None:
+    task = "Walker2d-2x3"
+    standing = load_model(task).qpos0[None]  # both legs at the same angles
+    frames = drawing.frames(standing, [list(own) for own in agent_geoms(task)], SMALL, task)
+    near, far = (pixels_of(frames, (agent,)).sum() for agent in (ORANGE, BLUE))
+    assert min(near, far) < 0.25 * max(near, far)
+
+
+def test_repeated_colours_have_stripes(drawing: Drawing) -> None:
+    task = "ManySegmentSwimmer-10x2"
+    geoms = [list(own) for own in agent_geoms(task)]
+    qpos = load_model(task).qpos0[None]
+    plain = drawing.frames(qpos, [geoms[8], *geoms[1:8], geoms[0], geoms[9]], SMALL, task)
+    striped = drawing.frames(qpos, geoms, SMALL, task)
+    changed = (np.abs(plain.astype(int) - striped).max(axis=-1) > 60)[0]
+    columns = np.flatnonzero(changed.any(axis=0))
+    middle = (columns.min() + columns.max()) / 2
+    # The stripes have moved from one end of the body to the other.
+    assert (columns < middle - 30).any()
+    assert (columns > middle + 30).any()
+    assert not changed[:, int(middle) - 20 : int(middle) + 20].any()
+
+
+@pytest.mark.parametrize("task", ["HalfCheetah-6x1", "Walker2d-2x3", "Ant-4x2", "Humanoid-17x1", "Swimmer-2x1"])
+def test_every_camera_shows_the_whole_body_from_its_own_direction(drawing: Drawing, task: str) -> None:
+    model = load_model(task)
+    qpos, everything = states(task), [moving_geoms(model).tolist()]
+    cameras = cameras_of(task)
+    assert cameras[0] == "follow"
+    assert len(cameras) in (2, 3)
+    pictures = [drawing.frames(qpos, everything, replace(SMALL, camera=camera), task) for camera in cameras]
+    for frames in pictures:
+        body = pixels_of(frames, (ORANGE,))
+        assert body.sum(axis=(1, 2)).min() > 300
+        assert not body[:, [0, 1, -2, -1]].any()
+        assert not body[:, :, [0, 1, -2, -1]].any()
+    for one, other in pairwise(pictures):
+        assert (np.abs(one.astype(int) - other).max(axis=-1) > 30).mean() > 0.1
 
 
 @pytest.mark.parametrize("task", ["Ant-4x2", "Humanoid-9|8", "Swimmer-2x1"])

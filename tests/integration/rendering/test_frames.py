@@ -1,5 +1,7 @@
 """Frames of HalfCheetah: reproducibility, colours, view and floor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,7 +12,8 @@ from mapt.rendering.appearance import AGENT_COLOURS, rgb_bytes
 from mapt.rendering.settings import Quality, RenderSettings
 from mapt.tasks import agent_geoms
 
-SMALL = RenderSettings(width=320, height=240)
+#: without anti-aliasing, which mixes colours at edges
+SMALL = RenderSettings(width=320, height=240, quality="fast")
 SIX = [list(geoms) for geoms in agent_geoms("HalfCheetah-6x1")]
 TWO = [list(geoms) for geoms in agent_geoms("HalfCheetah-2x3")]
 #: torso and head as a seventh agent, so that every part of the body has an agent's colour
@@ -37,12 +40,22 @@ def test_two_processes_render_the_same_bytes(drawing: Drawing) -> None:
     np.testing.assert_array_equal(first, second)
 
 
-@pytest.mark.parametrize("quality", ["fast", "pretty"])
+@pytest.mark.parametrize("quality", ["fast", "smooth", "pretty"])
 def test_each_of_six_agents_is_visible_in_its_colour(drawing: Drawing, quality: Quality) -> None:
     frames = drawing.frames(trot(10), SIX, RenderSettings(width=320, height=240, quality=quality))
     for agent in range(6):
         assert count_of(agent, frames).min() > 60, AGENT_COLOURS[agent]
     assert count_of(6, frames).max() == 0
+
+
+def test_smooth_edges_have_intermediate_colours(drawing: Drawing) -> None:
+    fast, smooth = (
+        drawing.frames(trot(1), WHOLE_BODY, replace(SMALL, quality=quality)) for quality in ("fast", "smooth")
+    )
+    exact = [np.any([pixels_of(agent, frames) for agent in range(7)], axis=0) for frames in (fast, smooth)]
+    # Pixels on an edge of the body have the body's colour or the floor's; with anti-aliasing, a mixture.
+    mixed = exact[0] & ~exact[1]
+    assert 100 < mixed.sum() < 0.4 * exact[0].sum()
 
 
 def test_two_agents_of_three_joints_have_two_colours(drawing: Drawing) -> None:
@@ -57,7 +70,8 @@ def test_colour_moves_with_the_limb_of_its_agent(drawing: Drawing) -> None:
     still[1, 8] = 0.5  # only the front foot, agent 5
     frames = drawing.frames(still, SIX, SMALL)
     changed = [int((pixels[0] ^ pixels[1]).sum()) for pixels in (pixels_of(agent, frames) for agent in range(6))]
-    assert changed[:4] == [0, 0, 0, 0]
+    # The camera moves by a fraction of a pixel, because the body's extent has changed.
+    assert max(changed[:4]) < 0.05 * changed[5]
     assert changed[5] > 5 * changed[4]  # a little more or less of the shin is visible at the joint
 
 

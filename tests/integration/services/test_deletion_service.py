@@ -4,7 +4,19 @@ import pytest
 from sqlalchemy import func, select
 
 from accord.domain.errors import ExperimentInUse, ExperimentNotActive, ExperimentNotFound, Invalid
-from accord.services import accounts, clips, costs, deletion, experiments, label, lease, metrics, publish, workers
+from accord.services import (
+    accounts,
+    clips,
+    costs,
+    credit,
+    deletion,
+    experiments,
+    label,
+    lease,
+    metrics,
+    publish,
+    workers,
+)
 from accord.services.clips import StoredClip
 from accord.services.publish import card_key, ensemble_key
 from accord.store.tables import Base
@@ -38,6 +50,8 @@ def filled(stores: Stores, name: str) -> SampleExperiment:
             policy_steps=100,
             metrics={"seconds": 4.0},
         )
+        for query_id in (sample.query_ids[0], None):
+            credit.request(session, version, query_id)
         for step in (3200, 6400):
             metrics.record(session, sample.experiment.id, step, {"steps_per_second": 800.0}, version.id)
     return sample

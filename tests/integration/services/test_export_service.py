@@ -227,5 +227,5 @@ def test_table_metadata_states_schema_version_and_polarity(sqlite: Stores, tmp_p
     sample, _, _ = labelled(sqlite)
     exported(sqlite, sample.experiment.id, tmp_path / "out")
     metadata = json.loads(pq.read_schema(tmp_path / "out" / "labels.parquet").metadata[b"accord"])
-    assert metadata["schema_version"] == 1
+    assert metadata["schema_version"] == 2
     assert metadata["polarity"].startswith("1: segment 0 is better")

@@ -4,15 +4,30 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from accord.domain.enums import Role
 from accord.domain.errors import Invalid, NameTaken
-from accord.services import accounts, costs, experiments, export, importing, label, lease, publish, select
+from accord.services import (
+    accounts,
+    checks,
+    clips,
+    costs,
+    exclusion,
+    experiments,
+    export,
+    importing,
+    label,
+    label_history,
+    lease,
+    publish,
+    select,
+)
 from accord.store.tables import UserRow
 from mapt.preferences.formats.tables import PreferenceTables
-from support.sample_experiments import SampleExperiment, create_sample, user
+from support.sample_experiments import SampleExperiment, create_sample, make_clips, user
 from support.stores import Stores
 
 
@@ -40,10 +55,14 @@ def exported(stores: Stores, experiment_id: str, folder: Path) -> PreferenceTabl
 
 
 def imported(stores: Stores, tables: PreferenceTables, name: str = "again") -> str:
-    found = importing.store(stores.blobs, tables)
-    with stores.database.transaction() as session:
+    with importing.storing(stores.blobs, tables) as found, stores.database.transaction() as session:
         importing.create(session, accounts.ensure_admin(session).id, name, found)
     return found.experiment_id
+
+
+def segment_blobs(stores: Stores) -> set[Path]:
+    folder = Path(stores.blob_url.removeprefix("file://"))
+    return {path for path in folder.rglob("*") if path.is_file()}
 
 
 def values(tables: PreferenceTables) -> list[tuple[object, ...]]:
@@ -86,28 +105,98 @@ def test_an_imported_experiment_has_the_labels_and_segments_of_the_export(
         assert session.query(UserRow).filter(UserRow.name.contains("imported")).count() == 0
 
 
+def test_checks_exclusions_and_decisions_are_imported(stores: Stores, tmp_path: Path) -> None:
+    sample = create_sample(stores.database, stores.blobs, labels_per_pair=2, overlap_share=1.0)
+    with stores.database.transaction() as session:
+        one, _ = user(session, "one", Role.TEACHER)
+        two, _ = user(session, "two", Role.TEACHER)
+        for query_id, first, second in zip(sample.query_ids, (1.0, 1.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.5), strict=True):
+            label.put_label(session, one, query_id, first)
+            excluded = label.put_label(session, two, query_id, second).row.id
+        exclusion.exclude_labels(session, sample.experiment.id, [excluded], True)
+        label.put_label(session, sample.owner, sample.query_ids[1], 0.5, final=True)
+        checks.set_gold(session, sample.query_ids[2], 0.0)
+    id = imported(stores, exported(stores, sample.experiment.id, tmp_path / "out"))
+    with stores.database.reading() as session:
+        before, after = (publish.training_labels(session, each).items for each in (sample.experiment.id, id))
+        assert sorted(each.value for each in after) == [0.5, 0.5, 1.0, 1.0, 1.0]
+        assert sorted((each.query_number, each.value) for each in after) == sorted(
+            (each.query_number, each.value) for each in before
+        )
+        assert experiments.get(session, id).label_count == 5
+
+
+def test_revisions_of_the_instructions_are_imported(stores: Stores, tmp_path: Path) -> None:
+    sample = create_sample(stores.database, stores.blobs)
+    with stores.database.transaction() as session:
+        experiments.edit_instructions(session, sample.experiment.id, "Run far.", "Rosa")
+        program, _ = user(session, "program", Role.TEACHER)
+        for query_id, revision in zip(sample.query_ids, (1, 2, None), strict=False):
+            label.put_label(session, program, query_id, 1.0, instructions_revision=revision)
+    again = imported(stores, exported(stores, sample.experiment.id, tmp_path / "first"))
+    with stores.database.reading() as session:
+        found = [each.text for each in experiments.instruction_revisions(session, again)]
+        assert found == [sample.experiment.instructions, "Run far."]
+    labels = exported(stores, again, tmp_path / "second").labels()
+    assert [each.instructions_revision for each in labels] == [1, 2, None]
+
+
 def test_teachers_of_another_installation_become_users(
     stores: Stores, tables: tuple[SampleExperiment, PreferenceTables]
 ) -> None:
     _, first = tables
-    found = importing.store(stores.blobs, first)
-    strangers = [replace(each, teacher_id=f"usr_of_another_{each.teacher_id[-3:]}") for each in found.labels]
-    with stores.database.transaction() as session:
+    with importing.storing(stores.blobs, first) as found, stores.database.transaction() as session:
+        strangers = [replace(each, teacher_id=f"usr_of_another_{each.teacher_id[-3:]}") for each in found.labels]
         importing.create(session, accounts.ensure_admin(session).id, "again", replace(found, labels=strangers))
         assert session.query(UserRow).filter(UserRow.name.contains("imported")).count() == 2
 
 
-def test_what_cannot_be_imported_leaves_no_experiment(
+def test_imported_labels_get_clips_after_new_queries_and_can_then_be_changed(
+    stores: Stores, tables: tuple[SampleExperiment, PreferenceTables]
+) -> None:
+    _, first = tables
+    id = imported(stores, first)
+    waiting = create_sample(stores.database, stores.blobs, queries=1, ready=False)
+    with stores.database.transaction() as session:
+        jobs = [clips.claim_pending(session, "tests", 60.0) for _ in range(3)]
+        assert [job.experiment_id for job in jobs if job] == [waiting.experiment.id] * 2 + [id]
+        for job in jobs:
+            assert job is not None
+            clips.release(session, job.clip_id, "tests")
+        ada = session.query(UserRow).filter(UserRow.name == "Ada").one()
+    with stores.database.reading() as session:
+        before = label_history.own(session, ada, id, 10, None).items
+    assert {segment.clip_id for item in before for segment in item.query.segments} == {None}
+    make_clips(stores.database, stores.blobs)
+    with stores.database.transaction() as session:
+        newest = label_history.own(session, ada, id, 10, None).items[0]
+        assert all(segment.clip_id for segment in newest.query.segments)
+        assert newest.value == 0.5
+        experiments.resume(session, id)
+        label.put_label(session, ada, newest.query.id, 0.0, replaces=newest.revision)
+
+
+def test_what_cannot_be_imported_leaves_no_experiment_and_no_blob(
     stores: Stores, tables: tuple[SampleExperiment, PreferenceTables]
 ) -> None:
     sample, first = tables
+    before = segment_blobs(stores)
     with pytest.raises(NameTaken):
         imported(stores, first, sample.experiment.name)
     with pytest.raises(Invalid):
-        importing.store(stores.blobs, replace(first, about={}))
-    queries = first.path / "queries.parquet"
-    pq.write_table(pq.read_table(queries)[:1], queries)
+        imported(stores, replace(first, about={}))
+    for table in ("segments", "queries"):
+        path = first.path / f"{table}.parquet"
+        complete = pq.read_table(path)
+        pq.write_table(complete[:1], path)
+        with pytest.raises(Invalid):
+            imported(stores, PreferenceTables.open(first.path))
+        pq.write_table(complete, path)
+    path = first.path / "segments.parquet"
+    complete = pq.read_table(path)
+    pq.write_table(pa.concat_tables([complete, complete[:1]]), path)
     with pytest.raises(Invalid):
-        importing.store(stores.blobs, PreferenceTables.open(first.path))
+        imported(stores, PreferenceTables.open(first.path))
     with stores.database.reading() as session:
         assert len(experiments.list_page(session, 10, None).rows) == 1
+    assert segment_blobs(stores) == before

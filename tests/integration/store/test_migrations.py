@@ -12,8 +12,10 @@ from alembic.runtime.migration import MigrationContext
 from sqlalchemy import JSON, column, inspect, select, text
 
 from accord import store
+from accord.domain.enums import Role
 from accord.domain.errors import DatabaseTooNew
 from accord.domain.ids import new_id
+from accord.services import accounts, experiments, label, publish
 from accord.store.database import Database
 from accord.store.migrate import alembic_config, migrate
 from accord.store.tables import Base, QueryRow, RewardVersionRow
@@ -80,6 +82,43 @@ def test_uniform_of_revision_1_is_named_recent_after_the_first_reward_version(st
     assert read_selectors(stores, unversioned) == ("recent", ["uniform"] * 4)
 
 
+def test_labels_of_revision_8_count_as_before(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs)
+    with stores.database.transaction() as session:
+        ada, _ = accounts.create_user(session, "ada", Role.TEACHER)
+        for query_id in sample.query_ids[:3]:
+            label.put_label(session, ada, query_id, 1.0)
+        label.put_label(session, ada, sample.query_ids[3], None)
+    with stores.database.engine.begin() as connection:
+        command.downgrade(alembic_config(connection), "0008")
+    migrate(stores.database)
+    with stores.database.transaction() as session:
+        assert len(publish.training_labels(session, sample.experiment.id).items) == 3
+        query = session.get_one(QueryRow, sample.query_ids[0])
+        assert (query.status, query.labels_wanted, query.repeats_id, query.gold_value) == ("closed", 1, None, None)
+        label.undo(session, ada, query.id)
+        label.put_label(session, ada, query.id, 0.0)
+        assert len(publish.training_labels(session, sample.experiment.id).items) == 3
+
+
+def test_versions_of_revision_12_have_no_reliabilities(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs)
+    numbers = {"label_watermark": 0, "label_count": 0, "policy_steps": 0}
+    with stores.database.transaction() as session:
+        publish.publish(session, sample.experiment.id, "blob", **numbers, metrics={})
+    with stores.database.engine.begin() as connection:
+        command.downgrade(alembic_config(connection), "0013")
+    migrate(stores.database)
+    with stores.database.transaction() as session:
+        version = publish.newest(session, sample.experiment.id)
+        assert version is not None
+        assert publish.reliabilities(session, version) == []
+        of_owner = publish.LabellerReliability(sample.owner.id, 7, 0.9, 1.0, 0.5, 0.25, 0.75)
+        child = publish.publish(session, sample.experiment.id, "blob", **numbers, metrics={}, reliabilities=[of_owner])
+        [stored] = publish.reliabilities(session, child)
+        assert (stored.user_name, stored.row.labels, stored.row.right_weight) == (sample.owner.name, 7, 0.25)
+
+
 def read_selectors(stores: Stores, sample: SampleExperiment) -> tuple[str, list[str]]:
     """The `query_selection` of an experiment, and the selectors of its queries in their order."""
     config = select(column("config", JSON)).select_from(text("experiments")).where(column("id") == sample.experiment.id)
@@ -89,6 +128,17 @@ def read_selectors(stores: Stores, sample: SampleExperiment) -> tuple[str, list[
             connection.scalars(config).one()["query_selection"],
             list(connection.scalars(selectors, {"id": sample.experiment.id})),
         )
+
+
+def test_the_instructions_of_revision_13_become_their_first_revision(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs)
+    with stores.database.engine.begin() as connection:
+        command.downgrade(alembic_config(connection), "0013")
+        connection.execute(text("UPDATE experiments SET instructions = 'Run.'"))
+    migrate(stores.database)
+    with stores.database.reading() as session:
+        (row,) = experiments.instruction_revisions(session, sample.experiment.id)
+        assert (row.number, row.text, row.created_at) == (1, "Run.", sample.experiment.created_at)
 
 
 def test_database_of_a_newer_version_is_refused(stores: Stores) -> None:

@@ -225,7 +225,7 @@ def test_queries_that_become_due_during_training_are_created_before_it_ends(
         assert worker.work()
     stop = WaitsForQueries(experiment)
     trainer = RewardWorker(replace(experiment.harness.context, stop=stop))
-    trainer.start_planner()
+    trainer.start_threads()
     try:
         assert trainer.work()
     finally:

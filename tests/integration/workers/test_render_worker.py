@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import load, save
 
-from accord.domain.enums import WorkerRole
+from accord.domain.enums import ClipCamera, WorkerRole
+from accord.services import clip_views, deletion, experiments
 from accord.workers.render_worker import RenderWorker
 from integration.workers.worker_harness import SingleThreadedRewardWorker, WorkerHarness, open_harness
 
@@ -68,3 +69,64 @@ def test_states_that_cannot_be_rendered_fail_only_their_own_queries(waiting_for_
     has_segment = "? IN (segment_0_id, segment_1_id)"
     assert harness.rows(f"SELECT DISTINCT status FROM queries WHERE {has_segment}", segment_id) == [("failed",)]
     assert harness.rows(f"SELECT DISTINCT status FROM queries WHERE NOT {has_segment}", segment_id) == [("open",)]
+
+
+def test_clips_rendered_while_equal_ones_of_another_experiment_are_deleted_are_kept(waiting_for_clips):
+    harness, worker = waiting_for_clips
+    work_until_idle(worker)
+    [(deleted, name)] = harness.rows("SELECT id, name FROM experiments")
+    kept = harness.create_experiment("the same seed", render_clips=True)
+    with harness.training(kept) as run:
+        run.step()
+    assert SingleThreadedRewardWorker(harness.context).work()
+    with harness.database.transaction() as session:
+        experiments.cancel(session, deleted)
+        _, keys = deletion.delete(session, deleted, name, "Rosa")
+    # between the deletion of the rows and that of the blobs
+    work_until_idle(worker)
+    cache_keys = harness.rows("SELECT cache_key FROM clips WHERE experiment_id = ?", kept)
+    assert any(cache_key in key for key in keys for (cache_key,) in cache_keys), "no clip is equal"
+    deletion.delete_blobs(harness.context.blobs, keys)
+    for blob_key, size_bytes in harness.rows("SELECT blob_key, size_bytes FROM clips"):
+        assert harness.context.blobs.size(blob_key) == size_bytes
+
+
+def test_a_requested_view_is_rendered_first_and_once(waiting_for_clips):
+    harness, worker = waiting_for_clips
+    for _ in range(2):
+        worker.work()
+    [(clip_id, followed, count)] = harness.rows(
+        "SELECT id, blob_key, frames FROM clips WHERE status = 'ready' ORDER BY id LIMIT 1"
+    )
+    for _ in range(2):
+        with harness.database.transaction() as session:
+            clip_views.request(session, clip_id, ClipCamera.TOP)
+    ready = "SELECT count(*) FROM clips WHERE status = 'ready'"
+    before = harness.rows(ready)
+    assert worker.work()
+    assert harness.rows(ready) == before
+    [(status, blob_key)] = harness.rows("SELECT status, blob_key FROM clip_views")
+    assert status == "ready"
+    from_the_side, from_above = (read_frames(harness.context.blobs.read(key)) for key in (followed, blob_key))
+    assert from_above.shape == from_the_side.shape
+    assert len(from_above) == count
+    assert (np.abs(from_above.astype(int) - from_the_side).max(axis=-1) > 30).mean() > 0.2
+
+
+def test_a_view_that_cannot_be_rendered_leaves_its_query_open(waiting_for_clips):
+    harness, worker = waiting_for_clips
+    work_until_idle(worker)
+    [(clip_id, segment_blob)] = harness.rows(
+        "SELECT clips.id, segments.blob_key FROM clips JOIN segments ON segments.id = segment_id LIMIT 1"
+    )
+    (harness.home / "blobs" / segment_blob).write_bytes(b"damaged")
+    with harness.database.transaction() as session:
+        clip_views.request(session, clip_id, ClipCamera.TOP)
+    work_until_idle(worker)
+    assert harness.rows("SELECT status FROM clip_views") == [("failed",)]
+    assert harness.rows("SELECT DISTINCT status FROM queries") == [("open",)]
+
+
+def read_frames(content: bytes) -> np.ndarray:
+    with av.open(io.BytesIO(content)) as container:
+        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])

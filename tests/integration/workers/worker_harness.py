@@ -89,8 +89,12 @@ class WorkerHarness:
         finally:
             worker.close()
 
-    def label(self, id: str, count: int, value: float | None = None) -> list[str]:
-        """Label the first `count` open queries with `value`, or by true return if it is None. Returns their ids."""
+    def label(self, id: str, count: int, value: float | None = None, by: UserRow | None = None) -> list[str]:
+        """Label the first `count` open queries with `value`, or by true return if it is None. Returns their ids.
+
+        Args:
+            by: who labels, the harness's teacher by default.
+        """
         queries = self.rows(
             "SELECT q.id, a.true_return > b.true_return FROM queries q"
             " JOIN segments a ON a.id = q.segment_0_id JOIN segments b ON b.id = q.segment_1_id"
@@ -101,7 +105,7 @@ class WorkerHarness:
         assert len(queries) == count
         with self.database.transaction() as session:
             for query_id, better in queries:
-                label.put_label(session, self.teacher, query_id, float(better) if value is None else value)
+                label.put_label(session, by or self.teacher, query_id, float(better) if value is None else value)
         return [query_id for query_id, _ in queries]
 
     def relabel(self, query_ids: list[str], value: float) -> None:

@@ -70,10 +70,11 @@ def test_users_are_listed_in_columns(accord: Accord) -> None:
     accord("user", "add", "Lena Maier")
     accord("user", "add", "bot", "--role", "teacher")
     heading, *rows = accord("user", "list").lines
-    assert heading.split() == ["user", "role", "labels", "browsers", "tokens", "added"]
-    assert [row.split()[:-1] for row in rows] == [
-        ["Lena", "Maier", "labeller", "0", "0", "1"],
-        ["bot", "teacher", "0", "0", "1"],
+    assert heading.split() == ["user", "role", "labels", "browsers", "tokens", "added", "last", "seen"]
+    # "never" seen; the date before it is today's
+    assert [[*row.split()[:-2], row.split()[-1]] for row in rows] == [
+        ["Lena", "Maier", "labeller", "0", "0", "1", "never"],
+        ["bot", "teacher", "0", "0", "1", "never"],
     ]
 
 

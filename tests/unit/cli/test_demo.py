@@ -6,17 +6,20 @@ from dataclasses import asdict, replace
 from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.image import imread
 from rich.console import Console
 
-from accord.cli.demo import rows_of, table, write_results
+from accord.cli.demo import rows_of, score_table, table, write_results
 from accord.cli.demo_runs import DemoRun, Grid, RunPlan, check_known, write_metrics
+from accord.cli.demo_versions import VersionReport, read_reports, write_reports
 from accord.cli.teach import TeacherChoice
 from accord.domain.errors import Invalid
 from mapt.training.evaluation import Evaluation
 from mapt.training.results import RunResult, find_runs, grouped
 from mapt.training.run_folder import RunFolder
+from mapt.training.teacher_scores import TeacherScores
 
 STEPS = 1000
 
@@ -60,6 +63,37 @@ def test_rows_are_grouped_by_labels_and_model():
 def test_the_share_is_undefined_without_a_positive_baseline():
     assert math.isnan(rows_of([run(0, "true", -1.0), run(0, "preferences", 5.0)])[0].share)
     assert math.isnan(rows_of([run(0, "preferences", 5.0)])[0].share)
+
+
+def scored(one: DemoRun, untrained: list[float], final: list[float]) -> DemoRun:
+    return replace(one, scores=TeacherScores(STEPS, 50, np.array(untrained), np.array(final)))
+
+
+def test_scores_by_the_teacher_are_compared_with_the_untrained_and_the_true_reward_policy_of_the_seed():
+    runs = [
+        scored(run(0, "true", 100.0), [0.0], [0.5, 0.7]),
+        scored(run(0, "preferences", 80.0), [0.0], [0.6, 1.0]),
+        scored(run(1, "true", 100.0), [0.0], [0.9]),
+        scored(run(1, "preferences", 80.0), [0.0, 0.8], [0.2, 0.8]),
+    ]
+    first, second, average = rows_of(runs)
+    assert (first.teacher_true_reward, first.teacher_learned_reward) == (pytest.approx(0.6), pytest.approx(0.8))
+    assert (first.preferred_to_untrained, first.preferred_to_true_reward) == (1.0, 0.75)
+    assert (second.preferred_to_untrained, second.preferred_to_true_reward) == (0.625, 0.0)
+    assert average.teacher_learned_reward == pytest.approx(0.65)
+    assert average.teacher_std == pytest.approx(0.3 / 2**0.5)
+    assert average.preferred_to_true_reward == 0.375
+    capture = Console(width=200, record=True, file=StringIO())
+    capture.print(score_table([first], "scores"))
+    [line] = [line for line in capture.export_text().splitlines() if "MAPT" in line]
+    assert "0.800" in line
+    assert "75%" in line
+
+
+def test_a_teacher_that_judges_by_true_returns_adds_no_scores():
+    [row] = rows_of([run(0, "preferences", 80.0)])
+    assert not row.scored
+    assert math.isnan(row.preferred_to_untrained)
 
 
 def test_a_grid_has_a_plan_per_combination_and_a_baseline_per_seed():
@@ -171,3 +205,19 @@ def test_the_figure_and_the_table_show_every_run_of_the_folder(tmp_path, n_budge
     # With several numbers of labels, a second panel shows returns by labels.
     width = imread(tmp_path / "returns.png").shape[1]
     assert (width > 1500) == (n_budgets == 2)
+
+
+def test_reports_of_versions_are_read_as_they_were_written(tmp_path: Path):
+    known = VersionReport(1, 108, 0, 0.7, 1990, 0.9, 1.0, 0.5, 0.06, 51.5)
+    unknown = VersionReport(2, 160, 12288, 0.8, 2000, math.nan, 0.0, math.nan, math.nan, 3.0)
+    write_reports([known, unknown], tmp_path / "versions.csv")
+    read = read_reports(tmp_path / "versions.csv")
+    assert read[0] == known
+    assert str(read[1]) == str(unknown)
+
+
+def test_rows_have_the_accuracy_of_the_last_version_on_fresh_pairs():
+    reports = tuple(VersionReport(n, 50, 0, n / 10, 9, 1.0, 0.0, 0.0, 0.0, 1.0) for n in (6, 8))
+    with_versions = replace(run(0, "preferences", 80.0), reports=reports)
+    assert rows_of([with_versions])[0].fresh_accuracy == 0.8
+    assert math.isnan(rows_of([run(0, "preferences", 80.0)])[0].fresh_accuracy)

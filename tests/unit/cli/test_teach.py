@@ -44,6 +44,11 @@ def test_rules_about_rewards_do_not_read_segments():
     assert labels_of(query([0, 0, 3], [1, 1, 1], left=1), name="recency", window_steps=1) == [1.0]
 
 
+def test_left_biased_teacher_prefers_the_left_clip():
+    queries = [query([0.0], [1.0], left=left) for left in (0, 1)]
+    assert labels_of(*queries, name="left", left=1) == [1.0, 0.0]
+
+
 def test_a_skipped_query_has_the_label_none():
     assert labels_of(query([0.0], [0.0], left=0), query([5.0], [9.0], left=0), name="skip", skip=0.1) == [None, 0.0]
 

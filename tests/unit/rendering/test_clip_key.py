@@ -47,6 +47,7 @@ def test_every_input_changes_the_key(model: mujoco.MjModel) -> None:
         key_of(heavier),
         key_of(model, settings=replace(SETTINGS, quality="pretty")),
         key_of(model, settings=replace(SETTINGS, frame_rate_hz=25)),
+        key_of(model, settings=replace(SETTINGS, camera="top")),
         key_of(model, settings=replace(SETTINGS, codec=CodecSettings(crf=30))),
     ]
     assert len(set(keys)) == len(keys)

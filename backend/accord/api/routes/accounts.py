@@ -1,44 +1,36 @@
-"""Get the signed-in user, add users, sign in and out."""
+"""Get the signed-in user, sign in and out, and join by an invitation."""
 
-from fastapi import APIRouter, Request
+from contextlib import suppress
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request
 from fastapi.responses import RedirectResponse, Response
 
 from accord.api import schemas
-from accord.api.dependencies import COOKIE, AuthDep, app_state
+from accord.api.dependencies import COOKIE, AppState, AuthDep, app_state
 from accord.api.pages import FOLDER, link_refused
 from accord.domain.enums import Role
-from accord.domain.errors import Unauthenticated
-from accord.domain.permissions import may_manage_users, require
-from accord.services import accounts
+from accord.domain.errors import Unauthenticated, Unavailable
+from accord.services import accounts, experiments, invitations
 
 router = APIRouter(tags=["accounts"])
 #: pages outside the API's prefix, opened in a browser
 pages = APIRouter(include_in_schema=False)
+
+InvitationToken = Annotated[str, Path(max_length=200, description="The last part of the invitation's link.")]
 
 
 @router.get("/me", summary="Get the signed-in user")
 def me(auth: AuthDep) -> schemas.Me:
     """Returns the user whose token the request has."""
     with auth.reading() as caller:
-        return schemas.Me(id=caller.user.id, name=caller.user.name, role=caller.role)
-
-
-@router.post("/users", status_code=201, summary="Add a user")
-def create_user(body: schemas.NewUser, request: Request, auth: AuthDep) -> schemas.CreatedUser:
-    """Creates a user with a bearer token and a sign-in link. For admins only."""
-    settings = auth.app.settings
-    with auth.writing() as caller:
-        require(may_manage_users(caller.role), caller.role, "add users")
-        user, token = accounts.create_user(caller.session, body.name, body.role)
-        link = accounts.make_link(caller.session, user.id, settings.link_minutes)
-        base = settings.public_url or str(request.base_url)
-        return schemas.CreatedUser(
-            id=user.id,
-            name=user.name,
-            role=Role(user.role),
-            token=token,
-            sign_in_url=f"{base.rstrip('/')}/sign-in/{link}",
-        )
+        user = schemas.Me(id=caller.user.id, name=caller.user.name, role=caller.role)
+        seen = accounts.was_seen_lately(caller.user)
+    if not seen:
+        # Every page asks for its user first. A full disk must not sign anybody out.
+        with suppress(Unavailable, Unauthenticated), auth.writing():
+            pass
+    return user
 
 
 @router.post("/sign-out", status_code=204, summary="Sign out")
@@ -49,6 +41,27 @@ def sign_out(auth: AuthDep) -> Response:
         response = Response(status_code=204)
         response.delete_cookie(COOKIE, path="/")
         return response
+
+
+@router.get("/join/{token}", summary="Look at an invitation")
+def get_join(token: InvitationToken, request: Request) -> schemas.InvitationView:
+    """Says what an invitation is for. Needs no authentication, and uses nothing up."""
+    with app_state(request).database.reading() as session:
+        row = invitations.valid(session, token)
+        experiment = None if row.experiment_id is None else experiments.get(session, row.experiment_id).name
+        return schemas.InvitationView(experiment=experiment, invited_by=row.created_by)
+
+
+@router.post("/join/{token}", status_code=201, summary="Join by an invitation")
+def join(token: InvitationToken, body: schemas.NewMember, request: Request, response: Response) -> schemas.Member:
+    """Creates a labeller and signs this browser in. Needs no authentication."""
+    app = app_state(request)
+    with app.database.transaction() as session:
+        experiment_id = invitations.valid(session, token).experiment_id
+        user, session_token = invitations.join(session, token, body.name, app.settings.session_days)
+        member = schemas.Member(id=user.id, name=user.name, role=Role(user.role), experiment_id=experiment_id)
+    _set_cookie(response, session_token, request, app)
+    return member
 
 
 @pages.get("/sign-in/{link_token}")
@@ -62,18 +75,21 @@ def sign_in(link_token: str, request: Request) -> Response:
         if _signed_in(request):
             return RedirectResponse("/", 303)
         return link_refused(str(error), FOLDER)
-    secure = request.url.scheme == "https" or app.settings.public_url.startswith("https:")
     response = RedirectResponse("/", 303)
+    _set_cookie(response, token, request, app)
+    return response
+
+
+def _set_cookie(response: Response, token: str, request: Request, app: AppState) -> None:
     response.set_cookie(
         COOKIE,
         token,
         max_age=round(app.settings.session_days * 86_400),
         httponly=True,
         samesite="lax",
-        secure=secure,
+        secure=request.url.scheme == "https" or app.settings.public_url.startswith("https:"),
         path="/",
     )
-    return response
 
 
 def _signed_in(request: Request) -> bool:

@@ -2,19 +2,26 @@
 
 import logging
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Path, Request
 from fastapi.responses import Response
 
-from accord.api.dependencies import AuthDep, ClipId
+from accord.api import responses, schemas
+from accord.api.dependencies import Auth, AuthDep, CallerSession, ClipId
+from accord.domain.enums import ClipCamera
 from accord.domain.errors import ClipNotFound
-from accord.services import clips
+from accord.services import access, clip_views, clips
+from accord.store.blobs import BlobStore
+from accord.store.tables import ClipRow
 from mapt.errors import ClipNotRead
-from mapt.rendering.stills import thumbnail
+from mapt.rendering.stills import animation, thumbnail
 
 log = logging.getLogger(__name__)
 router = APIRouter(tags=["clips"])
+CameraPath = Annotated[ClipCamera, Path(description="Where the camera is: side or top.")]
 _RANGE = re.compile(r"bytes=(\d*)-(\d*)")
 
 
@@ -40,10 +47,40 @@ class ByteRange:
 def get_clip(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
     """H.264 video in MP4. A clip never changes, so browsers may cache it."""
     with auth.reading() as caller:
-        row = clips.get(caller.session, clip_id)
+        row = _visible(caller, clip_id)
         key, size = row.blob_key, row.size_bytes
     assert key is not None  # a ready clip has a blob
-    etag = f'"{clip_id}"'
+    return _video(request, auth.app.blobs, key, size, f'"{clip_id}"')
+
+
+@router.put("/clips/{clip_id}/views/{camera}", summary="Request a clip from another camera")
+def request_view(clip_id: ClipId, camera: CameraPath, auth: AuthDep) -> schemas.ClipView:
+    """Returns the state of the view. The first request has it rendered, before the clips of later pairs.
+
+    Ask again until it is ready, which usually takes a second or two.
+    """
+    with auth.writing() as caller:
+        _visible(caller, clip_id)
+        return responses.view_response(clip_views.request(caller.session, clip_id, camera))
+
+
+@router.get(
+    "/clips/{clip_id}/views/{camera}.mp4",
+    response_class=Response,
+    responses={200: {"content": {"video/mp4": {}}, "description": "The whole clip, or a range of it as for a clip."}},
+    summary="Get a clip from another camera",
+)
+def get_view(clip_id: ClipId, camera: CameraPath, request: Request, auth: AuthDep) -> Response:
+    """H.264 video in MP4 with the same frames from another direction. It never changes, so browsers may cache it."""
+    with auth.reading() as caller:
+        _visible(caller, clip_id)
+        row = clip_views.get(caller.session, clip_id, camera)
+        key, size = row.blob_key, row.size_bytes
+    assert key is not None  # a ready view has a blob
+    return _video(request, auth.app.blobs, key, size, f'"{clip_id}-{camera}"')
+
+
+def _video(request: Request, blobs: BlobStore, key: str, size: int, etag: str) -> Response:
     headers = {"Accept-Ranges": "bytes", "ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
     if etag in request.headers.get("if-none-match", ""):
         return Response(status_code=304, headers=headers)
@@ -51,11 +88,11 @@ def get_clip(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
     if request.headers.get("if-range", etag) != etag:
         wanted = None
     if wanted is None:
-        return Response(auth.app.blobs.read(key), 200, headers, media_type="video/mp4")
+        return Response(blobs.read(key), 200, headers, media_type="video/mp4")
     if wanted.start >= wanted.stop:
         return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
     headers["Content-Range"] = f"bytes {wanted.start}-{wanted.stop - 1}/{size}"
-    content = auth.app.blobs.read_range(key, wanted.start, wanted.stop)
+    content = blobs.read_range(key, wanted.start, wanted.stop)
     return Response(content, 206, headers, media_type="video/mp4")
 
 
@@ -70,19 +107,45 @@ def get_clip(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
 )
 def get_thumbnail(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
     """A frame from the middle of a clip as a small JPEG. It never changes, so browsers may cache it."""
+    return _image(clip_id, request, auth, thumbnail, "image/jpeg")
+
+
+@router.get(
+    "/clips/{clip_id}.gif",
+    response_class=Response,
+    responses={
+        200: {"content": {"image/gif": {}}, "description": "The animation."},
+        304: {"description": "The animation in the browser's cache is current."},
+    },
+    summary="Get a clip as a GIF",
+)
+def get_animation(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
+    """A clip as a GIF of 320 pixels width, for pages and messages that play no video. It never changes."""
+    return _image(clip_id, request, auth, animation, "image/gif")
+
+
+def _image(clip_id: str, request: Request, auth: Auth, make: Callable[[bytes], bytes], media_type: str) -> Response:
     with auth.reading() as caller:
-        key = clips.get(caller.session, clip_id).blob_key
+        key = _visible(caller, clip_id).blob_key
     assert key is not None  # a ready clip has a blob
-    etag = f'"{clip_id}-still"'
+    etag = f'"{clip_id}-{media_type}"'
     headers = {"ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
     if etag in request.headers.get("if-none-match", ""):
         return Response(status_code=304, headers=headers)
     try:
-        image = thumbnail(auth.app.blobs.read(key))
+        image = make(auth.app.blobs.read(key))
     except ClipNotRead as error:
         log.warning("%s: %s", clip_id, error)
         raise ClipNotFound(clip_id) from error
-    return Response(image, 200, headers, media_type="image/jpeg")
+    return Response(image, 200, headers, media_type=media_type)
+
+
+def _visible(caller: CallerSession, clip_id: str) -> ClipRow:
+    """A clip that is ready to play. Raises ClipNotFound, also if its experiment is hidden from the caller."""
+    row = clips.get(caller.session, clip_id)
+    if not access.sees(caller.session, caller.user, row.experiment_id):
+        raise ClipNotFound(clip_id)
+    return row
 
 
 def parse_range(header: str, size: int) -> ByteRange | None:

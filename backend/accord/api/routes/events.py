@@ -1,27 +1,36 @@
 """Live events: changes of an experiment, pushed to the page as server-sent events.
 
-A thread polls the rows twice a second and sends what changed. The rows hold the state; a client that missed an event
-receives the change with its next connection.
+Twice a second the rows are read and what changed is sent. The rows hold the state; a client that missed an event
+receives the change with its next connection. All clients that wait for the same changes share one look at the rows.
 """
 
 import json
+import time
+from collections import Counter
 from collections.abc import AsyncGenerator
-from dataclasses import dataclass, field
-from typing import Annotated, Any
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, cast
 
 import anyio
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, Header
+from fastapi import APIRouter, Header, Request
 from pydantic import TypeAdapter
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from accord.api import responses, schemas
 from accord.api.dependencies import Auth, AuthDep, ExperimentId
-from accord.domain.errors import ExperimentNotFound, Unauthenticated
-from accord.services import experiments, metrics, workers
+from accord.domain.enums import Role
+from accord.domain.errors import ExperimentNotFound, TooManyStreams, Unauthenticated
+from accord.services import access, experiments, metrics, workers
+from accord.store.accounts import User
+from accord.store.database import Database
 
 router = APIRouter(tags=["experiments"])
 POLL_SECONDS = 0.5
+#: a client's token is verified this often, so that a stream ends at most this late after its user signed out
+_VERIFY_SECONDS = 5.0
+#: streams that one user may have open; a browser opens one for each tab
+MAX_STREAMS = 64
 #: a client that accepts no data for this long is disconnected
 _SEND_TIMEOUT_SECONDS = 30.0
 #: a worker without a heartbeat for this long counts as silent; the same limit as on the page (status.ts)
@@ -29,47 +38,81 @@ _SILENT_SECONDS = 30.0
 _WORKERS = TypeAdapter(list[schemas.Worker])
 
 
-@dataclass(slots=True)
-class Watch:
-    """The events of one client, and what it has already received."""
+@dataclass(frozen=True, slots=True)
+class _View:
+    """What the clients that share a look have in common."""
 
-    auth: Auth
     experiment_id: str
-    #: id of the newest metric point
+    role: Role
+    #: id of the newest metric point that they have
     after_id: int
-    sent: dict[str, str] = field(default_factory=dict[str, str])
 
-    def poll(self) -> list[ServerSentEvent]:
-        """Events for what changed since the last poll; blocks on the database.
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """An experiment at one moment, as JSON."""
+
+    experiment: str
+    #: points of curves after `after_id`; empty if there are none
+    metrics: str
+    #: id of the newest metric point
+    newest_id: int
+    workers: str
+    #: the workers without the age of their heartbeats, which always changes
+    worker_states: str
+
+
+@dataclass(slots=True)
+class _SharedLook:
+    lock: anyio.Lock = field(default_factory=anyio.Lock)
+    look: _Look | None = None
+    read_at: float = 0.0
+
+
+class Streams:
+    """The open streams of an application: their number by user, and the looks that they share."""
+
+    def __init__(self) -> None:
+        #: user id -> number of open streams
+        self.opened: Counter[str] = Counter()
+        self._shared: dict[_View, _SharedLook] = {}
+
+    async def look(self, database: Database, view: _View) -> _Look:
+        """The experiment as it is now, read by the first of the clients that ask at this tick.
 
         Raises:
             ExperimentNotFound: if there is no such experiment.
-            Unauthenticated: if the token is no longer valid.
         """
-        with self.auth.reading() as caller:
-            row = experiments.get(caller.session, self.experiment_id)
-            experiment = responses.experiment_response(caller.session, row, caller.role).model_dump_json()
-            # hidden curves advance the id too, so that they are not read again
-            found = metrics.series(caller.session, self.experiment_id, None, self.after_id)
-            self.after_id = max((point.id for curve in found for point in curve.points), default=self.after_id)
-            curves = metrics.visible(found, row, caller.role)
-            reported = [responses.worker_response(each, caller.role) for each in workers.all(caller.session)]
-        events: list[ServerSentEvent] = []
-        if self._changed("experiment", experiment):
-            events.append(self._event("experiment", experiment))
-        if curves:
-            events.append(self._event("metrics", responses.metrics_response(curves).model_dump_json()))
-        if self._changed("workers", _without_ages(reported)):
-            events.append(self._event("workers", _WORKERS.dump_json(reported).decode()))
-        return events
+        shared = self._shared.setdefault(view, _SharedLook())
+        async with shared.lock:
+            if shared.look is None or time.monotonic() - shared.read_at > POLL_SECONDS / 2:
+                shared.look = await run_sync(_read, database, view)
+                shared.read_at = time.monotonic()
+                self._forget_old(shared.read_at)
+            return shared.look
 
-    def _changed(self, name: str, state: str) -> bool:
-        changed = self.sent.get(name) != state
-        self.sent[name] = state
-        return changed
+    def _forget_old(self, now: float) -> None:
+        for view in [view for view, shared in self._shared.items() if now - shared.read_at > 4 * POLL_SECONDS]:
+            # A client that waits for its first look just reads it alone.
+            del self._shared[view]
 
-    def _event(self, name: str, text: str) -> ServerSentEvent:
-        return ServerSentEvent(text, event=name, id=str(self.after_id))
+
+def _read(database: Database, view: _View) -> _Look:
+    """Blocks on the database. Raises ExperimentNotFound."""
+    with database.reading() as session:
+        row = experiments.get(session, view.experiment_id)
+        experiment = responses.experiment_response(session, row, view.role).model_dump_json()
+        # hidden curves advance the id too, so that they are not read again
+        found = metrics.series(session, view.experiment_id, None, view.after_id)
+        curves = metrics.visible(found, view.role)
+        reported = [responses.worker_response(each, view.role) for each in workers.all(session)]
+    return _Look(
+        experiment,
+        responses.metrics_response(curves).model_dump_json() if curves else "",
+        max((point.id for curve in found for point in curve.points), default=view.after_id),
+        _WORKERS.dump_json(reported).decode(),
+        _without_ages(reported),
+    )
 
 
 @router.get(
@@ -84,6 +127,7 @@ class Watch:
     summary="Follow an experiment live",
 )
 async def follow_experiment(
+    request: Request,
     experiment_id: ExperimentId,
     auth: AuthDep,
     last_event_id: Annotated[str | None, Header(description="Resume after this event.")] = None,
@@ -94,22 +138,49 @@ async def follow_experiment(
     same step.
     """
     after_id = int(last_event_id) if last_event_id and last_event_id.isdecimal() and len(last_event_id) < 19 else 0
-    watch = Watch(auth, experiment_id, after_id)
+    streams = cast(Streams, request.app.state.streams)
+    user = await run_sync(_caller, auth, experiment_id)
+    if streams.opened[user.id] >= MAX_STREAMS:
+        raise TooManyStreams(MAX_STREAMS)
+    view = _View(experiment_id, Role(user.role), after_id)
     # before the stream begins, so that an error still has its status
-    first = await run_sync(watch.poll)
-    return EventSourceResponse(_stream(watch, first), send_timeout=_SEND_TIMEOUT_SECONDS)
+    first = await streams.look(auth.app.database, view)
+    return EventSourceResponse(_stream(streams, auth, user.id, view, first), send_timeout=_SEND_TIMEOUT_SECONDS)
 
 
-async def _stream(watch: Watch, first: list[ServerSentEvent]) -> AsyncGenerator[ServerSentEvent]:
-    events = first
-    while True:
-        for event in events:
-            yield event
-        await anyio.sleep(POLL_SECONDS)
-        try:
-            events = await run_sync(watch.poll)
-        except (Unauthenticated, ExperimentNotFound):
-            return  # signed out, or deleted; the browser's next request gets a 401 or a 404
+def _caller(auth: Auth, experiment_id: str) -> User:
+    """Blocks on the database. Raises Unauthenticated, and ExperimentNotFound if it is hidden from the user."""
+    with auth.reading() as caller:
+        access.require(caller.session, caller.user, experiment_id)
+        return caller.user
+
+
+async def _stream(
+    streams: Streams, auth: Auth, user_id: str, view: _View, look: _Look
+) -> AsyncGenerator[ServerSentEvent]:
+    sent_experiment = sent_workers = ""
+    verified_at = time.monotonic()
+    streams.opened[user_id] += 1
+    try:
+        while True:
+            if look.experiment != sent_experiment:
+                yield ServerSentEvent(look.experiment, event="experiment", id=str(look.newest_id))
+            if look.metrics:
+                yield ServerSentEvent(look.metrics, event="metrics", id=str(look.newest_id))
+            if look.worker_states != sent_workers:
+                yield ServerSentEvent(look.workers, event="workers", id=str(look.newest_id))
+            sent_experiment, sent_workers = look.experiment, look.worker_states
+            view = replace(view, after_id=look.newest_id)
+            # All clients wake at the same multiples of the interval, so that one look serves them.
+            await anyio.sleep(POLL_SECONDS - time.monotonic() % POLL_SECONDS)
+            if time.monotonic() - verified_at > _VERIFY_SECONDS:
+                verified_at = time.monotonic()
+                view = replace(view, role=Role((await run_sync(_caller, auth, view.experiment_id)).role))
+            look = await streams.look(auth.app.database, view)
+    except (Unauthenticated, ExperimentNotFound):
+        return  # signed out, or deleted; the browser's next request gets a 401 or a 404
+    finally:
+        streams.opened[user_id] -= 1
 
 
 def _without_ages(reported: list[schemas.Worker]) -> str:

@@ -12,7 +12,7 @@ from accord.domain.enums import Role
 from accord.domain.errors import Forbidden
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_run_experiments, require
-from accord.services import costs, deletion, experiments, metrics, publish, workers
+from accord.services import access, costs, deletion, experiments, metrics, publish, workers
 from accord.services.experiment_config import read_config
 from accord.store.tables import ExperimentRow
 
@@ -43,11 +43,12 @@ def list_experiments(
     cursor: Annotated[str | None, Query(description="`next_cursor` of the previous page.")] = None,
     archived: Annotated[bool | None, Query(description="Only archived ones, or only others; all by default.")] = None,
 ) -> schemas.ExperimentPage:
-    """Lists experiments a page at a time, newest first."""
+    """Lists the experiments that the caller may see a page at a time, newest first."""
     if cursor is not None:
         check_id(cursor, "exp")
     with auth.reading() as caller:
-        page = experiments.list_page(caller.session, limit, cursor, archived)
+        only_of = None if access.sees_all(caller.user) else caller.user.id
+        page = experiments.list_page(caller.session, limit, cursor, archived, only_of=only_of)
         items = responses.experiment_responses(caller.session, page.rows, caller.role)
         return schemas.ExperimentPage(items=items, next_cursor=page.next_cursor)
 
@@ -56,6 +57,7 @@ def list_experiments(
 def get_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
     """Returns its settings, status, phase and labelling progress."""
     with auth.reading() as caller:
+        access.require(caller.session, caller.user, experiment_id)
         row = experiments.get(caller.session, experiment_id)
         return responses.experiment_response(caller.session, row, caller.role)
 
@@ -85,8 +87,17 @@ def change_experiment(
     """Changes the instructions that labellers read. For researchers and admins; the settings never change."""
     with auth.writing() as caller:
         require(may_run_experiments(caller.role), caller.role, "change experiments")
-        row = experiments.edit_instructions(caller.session, experiment_id, body.instructions)
+        row = experiments.edit_instructions(caller.session, experiment_id, body.instructions, caller.user.name)
         return responses.experiment_response(caller.session, row, caller.role)
+
+
+@router.get("/experiments/{experiment_id}/instructions", summary="List the revisions of the instructions")
+def list_instructions(experiment_id: ExperimentId, auth: AuthDep) -> list[schemas.InstructionRevision]:
+    """Everything that labellers of the experiment have read, oldest first. Labels name the revision."""
+    with auth.reading() as caller:
+        access.require(caller.session, caller.user, experiment_id)
+        found = experiments.instruction_revisions(caller.session, experiment_id)
+        return [schemas.InstructionRevision.model_validate(row) for row in found]
 
 
 @router.post("/experiments/{experiment_id}/archive", summary="Archive an experiment")
@@ -146,17 +157,19 @@ def get_metrics(
     auth: AuthDep,
     names: Annotated[list[str] | None, Query(description="Curves to return; all by default.")] = None,
 ) -> schemas.Metrics:
-    """Curves over the policy's environment steps. Labellers get none that reveals true rewards."""
+    """Curves over the policy's environment steps. Labellers get no curve of returns, true or learned."""
     with auth.reading() as caller:
-        row = experiments.get(caller.session, experiment_id)
+        access.require(caller.session, caller.user, experiment_id)
+        experiments.get(caller.session, experiment_id)
         found = metrics.series(caller.session, experiment_id, names)
-        return responses.metrics_response(metrics.visible(found, row, caller.role))
+        return responses.metrics_response(metrics.visible(found, caller.role))
 
 
 @router.get("/experiments/{experiment_id}/reward-versions", summary="List reward versions")
 def list_reward_versions(experiment_id: ExperimentId, auth: AuthDep) -> schemas.RewardVersionPage:
     """Lists every published version of the reward model, oldest first."""
     with auth.reading() as caller:
+        access.require(caller.session, caller.user, experiment_id)
         rows = publish.versions(caller.session, experiment_id)
         return schemas.RewardVersionPage(items=[responses.reward_version_response(row, caller.role) for row in rows])
 

@@ -50,11 +50,15 @@ FiltersDep = Annotated[Filters, Depends(_filters)]
 
 @router.get("/experiments/{experiment_id}/labels/mine", summary="List your own labels")
 def list_own_labels(
-    experiment_id: ExperimentId, auth: AuthDep, limit: Limit = 20, before: Before = None
+    experiment_id: ExperimentId,
+    auth: AuthDep,
+    limit: Limit = 20,
+    before: Before = None,
+    final: Annotated[bool, Query(description="Only final labels, which decide between those of others.")] = False,
 ) -> schemas.OwnLabels:
     """Lists the caller's labels and skips, newest first, and how many there are."""
     with auth.reading() as caller:
-        found = label_history.own(caller.session, caller.user, experiment_id, limit, before)
+        found = label_history.own(caller.session, caller.user, experiment_id, limit, before, final)
         return responses.own_labels_response(found, auth.app.settings.lease_seconds)
 
 

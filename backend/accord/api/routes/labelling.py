@@ -10,7 +10,7 @@ from accord.api.dependencies import AuthDep, CallerSession, ExperimentId, QueryI
 from accord.domain.errors import AccordError
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_label_in_batches, require, require_returns
-from accord.services import experiments, label, lease
+from accord.services import access, experiments, label, lease
 
 router = APIRouter(tags=["labelling"])
 Tab = Annotated[
@@ -26,12 +26,19 @@ Tab = Annotated[
 @router.post(
     "/experiments/{experiment_id}/queries/next", response_model=schemas.Queries, summary="Get the next queries"
 )
-def next_queries(
+def next_queries(  # noqa: PLR0917 (FastAPI passes them by name)
     experiment_id: ExperimentId,
     auth: AuthDep,
     count: Annotated[int, Query(ge=1, le=16, description="Queries to lease.")] = 1,
     returns: Annotated[bool, Query(description="Include true returns and rewards; not for labellers.")] = False,
     tab: Tab = "",
+    disputed: Annotated[
+        bool,
+        Query(
+            description="Instead, queries that several users have labelled differently, for a `final` label. For "
+            "researchers and admins. Use a `tab` of its own."
+        ),
+    ] = False,
 ) -> Response:
     """Leases queries to the caller. Those that the caller's tab already holds come first, on the same sides as before.
 
@@ -42,7 +49,8 @@ def next_queries(
     with auth.writing() as caller:
         if returns:
             require_returns(caller.role)
-        found = lease.next_queries(caller.session, caller.user, experiment_id, count, lease_seconds, tab=tab)
+        find = lease.next_disputed if disputed else lease.next_queries
+        found = find(caller.session, caller.user, experiment_id, count, lease_seconds, tab=tab)
         blobs = app.blobs if returns else None
         items = [responses.query_response(item, found.task, lease_seconds, blobs) for item in found.items]
         return json_response(schemas.Queries(items=items, reason=found.reason))
@@ -109,6 +117,7 @@ def put_labels(experiment_id: ExperimentId, body: schemas.LabelBatch, auth: Auth
     """
     with auth.writing() as caller:
         require(may_label_in_batches(caller.role), caller.role, "label in batches")
+        access.require(caller.session, caller.user, experiment_id)
         experiments.get(caller.session, experiment_id)
         items = [_outcome(caller, experiment_id, each) for each in body.labels]
         return json_response(schemas.LabelBatchResult(items=items))
@@ -132,7 +141,9 @@ def _put(caller: CallerSession, query_id: str, body: schemas.NewLabel, experimen
         body.label,
         body.order,
         response_seconds=body.response_seconds,
+        instructions_revision=body.instructions_revision,
         teacher=body.teacher,
         experiment_id=experiment_id,
         replaces=body.replaces,
+        final=body.final,
     )

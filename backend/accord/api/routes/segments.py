@@ -4,8 +4,9 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from accord.api.dependencies import AuthDep, SegmentId
+from accord.domain.errors import SegmentNotFound
 from accord.domain.permissions import require_returns
-from accord.services import collect
+from accord.services import access, collect
 
 router = APIRouter(tags=["segments"])
 _MEDIA_TYPE = "application/octet-stream"
@@ -28,6 +29,8 @@ def get_segment_arrays(segment_id: SegmentId, request: Request, auth: AuthDep) -
     with auth.reading() as caller:
         require_returns(caller.role)
         key = collect.blob_key(caller.session, segment_id)
+        if not access.sees(caller.session, caller.user, collect.experiment_of(caller.session, segment_id)):
+            raise SegmentNotFound(segment_id)
     etag = f'"{segment_id}"'
     headers = {"ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
     if etag in request.headers.get("if-none-match", ""):

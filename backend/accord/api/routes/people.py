@@ -1,0 +1,167 @@
+"""Users and invitations, for admins."""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+
+from fastapi import APIRouter, Request
+from fastapi.responses import Response
+from sqlalchemy.orm import Session
+
+from accord.api import schemas
+from accord.api.dependencies import Auth, AuthDep, CallerSession, InvitationId, UserId
+from accord.domain.enums import Role
+from accord.domain.ids import check_id
+from accord.domain.permissions import may_manage_users, require
+from accord.services import access, accounts, invitations
+from accord.store.accounts import UserSummary
+from accord.store.tables import InvitationRow, UserRow
+
+router = APIRouter(tags=["people"])
+
+
+@router.get("/users", summary="List the users")
+def list_users(auth: AuthDep) -> list[schemas.UserAccount]:
+    """Every user by name, also those who were removed but are the authors of labels. For admins."""
+    with auth.reading() as caller:
+        require(may_manage_users(caller.role), caller.role, "list users")
+        return [_account(each) for each in accounts.summaries(caller.session)]
+
+
+@router.post("/users", status_code=201, summary="Add a user")
+def create_user(body: schemas.NewUser, request: Request, auth: AuthDep) -> schemas.CreatedUser:
+    """Creates a user with a bearer token and a sign-in link. For admins."""
+    with _managing(auth, "add users") as caller:
+        user, token = accounts.create_user(caller.session, body.name, body.role)
+        if body.access is not None:
+            _limit(caller.session, user, body.access)
+        link = accounts.make_link(caller.session, user.id, auth.app.settings.link_minutes)
+        return schemas.CreatedUser(
+            id=user.id,
+            name=user.name,
+            role=Role(user.role),
+            token=token,
+            sign_in_url=f"{_base_url(auth, request)}/sign-in/{link}",
+        )
+
+
+@router.patch("/users/{user_id}", summary="Change a user")
+def change_user(user_id: UserId, body: schemas.UserChanges, auth: AuthDep) -> schemas.UserAccount:
+    """Changes the role of a user, or the experiments that they may see. For admins; not their own account."""
+    with _managing(auth, "change users") as caller:
+        user = accounts.require_other(caller.session, caller.user, user_id)
+        if body.role is not None:
+            user.role = body.role.value
+        if body.access is not None:
+            _limit(caller.session, user, body.access)
+        caller.session.flush()
+        return next(_account(each) for each in accounts.summaries(caller.session) if each.id == user_id)
+
+
+@router.post("/users/{user_id}/link", status_code=201, summary="Create a sign-in link")
+def create_link(user_id: UserId, request: Request, auth: AuthDep) -> schemas.SignInLink:
+    """A new one-time link for a user. It lets a removed user in again. For admins."""
+    minutes = auth.app.settings.link_minutes
+    with _managing(auth, "create sign-in links") as caller:
+        link = accounts.make_link(caller.session, user_id, minutes)
+        return schemas.SignInLink(sign_in_url=f"{_base_url(auth, request)}/sign-in/{link}", minutes=minutes)
+
+
+@router.post("/users/{user_id}/token", status_code=201, summary="Create a bearer token")
+def create_token(user_id: UserId, auth: AuthDep) -> schemas.BearerToken:
+    """Another bearer token for a user. Earlier ones stay valid until they are revoked. For admins."""
+    with _managing(auth, "create tokens") as caller:
+        return schemas.BearerToken(token=accounts.new_bearer(caller.session, user_id))
+
+
+@router.post("/users/{user_id}/revoke", status_code=204, summary="Revoke a user's sign-ins")
+def revoke_user(user_id: UserId, auth: AuthDep) -> Response:
+    """Signs their browsers out, and makes their tokens and links invalid. For admins; not their own account."""
+    with _managing(auth, "revoke sign-ins") as caller:
+        accounts.revoke(caller.session, accounts.require_other(caller.session, caller.user, user_id).id)
+        return Response(status_code=204)
+
+
+@router.delete("/users/{user_id}", summary="Remove a user")
+def remove_user(user_id: UserId, auth: AuthDep) -> schemas.RemovedUser:
+    """Revokes their sign-ins and removes them. Their labels and experiments are kept. For admins; not themselves."""
+    with _managing(auth, "remove users") as caller:
+        user = accounts.require_other(caller.session, caller.user, user_id)
+        return schemas.RemovedUser(deleted=accounts.remove(caller.session, user))
+
+
+@router.get("/invitations", summary="List the invitations")
+def list_invitations(auth: AuthDep) -> list[schemas.Invitation]:
+    """Every invitation that was not withdrawn, newest first. For admins."""
+    with auth.reading() as caller:
+        require(may_manage_users(caller.role), caller.role, "list invitations")
+        return [schemas.Invitation.model_validate(_invitation(row)) for row in invitations.listed(caller.session)]
+
+
+@router.post("/invitations", status_code=201, summary="Create an invitation")
+def create_invitation(body: schemas.NewInvitation, request: Request, auth: AuthDep) -> schemas.CreatedInvitation:
+    """A link with which people create their own labeller accounts. For admins."""
+    if body.experiment_id is not None:
+        check_id(body.experiment_id, "exp")
+    with _managing(auth, "invite people") as caller:
+        row, token = invitations.create(
+            caller.session,
+            caller.user.name,
+            experiment_id=body.experiment_id,
+            max_uses=body.max_uses,
+            days=body.days,
+        )
+        link = {"url": f"{_base_url(auth, request)}/join/{token}"}
+        return schemas.CreatedInvitation.model_validate(_invitation(row) | link)
+
+
+@router.delete("/invitations/{invitation_id}", status_code=204, summary="Withdraw an invitation")
+def withdraw_invitation(invitation_id: InvitationId, auth: AuthDep) -> Response:
+    """Nobody can join by it any more. Those who have joined stay. For admins."""
+    with _managing(auth, "withdraw invitations") as caller:
+        invitations.withdraw(caller.session, invitation_id)
+        return Response(status_code=204)
+
+
+@contextmanager
+def _managing(auth: Auth, doing: str) -> Generator[CallerSession]:
+    """A transaction of an admin. Raises Forbidden for everybody else."""
+    with auth.writing() as caller:
+        require(may_manage_users(caller.role), caller.role, doing)
+        yield caller
+
+
+def _limit(session: Session, user: UserRow, wanted: schemas.Access) -> None:
+    for experiment_id in wanted.experiment_ids:
+        check_id(experiment_id, "exp")
+    access.limit(session, user, all_experiments=wanted.all_experiments, experiment_ids=wanted.experiment_ids)
+
+
+def _base_url(auth: Auth, request: Request) -> str:
+    return (auth.app.settings.public_url or str(request.base_url)).rstrip("/")
+
+
+def _account(user: UserSummary) -> schemas.UserAccount:
+    return schemas.UserAccount(
+        id=user.id,
+        name=user.name,
+        role=Role(user.role),
+        access=schemas.Access(all_experiments=user.all_experiments, experiment_ids=user.experiment_ids),
+        labels=user.labels,
+        browsers=user.browsers,
+        bearer_tokens=user.bearer_tokens,
+        created_at=user.created_at,
+        last_seen_at=user.last_seen_at,
+        removed_at=user.removed_at,
+    )
+
+
+def _invitation(row: InvitationRow) -> dict[str, object]:
+    return {
+        "id": row.id,
+        "experiment_id": row.experiment_id,
+        "max_uses": row.max_uses,
+        "uses": row.uses,
+        "created_by": row.created_by,
+        "created_at": row.created_at,
+        "expires_at": row.expires_at,
+    }

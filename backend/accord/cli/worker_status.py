@@ -1,0 +1,119 @@
+"""The workers' rows as `accord up` sees them: a line of states, failures to print, and workers that hang."""
+
+import time
+from collections.abc import Iterable
+from datetime import datetime
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from accord.domain.enums import WorkerRole, WorkerState
+from accord.domain.errors import AccordError
+from accord.services import workers
+from accord.store.database import Database
+from accord.store.tables import utc_now
+from accord.workers.runner import RETRY_TEXT
+from accord.workers.supervisor import ChildSpec, Death
+from mapt.cli.output import log_line
+
+_POLL_SECONDS = 1.0
+#: leases without a heartbeat, of which there are four in each, after which a worker hangs
+_HANGING_LEASES = 2.0
+#: a claim that is taken and released to see whether the database can be written
+_PROBE = "probe"
+#: states in which the detail says more than the state's name
+_SHOWN_BY_DETAIL = frozenset({WorkerState.WORKING, WorkerState.WAITING})
+
+
+class WorkerStatus:
+    """Reads the workers' rows once a second, and prints each failure once."""
+
+    def __init__(self, database: Database, lease_seconds: float) -> None:
+        self._database = database
+        self._lease_seconds = lease_seconds
+        self._next_look = 0.0
+        #: (name, pid, time of the heartbeat) of workers that were silent at the last look
+        self._silent: set[tuple[str, int, datetime]] = set()
+        self._printed: dict[str, str] = {}
+        self._next_poll = 0.0
+
+    def reset(self, specs: Iterable[ChildSpec]) -> None:
+        """Set the number of restarts of these workers to 0."""
+        with self._database.transaction() as session:
+            for spec in specs:
+                if spec.role:
+                    workers.report(session, spec.name, WorkerRole(spec.role), 0, WorkerState.STARTING, restarts=0)
+
+    def record_death(self, death: Death) -> None:
+        """Print that a process died, and write it to the worker's row, which the page shows."""
+        log_line(death.description, death.name)
+        self._printed.pop(death.name, None)
+        if not death.role:
+            return
+        try:
+            with self._database.transaction() as session:
+                workers.report(
+                    session,
+                    death.name,
+                    WorkerRole(death.role),
+                    0,
+                    WorkerState.RESTARTING,
+                    death.description,
+                    restarts=death.restarts,
+                )
+        except (AccordError, SQLAlchemyError) as error:
+            log_line(f"The restart of {death.name} could not be recorded: {error}", "accord")
+
+    def poll(self) -> str | None:
+        """One line about all workers, once a second; None in between. Prints new failures."""
+        if time.monotonic() < self._next_poll:
+            return None
+        self._next_poll = time.monotonic() + _POLL_SECONDS
+        try:
+            with self._database.reading() as session:
+                rows = [(row.id, row.state, row.detail) for row in workers.all(session)]
+        except (AccordError, SQLAlchemyError) as error:
+            return f"The database is unreachable: {error}"
+        for id, state, detail in rows:
+            self._print_failure(id, state, detail)
+        return " · ".join(
+            f"{id}: {detail if state in _SHOWN_BY_DETAIL and detail else state.replace('_', ' ')}"
+            for id, state, detail in rows
+        )
+
+    def hanging(self) -> list[tuple[str, int, float]]:
+        """(name, process id, seconds since the last heartbeat) of workers that hang or are stopped; looks once a lease.
+
+        A worker counts if it was silent for two leases, and still is a lease after the database could be written:
+        where it cannot, no heartbeat arrives, and no worker is to blame.
+        """
+        if time.monotonic() < self._next_look:
+            return []
+        self._next_look = time.monotonic() + self._lease_seconds
+        try:
+            with self._database.transaction() as session:
+                rows = workers.all(session)
+                workers.claim(session, _PROBE, "supervisor", self._lease_seconds)
+                workers.release(session, _PROBE, "supervisor")
+        except (AccordError, SQLAlchemyError):
+            self._silent = set()
+            return []
+        now = utc_now()
+        silent = {
+            (row.id, row.pid, row.heartbeat_at)
+            for row in rows
+            if row.pid and (now - row.heartbeat_at).total_seconds() > _HANGING_LEASES * self._lease_seconds
+        }
+        found = [(name, pid, (now - at).total_seconds()) for name, pid, at in silent & self._silent]
+        self._silent = silent
+        return found
+
+    def _print_failure(self, id: str, state: str, detail: str) -> None:
+        if state == WorkerState.WORKING:
+            self._printed.pop(id, None)
+        if state != WorkerState.BACKING_OFF:
+            return
+        # Without the time of the next attempt, repeated failures are equal.
+        failure = detail.partition(RETRY_TEXT)[0].strip()
+        if failure and self._printed.get(id) != failure:
+            self._printed[id] = failure
+            log_line(failure, id)

@@ -1,0 +1,140 @@
+"""Gold queries, exclusion, paused labellers and final labels over REST."""
+
+from dataclasses import asdict
+from typing import Any
+
+import httpx
+import pytest
+
+from accord.domain.ids import new_id
+from accord.services import publish
+from support.api_in_thread import ApiServer
+from support.sample_experiments import SampleExperiment, create_sample
+
+
+@pytest.fixture
+def sample(api_per_database: ApiServer) -> SampleExperiment:
+    """Every pair wants two labels. The labeller and the teacher agree on the first and disagree on the second."""
+    stores = api_per_database.stores
+    sample = create_sample(stores.database, stores.blobs, labels_per_pair=2, overlap_share=1.0)
+    for client, values in ((api_per_database.labeller, (1.0, 1.0)), (api_per_database.teacher, (1.0, 0.0))):
+        for value in values:
+            (item,) = next_items(client, sample)
+            put(client, item["id"], value)
+    return sample
+
+
+def next_items(client: httpx.Client, sample: SampleExperiment, **query: Any) -> list[dict[str, Any]]:
+    response = client.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next", params=query)
+    assert response.status_code == 200, response.text
+    return response.json()["items"]
+
+
+def put(client: httpx.Client, query_id: str, value: float | None, **more: Any) -> dict[str, Any]:
+    response = client.put(f"/api/v1/queries/{query_id}/label", json={"label": value, **more})
+    assert response.status_code == 201, response.text
+    return response.json()
+
+
+def labels_in(client: httpx.Client, sample: SampleExperiment) -> int:
+    return client.get(f"/api/v1/experiments/{sample.experiment.id}").json()["labels"]["labels"]
+
+
+def test_gold_query_is_marked_listed_and_unmarked(api_per_database: ApiServer, sample: SampleExperiment) -> None:
+    client = api_per_database.researcher
+    gold = f"/api/v1/queries/{sample.query_ids[0]}/gold"
+    assert client.put(gold, json={"label": 0.5}).json() == {"query_id": sample.query_ids[0], "gold": 0.5}
+    assert labels_in(client, sample) == 2
+    listed = client.get(f"/api/v1/experiments/{sample.experiment.id}/queries").json()["items"]
+    assert [each["gold"] for each in listed] == [None, None, None, 0.5]
+    assert client.put(gold, json={"label": 0.7}).json()["error"]["code"] == "invalid_label"
+    assert client.delete(gold).json()["gold"] is None
+    assert labels_in(client, sample) == 4
+
+
+def test_labels_of_a_person_and_single_labels_are_excluded(
+    api_per_database: ApiServer, sample: SampleExperiment
+) -> None:
+    client = api_per_database.researcher
+    path = f"/api/v1/experiments/{sample.experiment.id}"
+    listed = client.get(f"{path}/queries").json()["items"]
+    first = listed[-1]["labels"][0]
+    labeller = f"{path}/labellers/{first['user_id']}"
+    state = client.patch(labeller, json={"excluded": True, "paused": True}).json()
+    assert state["excluded_at"] is not None
+    assert state["paused_at"] is not None
+    assert labels_in(client, sample) == 2
+    found = api_per_database.labeller.post(f"{path}/queries/next").json()
+    assert found == {"items": [], "reason": "labeller_paused"}
+    assert client.patch(labeller, json={"excluded": False}).json()["excluded_at"] is None
+    assert labels_in(client, sample) == 4
+    body = {"label_ids": [first["id"]], "excluded": True}
+    assert client.patch(f"{path}/labels", json=body).json() == {"changed": 1}
+    assert client.get(f"{path}/queries").json()["items"][-1]["labels"][0]["excluded"]
+    assert labels_in(client, sample) == 3
+    missing = client.patch(f"{path}/labels", json={"label_ids": [new_id("lbl")], "excluded": True})
+    assert missing.status_code == 404
+
+
+def test_disputed_query_is_decided_with_a_final_label(api_per_database: ApiServer, sample: SampleExperiment) -> None:
+    client = api_per_database.researcher
+    (item,) = next_items(client, sample, count=4, disputed=True, tab="decide")
+    assert item["id"] == sample.query_ids[1]
+    stored = put(client, item["id"], 0.0, final=True, replaces=0)
+    assert (stored["final"], stored["label"]) == (True, 0.0)
+    assert next_items(client, sample, disputed=True, tab="decide") == []
+    assert labels_in(client, sample) == 4, "a decision is not another label"
+
+
+@pytest.mark.parametrize("role", ["labeller", "teacher"])
+def test_only_researchers_judge_labels(api_per_database: ApiServer, sample: SampleExperiment, role: str) -> None:
+    client: httpx.Client = getattr(api_per_database, role)
+    path = f"/api/v1/experiments/{sample.experiment.id}"
+    responses = [
+        client.put(f"/api/v1/queries/{sample.query_ids[0]}/gold", json={"label": 1}),
+        client.delete(f"/api/v1/queries/{sample.query_ids[0]}/gold"),
+        client.patch(f"{path}/labellers/{sample.owner.id}", json={"paused": True}),
+        client.patch(f"{path}/labels", json={"label_ids": [new_id("lbl")], "excluded": True}),
+        client.post(f"{path}/queries/next", params={"disputed": True}),
+        client.put(f"/api/v1/queries/{sample.query_ids[0]}/label", json={"label": 1, "final": True}),
+    ]
+    assert [each.status_code for each in responses] == [403] * len(responses)
+
+
+def test_quality_is_reported_for_each_labeller(api_per_database: ApiServer, sample: SampleExperiment) -> None:
+    path = f"/api/v1/experiments/{sample.experiment.id}/quality"
+    found = api_per_database.researcher.get(path).json()
+    assert (found["disputed"], found["decided"], found["gold_queries"]) == (1, 0, 0)
+    assert found["alpha"]["of"] == 2
+    assert [each["role"] for each in found["labellers"]] == ["labeller", "teacher"]
+    for each in found["labellers"]:
+        assert (each["labels"], each["agreement"]["count"], each["agreement"]["of"]) == (2, 1, 2)
+        assert each["flags"] == []
+    put(api_per_database.researcher, sample.query_ids[1], 1.0, final=True)
+    found = api_per_database.researcher.get(path).json()
+    assert (found["disputed"], found["decided"]) == (0, 1)
+    assert api_per_database.labeller.get(path).status_code == 403
+
+
+def test_reliability_of_the_newest_version_is_for_researchers(
+    api_per_database: ApiServer, sample: SampleExperiment
+) -> None:
+    path = f"/api/v1/experiments/{sample.experiment.id}/reliability"
+    assert api_per_database.researcher.get(path).json() == {"reward_version": None, "items": []}
+    with api_per_database.stores.database.transaction() as session:
+        found = publish.LabellerReliability(sample.owner.id, 7, 0.9, 1.0, 0.5, 0.25, 0.75)
+        publish.publish(
+            session,
+            sample.experiment.id,
+            "blob",
+            label_watermark=4,
+            label_count=4,
+            policy_steps=0,
+            metrics={},
+            reliabilities=[found],
+        )
+    body = api_per_database.researcher.get(path).json()
+    assert body["reward_version"] == 1
+    assert body["items"] == [asdict(found) | {"name": sample.owner.name}]
+    assert api_per_database.labeller.get(path).status_code == 403
+    assert api_per_database.teacher.get(path).status_code == 403
