@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 CHECKS := check-types check-page check-imports check-style
 
-.PHONY: run test test-avx2 check $(CHECKS) bench learn format system system-test clean
+.PHONY: run test test-avx2 check $(CHECKS) bench screenshots learn format system system-test clean
 
 run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
 	$(BIN)/accord up --example
@@ -48,6 +48,9 @@ format: $(INSTALLED) ## Format Python and TypeScript in place
 
 bench: $(INSTALLED) ## Every benchmark, with its upper bound in the same run
 	$(BIN)/python tests/benchmarks
+
+screenshots: $(INSTALLED) system-test ## Photograph every page of a real service into docs/images/pages, and write docs/pages.md
+	$(BIN)/python docs/screenshots.py
 
 learn: $(INSTALLED) ## The long learning runs behind docs/results.md
 	$(BIN)/python -m pytest -m learn tests/learning --timeout 0

@@ -5,6 +5,10 @@ states to an mp4 with MuJoCo and PyAV: the original model and camera, cheapest s
 smoothed camera. All alternate clip by clip, so that other load slows them equally.
 
     python tests/benchmarks/bench_clips.py [clips]
+    python tests/benchmarks/bench_clips.py --settings [clips]
+
+With `--settings`, it prints the CPU seconds and kilobytes of a clip for several sizes and qualities, and with the
+settings before version 4 of the renderer (448x336, fast).
 """
 
 import subprocess
@@ -51,7 +55,7 @@ def bare_loop(folder: Path) -> Callable[[], None]:
     qpos, qvel = np.load(folder / "states.npy")
     model = load_model(TASK)
     quality = model.vis.quality
-    quality.offsamples = quality.shadowsize = 0
+    quality.offsamples, quality.shadowsize = 4, 0  # anti-aliasing as in clips
     quality.numslices, quality.numstacks, quality.numquads = 12, 6, 1
     data = mujoco.MjData(model)
     renderer = mujoco.Renderer(model, SETTINGS.height, SETTINGS.width)
@@ -138,6 +142,33 @@ def in_parallel(processes: list[RenderProcess], job: Callable[[int], ClipJob], c
     return len(processes) * clips / (time.perf_counter() - start)
 
 
+def compare_settings(folder: Path, clips: int) -> None:
+    """In a child process with OpenGL: print the cost of clips of several sizes and qualities, alternating."""
+    qpos, qvel = np.load(folder / "states.npy")
+    candidates = [
+        RenderSettings(width, height, quality=quality)
+        for width, height, quality in (
+            (448, 336, "fast"),
+            (640, 480, "fast"),
+            (640, 480, "smooth"),
+            (640, 480, "pretty"),
+            (896, 672, "fast"),
+        )
+    ]
+    renderers = [ClipRenderer(load_model(TASK), agent_geoms(TASK), settings) for settings in candidates]
+    seconds, sizes = np.zeros((2, len(candidates)))
+    for turn in range(clips + 1):
+        for number, (renderer, settings) in enumerate(zip(renderers, candidates, strict=True)):
+            start = time.process_time()
+            clip = write_clip(renderer.frames(qpos, qvel), folder / "compared.mp4", settings)
+            if turn:  # the first one opens the OpenGL context
+                seconds[number] += time.process_time() - start
+                sizes[number] = clip.size_bytes
+    for settings, spent, size in zip(candidates, seconds / clips, sizes, strict=True):
+        name = f"{settings.width}x{settings.height} {settings.quality}"
+        print(f"{name:>16}: {spent:.2f} CPU seconds, {size / 1024:.0f} KB a clip")
+
+
 def main(clips: int) -> None:
     backend = probe_backend()
     with ExitStack() as stack:
@@ -166,5 +197,12 @@ def main(clips: int) -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--upper-bound"]:
         serve_upper_bound(sys.argv[2], Path(sys.argv[3]))
+    elif sys.argv[1:2] == ["--compare"]:
+        compare_settings(Path(sys.argv[2]), int(sys.argv[3]))
+    elif sys.argv[1:2] == ["--settings"]:
+        with tempfile.TemporaryDirectory() as folder:
+            np.save(Path(folder) / "states.npy", states())
+            command = [sys.executable, __file__, "--compare", folder, (sys.argv[2:] or ["5"])[0]]
+            subprocess.run(command, env=render_environment(probe_backend()), check=True)
     else:
         main(int(sys.argv[1]) if len(sys.argv) > 1 else 40)

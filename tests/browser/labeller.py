@@ -40,7 +40,11 @@ class Labeller:
         return self.pair()
 
     def pair(self) -> Pair:
-        """Wait until both clips play; return the pair."""
+        """Wait until both clips play, past the rules on a first visit; return the pair."""
+        start = self.page.get_by_role("button", name="Start labelling")
+        expect(self.pair_view.or_(start).first).to_be_visible(timeout=PATIENCE_MS)
+        if start.is_visible():
+            start.click()
         expect(self.pair_view).to_have_attribute("data-state", "playing", timeout=PATIENCE_MS)
         names = ("data-query", "data-left", "data-right")
         return Pair(*(self.pair_view.get_attribute(name) or "" for name in names))

@@ -1,17 +1,15 @@
 """Both clips play in sync, and every frame on screen is the right frame of its file."""
 
 import re
-from base64 import b64decode
 from collections.abc import Iterator
 from typing import Any
 
-import imageio.v3 as iio
 import numpy as np
-import numpy.typing as npt
 import pytest
 from playwright.sync_api import Page, expect
 
 from browser.fixture_types import NewExperiment, SignIn
+from browser.frames import assert_shows, image, reference_frames
 from browser.labeller import PATIENCE_MS, Labeller
 from browser.service import SMALL, Service
 
@@ -32,8 +30,6 @@ _SAMPLE = """async loops => {
   }
   return { ...seen, left: [...seen.left], right: [...seen.right], maxDrift: Number(pair.dataset.maxDrift) };
 }"""
-
-_IMAGE = "side => document.querySelector(`[data-testid=clip-${side}]`).toDataURL('image/png')"
 
 
 @pytest.fixture
@@ -59,7 +55,7 @@ def test_both_clips_show_the_same_frame_at_every_repaint(watching: Page) -> None
 
 
 def test_stepping_shows_the_frames_of_the_files(watching: Page) -> None:
-    clips = {side: _reference_frames(watching, side) for side in ("left", "right")}
+    clips = {side: reference_frames(watching, side) for side in ("left", "right")}
     assert {len(frames) for frames in clips.values()} == {_FRAMES}
     watching.keyboard.press(" ")
     expect(watching.get_by_role("button", name="Play")).to_be_visible()
@@ -68,7 +64,7 @@ def test_stepping_shows_the_frames_of_the_files(watching: Page) -> None:
             watching.keyboard.press(key)
         for side, frames in clips.items():
             index = int(watching.get_by_test_id(f"clip-{side}").get_attribute("data-frame") or -1)
-            _assert_shows(_image(watching, side), frames, index)
+            assert_shows(image(watching, side), frames, index)
 
 
 def test_pause_stops_both_clips_and_the_speed_survives_a_reload(watching: Page) -> None:
@@ -91,12 +87,12 @@ def test_without_webcodecs_the_same_frames_are_shown(
     page.add_init_script("delete globalThis.VideoDecoder")
     Labeller(page).open(service.url, new_experiment("Without WebCodecs"))
     assert page.evaluate("'VideoDecoder' in globalThis") is False
-    frames = _reference_frames(page, "left")
+    frames = reference_frames(page, "left")
     page.keyboard.press(" ")
     for _ in range(5):
         page.keyboard.press(".")
         index = int(page.get_by_test_id("clip-left").get_attribute("data-frame") or -1)
-        _assert_shows(_image(page, "left"), frames, index)
+        assert_shows(image(page, "left"), frames, index)
 
 
 def test_the_shorter_clip_is_marked_as_ended(service: Service, new_experiment: NewExperiment, sign_in: SignIn) -> None:
@@ -107,6 +103,7 @@ def test_the_shorter_clip_is_marked_as_ended(service: Service, new_experiment: N
     labeller.open(service.url, new_experiment("Falls", **walker))
     # Thirty steps of this task are a quarter of a second: they play slowly until the user chooses a speed.
     expect(page.get_by_role("button", name=re.compile("^¼"))).to_have_attribute("aria-pressed", "true")
+    expect(page.get_by_role("note")).to_contain_text("0.2 s")
     for _ in range(10):
         seen = _stepped_through(page, 30)
         counts = {side: 1 + max(shown[side]["frame"] for shown in seen) for side in ("left", "right")}
@@ -121,12 +118,47 @@ def test_the_shorter_clip_is_marked_as_ended(service: Service, new_experiment: N
         assert not shown[longer]["ended"]
 
 
+def test_both_clips_are_shown_from_the_chosen_camera(watching: Page) -> None:
+    pair = watching.get_by_test_id("pair")
+    watching.keyboard.press(" ")
+    before = [image(watching, side) for side in ("left", "right")]
+    watching.keyboard.press("c")
+    expect(pair).to_have_attribute("data-camera", "top", timeout=PATIENCE_MS)
+    expect(pair).to_have_attribute("data-state", "playing")
+    for side, followed in zip(("left", "right"), before, strict=True):
+        # The floor fills the picture only from above.
+        assert (np.abs(image(watching, side).astype(int) - followed).max(axis=-1) > 30).mean() > 0.2
+    labeller = Labeller(watching)
+    labeller.press("ArrowLeft")
+    expect(pair).to_have_attribute("data-camera", "top", timeout=PATIENCE_MS)
+    watching.get_by_role("button", name="Follow").click()
+    expect(pair).to_have_attribute("data-camera", "follow")
+
+
+def test_hovering_over_a_limb_shows_the_name_of_its_agent(watching: Page) -> None:
+    watching.keyboard.press(" ")
+    expect(watching.get_by_role("button", name="Play")).to_be_visible()
+    shown = image(watching, "left").astype(int)
+    blue = np.abs(shown - np.array([0, 100, 160])).max(axis=-1) < 18
+    rows, columns = np.nonzero(blue)
+    middle = len(rows) // 2
+    box = watching.get_by_test_id("clip-left").bounding_box()
+    assert box is not None
+    x = box["x"] + (columns[middle] + 0.5) * box["width"] / shown.shape[1]
+    y = box["y"] + (rows[middle] + 0.5) * box["height"] / shown.shape[0]
+    watching.mouse.move(x, y)
+    expect(watching.locator(".agent-name")).to_have_text("back shin")
+    watching.mouse.move(box["x"] + box["width"] / 2, box["y"] + 4)
+    expect(watching.locator(".agent-name")).to_have_count(0)
+
+
 def test_a_missing_clip_shows_an_error_and_a_retry_button(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
     page = sign_in("Vera")
     page.route("**/api/v1/clips/*.mp4", lambda route: route.fulfill(status=404, body="gone"))
     page.goto(f"{service.url}/experiments/{new_experiment('Missing clip')}/label")
+    page.get_by_role("button", name="Start labelling").click()
     expect(page.get_by_role("alert")).to_contain_text("cannot be played", timeout=PATIENCE_MS)
     expect(page.get_by_role("button", name="Left is better")).to_be_disabled()
     page.unroute("**/api/v1/clips/*.mp4")
@@ -140,6 +172,7 @@ def test_a_clip_is_loaded_automatically_when_the_server_is_back(
     page = sign_in("Vera")
     page.route("**/api/v1/clips/*.mp4", lambda route: route.abort())
     page.goto(f"{service.url}/experiments/{new_experiment('Unreachable server')}/label")
+    page.get_by_role("button", name="Start labelling").click()
     expect(page.get_by_role("alert")).to_contain_text("not responding", timeout=PATIENCE_MS)
     page.unroute("**/api/v1/clips/*.mp4")
     Labeller(page).pair()
@@ -157,28 +190,3 @@ def _stepped_through(page: Page, count: int) -> list[dict[str, Any]]:
         page.keyboard.press(".")
         shown.append(page.evaluate(look))
     return shown
-
-
-def _reference_frames(page: Page, side: str) -> list[npt.NDArray[np.uint8]]:
-    """The frames of the clip on one side, decoded by FFmpeg: RGB (H,W,3)."""
-    url = page.evaluate(
-        """side => {
-          const [left, right] = performance.getEntriesByType("resource").filter(({ name }) => name.endsWith(".mp4"));
-          return (side === "left" ? left : right).name;
-        }""",
-        side,
-    )
-    return list(iio.imread(page.request.get(url).body(), plugin="pyav"))
-
-
-def _image(page: Page, side: str) -> npt.NDArray[np.uint8]:
-    """The image on the canvas of one side: RGB (H,W,3)."""
-    _, _, png = page.evaluate(_IMAGE, side).partition(",")
-    return iio.imread(b64decode(png), extension=".png")[..., :3]
-
-
-def _assert_shows(image: npt.NDArray[np.uint8], frames: list[npt.NDArray[np.uint8]], index: int) -> None:
-    """The image is closest to the frame with this index. Two decoders may differ by a few grey levels."""
-    distances = [float(np.abs(image.astype(int) - frame.astype(int)).mean()) for frame in frames]
-    assert int(np.argmin(distances)) == index, distances
-    assert distances[index] < 4.0, distances

@@ -1,13 +1,23 @@
 import { QueryClient, QueryClientProvider, useQuery } from "@tanstack/react-query";
-import { useEffect } from "react";
+import { lazy, Suspense, useEffect } from "react";
 import { SignedOut } from "@/features/session/SignedOut";
 import { onSignedOut } from "@/shared/api/client";
 import { ApiError, errorMessage } from "@/shared/api/errors";
 import { meQuery, shouldRetry } from "@/shared/api/queries";
 import { OutboxProvider } from "@/shared/outbox/OutboxProvider";
+import { paths } from "@/shared/routing/paths";
+import { usePath } from "@/shared/routing/router";
 import { Message } from "@/shared/ui/Message";
 import { Layout } from "./Layout";
 import { Routes } from "./Routes";
+
+const JoinPage = lazy(() =>
+  import("@/features/session/JoinPage").then(({ JoinPage }) => ({ default: JoinPage })),
+);
+
+const SharedPage = lazy(() =>
+  import("@/features/experiment/SharedPage").then((module) => ({ default: module.SharedPage })),
+);
 
 const RECONNECT_MS = 2_000;
 
@@ -16,9 +26,10 @@ const cache = new QueryClient({
 });
 
 export function App() {
+  const shared = paths.sharedToken(window.location);
   return (
     <QueryClientProvider client={cache}>
-      <Session />
+      <Suspense fallback={null}>{shared === null ? <Session /> : <SharedPage token={shared} />}</Suspense>
     </QueryClientProvider>
   );
 }
@@ -28,6 +39,9 @@ function Session() {
   const me = useQuery({ ...meQuery, refetchInterval: (query) => (query.state.error ? RECONNECT_MS : false) });
   // Any request can be the first to find that the session ended: load the user again, which shows the sign-in page.
   useEffect(() => onSignedOut(() => void cache.invalidateQueries({ queryKey: meQuery.queryKey })), []);
+  const invitation = paths.invitationOf(usePath());
+  if (invitation !== null && me.isFetched)
+    return <JoinPage token={invitation} me={me.isSuccess ? me.data : null} />;
   // Checked before `data`: the cache still holds the user after the session ended.
   if (me.error instanceof ApiError && me.error.status === 401) return <SignedOut previous={me.data} />;
   if (me.data) {

@@ -2,9 +2,9 @@ import { useQuery } from "@tanstack/react-query";
 import type { ReactNode } from "react";
 import { UserMenu } from "@/features/session/UserMenu";
 import { experimentQuery } from "@/shared/api/queries";
-import { canManageExperiments, type Me } from "@/shared/api/types";
+import { canManageExperiments, canManageUsers, type Me } from "@/shared/api/types";
 import { useOutboxState } from "@/shared/outbox/OutboxProvider";
-import { paths, routeOf } from "@/shared/routing/paths";
+import { paths, type Route, routeOf } from "@/shared/routing/paths";
 import { Link, usePath } from "@/shared/routing/router";
 import { plural } from "@/shared/ui/format";
 
@@ -21,7 +21,11 @@ export function Layout({ me, children }: { me: Me; children: ReactNode }) {
           <img src="/icon.svg" alt="" width="22" height="22" />
           <span>Accord</span>
         </Link>
-        {"id" in route && <Tabs id={route.id} page={route.page} me={me} />}
+        {"id" in route ? (
+          <Tabs id={route.id} page={route.page} me={me} />
+        ) : (
+          canManageUsers(me) && <AdminTabs page={route.page} />
+        )}
         <span className="spacer" />
         <UnsentLabels />
         <UserMenu me={me} />
@@ -31,7 +35,20 @@ export function Layout({ me, children }: { me: Me; children: ReactNode }) {
   );
 }
 
-function Tabs({ id, page, me }: { id: string; page: "experiment" | "label" | "labels"; me: Me }) {
+function AdminTabs({ page }: { page: Route["page"] }) {
+  return (
+    <nav className="tabs" aria-label="Accord">
+      <Link to={paths.experiments()} aria-current={page === "experiments" ? "page" : undefined}>
+        Experiments
+      </Link>
+      <Link to={paths.people()} aria-current={page === "people" ? "page" : undefined}>
+        People
+      </Link>
+    </nav>
+  );
+}
+
+function Tabs({ id, page, me }: { id: string; page: Route["page"]; me: Me }) {
   const { data } = useQuery(experimentQuery(id));
   return (
     <nav className="tabs" aria-label="Experiment">
@@ -45,8 +62,18 @@ function Tabs({ id, page, me }: { id: string; page: "experiment" | "label" | "la
         Progress
       </Link>
       {canManageExperiments(me) && (
-        <Link to={paths.labels(id)} aria-current={page === "labels" ? "page" : undefined}>
-          All labels
+        <>
+          <Link to={paths.labels(id)} aria-current={page === "labels" ? "page" : undefined}>
+            All labels
+          </Link>
+          <Link to={paths.quality(id)} aria-current={page === "quality" ? "page" : undefined}>
+            Quality
+          </Link>
+        </>
+      )}
+      {canManageExperiments(me) && (
+        <Link to={paths.reward(id)} aria-current={page === "reward" ? "page" : undefined}>
+          Reward
         </Link>
       )}
     </nav>

@@ -11,13 +11,23 @@ const loaders = {
   experiment: () => import("@/features/experiment/ExperimentPage").then(as("ExperimentPage")),
   label: () => import("@/features/labelling/LabelPage").then(as("LabelPage")),
   compare: () => import("@/features/compare/ComparePage").then(as("ComparePage")),
+  people: () => import("@/features/people/PeoplePage").then(as("PeoplePage")),
   labels: () => import("@/features/label-table/LabelTablePage").then(as("LabelTablePage")),
+  quality: () => import("@/features/quality/QualityPage").then(as("QualityPage")),
+  decide: () => import("@/features/labelling/LabelPage").then(as("DecidePage")),
+  pair: () => import("@/features/pair/PairPage").then(as("PairPage")),
+  reward: () => import("@/features/reward/RewardPage").then(as("RewardPage")),
 };
 const ExperimentList = lazy(loaders.experiments);
 const NewExperimentPage = lazy(loaders["new-experiment"]);
 const ExperimentPage = lazy(loaders.experiment);
 const LabelPage = lazy(loaders.label);
 const LabelTablePage = lazy(loaders.labels);
+const PeoplePage = lazy(loaders.people);
+const QualityPage = lazy(loaders.quality);
+const DecidePage = lazy(loaders.decide);
+const PairPage = lazy(loaders.pair);
+const RewardPage = lazy(loaders.reward);
 const ComparePage = lazy(loaders.compare);
 
 /** Turns a module into one with the named component as its default export, as `lazy` expects. */
@@ -50,11 +60,21 @@ function Page({ me }: { me: Me }) {
     case "experiment":
       return <ExperimentPage key={route.id} id={route.id} me={me} />;
     case "label":
-      return <LabelPage key={route.id} id={route.id} />;
+      return <LabelPage key={route.id} id={route.id} me={me} />;
     case "compare":
       return <ComparePage key={route.ids.join()} ids={route.ids} />;
     case "labels":
       return <LabelTablePage key={route.id} id={route.id} me={me} />;
+    case "people":
+      return <PeoplePage me={me} />;
+    case "quality":
+      return <QualityPage key={route.id} id={route.id} me={me} />;
+    case "decide":
+      return <DecidePage key={route.id} id={route.id} me={me} />;
+    case "pair":
+      return <PairPage key={route.query} id={route.id} query={route.query} me={me} />;
+    case "reward":
+      return <RewardPage key={route.id} id={route.id} me={me} />;
     case "missing":
       return (
         <Message title="Page not found">

@@ -1,5 +1,5 @@
 import { useInfiniteQuery } from "@tanstack/react-query";
-import { useState } from "react";
+import { lazy, Suspense, useState } from "react";
 import { errorMessage } from "@/shared/api/errors";
 import { experimentsQuery } from "@/shared/api/queries";
 import { canManageExperiments, canSeeReturns, type Me } from "@/shared/api/types";
@@ -9,9 +9,14 @@ import { Alert } from "@/shared/ui/Message";
 import { ExperimentCard } from "./ExperimentCard";
 import "./experiment-list.css";
 
+const ImportExperiment = lazy(() =>
+  import("./ImportExperiment").then((module) => ({ default: module.ImportExperiment })),
+);
+
 /** All experiments, newest first, each with a link to label it. Researchers can compare several of them. */
 export function ExperimentList({ me }: { me: Me }) {
   const [archived, setArchived] = useState(false);
+  const [importing, setImporting] = useState(false);
   const [selected, setSelected] = useState<readonly string[]>([]);
   const query = useInfiniteQuery(experimentsQuery(archived));
   const { data, error, hasNextPage, isFetchingNextPage, fetchNextPage } = query;
@@ -29,6 +34,14 @@ export function ExperimentList({ me }: { me: Me }) {
               <button type="button" className="button" onClick={() => setArchived(!archived)}>
                 {archived ? "Show current experiments" : "Show archive"}
               </button>
+              <button
+                type="button"
+                className="button"
+                aria-expanded={importing}
+                onClick={() => setImporting(!importing)}
+              >
+                Import
+              </button>
               <Link to={paths.newExperiment()} className="button primary">
                 New experiment
               </Link>
@@ -36,6 +49,11 @@ export function ExperimentList({ me }: { me: Me }) {
           )}
         </div>
       </div>
+      {importing && (
+        <Suspense fallback={null}>
+          <ImportExperiment onClose={() => setImporting(false)} />
+        </Suspense>
+      )}
       {error && <Alert>{errorMessage(error)}</Alert>}
       {experiments?.length === 0 && <Empty me={me} archived={archived} />}
       <ul className="experiments">

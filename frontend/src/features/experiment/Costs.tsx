@@ -2,6 +2,7 @@ import { useQuery } from "@tanstack/react-query";
 import { costsQuery } from "@/shared/api/queries";
 import type { Experiment } from "@/shared/api/types";
 import { formatCount, formatDuration, plural } from "@/shared/ui/format";
+import { ExportButton } from "./ExportButton";
 
 const BYTES_PER_MB = 1e6;
 
@@ -48,14 +49,7 @@ export function Costs({ experiment }: { experiment: Experiment }) {
           </tr>
         </tbody>
       </table>
-      {costs.segments > 0 && (
-        <p className="export-line">
-          <a href={`/api/v1/experiments/${experiment.id}/export`} download>
-            Export segments, queries and labels
-          </a>{" "}
-          <span className="muted">as Parquet tables. The download begins once they are written.</span>
-        </p>
-      )}
+      {costs.segments > 0 && <ExportButton experimentId={experiment.id} />}
     </section>
   );
 }

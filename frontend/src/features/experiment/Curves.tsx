@@ -12,12 +12,12 @@ interface CurvesProps {
   experiment: Experiment;
   metrics: Metrics | undefined;
   versions: readonly RewardVersion[];
-  /** whether to show true returns and rewards, which the server never sends to labellers */
-  showTrueReturn: boolean;
+  /** whether to show returns, true and learned, which the server never sends to labellers */
+  showReturns: boolean;
 }
 
 /** Charts of returns, of the reward model's quality, and of labels. */
-export function Curves({ experiment, metrics, versions, showTrueReturn }: CurvesProps) {
+export function Curves({ experiment, metrics, versions, showReturns }: CurvesProps) {
   const [smoothing, setSmoothing] = useState(0);
   const markers = useMemo<Marker[]>(
     () => versions.map(({ number, policy_steps }) => ({ x: policy_steps, name: `v${number}` })),
@@ -35,9 +35,9 @@ export function Curves({ experiment, metrics, versions, showTrueReturn }: Curves
   };
   return (
     <section aria-label="Curves">
-      <Smoothing value={smoothing} onChange={setSmoothing} />
+      {showReturns && <Smoothing value={smoothing} onChange={setSmoothing} />}
       <div className="curves">
-        {showTrueReturn && (
+        {showReturns && (
           <Chart
             {...stepAxis}
             title="True return"
@@ -48,7 +48,7 @@ export function Curves({ experiment, metrics, versions, showTrueReturn }: Curves
             format={formatValue}
           />
         )}
-        {showTrueReturn && learnsPreferences && (
+        {showReturns && learnsPreferences && (
           <Chart
             {...stepAxis}
             title="Correlation of learned and true reward"
@@ -59,18 +59,20 @@ export function Curves({ experiment, metrics, versions, showTrueReturn }: Curves
             yMax={1}
           />
         )}
-        <Chart
-          {...stepAxis}
-          title="Learned return"
-          note={
-            learnsPreferences
-              ? "Every reward version has a scale of its own: compare values within one version only."
-              : "This policy learns from the true reward."
-          }
-          value={inScaleOf(curves.learned, experiment)}
-          curves={curves.learned}
-          format={formatValue}
-        />
+        {showReturns && (
+          <Chart
+            {...stepAxis}
+            title="Learned return"
+            note={
+              learnsPreferences
+                ? "Every reward version has a scale of its own: compare values within one version only."
+                : "This policy learns from the true reward."
+            }
+            value={inScaleOf(curves.learned, experiment)}
+            curves={curves.learned}
+            format={formatValue}
+          />
+        )}
         {learnsPreferences && (
           <Chart
             title="Held-out accuracy"

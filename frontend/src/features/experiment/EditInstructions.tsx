@@ -37,15 +37,18 @@ export function EditInstructions({ experiment, onError, onClose }: EditInstructi
       <label htmlFor={id}>Instructions for labellers</label>
       <textarea
         id={id}
-        rows={6}
-        maxLength={4000}
+        rows={12}
+        maxLength={20_000}
         value={text}
         aria-describedby={`${id}-help`}
         onChange={(event) => setText(event.target.value)}
       />
       <p className="muted" id={`${id}-help`}>
-        Labellers see the change at once. Labels that were given before stay as they are. Leave empty to use
-        those of the task: {experiment.task.instructions}
+        Markdown: <code>**bold**</code>, <code># heading</code>, <code>- list</code>.{" "}
+        <code>![caption](address of a clip)</code> shows an example; <em>All labels</em> links to the clips.
+        Labellers read the change before their next pair. Every change is a new revision, and each label is
+        stored with the revision it was given under. Leave empty to use those of the task:{" "}
+        {experiment.task.instructions}
       </p>
     </Dialog>
   );

@@ -3,6 +3,7 @@ import { ApiError, errorMessage } from "@/shared/api/errors";
 import { experimentQuery, metricsQuery, rewardVersionsQuery } from "@/shared/api/queries";
 import { canManageExperiments, canSeeReturns, type Me } from "@/shared/api/types";
 import { useLiveUpdates } from "@/shared/api/useLiveUpdates";
+import { LazyMarkdown } from "@/shared/markdown/LazyMarkdown";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { Message } from "@/shared/ui/Message";
@@ -12,6 +13,7 @@ import { Costs } from "./Costs";
 import { Curves } from "./Curves";
 import { Overview } from "./Overview";
 import { Settings } from "./Settings";
+import { ShareLinks } from "./ShareLinks";
 import { Versions } from "./Versions";
 import { Workers } from "./Workers";
 import "./experiment.css";
@@ -41,7 +43,7 @@ export function ExperimentPage({ id, me }: { id: string; me: Me }) {
         <div>
           <h1>{experiment.data.name}</h1>
           {experiment.data.archived_at && <p className="badge">Archived</p>}
-          <p className="muted instructions-text">{experiment.data.instructions}</p>
+          <LazyMarkdown text={experiment.data.instructions} />
         </div>
         <div className="row">
           {canManageExperiments(me) && <Controls experiment={experiment.data} />}
@@ -57,12 +59,13 @@ export function ExperimentPage({ id, me }: { id: string; me: Me }) {
         experiment={experiment.data}
         metrics={metrics.data}
         versions={items}
-        showTrueReturn={canSeeReturns(me)}
+        showReturns={canSeeReturns(me)}
       />
       {experiment.data.config.reward_source !== "true" && <Versions versions={items} />}
       <div className="columns">
         <div>
           {canManageExperiments(me) && <Costs experiment={experiment.data} />}
+          {canManageExperiments(me) && <ShareLinks experimentId={id} />}
           <Settings experiment={experiment.data} />
         </div>
         <Workers />

@@ -70,6 +70,9 @@ function Row({ version }: { version: RewardVersion }) {
       <td data-uncertain={(accuracy && !accuracy.reliable) || undefined}>
         {accuracy ? heldOutText(accuracy) : "–"}
         {accuracy && <span className="muted cell-note">{heldOutDetail(accuracy)}</span>}
+        {versionMetric(version, "refit") === 1 && (
+          <span className="muted cell-note">measured before these labels were used for training too</span>
+        )}
       </td>
       <td>{loss === null ? "–" : loss.toFixed(3)}</td>
       <td>{ece === null ? "–" : ece.toFixed(3)}</td>

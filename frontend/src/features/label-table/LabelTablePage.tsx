@@ -53,10 +53,11 @@ export function LabelTablePage({ id, me }: { id: string; me: Me }) {
                 <th scope="col">Seconds</th>
                 <th scope="col">Given</th>
                 <th scope="col">Revisions</th>
+                <th scope="col">Training</th>
               </tr>
             </thead>
             {items.map((query) => (
-              <QueryRows key={query.id} query={query} />
+              <QueryRows key={query.id} id={id} query={query} />
             ))}
           </table>
         </section>

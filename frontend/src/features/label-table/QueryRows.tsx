@@ -1,5 +1,8 @@
 import type { LabelRevision, RecordedLabel, RecordedQuery } from "@/shared/api/types";
+import { paths } from "@/shared/routing/paths";
+import { Link } from "@/shared/routing/router";
 import { formatReturn, formatTime, plural } from "@/shared/ui/format";
+import { ExcludeButton, GoldSelect } from "./Judgement";
 
 const STATUSES: Readonly<Record<RecordedQuery["status"], string>> = {
   rendering: "clips being rendered",
@@ -9,7 +12,7 @@ const STATUSES: Readonly<Record<RecordedQuery["status"], string>> = {
 };
 
 /** The rows of one pair: one for each labeller, or a single one without a label. */
-export function QueryRows({ query }: { query: RecordedQuery }) {
+export function QueryRows({ id, query }: { id: string; query: RecordedQuery }) {
   const rows = Math.max(1, query.labels.length);
   const [first, ...others] = query.labels;
   return (
@@ -19,21 +22,28 @@ export function QueryRows({ query }: { query: RecordedQuery }) {
           {query.number}
           <span className="muted block">{STATUSES[query.status]}</span>
           <span className="muted block">{query.selector}</span>
+          {query.labels_wanted > 1 && (
+            <span className="muted block">wants {plural(query.labels_wanted, "label")}</span>
+          )}
+          <GoldSelect id={id} query={query} />
+          <Link to={paths.pair(id, query.id)} aria-label={`What was learned from pair ${query.number}`}>
+            What was learned
+          </Link>
         </th>
         <td rowSpan={rows}>
           <Segments query={query} />
         </td>
         {first ? (
-          <LabelCells label={first} />
+          <LabelCells id={id} number={query.number} label={first} />
         ) : (
-          <td colSpan={5} className="muted">
+          <td colSpan={6} className="muted">
             No label
           </td>
         )}
       </tr>
       {others.map((label) => (
         <tr key={label.id}>
-          <LabelCells label={label} />
+          <LabelCells id={id} number={query.number} label={label} />
         </tr>
       ))}
     </tbody>
@@ -65,7 +75,7 @@ function Segments({ query }: { query: RecordedQuery }) {
   );
 }
 
-function LabelCells({ label }: { label: RecordedLabel }) {
+function LabelCells({ id, number, label }: { id: string; number: number; label: RecordedLabel }) {
   const current = label.revisions.at(-1);
   if (!current) return null;
   const teacher = typeof label.teacher.name === "string" ? label.teacher.name : label.role;
@@ -75,7 +85,11 @@ function LabelCells({ label }: { label: RecordedLabel }) {
         {label.user_name}
         <span className="muted block">{teacher}</span>
       </td>
-      <td>{labelText(current)}</td>
+      <td>
+        {labelText(current)}
+        {label.final && <span className="muted block">final</span>}
+        {label.excluded && <span className="muted block">excluded</span>}
+      </td>
       <td className="number">{current.response_seconds?.toFixed(1) ?? "–"}</td>
       <td>{formatTime(current.created_at)}</td>
       <td>
@@ -93,6 +107,9 @@ function LabelCells({ label }: { label: RecordedLabel }) {
             </ol>
           </details>
         )}
+      </td>
+      <td>
+        <ExcludeButton id={id} label={label} number={number} />
       </td>
     </>
   );

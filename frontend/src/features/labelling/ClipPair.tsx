@@ -1,11 +1,19 @@
 import type { RefObject } from "react";
-import type { Query } from "@/shared/api/types";
+import type { Query, Task } from "@/shared/api/types";
 import type { PairPlayback } from "@/shared/media/usePairPlayer";
+import { useAgentName } from "./AgentName";
 import type { Choice } from "./choices";
+import { CAMERA_NAMES, type Camera } from "./clipViews";
 import type { ClipNames } from "./layout";
 
 interface ClipPairProps {
   query: Query;
+  task: Task;
+  camera: Camera;
+  /** whether the pair is shown from this camera */
+  view: "shown" | "rendering" | "failed";
+  /** whether the experiment renders clips at all */
+  rendersClips: boolean;
   /** number of pairs that follow; their clips are being loaded */
   upcoming: number;
   /** the choice just made, marked on the clips until the next pair is shown */
@@ -20,7 +28,8 @@ interface ClipPairProps {
 
 /** Two clips side by side, or one above the other on an upright phone, as large as the window allows. */
 export function ClipPair(props: ClipPairProps) {
-  const { query, upcoming, chosen, player, left, right, progress, names, onChoose } = props;
+  const { query, task, camera, view, rendersClips, upcoming, chosen, player } = props;
+  const { left, right, progress, names, onChoose } = props;
   return (
     <section
       className="pair"
@@ -32,10 +41,12 @@ export function ClipPair(props: ClipPairProps) {
       data-right={query.right.segment_id}
       data-state={player.state}
       data-upcoming={upcoming}
+      data-camera={view === "shown" ? camera : "follow"}
       style={{ "--aspect-ratio": player.aspectRatio } as React.CSSProperties}
     >
       <ClipView
         side="left"
+        task={task}
         name={names.left}
         canvas={left}
         verdict={verdictOf("left", chosen)}
@@ -44,6 +55,7 @@ export function ClipPair(props: ClipPairProps) {
       />
       <ClipView
         side="right"
+        task={task}
         name={names.right}
         canvas={right}
         verdict={verdictOf("right", chosen)}
@@ -54,7 +66,18 @@ export function ClipPair(props: ClipPairProps) {
         <div />
       </div>
       {query.left.clip_url === null && (
-        <p className="pair-note">This experiment has no clips: only scripted teachers can label it.</p>
+        <p className="pair-note">
+          {rendersClips
+            ? "This pair was imported and has no clips yet: they are made after those of new pairs. A task that draws itself cannot be drawn again."
+            : "This experiment has no clips: only scripted teachers can label it."}
+        </p>
+      )}
+      {view !== "shown" && player.state === "playing" && (
+        <p className="pair-note" role="status">
+          {view === "rendering"
+            ? `Rendering both clips: ${CAMERA_NAMES[camera]}…`
+            : `This pair cannot be rendered with the camera “${CAMERA_NAMES[camera]}”.`}
+        </p>
       )}
       {player.state === "failed" && (
         <p className="pair-note" role="alert">
@@ -84,6 +107,7 @@ const VERDICT_TEXT = { better: "✓ Better", equal: "= Equal", skipped: "Skipped
 
 interface ClipViewProps {
   side: "left" | "right";
+  task: Task;
   name: string;
   canvas: RefObject<HTMLCanvasElement | null>;
   verdict: Verdict;
@@ -91,10 +115,11 @@ interface ClipViewProps {
   onChoose: (choice: Choice) => void;
 }
 
-function ClipView({ side, name, canvas, verdict, state, onChoose }: ClipViewProps) {
+function ClipView({ side, task, name, canvas, verdict, state, onChoose }: ClipViewProps) {
+  const { label, handlers } = useAgentName(canvas, task);
   return (
     <div className="pair-side">
-      <figure className="clip" data-verdict={verdict ?? undefined}>
+      <figure className="clip" data-verdict={verdict ?? undefined} {...handlers}>
         <canvas ref={canvas} data-testid={`clip-${side}`} role="img" aria-label={`${name} clip`} />
         {/* On touch screens only: with a mouse, a click that returns to the window would label the pair. The answer
             buttons do the same for assistive technology and the keyboard. */}
@@ -106,6 +131,7 @@ function ClipView({ side, name, canvas, verdict, state, onChoose }: ClipViewProp
           onClick={() => onChoose(side)}
         />
         <figcaption>{name}</figcaption>
+        {label}
         {verdict && VERDICT_TEXT[verdict] && <span className="verdict">{VERDICT_TEXT[verdict]}</span>}
         {state === "loading" && <span className="loading">Loading…</span>}
       </figure>

@@ -1,6 +1,7 @@
 import { useQuery } from "@tanstack/react-query";
 import { rewardVersionsQuery, workersQuery } from "@/shared/api/queries";
 import type { Experiment } from "@/shared/api/types";
+import { AgentSwatch } from "@/shared/ui/AgentSwatch";
 import { formatCount, formatSteps, plural } from "@/shared/ui/format";
 import { heldOutAccuracy, heldOutText } from "@/shared/ui/heldOut";
 import { ProgressBar } from "@/shared/ui/ProgressBar";
@@ -33,7 +34,7 @@ function AgentLegend({ experiment: { task } }: { experiment: Experiment }) {
       <ul className="legend">
         {task.agent_names.map((name, agent) => (
           <li key={name}>
-            <span className="swatch" style={{ background: task.agent_colours[agent] }} aria-hidden="true" />
+            <AgentSwatch colours={task.agent_colours} agent={agent} />
             {name}
           </li>
         ))}

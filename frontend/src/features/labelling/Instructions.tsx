@@ -1,34 +1,30 @@
-import { useEffect, useRef, useState } from "react";
+import { LazyMarkdown } from "@/shared/markdown/LazyMarkdown";
+import { summaryOf } from "@/shared/markdown/summary";
+import { GuideDialog } from "./GuideDialog";
 
-/** The instructions of the experiment. Where they are cut off, a button shows all of them. */
-export function Instructions({ text }: { text: string }) {
-  const heading = useRef<HTMLHeadingElement>(null);
-  const dialog = useRef<HTMLDialogElement>(null);
-  const [isCut, setIsCut] = useState(false);
-  useEffect(() => {
-    const element = heading.current;
-    if (!element) return;
-    const observer = new ResizeObserver(() => setIsCut(element.scrollHeight > element.clientHeight + 1));
-    observer.observe(element);
-    return () => observer.disconnect();
-  }, []);
+/** The beginning of the instructions above the clips, with the button that shows all of them. */
+export function Instructions({ text, onOpen }: { text: string; onOpen: () => void }) {
   return (
     <div className="instructions">
-      <h1 ref={heading}>{text}</h1>
-      {isCut && (
-        <button type="button" className="button small" onClick={() => dialog.current?.showModal()}>
-          Read all
-        </button>
-      )}
-      <dialog ref={dialog} className="dialog" aria-labelledby="instructions-title">
-        <h2 id="instructions-title">What to look for</h2>
-        <p className="instructions-text">{text}</p>
-        <div className="row end">
-          <button type="button" className="button primary" onClick={() => dialog.current?.close()}>
-            Close
-          </button>
-        </div>
-      </dialog>
+      <h1>{summaryOf(text)}</h1>
+      <RulesButton onOpen={onOpen} />
     </div>
+  );
+}
+
+export function RulesButton({ onOpen }: { onOpen: () => void }) {
+  return (
+    <button type="button" className="button small" aria-keyshortcuts="r" onClick={onOpen}>
+      Rules
+    </button>
+  );
+}
+
+/** All instructions, over the pair, which stays as it is. */
+export function RulesDialog({ text, onClose }: { text: string; onClose: () => void }) {
+  return (
+    <GuideDialog title="What to look for" onClose={onClose}>
+      <LazyMarkdown text={text} />
+    </GuideDialog>
   );
 }

@@ -1,20 +1,47 @@
 import { useQuery } from "@tanstack/react-query";
 import { errorMessage } from "@/shared/api/errors";
 import { experimentQuery } from "@/shared/api/queries";
+import type { Me } from "@/shared/api/types";
 import { useLiveUpdates } from "@/shared/api/useLiveUpdates";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { Message } from "@/shared/ui/Message";
+import { isOver } from "@/shared/ui/status";
+import { FirstVisit } from "./FirstVisit";
 import { LabelView } from "./LabelView";
+import { useSeenRules } from "./seenRules";
 import "./clips.css";
+import "./guide.css";
 import "./labelling.css";
 import "./small-screens.css";
 
 /** The page on which a person compares pairs of clips. */
-export function LabelPage({ id }: { id: string }) {
+export function LabelPage({ id, me }: { id: string; me: Me }) {
+  return <Labelling id={id} me={me} decides={false} />;
+}
+
+/** The same page, on which a researcher decides pairs on which the labels of others differ. */
+export function DecidePage({ id, me }: { id: string; me: Me }) {
+  return <Labelling id={id} me={me} decides />;
+}
+
+function Labelling({ id, me, decides }: { id: string; me: Me; decides: boolean }) {
   const experiment = useQuery(experimentQuery(id));
   const connected = useLiveUpdates(id);
-  if (experiment.data) return <LabelView experiment={experiment.data} connected={connected} />;
+  const [seenRules, setSeenRules] = useSeenRules(me.id, id);
+  if (experiment.data) {
+    const { instructions_revision: newest } = experiment.data;
+    if (!decides && seenRules < newest && !isOver(experiment.data)) {
+      return (
+        <FirstVisit
+          experiment={experiment.data}
+          isUpdate={seenRules > 0}
+          onStart={() => setSeenRules(newest)}
+        />
+      );
+    }
+    return <LabelView experiment={experiment.data} connected={connected} decides={decides} />;
+  }
   if (experiment.error) {
     return (
       <Message title="Cannot open this experiment">

@@ -1,5 +1,5 @@
 import { useCallback, useEffect, useRef, useState } from "react";
-import type { Experiment, Query, SegmentView } from "@/shared/api/types";
+import type { Experiment, Query } from "@/shared/api/types";
 import type { ClipSource } from "@/shared/media/clip";
 import { ClipCache } from "@/shared/media/clipCache";
 import { usePairPlayer } from "@/shared/media/usePairPlayer";
@@ -7,12 +7,16 @@ import { isOver } from "@/shared/ui/status";
 import { ChoiceButtons } from "./ChoiceButtons";
 import { ClipPair } from "./ClipPair";
 import type { Choice } from "./choices";
+import { useCamera, useClipViews } from "./clipViews";
 import { type Command, useKeyboardCommands } from "./commands";
 import { ExperimentSummary } from "./ExperimentSummary";
+import { GuideDialog } from "./GuideDialog";
 import { HistoryPanel } from "./HistoryPanel";
-import { Instructions } from "./Instructions";
+import { Instructions, RulesDialog } from "./Instructions";
+import { KeyList } from "./keys";
 import { useClipNames } from "./layout";
 import { NoPair } from "./NoPair";
+import { PaceNotice, usePace } from "./PaceNotice";
 import { PlaybackControls } from "./PlaybackControls";
 import { usePairNotification } from "./pairNotification";
 import { ReviewBanner } from "./ReviewBanner";
@@ -22,16 +26,23 @@ import { useLabellingSession } from "./useLabellingSession";
 /** Nobody compares two clips faster than this: an earlier key press was meant for the previous pair. */
 const MIN_RESPONSE_SECONDS = 0.3;
 
+const DECIDES = "People disagree on these pairs. Your answer is final: training uses it in place of theirs.";
+
 interface LabelViewProps {
   experiment: Experiment;
   connected: boolean;
+  /** whether the labels decide pairs on which those of others differ */
+  decides?: boolean;
 }
 
 /** The instructions, the pair of clips, the choices, and the progress of the experiment. */
-export function LabelView({ experiment, connected }: LabelViewProps) {
-  const { session, view } = useLabellingSession(experiment.id);
+export function LabelView({ experiment, connected, decides = false }: LabelViewProps) {
+  const { session, view } = useLabellingSession(experiment.id, decides, experiment.instructions_revision);
   const names = useClipNames();
+  const pace = usePace();
+  const addToPace = pace.add;
   const [historyOpen, setHistoryOpen] = useState(false);
+  const [guide, setGuide] = useState<"rules" | "keys" | null>(null);
   const [clips] = useState(() => new ClipCache());
   const left = useRef<HTMLCanvasElement>(null);
   const right = useRef<HTMLCanvasElement>(null);
@@ -40,17 +51,15 @@ export function LabelView({ experiment, connected }: LabelViewProps) {
   const last = view.history.at(-1);
   const over = isOver(experiment);
   const current = over ? (reviewed?.query ?? null) : view.current;
-  const player = usePairPlayer(
-    clips,
-    current && clipSource(current.left),
-    current && clipSource(current.right),
-    view.displayCount,
-    { left, right, progress },
-  );
+  const { cameras, camera, setCamera } = useCamera(experiment.task);
+  const views = useClipViews(camera, [current, upcoming[0]].filter(isPair));
+  const [leftClip, rightClip] = current ? views.sourcesOf(current) : [null, null];
+  const player = usePairPlayer(clips, leftClip, rightClip, view.displayCount, { left, right, progress });
 
-  useEffect(() => {
-    clips.prefetch(clipSources([current, ...upcoming, last?.query]));
-  }, [clips, current, upcoming, last]);
+  const sources = [current, ...upcoming, last?.query].filter(isPair).flatMap(views.sourcesOf).filter(isClip);
+  const urls = sources.map(({ url }) => url).join();
+  // biome-ignore lint/correctness/useExhaustiveDependencies: the sources change with their addresses
+  useEffect(() => clips.prefetch(sources), [clips, urls]);
   useEffect(() => () => clips.clear(), [clips]);
 
   // biome-ignore lint/correctness/useExhaustiveDependencies: after these changes there may be new pairs
@@ -61,10 +70,12 @@ export function LabelView({ experiment, connected }: LabelViewProps) {
   const choose = useCallback(
     (choice: Choice) => {
       const watched = player.watchedSeconds();
-      if (watched !== null && watched >= MIN_RESPONSE_SECONDS) session?.choose(choice, watched);
-      else if (player.state === "failed" && choice === "skip") session?.choose(choice, 0);
+      if (watched !== null && watched >= MIN_RESPONSE_SECONDS) {
+        if (!session?.view().chosen) addToPace(choice, watched);
+        session?.choose(choice, watched);
+      } else if (player.state === "failed" && choice === "skip") session?.choose(choice, 0);
     },
-    [session, player],
+    [session, player, addToPace],
   );
   const run = useCallback(
     (command: Command) => {
@@ -72,16 +83,21 @@ export function LabelView({ experiment, connected }: LabelViewProps) {
       else if (command.type === "undo") session?.undo();
       else if (command.type === "closeReview") session?.closeReview();
       else if (command.type === "toggleHistory") setHistoryOpen((open) => !open);
+      else if (command.type === "showRules") setGuide("rules");
+      else if (command.type === "showKeys") setGuide("keys");
       else if (command.type === "togglePause") player.togglePause();
       else if (command.type === "step") player.step(command.direction);
       else if (command.type === "setSpeed") player.setSpeed(command.speed);
+      else if (command.type === "nextCamera")
+        setCamera(cameras[(cameras.indexOf(camera) + 1) % cameras.length] ?? "follow");
     },
-    [choose, session, player, over],
+    [choose, session, player, over, cameras, camera, setCamera],
   );
   useKeyboardCommands(run);
   usePairNotification(experiment.name, current !== null);
 
   const onChoose = (choice: Choice) => run({ type: "choose", choice });
+  const showRules = () => run({ type: "showRules" });
   const closeReview = () => run({ type: "closeReview" });
   const review = (id: string) => {
     session?.review(id);
@@ -90,15 +106,29 @@ export function LabelView({ experiment, connected }: LabelViewProps) {
 
   return (
     <main className="label-page" id="content" data-history={historyOpen || undefined}>
+      <PaceNotice visible={pace.isHasty} onDismiss={pace.dismiss} />
       <div className="label-view">
         {reviewed ? (
-          <ReviewBanner pair={reviewed} names={names} onClose={closeReview} />
+          <ReviewBanner
+            experiment={experiment}
+            pair={reviewed}
+            names={names}
+            onRules={showRules}
+            onClose={closeReview}
+          />
         ) : (
-          <Instructions text={experiment.instructions} />
+          <Instructions
+            text={decides ? `${DECIDES} ${experiment.instructions}` : experiment.instructions}
+            onOpen={showRules}
+          />
         )}
         {current ? (
           <ClipPair
             query={current}
+            task={experiment.task}
+            camera={camera}
+            view={views.stateOf(current)}
+            rendersClips={experiment.config.render_clips !== false}
             upcoming={upcoming.length}
             chosen={view.chosen}
             player={player}
@@ -135,10 +165,19 @@ export function LabelView({ experiment, connected }: LabelViewProps) {
           player={player}
           canUndo={last !== undefined || view.chosen !== null}
           historyOpen={historyOpen}
+          cameras={cameras}
+          camera={camera}
           onCommand={run}
+          onCamera={setCamera}
         />
         <ExperimentSummary experiment={experiment} view={view} connected={connected} />
       </div>
+      {guide === "rules" && <RulesDialog text={experiment.instructions} onClose={() => setGuide(null)} />}
+      {guide === "keys" && (
+        <GuideDialog title="Keys" onClose={() => setGuide(null)}>
+          <KeyList />
+        </GuideDialog>
+      )}
       {historyOpen && (
         <HistoryPanel
           view={view}
@@ -152,13 +191,5 @@ export function LabelView({ experiment, connected }: LabelViewProps) {
   );
 }
 
-/** The clip of a segment; null in an experiment without clips. */
-function clipSource({ clip_url, frames, seconds }: SegmentView): ClipSource | null {
-  return clip_url === null ? null : { url: clip_url, frames, seconds };
-}
-
-function clipSources(queries: readonly (Query | null | undefined)[]): ClipSource[] {
-  return queries
-    .flatMap((query) => (query ? [clipSource(query.left), clipSource(query.right)] : []))
-    .filter((source) => source !== null);
-}
+const isPair = (query: Query | null | undefined): query is Query => Boolean(query);
+const isClip = (source: ClipSource | null): source is ClipSource => source !== null;

@@ -57,6 +57,21 @@ function explain(
       };
     case "policy_training":
       return { title: "No pair right now", text: `${whyNoPair(experiment)} ${APPEARS}` };
+    case "others":
+      return {
+        title: "Your part is done for now",
+        text: "The pairs that are open want another person’s label. New pairs appear here automatically.",
+      };
+    case "labeller_paused":
+      return {
+        title: "Your labelling is paused here",
+        text: "A researcher has paused your labelling in this experiment. Your labels are kept. Ask the researcher how to go on.",
+      };
+    case "all_decided":
+      return {
+        title: "Nothing left to decide",
+        text: "There is no pair on which people disagree. The next one appears here automatically.",
+      };
     case "all_labelled":
       if (config.reward_source === "true")
         return { title: "No labels needed", text: "This policy learns from the task’s own reward." };

@@ -1,17 +1,22 @@
 import type { PairPlayback } from "@/shared/media/usePairPlayer";
 import { Key } from "@/shared/ui/Key";
 import { blurAfterMouseClick } from "./ChoiceButtons";
+import { CAMERA_NAMES, type Camera } from "./clipViews";
 import { type Command, SPEEDS } from "./commands";
 
 interface PlaybackControlsProps {
   player: PairPlayback;
   canUndo: boolean;
   historyOpen: boolean;
+  cameras: readonly Camera[];
+  camera: Camera;
   onCommand: (command: Command) => void;
+  onCamera: (camera: Camera) => void;
 }
 
-/** Buttons for undo, the history, pause, single frames and speed. */
-export function PlaybackControls({ player, canUndo, historyOpen, onCommand }: PlaybackControlsProps) {
+/** Buttons for undo, the history, pause, single frames, speed and camera. */
+export function PlaybackControls(props: PlaybackControlsProps) {
+  const { player, canUndo, historyOpen, cameras, camera, onCommand, onCamera } = props;
   const disabled = player.state !== "playing";
   return (
     <div className="playback" role="toolbar" aria-label="Playback">
@@ -53,12 +58,41 @@ export function PlaybackControls({ player, canUndo, historyOpen, onCommand }: Pl
           />
         ))}
       </fieldset>
+      <span className="for-keys">
+        <Control keyName="?" text="Keys" disabled={false} onClick={() => onCommand({ type: "showKeys" })} />
+      </span>
+      {cameras.length > 1 && (
+        <fieldset className="cameras" aria-label="Camera">
+          {cameras.map((each, index) => (
+            <Control
+              key={each}
+              keyName={index === 0 ? "C" : null}
+              text={CAMERA_NAMES[each]}
+              disabled={false}
+              pressed={camera === each}
+              onClick={() => onCamera(each)}
+            />
+          ))}
+        </fieldset>
+      )}
+      {player.shortSeconds !== null && (
+        <p className="short-note" role="note">
+          {formatSeconds(player.shortSeconds)} of motion
+          {player.speed < 1 &&
+            `, played at ${SPEEDS.find(({ speed }) => speed === player.speed)?.text} speed`}
+        </p>
+      )}
     </div>
   );
 }
 
+/** Seconds with one decimal, for clips of about a second. */
+function formatSeconds(seconds: number): string {
+  return `${seconds.toFixed(1)} s`;
+}
+
 interface ControlProps {
-  keyName: string;
+  keyName: string | null;
   text: string;
   disabled: boolean;
   pressed?: boolean;
@@ -77,7 +111,7 @@ function Control({ keyName, text, disabled, pressed, onClick }: ControlProps) {
         if (!disabled) onClick();
       }}
     >
-      <Key name={keyName} />
+      {keyName !== null && <Key name={keyName} />}
       {text}
     </button>
   );

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { LABELS } from "./choices";
+import { LABELS, labelBody } from "./choices";
 import { commandOf } from "./commands";
 
 const press = (key: string, more: Partial<Parameters<typeof commandOf>[0]> = {}) =>
@@ -30,4 +30,15 @@ test("h shows the labels given so far, and Escape ends a review", () => {
 test("other keys have no command", () => {
   expect(press("a")).toBeNull();
   expect(press("Enter")).toBeNull();
+});
+
+test("a final label replaces whatever its author has given before, and says that it is final", () => {
+  expect(labelBody("left", 2, null, true, 3)).toMatchObject({ replaces: null, final: true, label: 1 });
+  expect(labelBody("left", 2, 7, true, 3)).toMatchObject({ replaces: 7, final: true });
+  expect(labelBody("right", 2, null, false, 3)).toMatchObject({
+    replaces: 0,
+    final: null,
+    label: 0,
+    instructions_revision: 3,
+  });
 });

@@ -7,9 +7,12 @@ export type Command =
   | { type: "undo" }
   | { type: "closeReview" }
   | { type: "toggleHistory" }
+  | { type: "showRules" }
+  | { type: "showKeys" }
   | { type: "togglePause" }
   | { type: "step"; direction: 1 | -1 }
-  | { type: "setSpeed"; speed: number };
+  | { type: "setSpeed"; speed: number }
+  | { type: "nextCamera" };
 
 export const SPEEDS = [
   { key: "0", speed: 0.25, text: "¼×" },
@@ -28,9 +31,14 @@ const COMMANDS: ReadonlyMap<string, Command> = new Map<string, Command>([
   ["Escape", { type: "closeReview" }],
   ["h", { type: "toggleHistory" }],
   ["H", { type: "toggleHistory" }],
+  ["r", { type: "showRules" }],
+  ["R", { type: "showRules" }],
+  ["?", { type: "showKeys" }],
   [" ", { type: "togglePause" }],
   [",", { type: "step", direction: -1 }],
   [".", { type: "step", direction: 1 }],
+  ["c", { type: "nextCamera" }],
+  ["C", { type: "nextCamera" }],
   ...SPEEDS.map(({ key, speed }): [string, Command] => [key, { type: "setSpeed", speed }]),
 ]);
 

@@ -7,7 +7,8 @@ let server: Server;
 
 const open = () => {
   const outbox = new Outbox("usr_1", new MemoryStorage(), server.send);
-  return new LabellingSession({ experimentId: "exp_1", server, outbox, tab: "tab" });
+  const options = { experimentId: "exp_1", tab: "tab", decides: false, rules: 1 };
+  return new LabellingSession({ ...options, server, outbox });
 };
 const settle = (ms = 300) => vi.advanceTimersByTimeAsync(ms);
 const onScreen = (session: LabellingSession) => session.view().current?.id ?? null;

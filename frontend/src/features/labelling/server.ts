@@ -1,6 +1,5 @@
 import { api, unwrap } from "@/shared/api/client";
 import type { OwnLabels, Queries } from "@/shared/api/types";
-import { TAB } from "./tab";
 
 /** The requests of a labelling session. */
 export interface LabellingServer {
@@ -10,13 +9,18 @@ export interface LabellingServer {
   history(limit: number, before: number | null): Promise<OwnLabels>;
 }
 
-export function createServer(experimentId: string): LabellingServer {
-  const lease = (queryId: string) => ({ params: { path: { query_id: queryId }, query: { tab: TAB } } });
+/**
+ * The requests of one tab.
+ *
+ * @param decides whether the tab decides pairs on which the labels of others differ
+ */
+export function createServer(experimentId: string, tab: string, decides: boolean): LabellingServer {
+  const lease = (queryId: string) => ({ params: { path: { query_id: queryId }, query: { tab } } });
   return {
     next: (count) =>
       unwrap(
         api.POST("/api/v1/experiments/{experiment_id}/queries/next", {
-          params: { path: { experiment_id: experimentId }, query: { count, tab: TAB } },
+          params: { path: { experiment_id: experimentId }, query: { count, tab, disputed: decides } },
         }),
       ),
     heartbeat: (queryId) => unwrap(api.PUT("/api/v1/queries/{query_id}/lease", lease(queryId))),
@@ -29,7 +33,7 @@ export function createServer(experimentId: string): LabellingServer {
     history: (limit, before) =>
       unwrap(
         api.GET("/api/v1/experiments/{experiment_id}/labels/mine", {
-          params: { path: { experiment_id: experimentId }, query: { limit, before } },
+          params: { path: { experiment_id: experimentId }, query: { limit, before, final: decides } },
         }),
       ),
   };

@@ -1,7 +1,7 @@
 import { errorMessage, isTransient } from "@/shared/api/errors";
 import type { OwnLabels, Queries } from "@/shared/api/types";
 import type { Outbox, Outcome } from "@/shared/outbox/outbox";
-import { type Choice, countOf, LABELS } from "./choices";
+import { type Choice, countOf, labelBody } from "./choices";
 import { HistoryLoader } from "./history";
 import { LeaseKeeper } from "./leases";
 import { PairSupply } from "./pairSupply";
@@ -21,9 +21,8 @@ import { rejectionText } from "./rejection";
 import type { LabellingServer } from "./server";
 import { type SessionView, ViewStore } from "./sessionView";
 
-/** How long the chosen side stays highlighted before the next pair is shown. */
-const HIGHLIGHT_SECONDS = 0.1;
-const MAX_RESPONSE_SECONDS = 86_400;
+/** How long the chosen side stays highlighted before the next pair is shown. The status line names the answer after. */
+const HIGHLIGHT_SECONDS = 0.07;
 
 interface Dependencies {
   experimentId: string;
@@ -31,6 +30,10 @@ interface Dependencies {
   outbox: Outbox;
   /** the name under which the server leases pairs to this tab */
   tab: string;
+  /** whether the labels are final: they decide pairs on which the labels of others differ */
+  decides: boolean;
+  /** the revision of the instructions that the labeller has read */
+  rules: number;
 }
 
 /** One person labelling one experiment: the pair on screen, the pairs ahead of it, and those that can be undone. */
@@ -93,12 +96,8 @@ export class LabellingSession {
       this.closeReview();
       return;
     }
-    const body = {
-      replaces: reviewed?.revision ?? 0,
-      label: LABELS[choice],
-      order: "shown" as const,
-      response_seconds: Math.min(MAX_RESPONSE_SECONDS, Math.max(0, responseSeconds)),
-    };
+    const { decides, rules } = this.#deps;
+    const body = labelBody(choice, responseSeconds, reviewed?.revision ?? null, decides, rules);
     this.#labelled.add(query.id);
     this.#history.changed();
     const { experimentId, outbox } = this.#deps;

@@ -10,20 +10,27 @@ const ACTIVITY_EVENTS = ["keydown", "pointerdown", "pointermove"] as const;
 const subscribeToNothing = () => () => undefined;
 const initialView = () => INITIAL_VIEW;
 
-/** The labelling session of one experiment while the page is open; null during the first render. */
-export function useLabellingSession(experimentId: string): {
+/**
+ * The labelling session of one experiment while the page is open; null during the first render.
+ *
+ * @param decides whether it decides pairs on which the labels of others differ
+ * @param rules the revision of the instructions that the labeller has read
+ */
+export function useLabellingSession(
+  experimentId: string,
+  decides: boolean,
+  rules: number,
+): {
   session: LabellingSession | null;
   view: SessionView;
 } {
   const outbox = useOutbox();
   const [session, setSession] = useState<LabellingSession | null>(null);
   useEffect(() => {
-    const created = new LabellingSession({
-      experimentId,
-      server: createServer(experimentId),
-      outbox,
-      tab: TAB,
-    });
+    // Pairs to decide have leases of their own.
+    const tab = decides ? `${TAB}-decides` : TAB;
+    const server = createServer(experimentId, tab, decides);
+    const created = new LabellingSession({ experimentId, server, outbox, tab, decides, rules });
     const onPageHide = () => created.dispose();
     // The browser restored the page from its back/forward cache, with a disposed session.
     const onPageShow = (event: PageTransitionEvent) => {
@@ -45,7 +52,7 @@ export function useLabellingSession(experimentId: string): {
       document.removeEventListener("visibilitychange", onVisibilityChange);
       created.dispose();
     };
-  }, [experimentId, outbox]);
+  }, [experimentId, outbox, decides, rules]);
   const view = useSyncExternalStore(session?.subscribe ?? subscribeToNothing, session?.view ?? initialView);
   return { session, view };
 }

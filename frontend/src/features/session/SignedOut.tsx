@@ -1,12 +1,12 @@
-import { useEffect, useState } from "react";
+import { useState } from "react";
 import type { Me } from "@/shared/api/types";
 import { countStoredLabels } from "@/shared/outbox/store";
 import { paths } from "@/shared/routing/paths";
+import { CopyLine } from "@/shared/ui/CopyLine";
 import { plural } from "@/shared/ui/format";
 import { Message } from "@/shared/ui/Message";
 
 const COMMAND = "accord link";
-const COPIED_MS = 2_000;
 
 /**
  * The sign-in page: why nobody is signed in, what happens to unsent labels, and where one-time links come from.
@@ -57,7 +57,7 @@ export function SignedOut({ previous }: { previous: Me | undefined }) {
         <li>
           If you run Accord on this machine, run this command in a terminal and open the link that it prints.
           It signs you in as the admin.
-          <CommandLine />
+          <CopyLine text={COMMAND} />
         </li>
       </ul>
     </Message>
@@ -67,27 +67,4 @@ export function SignedOut({ previous }: { previous: Me | undefined }) {
 /** A name as an argument of a command. */
 function shellQuoted(name: string): string {
   return /^[\w.-]+$/.test(name) ? name : `'${name.replaceAll("'", `'"'"'`)}'`;
-}
-
-function CommandLine() {
-  const [copied, setCopied] = useState(false);
-  useEffect(() => {
-    if (!copied) return;
-    const timer = setTimeout(() => setCopied(false), COPIED_MS);
-    return () => clearTimeout(timer);
-  }, [copied]);
-  return (
-    <span className="command">
-      <code>{COMMAND}</code>
-      {"clipboard" in navigator && (
-        <button
-          type="button"
-          className="button small"
-          onClick={() => void navigator.clipboard.writeText(COMMAND).then(() => setCopied(true))}
-        >
-          {copied ? "Copied" : "Copy"}
-        </button>
-      )}
-    </span>
-  );
 }

@@ -25,6 +25,7 @@ export type VersionMetric =
   | "holdout_labels"
   | "holdout_strict_labels"
   | "holdout_reliable"
+  | "refit"
   | "ece"
   | "attention"
   | "attention_gain"

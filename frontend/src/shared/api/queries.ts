@@ -2,6 +2,7 @@ import { infiniteQueryOptions, queryOptions } from "@tanstack/react-query";
 import { api, unwrap } from "./client";
 import { ApiError, isTransient } from "./errors";
 import type { operations } from "./schema";
+import type { Credit, RewardReport } from "./types";
 
 const byExperiment = (id: string) => ({ params: { path: { experiment_id: id } } });
 
@@ -51,6 +52,20 @@ export const rewardVersionsQuery = (id: string) =>
     queryFn: () => unwrap(api.GET("/api/v1/experiments/{experiment_id}/reward-versions", byExperiment(id))),
   });
 
+export const sharesQuery = (id: string) =>
+  queryOptions({
+    queryKey: ["shares", id],
+    queryFn: () => unwrap(api.GET("/api/v1/experiments/{experiment_id}/shares", byExperiment(id))),
+  });
+
+/** What a read-only link shows; `token` is the part of its address after #. */
+export const sharedQuery = (token: string) =>
+  queryOptions({
+    queryKey: ["shared", token],
+    queryFn: () => unwrap(api.GET("/api/v1/shared", { headers: { Authorization: `Bearer ${token}` } })),
+    refetchInterval: 10_000,
+  });
+
 export const costsQuery = (id: string) =>
   queryOptions({
     queryKey: ["costs", id],
@@ -63,9 +78,12 @@ export type LabelFilters = Pick<
   "status" | "user" | "label" | "changed"
 >;
 
+/** The key of all lists of an experiment's queries. */
+export const queriesKey = (id: string) => ["queries", id];
+
 export const queriesQuery = (id: string, filters: LabelFilters) =>
   infiniteQueryOptions({
-    queryKey: ["queries", id, filters],
+    queryKey: [...queriesKey(id), filters],
     queryFn: ({ pageParam: before }) =>
       unwrap(
         api.GET("/api/v1/experiments/{experiment_id}/queries", {
@@ -76,6 +94,21 @@ export const queriesQuery = (id: string, filters: LabelFilters) =>
     getNextPageParam: (page) => page.next_before,
   });
 
+export const qualityQuery = (id: string) =>
+  queryOptions({
+    queryKey: ["quality", id],
+    queryFn: () => unwrap(api.GET("/api/v1/experiments/{experiment_id}/quality", byExperiment(id))),
+    refetchInterval: 15_000,
+  });
+
+/** What was estimated of the labellers for the newest reward version. */
+export const reliabilityQuery = (id: string) =>
+  queryOptions({
+    queryKey: ["reliability", id],
+    queryFn: () => unwrap(api.GET("/api/v1/experiments/{experiment_id}/reliability", byExperiment(id))),
+    refetchInterval: 15_000,
+  });
+
 /** Where the browser downloads the same queries as CSV. */
 export function queriesCsvUrl(id: string, filters: LabelFilters): string {
   const given = Object.entries(filters).filter(([, value]) => value !== null);
@@ -83,10 +116,57 @@ export function queriesCsvUrl(id: string, filters: LabelFilters): string {
   return `/api/v1/experiments/${encodeURIComponent(id)}/queries.csv?${query}`;
 }
 
+/** How often to ask whether a reward worker has answered. */
+const ANSWER_MS = 700;
+
+/** What a reward version, or the newest one, learned about a pair. The first call asks a reward worker for it. */
+export const creditQuery = (query: string, version: number | null) => {
+  const call = { params: { path: { query_id: query }, query: { version } } };
+  return queryOptions({
+    queryKey: ["credit", query, version],
+    queryFn: ({ client, queryKey }) =>
+      client.getQueryData<Credit>(queryKey)?.status === "pending"
+        ? unwrap(api.GET("/api/v1/queries/{query_id}/credit", call))
+        : unwrap(api.PUT("/api/v1/queries/{query_id}/credit", call)),
+    refetchInterval: ({ state }) => (state.data?.status === "pending" ? ANSWER_MS : false),
+    refetchOnWindowFocus: false,
+  });
+};
+
+/** The report on a reward version. The first call asks a reward worker for it. */
+export const reportQuery = (id: string, number: number) => {
+  const call = { params: { path: { experiment_id: id, number } } };
+  return queryOptions({
+    queryKey: ["report", id, number],
+    queryFn: ({ client, queryKey }) =>
+      client.getQueryData<RewardReport>(queryKey)?.status === "pending"
+        ? unwrap(api.GET("/api/v1/experiments/{experiment_id}/reward-versions/{number}/report", call))
+        : unwrap(api.PUT("/api/v1/experiments/{experiment_id}/reward-versions/{number}/report", call)),
+    refetchInterval: ({ state }) => (state.data?.status === "pending" ? ANSWER_MS : false),
+    refetchOnWindowFocus: false,
+  });
+};
+
 export const workersQuery = queryOptions({
   queryKey: ["workers"],
   queryFn: () => unwrap(api.GET("/api/v1/workers")),
   refetchInterval: 10_000,
+});
+
+export const usersQuery = queryOptions({
+  queryKey: ["users"],
+  queryFn: () => unwrap(api.GET("/api/v1/users")),
+});
+
+export const invitationsQuery = queryOptions({
+  queryKey: ["invitations"],
+  queryFn: () => unwrap(api.GET("/api/v1/invitations")),
+});
+
+/** The newest experiments, for choosing some of them. */
+export const experimentChoicesQuery = queryOptions({
+  queryKey: ["experiment-choices"],
+  queryFn: () => unwrap(api.GET("/api/v1/experiments", { params: { query: { limit: 100 } } })),
 });
 
 /** Retries transient errors up to five times. A 401 is not retried: the user has to sign in. */

@@ -95,7 +95,13 @@ export interface paths {
         delete?: never;
         options?: never;
         head?: never;
-        patch?: never;
+        /**
+         * Exclude or include labels
+         * @description Excludes labels from training, or includes them again. Nothing is deleted. For researchers and admins.
+         *
+         *     An excluded label does not count towards the label budget: its query wants another one.
+         */
+        patch: operations["exclude_labels"];
         trace?: never;
     };
     "/api/v1/clips/{clip_id}.mp4": {
@@ -118,6 +124,48 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/clips/{clip_id}/views/{camera}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /**
+         * Request a clip from another camera
+         * @description Returns the state of the view. The first request has it rendered, before the clips of later pairs.
+         *
+         *     Ask again until it is ready, which usually takes a second or two.
+         */
+        put: operations["request_view"];
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/clips/{clip_id}/views/{camera}.mp4": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get a clip from another camera
+         * @description H.264 video in MP4 with the same frames from another direction. It never changes, so browsers may cache it.
+         */
+        get: operations["get_view"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/clips/{clip_id}.jpg": {
         parameters: {
             query?: never;
@@ -130,6 +178,26 @@ export interface paths {
          * @description A frame from the middle of a clip as a small JPEG. It never changes, so browsers may cache it.
          */
         get: operations["get_thumbnail"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/clips/{clip_id}.gif": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get a clip as a GIF
+         * @description A clip as a GIF of 320 pixels width, for pages and messages that play no video. It never changes.
+         */
+        get: operations["get_animation"];
         put?: never;
         post?: never;
         delete?: never;
@@ -249,7 +317,7 @@ export interface paths {
         };
         /**
          * List experiments
-         * @description Lists experiments a page at a time, newest first.
+         * @description Lists the experiments that the caller may see a page at a time, newest first.
          */
         get: operations["list_experiments"];
         put?: never;
@@ -354,6 +422,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/experiments/{experiment_id}/instructions": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List the revisions of the instructions
+         * @description Everything that labellers of the experiment have read, oldest first. Labels name the revision.
+         */
+        get: operations["list_instructions"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/experiments/{experiment_id}/archive": {
         parameters: {
             query?: never;
@@ -443,7 +531,7 @@ export interface paths {
         };
         /**
          * Get metrics
-         * @description Curves over the policy's environment steps. Labellers get none that reveals true rewards.
+         * @description Curves over the policy's environment steps. Labellers get no curve of returns, true or learned.
          */
         get: operations["get_metrics"];
         put?: never;
@@ -494,6 +582,143 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/experiments/{experiment_id}/quality": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get the quality of the labels
+         * @description Statistics of each labeller with 95% intervals, and the agreement of all. For researchers and admins.
+         */
+        get: operations["get_quality"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/labellers/{user_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        /**
+         * Pause or exclude a labeller
+         * @description Pauses or resumes a labeller, and excludes or includes all of their labels. For researchers and admins.
+         */
+        patch: operations["change_labeller"];
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/reliability": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read the reliability of the labellers
+         * @description Reads what was estimated of the labellers for the newest reward version. For researchers and admins.
+         */
+        get: operations["read_reliability"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/queries/{query_id}/gold": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /**
+         * Make a query gold
+         * @description Gives the known answer of a query, which then checks the labellers. For researchers and admins.
+         *
+         *     Labels of a gold query are not trained on, and do not count towards the label budget.
+         */
+        put: operations["set_gold"];
+        post?: never;
+        /**
+         * Make a gold query ordinary
+         * @description Takes the known answer back; the labels of the query count again. For researchers and admins.
+         */
+        delete: operations["unset_gold"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/queries/{query_id}/credit": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get what the reward model learned about a query
+         * @description Returns the answer to `PUT`, or its state.
+         */
+        get: operations["get_credit"];
+        /**
+         * Ask what the reward model learned about a query
+         * @description Asks a reward worker for the rewards of every step and agent of both segments. Asking twice changes nothing.
+         *
+         *     For researchers and admins; for labellers in experiments with `show_credit`, once they labelled the query.
+         */
+        put: operations["request_credit"];
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/reward-versions/{number}/report": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get the report on a version
+         * @description Returns the answer to `PUT`, or its state. For researchers and admins.
+         */
+        get: operations["get_report"];
+        /**
+         * Ask for a report on a version
+         * @description Asks a reward worker for its predictions of the newest labelled and open queries, their calibration, and the
+         *     distribution of rewards. For researchers and admins. Asking twice changes nothing.
+         */
+        put: operations["request_report"];
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/experiments/{experiment_id}/export": {
         parameters: {
             query?: never;
@@ -506,6 +731,94 @@ export interface paths {
          * @description Its segments, queries and labels as Parquet tables, zipped; as `accord export`. For researchers and admins.
          */
         get: operations["export_experiment"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/import": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Import an export
+         * @description Creates a paused experiment with the settings, segments and labels of an export.
+         *
+         *     Send the ZIP file that an export returns. If the import fails, nothing is left. For researchers and admins.
+         */
+        post: operations["import_experiment"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/shares": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List the read-only links
+         * @description Lists the links to the experiment that work, newest first, without their tokens. For researchers and admins.
+         */
+        get: operations["list_shares"];
+        put?: never;
+        /**
+         * Share an experiment
+         * @description Creates a link that shows the experiment's progress without an account. For researchers and admins.
+         */
+        post: operations["share_experiment"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/shares/{share_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /**
+         * Revoke a read-only link
+         * @description The link stops working at once. For researchers and admins.
+         */
+        delete: operations["revoke_share"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/shared": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Read a shared experiment
+         * @description What a read-only link shows: progress, curves and reward versions, but neither labels nor people.
+         *
+         *     Send the token of the link, the part after `#`, as `Authorization: Bearer <token>`.
+         */
+        get: operations["get_shared"];
         put?: never;
         post?: never;
         delete?: never;
@@ -557,26 +870,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/users": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Add a user
-         * @description Creates a user with a bearer token and a sign-in link. For admins only.
-         */
-        post: operations["create_user"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/sign-out": {
         parameters: {
             query?: never;
@@ -592,6 +885,182 @@ export interface paths {
          */
         post: operations["sign_out"];
         delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/join/{token}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Look at an invitation
+         * @description Says what an invitation is for. Needs no authentication, and uses nothing up.
+         */
+        get: operations["get_join"];
+        put?: never;
+        /**
+         * Join by an invitation
+         * @description Creates a labeller and signs this browser in. Needs no authentication.
+         */
+        post: operations["join"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/users": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List the users
+         * @description Every user by name, also those who were removed but are the authors of labels. For admins.
+         */
+        get: operations["list_users"];
+        put?: never;
+        /**
+         * Add a user
+         * @description Creates a user with a bearer token and a sign-in link. For admins.
+         */
+        post: operations["create_user"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/users/{user_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /**
+         * Remove a user
+         * @description Revokes their sign-ins and removes them. Their labels and experiments are kept. For admins; not themselves.
+         */
+        delete: operations["remove_user"];
+        options?: never;
+        head?: never;
+        /**
+         * Change a user
+         * @description Changes the role of a user, or the experiments that they may see. For admins; not their own account.
+         */
+        patch: operations["change_user"];
+        trace?: never;
+    };
+    "/api/v1/users/{user_id}/link": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Create a sign-in link
+         * @description A new one-time link for a user. It lets a removed user in again. For admins.
+         */
+        post: operations["create_link"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/users/{user_id}/token": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Create a bearer token
+         * @description Another bearer token for a user. Earlier ones stay valid until they are revoked. For admins.
+         */
+        post: operations["create_token"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/users/{user_id}/revoke": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Revoke a user's sign-ins
+         * @description Signs their browsers out, and makes their tokens and links invalid. For admins; not their own account.
+         */
+        post: operations["revoke_user"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/invitations": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List the invitations
+         * @description Every invitation that was not withdrawn, newest first. For admins.
+         */
+        get: operations["list_invitations"];
+        put?: never;
+        /**
+         * Create an invitation
+         * @description A link with which people create their own labeller accounts. For admins.
+         */
+        post: operations["create_invitation"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/invitations/{invitation_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /**
+         * Withdraw an invitation
+         * @description Nobody can join by it any more. Those who have joined stay. For admins.
+         */
+        delete: operations["withdraw_invitation"];
         options?: never;
         head?: never;
         patch?: never;
@@ -622,6 +1091,22 @@ export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
         /**
+         * Access
+         * @description Which experiments a labeller or teacher may see. Researchers and admins see all.
+         */
+        Access: {
+            /**
+             * All Experiments
+             * @description Also those that are started later.
+             */
+            all_experiments: boolean;
+            /**
+             * Experiment Ids
+             * @description Otherwise only these, exp_...
+             */
+            experiment_ids?: string[];
+        };
+        /**
          * BatchLabel
          * @description One label of a batch.
          */
@@ -644,6 +1129,11 @@ export interface components {
              */
             response_seconds?: number | null;
             /**
+             * Instructions Revision
+             * @description Revision of the instructions that a person had read. Ignored if the experiment has none of that number.
+             */
+            instructions_revision?: number | null;
+            /**
              * Teacher
              * @description A scripted teacher's name and parameters.
              */
@@ -655,6 +1145,11 @@ export interface components {
              * @description Revision of your label that this one replaces; 0 if you have not labelled the query. If it has another one, the response is 409 label_changed. Without it, any label is replaced.
              */
             replaces?: number | null;
+            /**
+             * Final
+             * @description Whether it decides between the labels of others, for researchers and admins. Training uses a final label in place of every other label of the query. Null keeps what the caller's label is.
+             */
+            final?: boolean | null;
             /**
              * Query Id
              * @description qry_...
@@ -688,6 +1183,63 @@ export interface components {
              * @description What is wrong and what to do, if not ok.
              */
             message?: string | null;
+        };
+        /**
+         * BearerToken
+         * @description A token for programs.
+         */
+        BearerToken: {
+            /**
+             * Token
+             * @description Only its hash is stored, so it cannot be shown again.
+             */
+            token: string;
+        };
+        /**
+         * CalibrationBin
+         * @description Predictions of similar probability.
+         */
+        CalibrationBin: {
+            /**
+             * Predicted
+             * @description Mean predicted probability.
+             */
+            predicted: number;
+            /**
+             * Observed
+             * @description Mean label.
+             */
+            observed: number;
+            /**
+             * Count
+             * @description Predictions in the bin.
+             */
+            count: number;
+        };
+        /**
+         * ClipCamera
+         * @description A camera that is rendered on demand. Every clip is rendered with the camera that suits its task.
+         * @enum {string}
+         */
+        ClipCamera: "side" | "top";
+        /**
+         * ClipStatus
+         * @description State of a clip.
+         * @enum {string}
+         */
+        ClipStatus: "pending" | "ready" | "failed";
+        /**
+         * ClipView
+         * @description A clip from another camera.
+         */
+        ClipView: {
+            /** @description failed: it cannot be rendered, for example because the task renders itself. */
+            status: components["schemas"]["ClipStatus"];
+            /**
+             * Clip Url
+             * @description Path of the MP4 file, as long as the clip; null until it is ready.
+             */
+            clip_url: string | null;
         };
         /**
          * Costs
@@ -741,6 +1293,87 @@ export interface components {
             clip_bytes: number;
         };
         /**
+         * CreatedInvitation
+         * @description A new invitation with its link.
+         */
+        CreatedInvitation: {
+            /**
+             * Id
+             * @description inv_...
+             */
+            id: string;
+            /**
+             * Experiment Id
+             * @description The only experiment that its labellers see; null for all.
+             */
+            experiment_id: string | null;
+            /**
+             * Max Uses
+             * @description Number of people who can join by it.
+             */
+            max_uses: number;
+            /**
+             * Uses
+             * @description Number of people who have joined.
+             */
+            uses: number;
+            /**
+             * Created By
+             * @description Name of the admin.
+             */
+            created_by: string;
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was created.
+             */
+            created_at: string;
+            /**
+             * Expires At
+             * Format: date-time
+             * @description When it expires.
+             */
+            expires_at: string;
+            /**
+             * Url
+             * @description The link to send. It cannot be shown again.
+             */
+            url: string;
+        };
+        /**
+         * CreatedReadOnlyLink
+         * @description A new link with its address.
+         */
+        CreatedReadOnlyLink: {
+            /**
+             * Id
+             * @description shr_...
+             */
+            id: string;
+            /**
+             * Created By
+             * @description Name of the user who created it.
+             */
+            created_by: string;
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was created.
+             */
+            created_at: string;
+            /**
+             * Expires At
+             * Format: date-time
+             * @description When it stops working.
+             */
+            expires_at: string;
+            /**
+             * Url
+             * @description Only the hash of its token is stored, so it cannot be shown again.
+             */
+            url: string;
+        };
+        /**
          * CreatedUser
          * @description A new user and their token.
          */
@@ -768,6 +1401,39 @@ export interface components {
              */
             sign_in_url: string;
         };
+        /**
+         * Credit
+         * @description The answer to a request, and the query that it is about.
+         */
+        Credit: {
+            /** @description pending: a reward worker has not answered yet. */
+            status: components["schemas"]["CreditStatus"];
+            /**
+             * Detail
+             * @description Why it failed; empty otherwise.
+             */
+            detail: string;
+            /**
+             * Version
+             * @description Number of the reward version.
+             */
+            version: number;
+            /** @description On the sides that the caller saw; with true rewards for researchers. */
+            query: components["schemas"]["Query"];
+            /**
+             * Label
+             * @description Mean of its labels, in segment order; null if there is none, and for labellers.
+             */
+            label: number | null;
+            /** @description Null until it is ready. */
+            result: components["schemas"]["PairCredit"] | null;
+        };
+        /**
+         * CreditStatus
+         * @description State of a request for what a reward version learned.
+         * @enum {string}
+         */
+        CreditStatus: "pending" | "ready" | "failed";
         /**
          * Deletion
          * @description The record of a deleted experiment.
@@ -846,6 +1512,32 @@ export interface components {
             error: components["schemas"]["ErrorBody"];
         };
         /**
+         * Estimate
+         * @description A number with its 95% bootstrap interval.
+         */
+        Estimate: {
+            /**
+             * Value
+             * @description The estimate.
+             */
+            value: number;
+            /**
+             * Low
+             * @description Lower end of the interval.
+             */
+            low: number;
+            /**
+             * High
+             * @description Upper end of the interval.
+             */
+            high: number;
+            /**
+             * Of
+             * @description Number of samples.
+             */
+            of: number;
+        };
+        /**
          * EvaluatedReturn
          * @description True return of whole episodes with mean actions.
          */
@@ -882,6 +1574,17 @@ export interface components {
             final: components["schemas"]["EvaluatedReturn"] | null;
         };
         /**
+         * ExclusionResult
+         * @description Result of excluding or including labels.
+         */
+        ExclusionResult: {
+            /**
+             * Changed
+             * @description How many were not so before.
+             */
+            changed: number;
+        };
+        /**
          * Experiment
          * @description An experiment with its current state.
          */
@@ -900,9 +1603,14 @@ export interface components {
             task: components["schemas"]["TaskSchema"];
             /**
              * Instructions
-             * @description Shown to labellers.
+             * @description Shown to labellers. Markdown.
              */
             instructions: string;
+            /**
+             * Instructions Revision
+             * @description Number of their newest revision: 1, 2, 3, ...
+             */
+            instructions_revision: number;
             /**
              * Config
              * @description Every setting; they never change.
@@ -916,7 +1624,7 @@ export interface components {
             phase: components["schemas"]["Phase"];
             /**
              * Phase Detail
-             * @description One sentence about the phase, or why it failed. Labellers get it only while the experiment waits.
+             * @description One sentence about the phase, or why it failed, and failed attempts that are repeated. Labellers get it only while the experiment waits.
              */
             phase_detail: string;
             /**
@@ -973,7 +1681,7 @@ export interface components {
         ExperimentChanges: {
             /**
              * Instructions
-             * @description Shown to labellers; if empty, those of the task.
+             * @description Shown to labellers; if empty, those of the task. Markdown without HTML; `![caption](clip:clp_...)` shows a clip. Another text becomes a new revision.
              */
             instructions: string;
         };
@@ -1000,6 +1708,33 @@ export interface components {
          */
         ExperimentStatus: "running" | "paused" | "cancelled" | "finished" | "failed";
         /**
+         * GoldAnswer
+         * @description The known answer of a query.
+         */
+        GoldAnswer: {
+            /**
+             * Label
+             * @description 1, 0 or 0.5, in segment order: 1 means that segment 0 is better.
+             */
+            label: number;
+        };
+        /**
+         * GoldQuery
+         * @description Whether a query is gold.
+         */
+        GoldQuery: {
+            /**
+             * Query Id
+             * @description qry_...
+             */
+            query_id: string;
+            /**
+             * Gold
+             * @description Its known answer, in segment order; null for an ordinary query.
+             */
+            gold: number | null;
+        };
+        /**
          * Health
          * @description The service is healthy.
          */
@@ -1010,6 +1745,92 @@ export interface components {
              * @constant
              */
             status: "ok";
+        };
+        /**
+         * InstructionRevision
+         * @description What labellers of an experiment read at some time.
+         */
+        InstructionRevision: {
+            /**
+             * Number
+             * @description 1, 2, 3, ... within the experiment.
+             */
+            number: number;
+            /**
+             * Text
+             * @description Markdown.
+             */
+            text: string;
+            /**
+             * Author
+             * @description Name of who wrote it; empty if it is not known.
+             */
+            author: string;
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was written.
+             */
+            created_at: string;
+        };
+        /**
+         * Invitation
+         * @description A link with which people create their own labeller accounts.
+         */
+        Invitation: {
+            /**
+             * Id
+             * @description inv_...
+             */
+            id: string;
+            /**
+             * Experiment Id
+             * @description The only experiment that its labellers see; null for all.
+             */
+            experiment_id: string | null;
+            /**
+             * Max Uses
+             * @description Number of people who can join by it.
+             */
+            max_uses: number;
+            /**
+             * Uses
+             * @description Number of people who have joined.
+             */
+            uses: number;
+            /**
+             * Created By
+             * @description Name of the admin.
+             */
+            created_by: string;
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was created.
+             */
+            created_at: string;
+            /**
+             * Expires At
+             * Format: date-time
+             * @description When it expires.
+             */
+            expires_at: string;
+        };
+        /**
+         * InvitationView
+         * @description What somebody who opens an invitation sees.
+         */
+        InvitationView: {
+            /**
+             * Experiment
+             * @description Name of the experiment to label; null for all experiments.
+             */
+            experiment: string | null;
+            /**
+             * Invited By
+             * @description Name of the admin who created it.
+             */
+            invited_by: string;
         };
         /**
          * Label
@@ -1047,6 +1868,11 @@ export interface components {
              * @description False if the same label was already stored.
              */
             created: boolean;
+            /**
+             * Final
+             * @description Whether it decides between the labels of others.
+             */
+            final: boolean;
         };
         /**
          * LabelAuthor
@@ -1128,6 +1954,22 @@ export interface components {
             rendering_queries: number;
         };
         /**
+         * LabelExclusion
+         * @description Labels to exclude from training, or to include again.
+         */
+        LabelExclusion: {
+            /**
+             * Label Ids
+             * @description lbl_...
+             */
+            label_ids: string[];
+            /**
+             * Excluded
+             * @description True excludes them.
+             */
+            excluded: boolean;
+        };
+        /**
          * LabelRevision
          * @description One entry of a label's history.
          */
@@ -1159,11 +2001,177 @@ export interface components {
              */
             response_seconds: number | null;
             /**
+             * Instructions Revision
+             * @description Of the instructions that the labeller had read; null for programs, and if it is not known.
+             */
+            instructions_revision: number | null;
+            /**
              * Created At
              * Format: date-time
              * @description When it was given.
              */
             created_at: string;
+        };
+        /**
+         * LabellerChanges
+         * @description What to change about a labeller in an experiment; null changes nothing.
+         */
+        LabellerChanges: {
+            /**
+             * Paused
+             * @description A paused labeller gets no queries; labels on the way are stored.
+             */
+            paused?: boolean | null;
+            /**
+             * Excluded
+             * @description True excludes all labels of the user, past and future, from training. False includes them, also those that were excluded one by one.
+             */
+            excluded?: boolean | null;
+        };
+        /**
+         * LabellerQuality
+         * @description Statistics of one labeller in an experiment. Null where there is nothing to compute a number from.
+         */
+        LabellerQuality: {
+            /**
+             * User Id
+             * @description usr_...
+             */
+            user_id: string;
+            /**
+             * Name
+             * @description Unique name.
+             */
+            name: string;
+            /** @description Their role. */
+            role: components["schemas"]["Role"];
+            /**
+             * Labels
+             * @description Labels, also of checks and excluded ones, without skips and final labels.
+             */
+            labels: number;
+            /**
+             * Skips
+             * @description Skips.
+             */
+            skips: number;
+            /**
+             * Excluded
+             * @description Labels that are excluded from training.
+             */
+            excluded: number;
+            /** @description Median time from the start of both clips to the label. */
+            seconds: components["schemas"]["Estimate"] | null;
+            /** @description The left clip was preferred, among labels that prefer one. */
+            left: components["schemas"]["Share"] | null;
+            /** @description Labels that say equal. */
+            equal: components["schemas"]["Share"] | null;
+            /** @description Right answers to gold queries. */
+            gold: components["schemas"]["Share"] | null;
+            /** @description The same answer to a repeat. */
+            consistency: components["schemas"]["Share"] | null;
+            /** @description The same answer as another labeller, over all labels of others on the same queries. */
+            agreement: components["schemas"]["Share"] | null;
+            /** @description The segment with the higher true return was preferred, as by a scripted teacher without noise. */
+            teacher: components["schemas"]["Share"] | null;
+            /**
+             * Paused At
+             * @description Since when the user gets no queries; null if they do.
+             */
+            paused_at: string | null;
+            /**
+             * Excluded At
+             * @description Since when the user's labels are excluded; null if they are not.
+             */
+            excluded_at: string | null;
+            /**
+             * Flags
+             * @description What is conspicuous, judged by the intervals. fast: the median label takes less than a second. left, right: prefers one side more than randomised sides allow. equal: mostly equal, and more often than others. gold, inconsistent: often wrong on gold queries or repeats. opposite: mostly prefers the other clip than others do. disagrees: agrees less with others than they do among themselves.
+             */
+            flags: ("fast" | "left" | "right" | "equal" | "gold" | "inconsistent" | "opposite" | "disagrees")[];
+        };
+        /**
+         * LabellerReliabilities
+         * @description How reliable the labellers of a reward version are.
+         */
+        LabellerReliabilities: {
+            /**
+             * Reward Version
+             * @description Number of the version; null before the first.
+             */
+            reward_version: number | null;
+            /**
+             * Items
+             * @description By name. Empty with one labeller, and where weight_labellers is false.
+             */
+            items: components["schemas"]["LabellerReliability"][];
+        };
+        /**
+         * LabellerReliability
+         * @description What was estimated of a labeller for a reward version. Weights are from 0, a coin flip, to 1.
+         */
+        LabellerReliability: {
+            /**
+             * User Id
+             * @description usr_...
+             */
+            user_id: string;
+            /**
+             * Name
+             * @description The labeller's name.
+             */
+            name: string;
+            /**
+             * Labels
+             * @description Number of labels that the version was trained on.
+             */
+            labels: number;
+            /**
+             * Accuracy
+             * @description Estimated share of strict answers that prefer the better segment.
+             */
+            accuracy: number;
+            /**
+             * Left Weight
+             * @description Weight in training of answers that prefer the left clip.
+             */
+            left_weight: number;
+            /**
+             * Equal Weight
+             * @description Weight in training of equal answers.
+             */
+            equal_weight: number;
+            /**
+             * Right Weight
+             * @description Weight in training of answers that prefer the right clip.
+             */
+            right_weight: number;
+            /**
+             * Mean Weight
+             * @description Mean weight of the labels.
+             */
+            mean_weight: number;
+        };
+        /**
+         * LabellerState
+         * @description What researchers decided about a labeller.
+         */
+        LabellerState: {
+            /**
+             * User Id
+             * @description usr_...
+             */
+            user_id: string;
+            /**
+             * Paused At
+             * @description Since when the user gets no queries; null if they do.
+             */
+            paused_at: string | null;
+            /**
+             * Excluded At
+             * @description Since when the user's labels are excluded; null if they are not.
+             */
+            excluded_at: string | null;
         };
         /**
          * Lease
@@ -1198,6 +2206,29 @@ export interface components {
             name: string;
             /** @description What the user may do. */
             role: components["schemas"]["Role"];
+        };
+        /**
+         * Member
+         * @description A labeller who has just joined; the response sets the browser's cookie.
+         */
+        Member: {
+            /**
+             * Id
+             * @description usr_...
+             */
+            id: string;
+            /**
+             * Name
+             * @description Unique name.
+             */
+            name: string;
+            /** @description What the user may do. */
+            role: components["schemas"]["Role"];
+            /**
+             * Experiment Id
+             * @description The experiment to label; null for all experiments.
+             */
+            experiment_id: string | null;
         };
         /**
          * MetricPoint
@@ -1259,7 +2290,7 @@ export interface components {
             name: string;
             /**
              * Instructions
-             * @description Shown to labellers; by default, those of the task.
+             * @description Shown to labellers, as Markdown; by default, those of the task.
              */
             instructions?: string | null;
             /** @description Name of a task, from GET /tasks; for example HalfCheetah-6x1. */
@@ -1289,6 +2320,26 @@ export interface components {
              * @default 50
              */
             labels_per_version: number;
+            /**
+             * @description Labels by different people that an overlap pair gets, none of whom sees the labels of the others. Each of them counts towards label_budget.
+             * @default 1
+             */
+            labels_per_pair: number;
+            /**
+             * @description Share of pairs that get labels_per_pair labels; the others get one.
+             * @default 0.2
+             */
+            overlap_share: number;
+            /**
+             * @description Share of the pairs shown to each labeller that are gold: their answer is known, so that it measures the labeller. Takes effect once a researcher has marked pairs as gold. Checks do not count towards label_budget and are never trained on.
+             * @default 0
+             */
+            gold_share: number;
+            /**
+             * @description Share of the pairs shown to each labeller that repeat an earlier one with the sides swapped, as a check of consistency.
+             * @default 0
+             */
+            repeat_share: number;
             /**
              * @description Queries kept ready beyond those due, so that labellers do not wait for clips.
              * @default 8
@@ -1346,6 +2397,11 @@ export interface components {
              */
             label_noise: number;
             /**
+             * @description Where several people label, weight each label by the estimated reliability of its labeller. Labels are stored as given.
+             * @default true
+             */
+            weight_labellers: boolean;
+            /**
              * @description The learned reward that the policy receives. value: the reward of the step. attended: the mean of its window's rewards, weighted by the step's temporal attention. weighted: its reward times its temporal weight.
              * @default value
              * @enum {string}
@@ -1362,6 +2418,11 @@ export interface components {
              * @default true
              */
             render_clips: boolean;
+            /**
+             * @description Show labellers what the reward model learned about a pair after they labelled it. Their later labels then depend on the model.
+             * @default false
+             */
+            show_credit: boolean;
             /**
              * @description Settings of the policy that differ from the algorithm's defaults.
              * @default {}
@@ -1517,6 +2578,29 @@ export interface components {
             seed: number;
         };
         /**
+         * NewInvitation
+         * @description An invitation to create.
+         */
+        NewInvitation: {
+            /**
+             * Experiment Id
+             * @description The only experiment that its labellers will see, exp_...; all if null.
+             */
+            experiment_id?: string | null;
+            /**
+             * Max Uses
+             * @description Number of people who can join by it.
+             * @default 1
+             */
+            max_uses: number;
+            /**
+             * Days
+             * @description It expires after this many days.
+             * @default 7
+             */
+            days: number;
+        };
+        /**
          * NewLabel
          * @description A label for a query. Sending the same label again changes nothing.
          */
@@ -1539,6 +2623,11 @@ export interface components {
              */
             response_seconds?: number | null;
             /**
+             * Instructions Revision
+             * @description Revision of the instructions that a person had read. Ignored if the experiment has none of that number.
+             */
+            instructions_revision?: number | null;
+            /**
              * Teacher
              * @description A scripted teacher's name and parameters.
              */
@@ -1550,6 +2639,34 @@ export interface components {
              * @description Revision of your label that this one replaces; 0 if you have not labelled the query. If it has another one, the response is 409 label_changed. Without it, any label is replaced.
              */
             replaces?: number | null;
+            /**
+             * Final
+             * @description Whether it decides between the labels of others, for researchers and admins. Training uses a final label in place of every other label of the query. Null keeps what the caller's label is.
+             */
+            final?: boolean | null;
+        };
+        /**
+         * NewMember
+         * @description Somebody who joins by an invitation.
+         */
+        NewMember: {
+            /**
+             * Name
+             * @description Must be unique, and one line.
+             */
+            name: string;
+        };
+        /**
+         * NewReadOnlyLink
+         * @description A read-only link to create.
+         */
+        NewReadOnlyLink: {
+            /**
+             * Days
+             * @description Days until it expires.
+             * @default 30
+             */
+            days: number;
         };
         /**
          * NewUser
@@ -1561,8 +2678,10 @@ export interface components {
              * @description Must be unique, and one line.
              */
             name: string;
-            /** @description labeller: a person who labels. teacher: a program that labels and may read true returns. researcher: also runs experiments. admin: also adds users. */
+            /** @description labeller: a person who labels. teacher: a program that labels and may read true returns. researcher: also runs experiments. admin: also manages users. */
             role: components["schemas"]["Role"];
+            /** @description Which experiments they may see; all by default. */
+            access?: components["schemas"]["Access"] | null;
         };
         /**
          * OwnLabel
@@ -1626,11 +2745,107 @@ export interface components {
             next_before: number | null;
         };
         /**
+         * PairCredit
+         * @description What a reward version says about a pair.
+         */
+        PairCredit: {
+            /**
+             * Probability
+             * @description P(segment 0 is preferred).
+             */
+            probability: number;
+            /**
+             * Member Probabilities
+             * @description The same of each model of the version's ensemble; empty if query selection needs none.
+             */
+            member_probabilities: number[];
+            /**
+             * Segments
+             * @description Segments 0 and 1.
+             */
+            segments: components["schemas"]["SegmentCredit"][];
+            /**
+             * Lacks Ensemble
+             * @description The version's ensemble was not trained yet. Asking again computes the answer again.
+             * @default false
+             */
+            lacks_ensemble: boolean;
+        };
+        /**
          * Phase
          * @description What the policy worker is doing with a running experiment.
          * @enum {string}
          */
         Phase: "queued" | "collecting" | "waiting_for_labels" | "training" | "evaluating" | "done";
+        /**
+         * PredictedPair
+         * @description A query of a report.
+         */
+        PredictedPair: {
+            /**
+             * Query Id
+             * @description qry_...
+             */
+            query_id: string;
+            /**
+             * Number
+             * @description 1, 2, 3, ... within the experiment.
+             */
+            number: number;
+            /**
+             * Probability
+             * @description P(segment 0 is preferred).
+             */
+            probability: number;
+            /**
+             * Spread
+             * @description Standard deviation of that probability over the ensemble; null without an ensemble.
+             */
+            spread: number | null;
+            /**
+             * Label
+             * @description Mean of its labels, in segment order; null if there is none.
+             */
+            label: number | null;
+            /**
+             * Trained On
+             * @description Whether the version was trained on its label.
+             */
+            trained_on: boolean;
+            /**
+             * Thumbnail Urls
+             * @description Paths of still images of segments 0 and 1; empty without clips.
+             */
+            thumbnail_urls: string[];
+        };
+        /**
+         * Quality
+         * @description Quality of the labels of an experiment.
+         */
+        Quality: {
+            /**
+             * Labellers
+             * @description Everyone who has labelled it, by name.
+             */
+            labellers: components["schemas"]["LabellerQuality"][];
+            /** @description Krippendorff's alpha of labels as an ordinal scale, over queries with several labels, without excluded ones: 1 is full agreement, 0 that of chance. Null if there are none, or all labels are the same. */
+            alpha: components["schemas"]["Estimate"] | null;
+            /**
+             * Disputed
+             * @description Queries on which labels differ and which nobody has decided.
+             */
+            disputed: number;
+            /**
+             * Decided
+             * @description Queries that a researcher has decided with a final label.
+             */
+            decided: number;
+            /**
+             * Gold Queries
+             * @description Queries whose answer is known.
+             */
+            gold_queries: number;
+        };
         /**
          * Queries
          * @description Queries leased to the caller.
@@ -1643,11 +2858,11 @@ export interface components {
             items: components["schemas"]["Query"][];
             /**
              * Reason
-             * @description Why there are fewer than requested.
+             * @description Why there are fewer than requested. labeller_paused: a researcher has paused the caller. others: the open queries that are left want labels of other users. all_decided: with `disputed`, no labels differ.
              * @default
              * @enum {string}
              */
-            reason: "" | "rendering" | "policy_training" | "all_labelled" | "experiment_over" | "paused";
+            reason: "" | "rendering" | "policy_training" | "all_labelled" | "experiment_over" | "paused" | "labeller_paused" | "others" | "all_decided";
         };
         /**
          * Query
@@ -1707,6 +2922,34 @@ export interface components {
          */
         QueryStatus: "rendering" | "open" | "closed" | "failed";
         /**
+         * ReadOnlyLink
+         * @description A link that shows an experiment without an account.
+         */
+        ReadOnlyLink: {
+            /**
+             * Id
+             * @description shr_...
+             */
+            id: string;
+            /**
+             * Created By
+             * @description Name of the user who created it.
+             */
+            created_by: string;
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was created.
+             */
+            created_at: string;
+            /**
+             * Expires At
+             * Format: date-time
+             * @description When it stops working.
+             */
+            expires_at: string;
+        };
+        /**
          * RecordedLabel
          * @description A label with its author and history.
          */
@@ -1735,6 +2978,16 @@ export interface components {
             teacher: {
                 [key: string]: unknown;
             };
+            /**
+             * Excluded
+             * @description Whether a researcher excluded it from training.
+             */
+            excluded: boolean;
+            /**
+             * Final
+             * @description Whether it decides between the labels of others; training uses it in their place.
+             */
+            final: boolean;
             /**
              * Revisions
              * @description Oldest first; the last one is the current label.
@@ -1769,6 +3022,21 @@ export interface components {
              * @description When it was created.
              */
             created_at: string;
+            /**
+             * Labels Wanted
+             * @description Labels by different users that it wants.
+             */
+            labels_wanted: number;
+            /**
+             * Repeats Id
+             * @description The query that it repeats with segments 0 and 1 swapped, to check the labellers; null unless it is a repeat. Its labels are not trained on.
+             */
+            repeats_id: string | null;
+            /**
+             * Gold
+             * @description The known answer of a gold query, in segment order; otherwise null. Its labels are not trained on.
+             */
+            gold: number | null;
             /**
              * Segments
              * @description Segments 0 and 1.
@@ -1812,6 +3080,68 @@ export interface components {
             thumbnail_url: string | null;
         };
         /**
+         * RemovedUser
+         * @description What remains of a removed user.
+         */
+        RemovedUser: {
+            /**
+             * Deleted
+             * @description True if nothing remains. False if labels or experiments are kept under their name.
+             */
+            deleted: boolean;
+        };
+        /**
+         * RewardHistograms
+         * @description Learned rewards of each agent beside the true team reward, both standardised.
+         */
+        RewardHistograms: {
+            /**
+             * Edges
+             * @description Limits of K bins, K + 1 numbers; the outermost hold all beyond.
+             */
+            edges: number[];
+            /**
+             * Learned
+             * @description Steps in each bin, by agent.
+             */
+            learned: number[][];
+            /**
+             * True
+             * @description The same of the true team reward.
+             */
+            true: number[];
+            /**
+             * Correlation
+             * @description Correlation of each agent's learned reward with the true team reward; null where it is undefined.
+             */
+            correlation: (number | null)[];
+            /**
+             * Team Correlation
+             * @description The same of the mean over agents.
+             */
+            team_correlation: number | null;
+        };
+        /**
+         * RewardReport
+         * @description The answer to a request for a report.
+         */
+        RewardReport: {
+            /** @description pending: a reward worker has not answered yet. */
+            status: components["schemas"]["CreditStatus"];
+            /**
+             * Detail
+             * @description Why it failed; empty otherwise.
+             */
+            detail: string;
+            /**
+             * Version
+             * @description Number of the reward version.
+             */
+            version: number;
+            /** @description Null until it is ready. */
+            result: components["schemas"]["VersionReport"] | null;
+        };
+        /**
          * RewardVersion
          * @description A version of the reward model. It never changes.
          */
@@ -1848,7 +3178,7 @@ export interface components {
             policy_steps: number;
             /**
              * Metrics
-             * @description Loss, accuracy and so on, on training and held-out labels. attention is 1 if rewards depend on MAPT's attention, else 0; attention_gain is the reduction of the held-out loss by attention, in nats, with its standard error attention_gain_error over attention_gain_pairs pairs, at the latest trial; attention_trial_seconds is the time that this version spent on a trial.
+             * @description Loss, accuracy and so on, on training and held-out labels. attention is 1 if rewards depend on MAPT's attention, else 0; attention_gain is the reduction of the held-out loss by attention, in nats, with its standard error attention_gain_error over attention_gain_pairs pairs, at the latest trial; attention_trial_seconds is the time that this version spent on a trial. refit is 1 if the version was trained on all labels in the end, else 0; the figures on held-out labels are those of the same training without them. labels_unreadable is the number of labels left out because the arrays of a segment are missing or damaged. label_weight is the mean weight of the labels, where they were weighted by the reliability of their labellers.
              */
             metrics: {
                 [key: string]: unknown;
@@ -1878,6 +3208,32 @@ export interface components {
          */
         Role: "labeller" | "researcher" | "admin" | "teacher";
         /**
+         * SegmentCredit
+         * @description What a reward version says about a segment of T steps and N agents.
+         */
+        SegmentCredit: {
+            /**
+             * Score
+             * @description The logit of P(segment 0 is preferred) is the difference of both scores.
+             */
+            score: number;
+            /**
+             * Rewards
+             * @description N lists of T rewards, as the policy receives them.
+             */
+            rewards: number[][];
+            /**
+             * Weights
+             * @description Weight of each step in the score; they sum to 1.
+             */
+            weights: number[];
+            /**
+             * Agent Attention
+             * @description Attention of each agent (row) to each agent, mean over steps; each row sums to 1. Null if the rewards do not depend on attention.
+             */
+            agent_attention: number[][] | null;
+        };
+        /**
          * SegmentView
          * @description One side of a query.
          */
@@ -1894,8 +3250,13 @@ export interface components {
              */
             segment_id: string;
             /**
+             * Clip Id
+             * @description clp_...; null if there is no clip, or none yet.
+             */
+            clip_id: string | null;
+            /**
              * Clip Url
-             * @description Path of the MP4 file; null if the experiment renders no clips.
+             * @description Path of the MP4 file; null if there is none, or none yet.
              */
             clip_url: string | null;
             /**
@@ -1925,6 +3286,69 @@ export interface components {
             true_rewards?: number[] | null;
         };
         /**
+         * Share
+         * @description A proportion with its 95% interval (Wilson).
+         */
+        Share: {
+            /**
+             * Count
+             * @description How often it was so.
+             */
+            count: number;
+            /**
+             * Of
+             * @description Number of trials.
+             */
+            of: number;
+            /**
+             * Low
+             * @description Lower end of the interval.
+             */
+            low: number;
+            /**
+             * High
+             * @description Upper end of the interval.
+             */
+            high: number;
+        };
+        /**
+         * SharedExperiment
+         * @description What a read-only link shows.
+         */
+        SharedExperiment: {
+            /** @description Its settings, state and results. */
+            experiment: components["schemas"]["Experiment"];
+            /** @description All curves. */
+            metrics: components["schemas"]["Metrics"];
+            /**
+             * Reward Versions
+             * @description Every version of the reward model, oldest first.
+             */
+            reward_versions: components["schemas"]["RewardVersion"][];
+            /**
+             * Expires At
+             * Format: date-time
+             * @description When the link stops working.
+             */
+            expires_at: string;
+        };
+        /**
+         * SignInLink
+         * @description A link that signs one browser in, once.
+         */
+        SignInLink: {
+            /**
+             * Sign In Url
+             * @description It cannot be shown again.
+             */
+            sign_in_url: string;
+            /**
+             * Minutes
+             * @description It expires after this many minutes.
+             */
+            minutes: number;
+        };
+        /**
          * TaskSchema
          * @description A cooperative multi-agent task.
          */
@@ -1950,6 +3374,11 @@ export interface components {
              */
             agent_colours: string[];
             /**
+             * Cameras
+             * @description Cameras from which clips can be requested, beside the one that suits the task.
+             */
+            cameras: components["schemas"]["ClipCamera"][];
+            /**
              * Observation Dim
              * @description Size of one agent's observation, C.
              */
@@ -1974,6 +3403,106 @@ export interface components {
              * @description What the team should achieve.
              */
             instructions: string;
+        };
+        /**
+         * UserAccount
+         * @description A user with what they have done, what they may see, and whether they can sign in.
+         */
+        UserAccount: {
+            /**
+             * Id
+             * @description usr_...
+             */
+            id: string;
+            /**
+             * Name
+             * @description Unique name.
+             */
+            name: string;
+            /** @description What the user may do. */
+            role: components["schemas"]["Role"];
+            /** @description Which experiments they may see, if they are a labeller or teacher. */
+            access: components["schemas"]["Access"];
+            /**
+             * Labels
+             * @description Labels in all experiments, without skips.
+             */
+            labels: number;
+            /**
+             * Browsers
+             * @description Browsers that are signed in.
+             */
+            browsers: number;
+            /**
+             * Bearer Tokens
+             * @description Valid tokens of programs.
+             */
+            bearer_tokens: number;
+            /**
+             * Created At
+             * Format: date-time
+             * @description When they were added.
+             */
+            created_at: string;
+            /**
+             * Last Seen At
+             * @description Their last request, to the minute; null if there was none yet.
+             */
+            last_seen_at: string | null;
+            /**
+             * Removed At
+             * @description When they were removed; their labels are kept.
+             */
+            removed_at: string | null;
+        };
+        /**
+         * UserChanges
+         * @description What to change about a user. What is null stays as it is.
+         */
+        UserChanges: {
+            /** @description The new role. It applies to their open browsers at once. */
+            role?: components["schemas"]["Role"] | null;
+            /** @description Which experiments they may see. Their pairs in other experiments are released. */
+            access?: components["schemas"]["Access"] | null;
+        };
+        /**
+         * VersionReport
+         * @description What a reward version says about the newest labelled and open queries.
+         */
+        VersionReport: {
+            /**
+             * Pairs
+             * @description Labelled ones first, newest first.
+             */
+            pairs: components["schemas"]["PredictedPair"][];
+            /**
+             * Calibration
+             * @description Over the labelled queries that the version was not trained on, each in both orders.
+             */
+            calibration: components["schemas"]["CalibrationBin"][];
+            /**
+             * Calibration Pairs
+             * @description Number of those queries.
+             */
+            calibration_pairs: number;
+            /** @description Over all steps of the segments of these queries. */
+            histograms: components["schemas"]["RewardHistograms"];
+            /**
+             * Segments
+             * @description Number of segments.
+             */
+            segments: number;
+            /**
+             * Steps
+             * @description Number of their steps.
+             */
+            steps: number;
+            /**
+             * Lacks Ensemble
+             * @description As in PairCredit.
+             * @default false
+             */
+            lacks_ensemble: boolean;
         };
         /**
          * Worker
@@ -2035,6 +3564,8 @@ export interface operations {
                 returns?: boolean;
                 /** @description Any name that is unique to a tab or process of the caller. Each has leases of its own, so that two tabs of one person get different queries. */
                 tab?: string;
+                /** @description Instead, queries that several users have labelled differently, for a `final` label. For researchers and admins. Use a `tab` of its own. */
+                disputed?: boolean;
             };
             header?: never;
             path: {
@@ -2251,6 +3782,42 @@ export interface operations {
             };
         };
     };
+    exclude_labels: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["LabelExclusion"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ExclusionResult"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
     get_clip: {
         parameters: {
             query?: never;
@@ -2306,6 +3873,74 @@ export interface operations {
             };
         };
     };
+    request_view: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The clip, clp_... */
+                clip_id: string;
+                /** @description Where the camera is: side or top. */
+                camera: components["schemas"]["ClipCamera"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ClipView"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    get_view: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The clip, clp_... */
+                clip_id: string;
+                /** @description Where the camera is: side or top. */
+                camera: components["schemas"]["ClipCamera"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The whole clip, or a range of it as for a clip. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "video/mp4": unknown;
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
     get_thumbnail: {
         parameters: {
             query?: never;
@@ -2345,6 +3980,45 @@ export interface operations {
             };
         };
     };
+    get_animation: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The clip, clp_... */
+                clip_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The animation. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/gif": unknown;
+                };
+            };
+            /** @description The animation in the browser's cache is current. */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
     list_own_labels: {
         parameters: {
             query?: {
@@ -2352,6 +4026,8 @@ export interface operations {
                 limit?: number;
                 /** @description `next_before` of the previous page. */
                 before?: number | null;
+                /** @description Only final labels, which decide between those of others. */
+                final?: boolean;
             };
             header?: never;
             path: {
@@ -2804,6 +4480,38 @@ export interface operations {
             };
         };
     };
+    list_instructions: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["InstructionRevision"][];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
     archive_experiment: {
         parameters: {
             query?: never;
@@ -3028,6 +4736,314 @@ export interface operations {
             };
         };
     };
+    get_quality: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Quality"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    change_labeller: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+                /** @description The labeller, usr_... */
+                user_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["LabellerChanges"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["LabellerState"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    read_reliability: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["LabellerReliabilities"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    set_gold: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The query, qry_... */
+                query_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["GoldAnswer"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["GoldQuery"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    unset_gold: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The query, qry_... */
+                query_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["GoldQuery"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    get_credit: {
+        parameters: {
+            query?: {
+                /** @description Reward version; the newest by default. */
+                version?: number | null;
+            };
+            header?: never;
+            path: {
+                /** @description The query, qry_... */
+                query_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Credit"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    request_credit: {
+        parameters: {
+            query?: {
+                /** @description Reward version; the newest by default. */
+                version?: number | null;
+            };
+            header?: never;
+            path: {
+                /** @description The query, qry_... */
+                query_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Credit"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    get_report: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+                /** @description Number of the reward version. */
+                number: number;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RewardReport"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    request_report: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+                /** @description Number of the reward version. */
+                number: number;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RewardReport"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
     export_experiment: {
         parameters: {
             query?: never;
@@ -3047,6 +5063,171 @@ export interface operations {
                 };
                 content: {
                     "application/zip": unknown;
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    import_experiment: {
+        parameters: {
+            query: {
+                /** @description Name of the new experiment. */
+                name: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/zip": unknown;
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Experiment"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    list_shares: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ReadOnlyLink"][];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    share_experiment: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewReadOnlyLink"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CreatedReadOnlyLink"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    revoke_share: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+                /** @description The link, shr_... */
+                share_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    get_shared: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SharedExperiment"];
                 };
             };
             /** @description A stable code, a message, and the invalid field. */
@@ -3124,6 +5305,130 @@ export interface operations {
             };
         };
     };
+    sign_out: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    get_join: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The last part of the invitation's link. */
+                token: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["InvitationView"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    join: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The last part of the invitation's link. */
+                token: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewMember"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Member"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    list_users: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["UserAccount"][];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
     create_user: {
         parameters: {
             query?: never;
@@ -3157,11 +5462,238 @@ export interface operations {
             };
         };
     };
-    sign_out: {
+    remove_user: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The user, usr_... */
+                user_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RemovedUser"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    change_user: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The user, usr_... */
+                user_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["UserChanges"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["UserAccount"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    create_link: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The user, usr_... */
+                user_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SignInLink"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    create_token: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The user, usr_... */
+                user_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["BearerToken"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    revoke_user: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The user, usr_... */
+                user_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    list_invitations: {
         parameters: {
             query?: never;
             header?: never;
             path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Invitation"][];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    create_invitation: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewInvitation"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CreatedInvitation"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    withdraw_invitation: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The invitation, inv_... */
+                invitation_id: string;
+            };
             cookie?: never;
         };
         requestBody?: never;

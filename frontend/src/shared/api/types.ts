@@ -2,10 +2,16 @@ import type { components } from "./schema";
 
 type Schemas = components["schemas"];
 
+export type Access = Schemas["Access"];
+export type Credit = Schemas["Credit"];
 export type Experiment = Schemas["Experiment"];
+export type Invitation = Schemas["Invitation"];
+export type Estimate = Schemas["Estimate"];
 export type Label = Schemas["Label"];
 export type LabelAuthor = Schemas["LabelAuthor"];
 export type LabelCounts = Schemas["LabelCounts"];
+export type LabellerQuality = Schemas["LabellerQuality"];
+export type LabellerReliability = Schemas["LabellerReliability"];
 export type LabelRevision = Schemas["LabelRevision"];
 export type Me = Schemas["Me"];
 export type Metrics = Schemas["Metrics"];
@@ -18,14 +24,26 @@ export type Queries = Schemas["Queries"];
 export type Query = Schemas["Query"];
 export type RecordedLabel = Schemas["RecordedLabel"];
 export type RecordedQuery = Schemas["RecordedQuery"];
+export type PredictedPair = Schemas["PredictedPair"];
+export type RewardReport = Schemas["RewardReport"];
+export type SegmentCredit = Schemas["SegmentCredit"];
+export type VersionReport = Schemas["VersionReport"];
 export type RewardVersion = Schemas["RewardVersion"];
+export type Quality = Schemas["Quality"];
+export type Share = Schemas["Share"];
 export type SegmentView = Schemas["SegmentView"];
 export type Task = Schemas["TaskSchema"];
+export type UserAccount = Schemas["UserAccount"];
 export type Worker = Schemas["Worker"];
 
 /** Whether a user may start, pause and cancel experiments. The server enforces this; here it only hides buttons. */
 export function canManageExperiments(me: Me): boolean {
   return me.role === "researcher" || me.role === "admin";
+}
+
+/** Whether a user may manage users and invitations. */
+export function canManageUsers(me: Me): boolean {
+  return me.role === "admin";
 }
 
 /** Whether a user may see true returns. The server never sends them to labellers. */

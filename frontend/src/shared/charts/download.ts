@@ -1,11 +1,11 @@
-/** Saves a text as a file of the user. */
-export function download(text: string, name: string, type: string): void {
-  const url = URL.createObjectURL(new Blob([text], { type }));
+/** Saves a text or a blob as a file of the user. */
+export function download(content: BlobPart, name: string, type: string): void {
+  const url = URL.createObjectURL(new Blob([content], { type }));
   const link = document.createElement("a");
   link.href = url;
   link.download = name;
   link.click();
-  // The browser reads the text after this call returns.
+  // The browser reads the content after this call returns.
   setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }
 

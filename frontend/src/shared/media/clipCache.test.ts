@@ -42,6 +42,16 @@ describe("ClipCache", () => {
     expect(fetched).toEqual(["/a", "/b", "/c"]);
   });
 
+  test("a decoded clip is ready until it is freed", async () => {
+    const clips = new ClipCache(decode);
+    expect(clips.ready(source("/a"))).toBeUndefined();
+    clips.prefetch([source("/a")]);
+    const loaded = await clips.load(source("/a"));
+    expect(clips.ready(source("/a"))).toBe(loaded);
+    clips.clear();
+    expect(clips.ready(source("/a"))).toBeUndefined();
+  });
+
   test("frames of clips that are no longer prefetched are freed, even if they were still being decoded", async () => {
     const clips = new ClipCache(decode);
     clips.prefetch([source("/a"), source("/b")]);

@@ -1,6 +1,7 @@
 import { reportSignedOut } from "@/shared/api/client";
 import { bytesOf, type Clip, type ClipSource, ClipUnplayable, ClipUnreachable, close } from "./clip";
 import { decodeBySeeking } from "./seek";
+import { decodeWithWebCodecs } from "./webCodecs";
 
 /** Limit for decoded frames. Encoded clips are small, so all of them are kept. */
 const MAX_DECODED_BYTES = 400_000_000;
@@ -9,20 +10,16 @@ const FIRST_DELAY_SECONDS = 0.5;
 
 type Decode = (blob: Blob, source: ClipSource) => Promise<Clip>;
 
-/** A file of its own, because it is large and only the labelling page needs it. */
-const loadDecoder = () => import("./webCodecs");
-
 /** Downloads and decodes the clips on screen and those of the next pairs, and frees the others. */
 export class ClipCache {
   readonly #blobs = new Map<string, Promise<Blob>>();
   readonly #decoded = new Map<string, Promise<Clip>>();
+  readonly #ready = new Map<string, Clip>();
   readonly #decode: Decode;
   #clipBytes = 0;
 
   constructor(decode: Decode = decodeClip) {
     this.#decode = decode;
-    // While the first clips are being downloaded. If it fails, decoding tries again and reports the error.
-    if ("VideoDecoder" in globalThis) loadDecoder().catch(() => undefined);
   }
 
   /**
@@ -50,6 +47,7 @@ export class ClipCache {
       clip.then(
         (decoded) => {
           this.#clipBytes = bytesOf(decoded);
+          if (this.#decoded.get(url) === clip) this.#ready.set(url, decoded);
         },
         () => {
           this.#decoded.delete(url);
@@ -60,6 +58,11 @@ export class ClipCache {
       this.#decoded.set(url, clip);
     }
     return clip;
+  }
+
+  /** The clip, if it is decoded already: then it can be drawn at the next repaint. */
+  ready(source: ClipSource): Clip | undefined {
+    return this.#ready.get(source.url);
   }
 
   clear(): void {
@@ -80,6 +83,7 @@ export class ClipCache {
     this.#blobs.delete(url);
     this.#decoded.get(url)?.then(close, () => undefined);
     this.#decoded.delete(url);
+    this.#ready.delete(url);
   }
 }
 
@@ -113,7 +117,6 @@ async function download(url: string): Promise<Blob> {
 async function decodeClip(blob: Blob, source: ClipSource): Promise<Clip> {
   if ("VideoDecoder" in globalThis) {
     try {
-      const { decodeWithWebCodecs } = await loadDecoder();
       return await decodeWithWebCodecs(blob, source);
     } catch (error) {
       console.warn("WebCodecs could not decode a clip; falling back to a video element.", error);

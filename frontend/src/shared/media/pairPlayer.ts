@@ -46,6 +46,12 @@ export class PairClock {
     }
   }
 
+  /** Pauses and moves to a time within the loop. */
+  seek(seconds: number): void {
+    this.paused = true;
+    this.#position = Math.max(0, Math.min(this.seconds, seconds));
+  }
+
   /** Pauses and moves one frame forward or back. Wraps around at the ends. */
   step(direction: 1 | -1): void {
     this.paused = true;
@@ -82,15 +88,15 @@ export class PairPlayer {
   readonly clock: PairClock;
   readonly #left: PlayerSide;
   readonly #right: PlayerSide;
-  readonly #onDraw: (progress: number) => void;
+  readonly #onDraw: (progress: number, seconds: number) => void;
   readonly #pair: HTMLElement | null;
   readonly #drawn = { left: -1, right: -1 };
   #maxDrift = 0;
   #lastTime: number | null = null;
   #request = 0;
 
-  /** @param onDraw is called after every draw with the position as a fraction of the loop. */
-  constructor(left: PlayerSide, right: PlayerSide, onDraw: (progress: number) => void) {
+  /** @param onDraw is called after every draw with the position as a fraction of the loop, and in seconds. */
+  constructor(left: PlayerSide, right: PlayerSide, onDraw: (progress: number, seconds: number) => void) {
     const seconds = Math.max(secondsOf(left.clip), secondsOf(right.clip));
     this.clock = new PairClock(seconds, left.clip.frameSeconds);
     this.#left = left;
@@ -114,6 +120,11 @@ export class PairPlayer {
     this.#draw();
   }
 
+  seek(seconds: number): void {
+    this.clock.seek(seconds);
+    this.#draw();
+  }
+
   readonly #tick = (now: number): void => {
     if (this.#lastTime !== null) this.clock.tick((now - this.#lastTime) / 1000);
     this.#lastTime = now;
@@ -134,7 +145,7 @@ export class PairPlayer {
       this.#pair.dataset.maxDrift = String(this.#maxDrift);
       this.#pair.dataset.loops = String(loops);
     }
-    this.#onDraw(position / seconds);
+    this.#onDraw(position / seconds, position);
   }
 
   /** Distance between the frames on screen. A shorter clip that waits on its last frame does not count. */

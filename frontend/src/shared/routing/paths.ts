@@ -6,7 +6,18 @@ export const paths = {
   compare: (ids: readonly string[]) => `/compare/${ids.map(encodeURIComponent).join(",")}`,
   experiment: (id: string) => `/experiments/${encodeURIComponent(id)}`,
   label: (id: string) => `/experiments/${encodeURIComponent(id)}/label`,
+  pair: (id: string, query: string) =>
+    `/experiments/${encodeURIComponent(id)}/pairs/${encodeURIComponent(query)}`,
+  reward: (id: string) => `/experiments/${encodeURIComponent(id)}/reward`,
   labels: (id: string) => `/experiments/${encodeURIComponent(id)}/labels`,
+  people: () => "/people",
+  /** The token of an invitation, if the path is its link. */
+  invitationOf: (path: string) => /^\/join\/([^/]+)$/.exec(path)?.[1] ?? null,
+  /** The token of a read-only link, which is in its fragment; null if the address is no such link. */
+  sharedToken: ({ pathname, hash }: { pathname: string; hash: string }) =>
+    pathname === "/shared" ? hash.slice(1) : null,
+  quality: (id: string) => `/experiments/${encodeURIComponent(id)}/quality`,
+  decide: (id: string) => `/experiments/${encodeURIComponent(id)}/decide`,
   /** Whether the server answered a one-time sign-in link with this page, because the link was not valid. */
   isSignInLink: (path: string) => path.startsWith("/sign-in/"),
 };
@@ -18,20 +29,32 @@ export type Route =
   | { page: "label"; id: string }
   | { page: "compare"; ids: string[] }
   | { page: "labels"; id: string }
+  | { page: "people" }
+  | { page: "quality"; id: string }
+  | { page: "decide"; id: string }
+  | { page: "reward"; id: string }
+  | { page: "pair"; id: string; query: string }
   | { page: "missing" };
+
+/** The pages below an experiment, by the last part of their path. */
+const OF_EXPERIMENT = ["label", "labels", "quality", "decide", "reward"] as const;
 
 export function routeOf(path: string): Route {
   const parts = partsOf(path);
-  if (parts === undefined || parts.length > 3) return { page: "missing" };
-  const [first, second, third] = parts;
+  if (parts === undefined || parts.length > 4) return { page: "missing" };
+  const [first, second, third, fourth] = parts;
   if (first === undefined || paths.isSignInLink(path) || (first === "experiments" && second === undefined))
     return { page: "experiments" };
   if (first === "compare" && second !== undefined && third === undefined)
     return { page: "compare", ids: second.split(",") };
+  if (first === "people" && second === undefined) return { page: "people" };
   if (first !== "experiments" || second === undefined) return { page: "missing" };
   if (second === "new") return third === undefined ? { page: "new-experiment" } : { page: "missing" };
   if (third === undefined) return { page: "experiment", id: second };
-  return third === "label" || third === "labels" ? { page: third, id: second } : { page: "missing" };
+  if (third === "pairs" && fourth !== undefined) return { page: "pair", id: second, query: fourth };
+  if (fourth !== undefined) return { page: "missing" };
+  const page = OF_EXPERIMENT.find((each) => each === third);
+  return page ? { page, id: second } : { page: "missing" };
 }
 
 /** The decoded parts of a path; undefined if a percent sign in it begins no character. */

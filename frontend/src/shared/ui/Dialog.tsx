@@ -8,17 +8,23 @@ interface DialogProps {
   danger?: boolean;
   /** whether the action may be carried out yet */
   enabled?: boolean;
+  /** the button that only closes the dialog; null for none */
+  cancel?: string | null;
+  /** whether the action decides itself when the dialog closes, for example after an error was shown in it */
+  staysOpen?: boolean;
   onConfirm: () => void;
   onClose: () => void;
 }
 
-/** A modal dialog with a form. Escape and "Go back" close it without doing anything. */
+/** A modal dialog with a form. Escape and its first button close it without doing anything. */
 export function Dialog({
   title,
   children,
   confirm,
   danger,
   enabled = true,
+  cancel = "Go back",
+  staysOpen = false,
   onConfirm,
   onClose,
 }: DialogProps) {
@@ -34,15 +40,17 @@ export function Dialog({
           event.preventDefault();
           if (!enabled) return;
           onConfirm();
-          dialog.current?.close();
+          if (!staysOpen) dialog.current?.close();
         }}
       >
         <h2 id={titleId}>{title}</h2>
         <div className="dialog-body">{children}</div>
         <div className="row end">
-          <button type="button" className="button" onClick={() => dialog.current?.close()}>
-            Go back
-          </button>
+          {cancel !== null && (
+            <button type="button" className="button" onClick={() => dialog.current?.close()}>
+              {cancel}
+            </button>
+          )}
           <button type="submit" className={danger ? "button danger" : "button primary"} disabled={!enabled}>
             {confirm}
           </button>

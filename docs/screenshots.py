@@ -1,0 +1,272 @@
+"""`make screenshots`: photographs every page of a real service in a real Chromium, and writes docs/pages.md.
+
+Starts a service in a temporary folder, runs two small experiments with a scripted teacher, and labels some pairs as a
+person. Each page of `PAGES` is then saved in light, dark and phone size as docs/images/pages/NAME-VARIANT.webp. To show
+a new page, add it to `PAGES`.
+
+    python docs/screenshots.py [NAME ...]
+"""
+
+import io
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from PIL import Image
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from accord.cli.client import Api
+from accord.cli.own_service import OwnService
+from accord.cli.teach import SegmentReader, TeacherChoice, judge
+from accord.domain.enums import Role
+
+DOCS = Path(__file__).parent
+IMAGES = DOCS / "images" / "pages"
+QUALITY = 70
+LONGEST_WAIT_SECONDS = 900.0
+#: options of a browser context; a phone's pixels are saved 1.5 times as dense
+VARIANTS: dict[str, dict[str, Any]] = {
+    "light": {"viewport": {"width": 1280, "height": 800}, "color_scheme": "light"},
+    "dark": {"viewport": {"width": 1280, "height": 800}, "color_scheme": "dark"},
+    "phone": {
+        "viewport": {"width": 390, "height": 780},
+        "color_scheme": "light",
+        "device_scale_factor": 1.5,
+        "is_mobile": True,
+        "has_touch": True,
+    },
+}
+#: small enough for a machine that is busy
+SETTINGS: dict[str, Any] = {"task": "HalfCheetah-6x1", "total_steps": 30_000, "lookahead_queries": 3}
+#: a scripted teacher gives all labels, without clips
+FINISHED = SETTINGS | {"label_budget": 40, "initial_labels": 10, "labels_per_version": 10, "render_clips": False}
+RUNNING = SETTINGS | {"label_budget": 60, "initial_labels": 8, "labels_per_version": 26}
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A service with two experiments; signed-in browsers by name."""
+
+    url: str
+    #: all labels given, and over
+    finished: str
+    #: with pairs to label
+    running: str
+    #: a read-only link
+    shared: str
+    #: cookies of a browser that is signed in
+    states: dict[str, Any]
+
+
+def _nothing(_page: Page) -> None:
+    return
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A page to show."""
+
+    name: str
+    title: str
+    #: what the page is for
+    text: str
+    path: Callable[[Scene], str]
+    #: whose browser: admin, labeller, or nobody
+    user: str = "admin"
+    #: brings the page into the state to show
+    prepare: Callable[[Page], None] = field(default=_nothing)
+    #: the whole page instead of what fits into the window; phones always show what fits
+    full: bool = False
+
+
+def _playing(page: Page) -> None:
+    """Both clips are on screen, some frames after their start."""
+    page.locator("[data-pair][data-state=playing]").wait_for()
+    page.wait_for_function("Number(document.querySelector('canvas').dataset.frame) >= 20")
+
+
+def _with_history(page: Page) -> None:
+    _playing(page)
+    page.keyboard.press("h")
+    page.locator(".history-item img").first.wait_for()
+    page.wait_for_function("[...document.querySelectorAll('.history-item img')].slice(0, 4).every((i) => i.complete)")
+
+
+def _with_import(page: Page) -> None:
+    page.get_by_role("button", name="Import").click()
+    page.get_by_label("Name of the new experiment").fill("Cheetah of last week")
+
+
+PAGES = (
+    Picture(
+        "labelling",
+        "Labelling",
+        "Two clips in step, and the keys to answer.",
+        lambda s: f"/experiments/{s.running}/label",
+        "labeller",
+        _playing,
+    ),
+    Picture(
+        "history",
+        "Your labels",
+        "What you have answered. Click a pair to watch it again or to change its label.",
+        lambda s: f"/experiments/{s.running}/label",
+        "labeller",
+        _with_history,
+    ),
+    Picture("experiments", "Experiments", "All experiments with their progress and results.", lambda s: "/"),
+    Picture("import", "Import", "An exported experiment becomes a new one.", lambda s: "/", prepare=_with_import),
+    Picture(
+        "new-experiment", "New experiment", "Every setting with its range and default.", lambda s: "/experiments/new"
+    ),
+    Picture(
+        "progress",
+        "Progress",
+        "Results, curves, reward versions, costs, read-only links and settings.",
+        lambda s: f"/experiments/{s.finished}",
+        full=True,
+    ),
+    Picture(
+        "labels",
+        "All labels",
+        "Every pair with its labels and their revisions.",
+        lambda s: f"/experiments/{s.running}/labels",
+    ),
+    Picture(
+        "compare",
+        "Compare",
+        "Curves and results of several experiments.",
+        lambda s: f"/compare/{s.finished},{s.running}",
+    ),
+    Picture("people", "People", "Users, their access, sign-in links and invitations.", lambda s: "/people"),
+    Picture("shared", "Read-only link", "What somebody without an account sees.", lambda s: s.shared, "nobody"),
+    Picture("signed-out", "Signed out", "How to get in.", lambda s: "/", "nobody"),
+)
+
+
+def main() -> None:
+    chosen = [each for each in PAGES if not sys.argv[1:] or each.name in sys.argv[1:]]
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        raise SystemExit("No Chromium on this machine: apt-get install chromium")
+    IMAGES.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory() as folder, sync_playwright() as playwright:
+        service = OwnService(Path(folder), {"ACCORD_POLICY_WORKERS": "2", "ACCORD_RENDER_WORKERS": "2"})
+        try:
+            browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+            scene = set_up(browser, service)
+            for picture in chosen:
+                for variant in VARIANTS:
+                    take(browser, scene, picture, variant)
+        finally:
+            service.close()
+    if not sys.argv[1:]:
+        (DOCS / "pages.md").write_text(document())
+
+
+def set_up(browser: Browser, service: OwnService) -> Scene:
+    """Two experiments with labels of a program and of a person."""
+    url = service.url()
+    api = Api(url, service.token("admin", Role.ADMIN))
+    finished = str(api.post("/experiments", FINISHED | {"name": "Cheetah, six agents"})["id"])
+    running = str(api.post("/experiments", RUNNING | {"name": "Cheetah, second run", "seed": 1})["id"])
+    states = {"nobody": None}
+    for name, role in (("admin", Role.ADMIN), ("labeller", Role.LABELLER)):
+        context = browser.new_context()
+        link = api.post("/users", {"name": {"admin": "Rosa", "labeller": "Lena"}[name], "role": role})["sign_in_url"]
+        context.request.get(link)
+        states[name] = context.storage_state()
+        context.close()
+    teach(api, finished, FINISHED["label_budget"])
+    label_as_person(browser, states["labeller"], f"{url}/experiments/{running}/label", 4)
+    wait(lambda: api.get(f"/experiments/{finished}")["status"] == "finished", "the first experiment to finish")
+    wait(lambda: api.get(f"/experiments/{running}")["labels"]["open_queries"] > 1, "pairs to label")
+    shared = api.post(f"/experiments/{finished}/shares", {"days": 30})["url"]
+    api.close()
+    return Scene(url, finished, running, shared.removeprefix(url), states)
+
+
+def teach(api: Api, experiment: str, labels: int) -> None:
+    """Labels of a scripted teacher."""
+    teacher = TeacherChoice.parse("stochastic").teacher(0)
+    reader, given = SegmentReader(api, teacher), 0
+    while given < labels:
+        wanted = min(10, labels - given)
+        queries = api.post(f"/experiments/{experiment}/queries/next", count=wanted, returns=True)["items"]
+        if not queries:
+            time.sleep(0.5)
+            continue
+        answers = judge(teacher, reader, queries)
+        body = [
+            {"query_id": query["id"], "label": answer, "order": "segments", "teacher": teacher.parameters()}
+            for query, answer in zip(queries, answers, strict=True)
+        ]
+        api.post(f"/experiments/{experiment}/labels", {"labels": body})
+        given += len(body)
+
+
+def label_as_person(browser: Browser, state: Any, address: str, labels: int) -> None:
+    context = browser.new_context(storage_state=state)
+    page = context.new_page()
+    page.set_default_timeout(1000 * LONGEST_WAIT_SECONDS)
+    page.goto(address)
+    for count in range(labels):
+        _playing(page)
+        query = page.locator("[data-pair]").get_attribute("data-query")
+        page.keyboard.press(("ArrowLeft", "ArrowRight", "ArrowUp", "ArrowRight")[count % 4])
+        page.wait_for_function("old => document.querySelector('[data-pair]')?.dataset.query !== old", arg=query)
+    page.wait_for_timeout(1_000)
+    context.close()
+
+
+def wait(until: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + LONGEST_WAIT_SECONDS
+    while not until():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"waited {LONGEST_WAIT_SECONDS:.0f} s for {what}")
+        time.sleep(1.0)
+
+
+def take(browser: Browser, scene: Scene, picture: Picture, variant: str) -> None:
+    """Save one page in one variant."""
+    context = browser.new_context(**VARIANTS[variant], storage_state=scene.states[picture.user])
+    page = context.new_page()
+    page.set_default_timeout(1000 * LONGEST_WAIT_SECONDS)
+    page.goto(f"{scene.url}{picture.path(scene)}")
+    page.locator("h1, [data-pair]").first.wait_for()
+    picture.prepare(page)
+    # Curves and stills arrive after the heading.
+    page.wait_for_timeout(1_500)
+    png = page.screenshot(full_page=picture.full and variant != "phone")
+    image = Image.open(io.BytesIO(png)).convert("RGB")
+    path = IMAGES / f"{picture.name}-{variant}.webp"
+    image.save(path, quality=QUALITY, method=6)
+    print(f"{path.name}: {image.width}x{image.height}, {path.stat().st_size / 1024:.0f} KB", flush=True)
+    context.close()
+
+
+def document() -> str:
+    """docs/pages.md."""
+    parts = [
+        "# Pages",
+        "Every page of Accord in light, dark and phone size, made by `make screenshots` with a real service.",
+    ]
+    for picture in PAGES:
+        light, dark, phone = (f"images/pages/{picture.name}-{variant}.webp" for variant in VARIANTS)
+        parts += [
+            f"## {picture.title}",
+            picture.text,
+            f"![{picture.title}]({light})",
+            f'<img src="{dark}" width="66%" alt="{picture.title}, dark"> '
+            f'<img src="{phone}" width="28%" alt="{picture.title} on a phone">',
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+if __name__ == "__main__":
+    main()

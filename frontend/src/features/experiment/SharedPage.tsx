@@ -1,0 +1,48 @@
+import { useQuery } from "@tanstack/react-query";
+import { ApiError, errorMessage } from "@/shared/api/errors";
+import { sharedQuery } from "@/shared/api/queries";
+import { formatTime } from "@/shared/ui/format";
+import { Message } from "@/shared/ui/Message";
+import { Curves } from "./Curves";
+import { Overview } from "./Overview";
+import { Settings } from "./Settings";
+import { Versions } from "./Versions";
+import "./experiment.css";
+
+/** The progress of one experiment for whoever has a read-only link to it. */
+export function SharedPage({ token }: { token: string }) {
+  const { data, error } = useQuery(sharedQuery(token));
+  if (error instanceof ApiError && error.status === 401) {
+    return (
+      <Message title="This link does not work">
+        <p>{errorMessage(error)}</p>
+      </Message>
+    );
+  }
+  if (!data) return error ? <Message title="Cannot reach Accord">{errorMessage(error)}</Message> : null;
+  const { experiment, metrics, reward_versions, expires_at } = data;
+  return (
+    <>
+      <header className="site-header">
+        <span className="site-name">
+          <img src="/icon.svg" alt="" width="22" height="22" />
+          <span>Accord</span>
+        </span>
+        <span className="spacer" />
+        <span className="muted">Read-only, until {formatTime(expires_at)}</span>
+      </header>
+      <main className="page" id="content">
+        <div className="page-head">
+          <div>
+            <h1>{experiment.name}</h1>
+            <p className="muted instructions-text">{experiment.instructions}</p>
+          </div>
+        </div>
+        <Overview experiment={experiment} versions={reward_versions} connected={!error} />
+        <Curves experiment={experiment} metrics={metrics} versions={reward_versions} showReturns />
+        {experiment.config.reward_source !== "true" && <Versions versions={reward_versions} />}
+        <Settings experiment={experiment} />
+      </main>
+    </>
+  );
+}

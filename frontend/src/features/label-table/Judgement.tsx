@@ -1,0 +1,83 @@
+import { useMutation, useQueryClient } from "@tanstack/react-query";
+import { api, unwrap } from "@/shared/api/client";
+import { errorMessage } from "@/shared/api/errors";
+import { experimentQuery, qualityQuery, queriesKey } from "@/shared/api/queries";
+import type { RecordedLabel, RecordedQuery } from "@/shared/api/types";
+import { Alert } from "@/shared/ui/Message";
+
+const ANSWERS = [
+  ["1", "Gold: first"],
+  ["0", "Gold: second"],
+  ["0.5", "Gold: equal"],
+] as const;
+
+/** The known answer of a pair, which makes it a check of the labellers. */
+export function GoldSelect({ id, query }: { id: string; query: RecordedQuery }) {
+  const change = useJudgement(id, (label: number | null) => {
+    const params = { params: { path: { query_id: query.id } } };
+    return label === null
+      ? unwrap(api.DELETE("/api/v1/queries/{query_id}/gold", params))
+      : unwrap(api.PUT("/api/v1/queries/{query_id}/gold", { ...params, body: { label } }));
+  });
+  if (query.repeats_id !== null) return <span className="badge">repeat</span>;
+  if (query.status !== "open" && query.status !== "closed") return null;
+  return (
+    <>
+      <select
+        className="gold-select"
+        aria-label={`Known answer of pair ${query.number}`}
+        value={query.gold === null ? "" : String(query.gold)}
+        disabled={change.isPending}
+        onChange={({ target }) => change.mutate(target.value === "" ? null : Number(target.value))}
+      >
+        <option value="">Not gold</option>
+        {ANSWERS.map(([value, text]) => (
+          <option key={value} value={value}>
+            {text}
+          </option>
+        ))}
+      </select>
+      {change.error && <Alert>{errorMessage(change.error)}</Alert>}
+    </>
+  );
+}
+
+/** Excludes one label from training, or includes it again. */
+export function ExcludeButton({ id, label, number }: { id: string; label: RecordedLabel; number: number }) {
+  const change = useJudgement(id, (excluded: boolean) =>
+    unwrap(
+      api.PATCH("/api/v1/experiments/{experiment_id}/labels", {
+        params: { path: { experiment_id: id } },
+        body: { label_ids: [label.id], excluded },
+      }),
+    ),
+  );
+  const verb = label.excluded ? "Include" : "Exclude";
+  return (
+    <>
+      <button
+        type="button"
+        className="button small"
+        disabled={change.isPending}
+        aria-label={`${verb} the label of ${label.user_name} on pair ${number}`}
+        onClick={() => change.mutate(!label.excluded)}
+      >
+        {verb}
+      </button>
+      {change.error && <Alert>{errorMessage(change.error)}</Alert>}
+    </>
+  );
+}
+
+function useJudgement<Value>(id: string, judge: (value: Value) => Promise<unknown>) {
+  const cache = useQueryClient();
+  return useMutation({
+    mutationFn: judge,
+    onSettled: () =>
+      Promise.all(
+        [queriesKey(id), qualityQuery(id).queryKey, experimentQuery(id).queryKey].map((queryKey) =>
+          cache.invalidateQueries({ queryKey }),
+        ),
+      ),
+  });
+}

@@ -1,0 +1,42 @@
+import { type PointerEvent, type RefObject, useRef, useState } from "react";
+import type { Task } from "@/shared/api/types";
+import { agentAt } from "./hoveredAgent";
+
+interface Hovered {
+  name: string;
+  left: number;
+  top: number;
+}
+
+/** The name of the agent under the mouse. Returns the name's label and the handlers of the clip. */
+export function useAgentName(canvas: RefObject<HTMLCanvasElement | null>, task: Task) {
+  const [hovered, setHovered] = useState<Hovered | null>(null);
+  const probe = useRef<CanvasRenderingContext2D | null>(null);
+  const onPointerMove = (event: PointerEvent<HTMLElement>) => {
+    if (event.pointerType !== "mouse" || !canvas.current?.width) return;
+    const { width, height } = canvas.current;
+    const box = canvas.current.getBoundingClientRect();
+    const left = event.clientX - box.left;
+    const top = event.clientY - box.top;
+    const [x, y] = [(left * width) / box.width, (top * height) / box.height].map(Math.floor);
+    probe.current ??= createProbe();
+    probe.current?.drawImage(canvas.current, x ?? 0, y ?? 0, 1, 1, 0, 0, 1, 1);
+    const pixel = probe.current?.getImageData(0, 0, 1, 1).data;
+    const name = pixel ? agentAt([pixel[0] ?? 0, pixel[1] ?? 0, pixel[2] ?? 0], task) : null;
+    setHovered(name === null ? null : { name, left, top });
+  };
+  const label = hovered && (
+    <span className="agent-name" style={{ left: hovered.left, top: hovered.top }} aria-hidden="true">
+      {hovered.name}
+    </span>
+  );
+  return { label, handlers: { onPointerMove, onPointerLeave: () => setHovered(null) } };
+}
+
+/** A canvas of one pixel, so that reading a pixel does not slow down the canvas of the clip. */
+function createProbe(): CanvasRenderingContext2D | null {
+  const canvas = document.createElement("canvas");
+  canvas.width = 1;
+  canvas.height = 1;
+  return canvas.getContext("2d", { willReadFrequently: true });
+}

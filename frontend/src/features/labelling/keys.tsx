@@ -1,0 +1,33 @@
+const KEYS = [
+  [["←", "→"], "The left or the right clip is better"],
+  [["↑"], "Both are equally good"],
+  [["↓"], "Skip: you cannot tell"],
+  [["Z"], "Undo the last label"],
+  [["H"], "Your labels; click one to see it again and change it"],
+  [["Space"], "Pause or play"],
+  [[",", "."], "One frame back or forward"],
+  [["0", "1", "2", "3"], "Quarter, half, normal or double speed"],
+  [["C"], "The next camera"],
+  [["R"], "The rules"],
+  [["?"], "These keys"],
+] as const;
+
+/** What each key of the labelling page does. */
+export function KeyList() {
+  return (
+    <dl className="key-list">
+      {KEYS.map(([keys, text]) => (
+        <div key={text}>
+          <dt>
+            {keys.map((name) => (
+              <kbd className="key" key={name}>
+                {name}
+              </kbd>
+            ))}
+          </dt>
+          <dd>{text}</dd>
+        </div>
+      ))}
+    </dl>
+  );
+}

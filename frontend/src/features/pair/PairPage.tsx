@@ -1,0 +1,154 @@
+import { useQuery } from "@tanstack/react-query";
+import { useState } from "react";
+import { errorMessage } from "@/shared/api/errors";
+import { creditQuery, experimentQuery, rewardVersionsQuery } from "@/shared/api/queries";
+import {
+  type Credit,
+  canManageExperiments,
+  type Experiment,
+  type Me,
+  type SegmentView,
+} from "@/shared/api/types";
+import { CreditStrips } from "@/shared/credit/CreditStrips";
+import { scaleOf, sidesOf } from "@/shared/credit/strips";
+import type { ClipSource } from "@/shared/media/clip";
+import { PairStage } from "@/shared/media/PairStage";
+import { paths } from "@/shared/routing/paths";
+import { Link } from "@/shared/routing/router";
+import { formatReturn } from "@/shared/ui/format";
+import { Alert, Message } from "@/shared/ui/Message";
+import { AgentAttention } from "./AgentAttention";
+import { Preference } from "./Preference";
+import "./pair.css";
+
+/** What a reward version learned about one pair, in step with its clips. */
+export function PairPage({ id, query, me }: { id: string; query: string; me: Me }) {
+  const [version, setVersion] = useState<number | null>(null);
+  const experiment = useQuery(experimentQuery(id));
+  const versions = useQuery(rewardVersionsQuery(id));
+  const credit = useQuery(creditQuery(query, version));
+  const error = experiment.error ?? credit.error;
+  if (error) {
+    return (
+      <Message title="Cannot show this pair">
+        <p>{errorMessage(error)}</p>
+        <p>
+          <Link to={paths.experiment(id)}>Progress of the experiment</Link>
+        </p>
+      </Message>
+    );
+  }
+  if (!experiment.data || !credit.data) return null;
+  const { data } = credit;
+  return (
+    <main className="page pair-page" id="content">
+      <div className="page-head">
+        <div>
+          <h1>What was learned from pair {data.query.number}</h1>
+          <p className="muted">{labelText(data)}</p>
+        </div>
+        <label className="filter">
+          Reward version
+          <select value={data.version} onChange={(event) => setVersion(Number(event.target.value))}>
+            {(versions.data?.items ?? []).map(({ number }) => (
+              <option key={number} value={number}>
+                {number}
+              </option>
+            ))}
+          </select>
+        </label>
+      </div>
+      {data.status === "failed" && (
+        <Alert>
+          {data.detail}{" "}
+          <button type="button" className="button small" onClick={() => void credit.refetch()}>
+            Try again
+          </button>
+        </Alert>
+      )}
+      <Pair experiment={experiment.data} credit={data} />
+      {canManageExperiments(me) && (
+        <p className="row">
+          <Link to={paths.reward(id)}>Other pairs, by what the model says</Link>
+          <Link to={paths.labels(id)}>All labels</Link>
+        </p>
+      )}
+    </main>
+  );
+}
+
+function Pair({ experiment, credit }: { experiment: Experiment; credit: Credit }) {
+  const { query, result, status } = credit;
+  const sides = sidesOf(credit);
+  const scale = sides && scaleOf([sides.left, sides.right]);
+  const loopSeconds = Math.max(query.left.seconds, query.right.seconds);
+  const names = { left: "Left", right: "Right" } as const;
+  const hasAttention = sides !== null && sides.left.credit.agent_attention !== null;
+  return (
+    <>
+      {status === "pending" && (
+        <p className="muted" role="status">
+          A reward worker is computing what reward version {credit.version} says about this pair…
+        </p>
+      )}
+      {result && <Preference credit={credit} result={result} />}
+      <PairStage
+        label={`Pair ${query.number}`}
+        left={{ name: names.left, clip: clipSource(query.left) }}
+        right={{ name: names.right, clip: clipSource(query.right) }}
+        below={(side, player) => (
+          <>
+            {query[side].true_return !== null && query[side].true_return !== undefined && (
+              <p className="muted">True return {formatReturn(query[side].true_return)}</p>
+            )}
+            {sides && scale && (
+              <CreditStrips
+                name={names[side]}
+                side={sides[side]}
+                loopSeconds={loopSeconds}
+                scale={scale}
+                task={experiment.task}
+                player={player}
+              />
+            )}
+          </>
+        )}
+      />
+      {sides && (
+        <p className="muted">
+          Bars above the middle are rewards above 0, as the policy receives them; all agents and both clips
+          share one scale. A step weight of 1 is the mean. Click a strip, or use the arrow keys on it, to move
+          to a step.
+        </p>
+      )}
+      {sides && !hasAttention && (
+        <p className="muted">In this version, rewards do not depend on attention between agents.</p>
+      )}
+      {sides && hasAttention && (
+        <section className="columns" aria-label="Attention between agents">
+          {(["left", "right"] as const).map((side) => (
+            <AgentAttention
+              key={side}
+              name={names[side]}
+              credit={sides[side].credit}
+              task={experiment.task}
+            />
+          ))}
+        </section>
+      )}
+    </>
+  );
+}
+
+/** What the labels say, in the order of the sides. */
+function labelText({ label, query }: Credit): string {
+  if (label === null) return "";
+  const left = query.left.index === 0 ? label : 1 - label;
+  if (left === 0.5) return "Labelled: equally good";
+  if (left === 1 || left === 0) return `Labelled: ${left === 1 ? "left" : "right"} is better`;
+  return `Labels differ: left is better for ${Math.round(100 * left)}%`;
+}
+
+function clipSource({ clip_url, frames, seconds }: SegmentView): ClipSource | null {
+  return clip_url === null ? null : { url: clip_url, frames, seconds };
+}

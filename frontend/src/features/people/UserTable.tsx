@@ -1,0 +1,155 @@
+import { useState } from "react";
+import { errorMessage } from "@/shared/api/errors";
+import type { Me, UserAccount } from "@/shared/api/types";
+import { formatCount, formatTime, plural } from "@/shared/ui/format";
+import { Alert } from "@/shared/ui/Message";
+import { AccessDialog } from "./AccessDialog";
+import { RemoveUser, RevokeUser } from "./ConfirmDialogs";
+import { canBeLimited, ROLES } from "./roles";
+import { SecretDialog } from "./SecretDialog";
+import { useUserActions } from "./useUserActions";
+
+type Open = { kind: "access" | "revoke" | "remove"; user: UserAccount } | null;
+
+/** Every user with what they have done and may see; the caller's own row has no actions. */
+export function UserTable({ users, me }: { users: readonly UserAccount[]; me: Me }) {
+  const [open, setOpen] = useState<Open>(null);
+  const actions = useUserActions();
+  const close = () => setOpen(null);
+  return (
+    <>
+      {actions.error && <Alert>{errorMessage(actions.error)}</Alert>}
+      <section className="table-scroll" aria-label="Users">
+        <table className="table people-table">
+          <thead>
+            <tr>
+              <th scope="col">Name</th>
+              <th scope="col">Role</th>
+              <th scope="col">Sees</th>
+              <th scope="col">Labels</th>
+              <th scope="col">Last seen</th>
+              <th scope="col">Signed in</th>
+              <th scope="col">Sign-in and access</th>
+            </tr>
+          </thead>
+          <tbody>
+            {users.map((user) => (
+              <tr key={user.id} data-removed={user.removed_at ? "" : undefined}>
+                <th scope="row">
+                  {user.name}
+                  {user.id === me.id && <span className="cell-note muted">You</span>}
+                  {user.removed_at && <span className="cell-note muted">Removed</span>}
+                </th>
+                <td>
+                  {user.id === me.id || user.removed_at ? (
+                    user.role
+                  ) : (
+                    <select
+                      aria-label={`Role of ${user.name}`}
+                      value={user.role}
+                      onChange={(event) =>
+                        actions.change(user.id, { role: event.target.value as UserAccount["role"] })
+                      }
+                    >
+                      {ROLES.map(([role]) => (
+                        <option key={role} value={role}>
+                          {role}
+                        </option>
+                      ))}
+                    </select>
+                  )}
+                </td>
+                <td>
+                  {canBeLimited(user.role) && !user.removed_at ? (
+                    <button
+                      type="button"
+                      className="button small"
+                      aria-label={`Experiments of ${user.name}: ${accessText(user)}`}
+                      onClick={() => setOpen({ kind: "access", user })}
+                    >
+                      {accessText(user)}
+                    </button>
+                  ) : (
+                    <span className="muted">{user.removed_at ? "Nothing" : "All experiments"}</span>
+                  )}
+                </td>
+                <td>{formatCount(user.labels)}</td>
+                <td>{user.last_seen_at ? formatTime(user.last_seen_at) : "Never"}</td>
+                <td>{signInText(user)}</td>
+                <td>
+                  <div className="row">
+                    <button
+                      type="button"
+                      className="button small"
+                      aria-label={`New link for ${user.name}`}
+                      onClick={() => actions.createLink(user)}
+                    >
+                      New link
+                    </button>
+                    {user.role === "teacher" && (
+                      <button
+                        type="button"
+                        className="button small"
+                        aria-label={`New token for ${user.name}`}
+                        onClick={() => actions.createToken(user)}
+                      >
+                        New token
+                      </button>
+                    )}
+                    {user.id !== me.id && !user.removed_at && (
+                      <>
+                        <button
+                          type="button"
+                          className="button small"
+                          aria-label={`Revoke the sign-ins of ${user.name}`}
+                          onClick={() => setOpen({ kind: "revoke", user })}
+                        >
+                          Revoke
+                        </button>
+                        <button
+                          type="button"
+                          className="button small danger"
+                          aria-label={`Remove ${user.name}`}
+                          onClick={() => setOpen({ kind: "remove", user })}
+                        >
+                          Remove
+                        </button>
+                      </>
+                    )}
+                  </div>
+                </td>
+              </tr>
+            ))}
+          </tbody>
+        </table>
+      </section>
+      {open?.kind === "access" && (
+        <AccessDialog
+          user={open.user}
+          onSave={(access) => actions.change(open.user.id, { access })}
+          onClose={close}
+        />
+      )}
+      {open?.kind === "revoke" && (
+        <RevokeUser user={open.user} onConfirm={() => actions.revoke(open.user.id)} onClose={close} />
+      )}
+      {open?.kind === "remove" && (
+        <RemoveUser user={open.user} onConfirm={() => actions.remove(open.user.id)} onClose={close} />
+      )}
+      {actions.secret && <SecretDialog secret={actions.secret} onClose={actions.closeSecret} />}
+    </>
+  );
+}
+
+function accessText({ access: { all_experiments, experiment_ids = [] } }: UserAccount): string {
+  if (all_experiments) return "All experiments";
+  return experiment_ids.length === 0 ? "No experiments" : plural(experiment_ids.length, "experiment");
+}
+
+function signInText({ browsers, bearer_tokens }: UserAccount): string {
+  const parts = [
+    browsers > 0 ? plural(browsers, "browser") : "",
+    bearer_tokens > 0 ? plural(bearer_tokens, "token") : "",
+  ].filter((part) => part !== "");
+  return parts.length === 0 ? "No" : parts.join(", ");
+}

@@ -1,0 +1,75 @@
+import type { Experiment, Quality } from "@/shared/api/types";
+import { paths } from "@/shared/routing/paths";
+import { Link } from "@/shared/routing/router";
+import { formatPercent, plural } from "@/shared/ui/format";
+
+interface AgreementProps {
+  id: string;
+  quality: Quality;
+  experiment: Experiment | undefined;
+}
+
+/** How far people agree, the pairs on which they do not, and the checks that this experiment mixes in. */
+export function Agreement({ id, quality, experiment }: AgreementProps) {
+  const { alpha, disputed, decided, gold_queries } = quality;
+  const config = experiment?.config ?? {};
+  const goldShare = Number(config.gold_share ?? 0);
+  return (
+    <section className="card agreement" aria-label="Agreement and checks">
+      <dl className="stats">
+        <div>
+          <dt>Krippendorff’s alpha</dt>
+          <dd data-testid="alpha">
+            {alpha ? (
+              <>
+                {alpha.value.toFixed(2)}{" "}
+                <span className="muted interval">
+                  {alpha.low.toFixed(2)} to {alpha.high.toFixed(2)}
+                </span>
+              </>
+            ) : (
+              "–"
+            )}
+          </dd>
+        </div>
+        <div>
+          <dt>Open disagreements</dt>
+          <dd data-testid="disputed">{disputed}</dd>
+        </div>
+        <div>
+          <dt>Decided</dt>
+          <dd data-testid="decided">{decided}</dd>
+        </div>
+        <div>
+          <dt>Gold pairs</dt>
+          <dd>{gold_queries}</dd>
+        </div>
+      </dl>
+      <p>
+        {alpha
+          ? `Over ${plural(alpha.of, "pair")} with several labels. 1 is full agreement, 0 is chance; ` +
+            "below 0.67 people do not mean the same by “better”."
+          : overlapText(Number(config.labels_per_pair ?? 1))}
+      </p>
+      {goldShare > 0 && gold_queries === 0 && (
+        <p>
+          {formatPercent(goldShare)} of the pairs shown should be gold, but no pair is marked as gold yet.
+          Mark some under <Link to={paths.labels(id)}>All labels</Link>.
+        </p>
+      )}
+      {disputed > 0 && (
+        <p>
+          <Link to={paths.decide(id)} className="button primary">
+            Decide {plural(disputed, "pair")}
+          </Link>
+        </p>
+      )}
+    </section>
+  );
+}
+
+function overlapText(labelsPerPair: number): string {
+  return labelsPerPair > 1
+    ? "No pair has several labels yet that are not excluded, or all labels are the same."
+    : "Every pair of this experiment gets one label, so that agreement is unknown. Set labels per overlap pair in a new experiment.";
+}

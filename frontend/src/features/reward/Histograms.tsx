@@ -1,0 +1,65 @@
+import type { Task, VersionReport } from "@/shared/api/types";
+import { AgentSwatch } from "@/shared/ui/AgentSwatch";
+import { formatCount } from "@/shared/ui/format";
+
+/** The distribution of each agent's learned rewards, with that of the true team reward as an outline. */
+export function Histograms({ report, task }: { report: VersionReport; task: Task }) {
+  const { edges, learned, true: truth, correlation, team_correlation } = report.histograms;
+  const steps = Math.max(1, report.steps);
+  const highest = Math.max(...learned.flat(), ...truth, 1) / steps;
+  const shares = (counts: readonly number[]) => counts.map((count) => count / steps / highest);
+  const from = formatDeviations(edges[0] ?? 0);
+  const to = formatDeviations(edges.at(-1) ?? 0);
+  return (
+    <section className="card" aria-label="Rewards of each agent">
+      <h2>Rewards of each agent against the truth</h2>
+      <p className="muted">
+        Bars: learned rewards of one agent. Line: the true reward of the team. {formatCount(report.steps)}{" "}
+        steps of {formatCount(report.segments)} segments. Both are in standard deviations from their mean,{" "}
+        {from} to {to}; the outermost bars hold all beyond. Correlation of the team's learned and true
+        rewards: {correlationText(team_correlation)}.
+      </p>
+      <ul className="histograms">
+        {learned.map((counts, agent) => {
+          const name = task.agent_names[agent] ?? `Agent ${agent + 1}`;
+          return (
+            <li key={name}>
+              <span className="row">
+                <AgentSwatch colours={task.agent_colours} agent={agent} />
+                {name}
+              </span>
+              <svg
+                viewBox={`0 0 ${counts.length} 1`}
+                preserveAspectRatio="none"
+                role="img"
+                aria-label={`Rewards of ${name} and the true reward`}
+              >
+                <path d={bars(shares(counts))} fill={task.agent_colours[agent]} />
+                <path d={outline(shares(truth))} className="histogram-truth" />
+              </svg>
+              <span className="muted number">
+                correlation with the truth {correlationText(correlation[agent] ?? null)}
+              </span>
+            </li>
+          );
+        })}
+      </ul>
+    </section>
+  );
+}
+
+function bars(shares: readonly number[]): string {
+  return shares.map((share, bin) => `M${bin} 1V${(1 - share).toFixed(4)}h1V1z`).join("");
+}
+
+function outline(shares: readonly number[]): string {
+  return `M0 1${shares.map((share) => `V${(1 - share).toFixed(4)}h1`).join("")}V1`;
+}
+
+function correlationText(value: number | null): string {
+  return value === null ? "undefined" : value.toFixed(2).replace("-", "−");
+}
+
+function formatDeviations(value: number): string {
+  return String(value).replace("-", "−");
+}

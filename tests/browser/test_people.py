@@ -1,0 +1,106 @@
+"""The page of people, and joining by an invitation."""
+
+import re
+
+from playwright.sync_api import Browser, Locator, Page, expect
+
+from browser.accessibility import violations_of
+from browser.fixture_types import NewExperiment, SignIn
+from browser.labeller import Labeller
+from browser.service import Service
+
+
+def test_an_admin_invites_a_labeller_who_sees_one_experiment_and_later_loses_access(
+    service: Service, browser: Browser, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("For guests")
+    hidden = new_experiment("Not for guests")
+    admin = sign_in("Ada", "admin")
+    admin.get_by_role("link", name="People").click()
+    admin.get_by_role("button", name="Invite labellers").click()
+    admin.get_by_label("They see").select_option("Only For guests")
+    found = violations_of(admin, "invite")
+    admin.get_by_role("button", name="Create the link").click()
+    link = admin.get_by_role("dialog").locator("code").inner_text()
+    admin.get_by_role("button", name="Done").click()
+    expect(admin.get_by_text("0 of 1")).to_be_visible()
+
+    context = browser.new_context()
+    guest = context.new_page()
+    # The preview of a chat program opens the link, too.
+    assert guest.request.get(link).ok
+    guest.goto(link)
+    guest.get_by_label("Your name").fill("Ada of nowhere")
+    found += violations_of(guest, "join")
+    guest.get_by_role("button", name="Join").click()
+    Labeller(guest).press("ArrowLeft")
+    guest.goto(service.url)
+    expect(guest.get_by_role("listitem")).to_have_count(1)
+    guest.goto(f"{service.url}/experiments/{hidden}")
+    expect(guest.get_by_role("main")).to_contain_text("There is no experiment")
+
+    admin.reload()
+    expect(admin.get_by_text("1 of 1")).to_be_visible()
+    row = _row(admin, "Ada of nowhere")
+    expect(row).to_contain_text("1 experiment")
+    expect(row.get_by_role("cell").nth(2)).to_have_text("1")
+    found += violations_of(admin, "people")
+    row.get_by_role("button", name=re.compile("Experiments of")).click()
+    admin.get_by_label("For guests", exact=True).uncheck()
+    found += violations_of(admin, "access")
+    admin.get_by_role("button", name="Save").click()
+    expect(row).to_contain_text("No experiments")
+    guest.goto(f"{service.url}/experiments/{experiment}/label")
+    expect(guest.get_by_role("main")).to_contain_text("There is no experiment")
+
+    late = context.new_page()
+    late.context.clear_cookies()
+    late.goto(link)
+    expect(late.get_by_role("heading", name="This invitation is no longer valid")).to_be_visible()
+    found += violations_of(late, "used invitation")
+    context.close()
+    assert found == []
+
+
+def test_an_admin_adds_promotes_revokes_and_removes_a_user(service: Service, browser: Browser, sign_in: SignIn) -> None:
+    admin = sign_in("Ada", "admin")
+    admin.goto(f"{service.url}/people")
+    for name, error in (("Ada of test_an_admin_adds_promotes_revokes_and_removes_a_user", True), ("Nora", False)):
+        if not admin.get_by_role("dialog").count():
+            admin.get_by_role("button", name="Add a user").click()
+        admin.get_by_label("Name", exact=True).fill(name)
+        admin.get_by_role("dialog").get_by_role("button", name="Add").click()
+        if error:
+            expect(admin.get_by_role("dialog").get_by_role("alert")).to_be_visible()
+    link = admin.get_by_role("dialog").locator("code").inner_text()
+    admin.get_by_role("button", name="Done").click()
+    context = browser.new_context()
+    nora = context.new_page()
+    nora.goto(link)
+    expect(nora.get_by_role("heading", name="Experiments")).to_be_visible()
+    nora.goto(f"{service.url}/people")
+    expect(nora.get_by_role("heading", name="Only admins manage people")).to_be_visible()
+    row = _row(admin, "Nora")
+    row.get_by_role("combobox").select_option("researcher")
+    expect(row.get_by_role("button", name=re.compile("Experiments of"))).to_have_count(0)
+    nora.goto(service.url)
+    expect(nora.get_by_role("link", name="New experiment")).to_be_visible()
+    row.get_by_role("button", name="Revoke").click()
+    admin.get_by_role("dialog").get_by_role("button", name="Revoke").click()
+    expect(row.get_by_role("cell").nth(4)).to_have_text("No")
+    nora.reload()
+    expect(nora.get_by_role("heading", name="Sign in to Accord")).to_be_visible()
+    row.get_by_role("button", name="New link").click()
+    nora.goto(admin.get_by_role("dialog").locator("code").inner_text())
+    admin.get_by_role("button", name="Done").click()
+    expect(nora.get_by_role("heading", name="Experiments")).to_be_visible()
+    row.get_by_role("button", name="Remove").click()
+    admin.get_by_role("dialog").get_by_role("button", name="Remove").click()
+    expect(row).to_have_count(0)
+    nora.reload()
+    expect(nora.get_by_role("heading", name="Sign in to Accord")).to_be_visible()
+    context.close()
+
+
+def _row(page: Page, name: str) -> Locator:
+    return page.get_by_role("row").filter(has=page.get_by_role("rowheader", name=name))

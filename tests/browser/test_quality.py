@@ -1,0 +1,90 @@
+"""Two labellers of the same pairs, what the quality page says of them, and a researcher who decides between them."""
+
+import re
+
+from playwright.sync_api import expect
+
+from browser.accessibility import violations_of
+from browser.fixture_types import NewExperiment, SignIn
+from browser.labeller import Labeller, Pair
+from browser.service import Service
+
+
+def prefer(labeller: Labeller, segment: str) -> Pair:
+    """Choose the clip of this segment, on whichever side it is."""
+    return labeller.press("ArrowLeft" if labeller.pair().left == segment else "ArrowRight")
+
+
+def test_two_labellers_disagree_and_a_researcher_decides(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("By two", labels_per_pair=2, overlap_share=1.0)
+    ada, bob = Labeller(sign_in("Ada")), Labeller(sign_in("Bob"))
+    ada.open(service.url, experiment)
+    preferred = {pair.query: pair for pair in (ada.press("ArrowLeft") for _ in range(2))}
+    ada.page.goto(f"{service.url}/")  # releases the pairs that are loaded ahead
+    bob.open(service.url, experiment)
+    for agrees in (True, False):
+        seen = bob.pair()
+        pair = preferred[seen.query]
+        assert {seen.left, seen.right} == {pair.left, pair.right}
+        prefer(bob, pair.left if agrees else pair.right)
+    bob.page.goto(f"{service.url}/")
+    disputed = seen.query
+    researcher = sign_in("Rosa", "researcher")
+    researcher.goto(f"{service.url}/experiments/{experiment}/quality")
+    expect(researcher.get_by_test_id("disputed")).to_have_text("1")
+    expect(researcher.locator("[data-labeller]")).to_have_count(2)
+    expect(researcher.locator("[data-flag]")).to_have_count(0)
+    assert violations_of(researcher, "quality") == []
+
+    researcher.get_by_role("link", name=re.compile("^Decide")).click()
+    decides = Labeller(researcher)
+    assert decides.pair().query == disputed
+    assert violations_of(researcher, "decide") == []
+    choice = prefer(decides, preferred[disputed].left)
+    assert choice.query == disputed
+    expect(researcher.get_by_test_id("no-pair")).to_have_attribute("data-reason", "all_decided")
+    # Undo brings the pair back, as on the labelling page.
+    researcher.keyboard.press("z")
+    assert decides.pair().query == disputed
+    prefer(decides, preferred[disputed].left)
+    researcher.get_by_role("link", name="Quality").click()
+    expect(researcher.get_by_test_id("decided")).to_have_text("1")
+    rows = service.rows(
+        "select value, final, left_segment, state from labels where query_id = ? order by created_at", disputed
+    )
+    assert [row[1] for row in rows] == [0, 0, 1]
+    assert rows[2][0] == rows[0][0] != rows[1][0]
+
+    researcher.get_by_role("button", name=re.compile("^Pause Ada")).click()
+    expect(researcher.get_by_role("button", name=re.compile("^Resume Ada"))).to_be_visible()
+    ada.page.goto(f"{service.url}/experiments/{experiment}/label")
+    expect(ada.page.get_by_test_id("no-pair")).to_have_attribute("data-reason", "labeller_paused")
+    researcher.get_by_role("button", name=re.compile("^Exclude the labels of Ada")).click()
+    researcher.get_by_role("dialog").get_by_role("button", name="Exclude", exact=True).click()
+    expect(researcher.get_by_role("button", name=re.compile("^Include the labels of Ada"))).to_be_visible()
+    assert service.rows("select label_count from experiments where id = ?", experiment) == [(2,)]
+
+
+def test_a_researcher_marks_a_pair_as_gold_and_excludes_a_label(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("Judged")
+    ada = Labeller(sign_in("Ada"))
+    ada.open(service.url, experiment)
+    gold, excluded = ada.press("ArrowLeft"), ada.press("ArrowLeft")
+    researcher = sign_in("Rosa", "researcher")
+    researcher.goto(f"{service.url}/experiments/{experiment}/labels")
+    numbers = {
+        query: service.rows("select number from queries where id = ?", query)[0][0]
+        for query in (gold.query, excluded.query)
+    }
+    researcher.get_by_label(f"Known answer of pair {numbers[gold.query]}", exact=True).select_option("1")
+    researcher.get_by_role("button", name=re.compile(f"^Exclude .* pair {numbers[excluded.query]}$")).click()
+    expect(
+        researcher.get_by_role("button", name=re.compile(f"^Include .* pair {numbers[excluded.query]}$"))
+    ).to_be_visible()
+    expect(researcher.get_by_label(f"Known answer of pair {numbers[gold.query]}", exact=True)).to_have_value("1")
+    assert service.rows("select label_count from experiments where id = ?", experiment) == [(0,)]
+    assert violations_of(researcher, "labels") == []

@@ -1,0 +1,77 @@
+"""Read-only links, exports and imports."""
+
+import time
+from pathlib import Path
+
+from playwright.sync_api import Browser, expect
+
+from browser.fixture_types import NewExperiment, SignIn
+from browser.labeller import PATIENCE_MS, Labeller
+from browser.service import Service
+from support.waiting import PATIENCE_SECONDS
+
+
+def test_a_read_only_link_works_without_an_account_until_it_is_revoked(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn, browser: Browser
+) -> None:
+    experiment = new_experiment("Shared")
+    page = sign_in("Rosa", "researcher")
+    page.goto(f"{service.url}/experiments/{experiment}")
+    page.get_by_role("button", name="Create a link").click()
+    link = page.get_by_test_id("new-link").locator("code").inner_text()
+
+    context = browser.new_context()
+    visitor = context.new_page()
+    requested: list[str] = []
+    visitor.on("request", lambda request: requested.append(request.url))
+    visitor.goto(link)
+    expect(visitor.get_by_role("heading", name="Shared")).to_be_visible()
+    expect(visitor.get_by_role("region", name="Curves")).to_be_visible()
+    expect(visitor.get_by_role("button", name="Pause")).to_have_count(0)
+    expect(visitor.get_by_role("link", name="Label", exact=True)).to_have_count(0)
+    token = link.partition("#")[2]
+    assert not any(token in url.partition("#")[0] for url in requested), "the token must not be sent in an address"
+    assert {url.rpartition("/")[2] for url in requested if "/api/" in url} == {"shared"}
+
+    page.get_by_role("button", name="Revoke").click()
+    expect(page.get_by_role("button", name="Revoke")).to_have_count(0)
+    visitor.reload()
+    expect(visitor.get_by_role("heading", name="This link does not work")).to_be_visible()
+    context.close()
+
+
+def test_an_export_downloaded_from_the_page_can_be_uploaded_again(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn, tmp_path: Path
+) -> None:
+    experiment = new_experiment("Exported")
+    page = sign_in("Rosa", "researcher")
+    labeller = Labeller(page)
+    labeller.open(service.url, experiment)
+    labeller.press("ArrowLeft")
+    page.goto(f"{service.url}/experiments/{experiment}")
+    with page.expect_download(timeout=PATIENCE_MS) as download:
+        page.get_by_role("button", name="Export").click()
+    archive = tmp_path / "export.zip"
+    download.value.save_as(archive)
+
+    page.get_by_role("link", name="Accord, all experiments").click()
+    page.get_by_role("button", name="Import").click()
+    form = page.get_by_role("form", name="Import an experiment")
+    damaged = tmp_path / "damaged.zip"
+    damaged.write_bytes(archive.read_bytes()[:1000])
+    form.get_by_label("Export").set_input_files(damaged)
+    form.get_by_label("Name of the new experiment").fill("Imported")
+    form.get_by_role("button", name="Import").click()
+    expect(form.get_by_role("alert")).to_contain_text("Nothing was imported")
+    form.get_by_label("Export").set_input_files(archive)
+    form.get_by_role("button", name="Import").click()
+    expect(page.get_by_role("heading", name="Imported")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_role("button", name="Resume")).to_be_visible()
+    # Its pair gets clips, so that its label can be watched.
+    imported = page.url.rpartition("/")[2]
+    ready = "select count(*) from clips where experiment_id = ? and status = 'ready'"
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    while service.rows(ready, imported) != [(2,)] and time.monotonic() < deadline:
+        page.wait_for_timeout(250)
+    page.goto(f"{page.url}/labels")
+    expect(page.locator("main img")).to_have_count(2)
