@@ -206,7 +206,7 @@ class LabelCounts(Schema):
     """Progress of an experiment's labelling."""
 
     budget: int = Field(description="Labels to collect in total.")
-    labels: int = Field(description="Labels 1, 0 or 0.5, without skips.")
+    labels: int = Field(description="Labels, without skips.")
     skips: int = Field(description="Skipped queries.")
     due: int = Field(description="Labels due at the policy's current step.")
     open_queries: int = Field(description="Queries ready to label.")
@@ -504,7 +504,9 @@ class NewLabel(Schema):
     """A label for a query. Sending the same label again changes nothing."""
 
     label: float | None = Field(
-        strict=True, description="1, 0 or 0.5 (see `order`); null skips the query. Skips are stored but not trained on."
+        strict=True,
+        description="1, 0 or 0.5 (see `order`), and with the answer scale `five` also 0.75 or 0.25: slightly better. "
+        "Null skips the query. Skips are stored but not trained on.",
     )
     order: Literal["segments", "shown"] = Field(
         default="segments",
@@ -674,10 +676,11 @@ class LabellerQuality(Schema):
     seconds: Estimate | None = Field(description="Median time from the start of both clips to the label.")
     left: Share | None = Field(description="The left clip was preferred, among labels that prefer one.")
     equal: Share | None = Field(description="Labels that say equal.")
-    gold: Share | None = Field(description="Right answers to gold queries.")
-    consistency: Share | None = Field(description="The same answer to a repeat.")
+    gold: Share | None = Field(description="The right side in gold queries, slightly or clearly.")
+    consistency: Share | None = Field(description="The same side in a repeat, slightly or clearly.")
     agreement: Share | None = Field(
-        description="The same answer as another labeller, over all labels of others on the same queries."
+        description="The same side as another labeller, slightly or clearly, over all labels of others on the same "
+        "queries."
     )
     teacher: Share | None = Field(
         description="The segment with the higher true return was preferred, as by a scripted teacher without noise."
@@ -697,8 +700,9 @@ class Quality(Schema):
 
     labellers: list[LabellerQuality] = Field(description="Everyone who has labelled it, by name.")
     alpha: Estimate | None = Field(
-        description="Krippendorff's alpha of labels as an ordinal scale, over queries with several labels, without "
-        "excluded ones: 1 is full agreement, 0 that of chance. Null if there are none, or all labels are the same."
+        description="Krippendorff's alpha of the preferred sides as an ordinal scale, over queries with several "
+        "labels, without excluded ones: 1 is full agreement, 0 that of chance. Slightly and clearly better are the "
+        "same side. Null if there are none, or all labels are the same."
     )
     disputed: int = Field(description="Queries on which labels differ and which nobody has decided.")
     decided: int = Field(description="Queries that a researcher has decided with a final label.")
@@ -708,7 +712,10 @@ class Quality(Schema):
 class GoldAnswer(Schema):
     """The known answer of a query."""
 
-    label: float = Field(strict=True, description="1, 0 or 0.5, in segment order: 1 means that segment 0 is better.")
+    label: float = Field(
+        strict=True,
+        description="1, 0 or 0.5, in segment order: 1 means that segment 0 is better. Slight answers are right, too.",
+    )
 
 
 class GoldQuery(Schema):

@@ -108,6 +108,7 @@ def demo(
         initial_labels=initial_labels,
         labels_per_version=labels_per_version,
         render_clips=clips,
+        answer_scale="five" if choice.teacher(0).bpref.slight else "three",
         baseline=baseline,
         # Experiments of the default algorithm do not name it.
         policy=own if algorithm == _DEFAULT_ALGORITHM else {"algorithm": algorithm} | own,

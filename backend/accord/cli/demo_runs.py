@@ -70,13 +70,16 @@ class RunPlan:
     render_clips: bool
     reward_model: str = "MAPT"
     reward_preset: str = "small"
+    answer_scale: str = "three"
     #: policy settings that differ from the defaults
     policy: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def differences(self, config: Mapping[str, Any]) -> list[str]:
         """How an experiment's settings differ from these, as clauses of a sentence."""
         own = {name: value for name, value in asdict(self).items() if name != "name"}
-        return [f"{name} is {config[name]!r}, not {value!r}" for name, value in own.items() if config[name] != value]
+        # An experiment of an earlier version lacks later settings.
+        found = {name: config.get(name, value) for name, value in own.items()}
+        return [f"{name} is {found[name]!r}, not {value!r}" for name, value in own.items() if found[name] != value]
 
     @property
     def folder_name(self) -> str:
@@ -121,6 +124,8 @@ class Grid:
     #: size of the reward models
     reward_preset: str = "small"
     render_clips: bool = False
+    #: `five` for a teacher that also prefers slightly
+    answer_scale: str = "three"
     #: add a run with the true reward for each seed
     baseline: bool = True
     policy: Mapping[str, Any] = field(default_factory=dict[str, Any])
@@ -147,6 +152,7 @@ class Grid:
                 render_clips=self.render_clips,
                 reward_model=model,
                 reward_preset=self.reward_preset,
+                answer_scale=self.answer_scale,
             )
             for labels in self.labels
             for model in self.reward_models

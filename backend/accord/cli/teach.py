@@ -18,6 +18,7 @@ from accord.cli.options import Experiment, Home, Token, Url, load_settings, serv
 from accord.workers.runner import Stop
 from mapt.cli.options import Json, Teacher
 from mapt.cli.output import ProgressBars, print_json, print_line
+from mapt.errors import InvalidTeacher
 from mapt.preferences.teachers import ScriptedTeacher, TeacherView, make_teacher
 from mapt.settings import NamedSettings
 
@@ -143,10 +144,13 @@ def teach_experiment(
 
     Raises:
         Refused, Unavailable: if the API refuses a request, or does not respond.
+        InvalidTeacher: if the teacher gives answers that the experiment's answer scale does not have.
         PreferenceError: if the segments lack what the teacher judges by.
     """
-    reader, given = SegmentReader(api, teacher), 0
-    horizon_steps = api.get(f"/experiments/{experiment_id}")["task"]["horizon_steps"]
+    reader, given, experiment = SegmentReader(api, teacher), 0, api.get(f"/experiments/{experiment_id}")
+    horizon_steps = experiment["task"]["horizon_steps"]
+    if teacher.bpref.slight > 0 and experiment["config"].get("answer_scale") != "five":
+        raise InvalidTeacher("The teacher gives slight preferences, for which the experiment needs answer_scale five.")
     while given < labels and not stopped():
         count = min(_QUERIES_PER_REQUEST, labels - given)
         path = f"/experiments/{experiment_id}/queries/next"

@@ -89,7 +89,3 @@ class WorkerState(StrEnum):
     #: its process ended; its supervisor starts another one
     RESTARTING = "restarting"
     STOPPED = "stopped"
-
-
-#: values of a label, P(segment 0 is preferred)
-LABEL_VALUES: tuple[float, ...] = (0.0, 0.5, 1.0)

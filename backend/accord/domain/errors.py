@@ -227,10 +227,11 @@ class Invalid(AccordError):
 class InvalidLabel(Invalid):
     code = "invalid_label"
 
-    def __init__(self, value: object) -> None:
+    def __init__(self, value: object, scale: str = "three") -> None:
+        slightly = ", 0.75 or 0.25 (slightly better)" if scale == "five" else ""
         super().__init__(
-            f"A label is 1 (segment 0 is better), 0 (segment 1 is better) or 0.5 (equal), not {value!r}. "
-            "To skip the query, send null.",
+            f"With the answer scale {scale!r}, a label is 1 (segment 0 is better), 0 (segment 1 is better){slightly} "
+            f"or 0.5 (equal), not {value!r}. To skip the query, send null.",
             "label",
         )
 

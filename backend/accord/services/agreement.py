@@ -7,7 +7,7 @@ from math import sqrt
 import krippendorff
 import numpy as np
 
-from accord.domain.enums import LABEL_VALUES
+from accord.domain.label_values import SIDES
 
 #: z of a 95% interval
 _Z = 1.959964
@@ -57,21 +57,18 @@ def median_of(values: Sequence[float]) -> Estimate | None:
 
 
 def alpha_of(labels_of_queries: Iterable[Sequence[float]]) -> Estimate | None:
-    """Krippendorff's alpha of the labels 0, 0.5 and 1 as an ordinal scale: 1 is full agreement, 0 that of chance.
+    """Krippendorff's alpha of the sides 0, 0.5 and 1 as an ordinal scale: 1 is full agreement, 0 that of chance.
 
     Args:
-        labels_of_queries: the labels of each query by different people; queries with one label are left out.
+        labels_of_queries: the sides (`side_of`) that different people prefer on each query; queries with one label
+            are left out.
 
     Returns:
         The estimate with its number of queries; None if there is no query with several labels, or all labels are
         equal, for which chance agreement is not defined.
     """
     counts = np.array(
-        [
-            [sum(each == value for each in labels) for value in LABEL_VALUES]
-            for labels in labels_of_queries
-            if len(labels) > 1
-        ]
+        [[sum(each == value for each in labels) for value in SIDES] for labels in labels_of_queries if len(labels) > 1]
     )
     if not len(counts) or (counts.sum(axis=0) > 0).sum() < 2:
         return None
@@ -83,6 +80,4 @@ def alpha_of(labels_of_queries: Iterable[Sequence[float]]) -> Estimate | None:
 
 
 def _alpha(counts: np.ndarray) -> float:
-    return float(
-        krippendorff.alpha(value_counts=counts, value_domain=list(LABEL_VALUES), level_of_measurement="ordinal")
-    )
+    return float(krippendorff.alpha(value_counts=counts, value_domain=list(SIDES), level_of_measurement="ordinal"))

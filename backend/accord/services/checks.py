@@ -12,9 +12,10 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
-from accord.domain.enums import LABEL_VALUES, QueryStatus
+from accord.domain.enums import QueryStatus
 from accord.domain.errors import InvalidLabel, LabelConflict, QueryNotFound
 from accord.domain.ids import new_id
+from accord.domain.label_values import SIDES
 from accord.services.accounts import Caller
 from accord.services.exclusion import recount
 from accord.store import experiments, labels, queries
@@ -90,14 +91,15 @@ def set_gold(session: Session, query_id: str, value: float | None) -> QueryRow:
     Labels of a gold query no longer count, so that the experiment asks for others in their place.
 
     Args:
-        value: P(segment 0 is preferred): 1, 0 or 0.5.
+        value: P(segment 0 is preferred): 1, 0 or 0.5. An answer to a gold query is right if it prefers the same side,
+            slightly or clearly.
 
     Raises:
         InvalidLabel: for any other value.
         QueryNotFound: if there is no such query.
         LabelConflict: if its clips are not ready, or it is a repeat.
     """
-    if value is not None and value not in LABEL_VALUES:
+    if value is not None and value not in SIDES:
         raise InvalidLabel(value)
     query = queries.lock_row(session, query_id)
     if query is None:

@@ -22,6 +22,7 @@ RewardModelName = Literal[
     "MAPT", "MAPT-paper", "MAPT-TPA", "MAPT-CPA", "MAPT*", "MAPT*-CPA", "MA-MLP", "MA-LSTM", "MA-Transformer"
 ]
 PolicyReward = Literal["value", "attended", "weighted"]
+AnswerScale = Literal["three", "five"]
 Credit = Literal["shared", "individual"]
 QuerySelection = Literal[
     "uniform", "recent", "disagreement", "entropy", "k_center", "disagreement_k_center", "entropy_k_center"
@@ -97,6 +98,13 @@ class ExperimentConfig(Settings):
             le=0.3,
         ),
     ] = 0.0
+    answer_scale: Annotated[
+        AnswerScale,
+        setting(
+            "Answers that a labeller chooses from. three: one of the clips is better, or both are equal. five: also "
+            "slightly better, stored as 0.75 or 0.25, the probability that the reward model then learns."
+        ),
+    ] = "three"
     lookahead_queries: Annotated[
         int,
         setting(

@@ -26,7 +26,7 @@ class LabelCounts:
     """Progress of an experiment's labelling."""
 
     budget: int
-    #: labels 1, 0 or 0.5, without skips
+    #: labels without skips
     labels: int
     skips: int
     #: labels the schedule asks for at the policy's current step

@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 from accord.domain.enums import ExperimentStatus, QueryStatus, Role
 from accord.domain.errors import Invalid
 from accord.domain.ids import new_id
+from accord.domain.label_values import LABEL_VALUES
 from accord.services import accounts, experiments
 from accord.services.collect import NewSegment, StoredSegment, collect, store_arrays
 from accord.services.exclusion import recount
@@ -98,6 +99,12 @@ def _checked(tables: PreferenceTables) -> Imported:
     if missing:
         raise Invalid(f"The export is incomplete: its queries refer to {len(missing)} segments that it does not hold.")
     kept = [label for label in labels if label.query_id in labelled]
+    for label in kept:
+        if label.label is not None and label.label not in LABEL_VALUES[config.answer_scale]:
+            raise Invalid(
+                f"The export is damaged: it holds a label of {label.label}, which the answer scale "
+                f"{config.answer_scale!r} of its experiment does not have."
+            )
     return Imported(new_id("exp"), config, _instructions(about), {}, queries, kept)
 
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from sqlalchemy.orm import Session
 
-from accord.domain.enums import LABEL_VALUES, QueryStatus, Role
+from accord.domain.enums import QueryStatus, Role
 from accord.domain.errors import (
     InvalidLabel,
     LabelChanged,
@@ -21,6 +21,7 @@ from accord.domain.errors import (
     QueryNotFound,
 )
 from accord.domain.ids import new_id
+from accord.domain.label_values import LABEL_VALUES
 from accord.domain.permissions import may_label_in_batches, may_run_experiments, require
 from accord.services import access
 from accord.services.accounts import Caller
@@ -65,7 +66,7 @@ def put_label(
     get it again.
 
     Args:
-        value: 1, 0 or 0.5; None skips.
+        value: 1, 0 or 0.5, and 0.75 or 0.25 where the experiment's answer scale is `five`; None skips.
         order: `segments`: 1 prefers segment 0. `shown`: 1 prefers the left clip, and is converted to segment order.
         experiment_id: when given, the query must be of this experiment.
         instructions_revision: of the instructions that the user had read; ignored if the experiment has none of that
@@ -74,7 +75,7 @@ def put_label(
         final: whether it decides between the labels of others, for researchers; None keeps what the user's label is.
 
     Raises:
-        InvalidLabel: for any other value.
+        InvalidLabel: for a value that the experiment's answer scale does not have.
         Forbidden: if a labeller or teacher sends a final label.
         Invalid: if `teacher` is too long or not JSON.
         QueryNotFound: if there is no such query (in this experiment).
@@ -86,12 +87,16 @@ def put_label(
         LeaseLost: if another user holds it; if it was never shown to a labeller; or if `shown` is sent for such a
             query.
     """
-    if value is not None and value not in LABEL_VALUES:
+    if value is not None and value not in LABEL_VALUES["five"]:
         raise InvalidLabel(value)
     described = check_teacher(teacher) if teacher else {}
     if final:
         require(may_run_experiments(Role(user.role)), Role(user.role), "decide between the labels of others")
     found = _locked(session, user, query_id, experiment_id)
+    # Experiments of earlier versions stored no scale.
+    scale = found.config.get("answer_scale", "three")
+    if value is not None and value not in LABEL_VALUES[scale]:
+        raise InvalidLabel(value, scale)
     final = found.final if final is None else final
     if order == "shown":
         if found.left_segment is None:

@@ -1,14 +1,19 @@
-"""How good the labels of an experiment are: statistics of each labeller, what is conspicuous, and agreement."""
+"""How good the labels of an experiment are: statistics of each labeller, what is conspicuous, and agreement.
+
+Labels are compared by the side that they prefer: slightly and clearly better are the same answer, because people draw
+the line between them differently.
+"""
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import combinations
 from typing import Literal
 
 from sqlalchemy.orm import Session
 
+from accord.domain.label_values import side_of
 from accord.services import experiments
 from accord.services.agreement import Estimate, Share, alpha_of, median_of, share_of
 from accord.store import labels as label_rows
@@ -50,9 +55,9 @@ class LabellerQuality:
     equal: Share | None
     #: right answers to gold queries
     gold: Share | None
-    #: the same answer to a repeat
+    #: the same side in a repeat
     consistency: Share | None
-    #: the same answer as another labeller, over all labels of others on the same queries
+    #: the same side as another labeller, over all labels of others on the same queries
     agreement: Share | None
     #: the segment with the higher true return was preferred: the answer of a scripted teacher without noise
     teacher: Share | None
@@ -114,7 +119,8 @@ def read(session: Session, experiment_id: str) -> Rows:
 
 def quality_of(rows: Rows) -> Quality:
     """The statistics; takes about a second for 10,000 labels, so compute them outside any transaction."""
-    answers = [each for each in rows.labels if each.value is not None]
+    given = [each if each.value is None else replace(each, value=side_of(each.value)) for each in rows.labels]
+    answers = [each for each in given if each.value is not None]
     by_query: dict[str, list[GivenLabel]] = defaultdict(list)
     for each in answers:
         if each.repeats_id is None and not each.excluded:
@@ -124,7 +130,7 @@ def quality_of(rows: Rows) -> Quality:
         (first, second, first.value == second.value) for labels in shared for first, second in combinations(labels, 2)
     ]
     by_user: dict[str, list[GivenLabel]] = defaultdict(list)
-    for each in rows.labels:
+    for each in given:
         by_user[each.user_id].append(each)
     found: list[LabellerQuality] = []
     for user in rows.users:

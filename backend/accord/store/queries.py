@@ -93,6 +93,8 @@ class LockedQuery:
     query_id: str
     experiment_id: str
     experiment_status: str
+    #: the experiment's settings as stored
+    config: dict[str, Any]
     #: newest revision of the experiment's instructions
     instructions_revision: int
     status: str
@@ -134,6 +136,7 @@ _LOCK = (
         QueryRow.labels_wanted,
         ~IS_TRAINED_ON,
         ExperimentRow.instructions_revision,
+        ExperimentRow.config,
         *RESPONSE_COLUMNS,
     )
     .join(ExperimentRow, ExperimentRow.id == QueryRow.experiment_id)
@@ -277,7 +280,8 @@ def lock(session: Session, query_id: str, user_id: str) -> LockedQuery | None:
         labels_wanted=found[13],
         is_check=bool(found[14]),
         instructions_revision=found[15],
-        response=None if found[8] is None else Response(*found[16:]),
+        config=found[16],
+        response=None if found[8] is None else Response(*found[17:]),
     )
 
 
@@ -328,8 +332,12 @@ def repeatable(session: Session, user_id: str, experiment_id: str, now: datetime
 
 
 def _disputed(experiment_id: str) -> Any:
-    """Ids and numbers of queries on which labels differ and which nobody has decided; the largest difference first."""
-    spread = func.max(LabelRow.value) - func.min(LabelRow.value)
+    """Ids and numbers of queries on which labels differ and which nobody has decided; the largest difference first.
+
+    Labels differ if they prefer different sides: slightly and clearly better is no disagreement.
+    """
+    side = case((LabelRow.value > 0.5, 1.0), (LabelRow.value < 0.5, 0.0), else_=0.5)
+    spread = func.max(side) - func.min(side)
     return (
         select(QueryRow.id, QueryRow.number)
         .join(LabelRow, LabelRow.query_id == QueryRow.id)

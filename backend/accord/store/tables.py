@@ -334,7 +334,8 @@ class LabelRow(Base):
     experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"))
     query_id: Mapped[str] = mapped_column(ForeignKey("queries.id"))
     user_id: Mapped[str] = mapped_column(ForeignKey("users.id"))
-    #: P(segment 0 is preferred): 1, 0 or 0.5; None when skipped or undone
+    #: P(segment 0 is preferred): 1, 0 or 0.5, with the answer scale `five` also 0.75 or 0.25 (slightly better); None
+    #: when skipped or undone
     value: Mapped[float | None]
     #: label | skip | undone
     state: Mapped[str] = mapped_column(String(10))

@@ -177,10 +177,9 @@ class PairTensors:
 
     @property
     def irreducible_loss(self) -> float:
-        """The mean loss, in nats, of a model that always prefers the better segment; see `preference_losses`."""
-        if self.weights is None:
-            return 0.0
-        right = (1 + self.weights) / 2
+        """The mean loss, in nats, of a model that predicts each label's probability; see `preference_losses`."""
+        weights = 1.0 if self.weights is None else self.weights
+        right = (1 + weights * (2 * self.labels - 1).abs()) / 2
         return -(torch.xlogy(right, right) + torch.xlogy(1 - right, 1 - right)).mean().item()
 
     def segments(self, index: Tensor) -> Tensor:

@@ -47,6 +47,39 @@ def test_labeller_labels_undoes_and_labels_again(api_per_database: ApiServer) ->
     assert client.get(f"/api/v1/experiments/{sample.experiment.id}").json()["labels"]["labels"] == 1
 
 
+def test_five_answers_are_stored_changed_filtered_and_undone(api_per_database: ApiServer) -> None:
+    sample, client = create(api_per_database, answer_scale="five"), api_per_database.labeller
+    queries = next_queries(client, sample, count=2)["items"]
+    path, other = (f"/api/v1/queries/{query['id']}/label" for query in queries)
+    stored = client.put(path, json={"label": 0.75, "order": "shown"}).json()
+    assert stored["label"] == (0.75 if queries[0]["left"]["index"] == 0 else 0.25)
+    opposite = 1 - stored["label"]
+    changed = client.put(path, json={"label": opposite, "replaces": stored["revision"]})
+    assert (changed.status_code, changed.json()["label"]) == (201, opposite)
+    assert client.put(other, json={"label": 0.75}).json()["label"] == 0.75
+    mine = client.get(f"/api/v1/experiments/{sample.experiment.id}/labels/mine").json()["items"]
+    assert [item["label"] for item in mine] == [0.75, opposite]
+    assert client.delete(path).status_code == 200
+    listed = f"/api/v1/experiments/{sample.experiment.id}/queries"
+    found = api_per_database.researcher.get(listed, params={"label": "0.75"}).json()["items"]
+    assert [item["id"] for item in found] == [queries[1]["id"]]
+    refused = client.put(path, json={"label": 0.6})
+    assert (refused.status_code, refused.json()["error"]["code"]) == (422, "invalid_label")
+
+
+def test_slight_answers_are_refused_where_the_scale_has_three(api_per_database: ApiServer) -> None:
+    sample, client = create(api_per_database), api_per_database.labeller
+    (query,) = next_queries(client, sample)["items"]
+    refused = client.put(f"/api/v1/queries/{query['id']}/label", json={"label": 0.75})
+    assert (refused.status_code, refused.json()["error"]["code"]) == (422, "invalid_label")
+    assert "'three'" in refused.json()["error"]["message"]
+    batch = {
+        "labels": [{"query_id": sample.query_ids[1], "label": 0.25}, {"query_id": sample.query_ids[2], "label": 0}]
+    }
+    outcomes = api_per_database.teacher.post(f"/api/v1/experiments/{sample.experiment.id}/labels", json=batch).json()
+    assert [(each["ok"], each["code"]) for each in outcomes["items"]] == [(False, "invalid_label"), (True, None)]
+
+
 def test_lease_is_renewed_and_released(api_per_database: ApiServer) -> None:
     sample = create(api_per_database, queries=1)
     (query,) = next_queries(api_per_database.labeller, sample)["items"]

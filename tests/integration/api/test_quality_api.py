@@ -138,3 +138,22 @@ def test_reliability_of_the_newest_version_is_for_researchers(
     assert body["items"] == [asdict(found) | {"name": sample.owner.name}]
     assert api_per_database.labeller.get(path).status_code == 403
     assert api_per_database.teacher.get(path).status_code == 403
+
+
+def test_slight_and_clear_labels_of_a_side_are_not_disputed(api_per_database: ApiServer) -> None:
+    stores = api_per_database.stores
+    sample = create_sample(
+        stores.database, stores.blobs, labels_per_pair=2, overlap_share=1.0, answer_scale="five", queries=2
+    )
+    for client, values in ((api_per_database.labeller, (1.0, 0.25)), (api_per_database.teacher, (0.75, 0.75))):
+        for value in values:
+            (item,) = next_items(client, sample)
+            put(client, item["id"], value)
+    client = api_per_database.researcher
+    quality = client.get(f"/api/v1/experiments/{sample.experiment.id}/quality").json()
+    assert quality["disputed"] == 1
+    (disputed,) = next_items(client, sample, disputed=True, tab="decide")
+    assert put(client, disputed["id"], 0.75, final=True)["final"]
+    assert next_items(client, sample, disputed=True, tab="decide") == []
+    gold = f"/api/v1/queries/{sample.query_ids[0]}/gold"
+    assert client.put(gold, json={"label": 0.75}).json()["error"]["code"] == "invalid_label"

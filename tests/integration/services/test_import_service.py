@@ -200,3 +200,19 @@ def test_what_cannot_be_imported_leaves_no_experiment_and_no_blob(
     with stores.database.reading() as session:
         assert len(experiments.list_page(session, 10, None).rows) == 1
     assert segment_blobs(stores) == before
+
+
+def test_slight_labels_survive_an_export_and_an_import(stores: Stores, tmp_path: Path) -> None:
+    sample = create_sample(stores.database, stores.blobs, answer_scale="five")
+    with stores.database.transaction() as session:
+        person, _ = user(session, "Ada")
+        lease.next_queries(session, person, sample.experiment.id, 2, 60.0)
+        label.put_label(session, person, sample.query_ids[0], 0.75)
+        label.put_label(session, person, sample.query_ids[1], 0.25)
+    tables = exported(stores, sample.experiment.id, tmp_path / "first")
+    again = exported(stores, imported(stores, tables), tmp_path / "again")
+    assert values(again) == values(tables)
+    assert sorted(each.label or 0 for each in again.labels()) == [0.25, 0.75]
+    about = {**tables.about, "config": {**tables.about["config"], "answer_scale": "three"}}
+    with pytest.raises(Invalid), importing.storing(stores.blobs, replace(tables, about=about)):
+        pass

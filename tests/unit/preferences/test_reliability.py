@@ -258,3 +258,11 @@ def test_prediction_of_a_pair_does_not_depend_on_its_label():
     before, after = cross_fitted_logits(twice), cross_fitted_logits(changed)
     assert before[[7, -1]].tolist() == after[[7, -1]].tolist()
     assert not math.isclose(before[8], after[8]) or not np.allclose(before, after)
+
+
+def test_slight_answers_are_the_answers_of_their_side():
+    labels = np.array([1, 0.75, 0.5, 0.25, 0], dtype=np.float32)
+    pairs, nobody = np.arange(5), np.zeros(5, np.int64)
+    assert LabellerAnswers(pairs, labels, nobody, nobody).shown.tolist() == [LEFT, LEFT, EQUAL, RIGHT, RIGHT]
+    on_right = LabellerAnswers(pairs, labels, nobody, np.ones(5, np.int64))
+    assert on_right.shown.tolist() == [RIGHT, RIGHT, EQUAL, LEFT, LEFT]

@@ -387,3 +387,27 @@ def test_inattention_leaves_the_other_labels_as_they_are(name):
     pairs = random_pairs(500)
     usual, inattentive = make_teacher(name, seed=5).judge(*pairs), make_teacher(name, seed=5, guess=0.2).judge(*pairs)
     assert 0.02 < (usual != inattentive).mean() < 0.2
+
+
+def test_slight_teacher_prefers_the_same_segment_slightly_where_scores_are_close():
+    first, second = random_pairs(2000, mean=2.0)
+    oracle, slight = (make_teacher(name).judge(first, second) for name in ("oracle", "slight"))
+    assert set(slight.tolist()) == {0.0, 0.25, 0.75, 1.0}
+    assert ((slight > 0.5) == (oracle > 0.5)).all()
+    gap = np.abs(first.rewards.sum(1) - second.rewards.sum(1))
+    weak = (slight == 0.25) | (slight == 0.75)
+    assert gap[weak].mean() < gap[~weak].mean()
+    assert make_teacher("slight", slight=1e3).judge(first, second).tolist() == (0.25 + oracle / 2).tolist()
+    # The threshold is a fraction of the running mean return, about 12 here.
+    assert gap[weak].max() < 0.3 * 12 * 1.2
+
+
+def test_equal_returns_stay_equal_for_a_slight_teacher():
+    first, second = many_pairs(0.0, 5)
+    assert make_teacher("slight").judge(first, second).tolist() == [0.5] * 5
+    assert make_teacher("slight", equal=0.3).judge(*many_pairs(0.1, 5)).tolist() == [0.5] * 5
+
+
+def test_parameters_of_earlier_teachers_do_not_name_slight():
+    assert "slight" not in make_teacher("oracle").parameters()
+    assert make_teacher("slight").parameters()["slight"] == 0.3

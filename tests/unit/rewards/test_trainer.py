@@ -645,3 +645,19 @@ def test_weights_of_1_train_the_same_model(noise):
     assert {**first.metrics, "seconds": 0} == {**second.metrics, "seconds": 0} | {
         name: first.metrics[name] for name in first.metrics if name.endswith("seconds") and name != "seconds"
     }
+
+
+def test_irreducible_loss_is_that_of_predicting_each_labels_probability():
+    segments = preferences(4).segments
+    pairs = np.array([[0, 1], [2, 3], [4, 5], [6, 7]])
+
+    def irreducible(labels, weights=None):
+        dataset = PreferenceDataset(segments, pairs, np.array(labels, dtype=np.float32))
+        dataset = dataset if weights is None else dataset.weighted(weights)
+        return PairTensors.of(dataset, torch.device("cpu")).irreducible_loss
+
+    assert irreducible([1, 0, 0, 1]) == 0
+    entropy = -(0.75 * np.log(0.75) + 0.25 * np.log(0.25))
+    assert irreducible([0.75, 0.25, 0.75, 0.25]) == pytest.approx(entropy, rel=1e-5)
+    assert irreducible([1, 0, 0, 1], [0.5] * 4) == pytest.approx(entropy, rel=1e-5)
+    assert irreducible([0.75, 1, 0, 1]) == pytest.approx(entropy / 4, rel=1e-5)

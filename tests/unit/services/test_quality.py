@@ -133,3 +133,32 @@ def test_excluded_labels_do_not_lower_the_agreement_of_others() -> None:
     assert bad is not None
     assert (ada.count, ada.of) == (10, 10)
     assert (bad.count, bad.of) == (0, 20)
+
+
+def test_slight_and_clear_answers_are_the_same_side() -> None:
+    """`bob` answers as `ada`, but always slightly; both disagree with `eve`."""
+    values = {"ada": (1.0, 0.0), "bob": (0.75, 0.25), "eve": (0.0, 1.0)}
+    labels = [
+        GivenLabel(person, f"pair {n}", by_side[n % 2], 0, 3.0, False, 1.0 - n % 2, None, 1.0 - n % 2, n % 2)
+        for n in range(10)
+        for person, by_side in values.items()
+    ]
+    labels += [
+        GivenLabel("bob", f"repeat {n}", (0.0, 1.0)[n % 2], 0, 3.0, False, None, f"pair {n}", 0.0, 0.0)
+        for n in range(10)
+    ]
+    users = [LabellingUser(person, person, "labeller") for person in values]
+    found = quality_of(Rows(labels, users, {}, disputed=0, decided=0, gold_queries=10))
+    ada, bob = of(found, "ada"), of(found, "bob")
+    assert bob.gold is not None
+    assert bob.consistency is not None
+    assert bob.teacher is not None
+    assert bob.left is not None
+    assert (bob.gold.count, bob.gold.of) == (10, 10)
+    assert (bob.consistency.count, bob.consistency.of) == (10, 10)
+    assert (bob.teacher.count, bob.teacher.of) == (10, 10)
+    assert (bob.left.count, bob.left.of) == (10, 20)
+    assert bob.equal is not None
+    assert bob.equal.count == 0
+    assert ada.agreement is not None
+    assert (ada.agreement.count, ada.agreement.of) == (10, 20)

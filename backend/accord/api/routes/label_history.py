@@ -19,6 +19,8 @@ _CONTENT: dict[str, tuple[str, float | None]] = {
     "1": ("label", 1.0),
     "0": ("label", 0.0),
     "0.5": ("label", 0.5),
+    "0.75": ("label", 0.75),
+    "0.25": ("label", 0.25),
     "skip": ("skip", None),
     "undone": ("undone", None),
 }
@@ -32,7 +34,7 @@ def _filters(
     status: Annotated[QueryStatus | None, Query(description="Only queries with this status.")] = None,
     user: Annotated[str | None, Query(description="Only queries that this user has labelled, usr_...")] = None,
     label: Annotated[
-        Literal["1", "0", "0.5", "skip", "undone"] | None,
+        Literal["1", "0", "0.5", "0.75", "0.25", "skip", "undone"] | None,
         Query(description="Only queries with this label, in segment order; with `user`, given by that user."),
     ] = None,
     changed: Annotated[

@@ -5,6 +5,8 @@ import { plural } from "@/shared/ui/format";
 interface FiltersProps {
   filters: LabelFilters;
   authors: readonly LabelAuthor[];
+  /** whether labellers also choose slightly better */
+  slight: boolean;
   onChange: (filters: LabelFilters) => void;
 }
 
@@ -17,8 +19,10 @@ const STATUSES = [
 
 const LABELS = [
   ["1", "First is better"],
-  ["0", "Second is better"],
+  ["0.75", "First is slightly better"],
   ["0.5", "Equally good"],
+  ["0.25", "Second is slightly better"],
+  ["0", "Second is better"],
   ["skip", "Skipped"],
   ["undone", "Undone"],
 ] as const;
@@ -29,7 +33,7 @@ const CHANGED = [
 ] as const;
 
 /** Which pairs to show. */
-export function Filters({ filters, authors, onChange }: FiltersProps) {
+export function Filters({ filters, authors, slight, onChange }: FiltersProps) {
   return (
     <fieldset className="row filters" aria-label="Filters">
       <Select
@@ -47,7 +51,7 @@ export function Filters({ filters, authors, onChange }: FiltersProps) {
       <Select
         label="Label"
         value={filters.label ?? null}
-        options={LABELS}
+        options={LABELS.filter(([value]) => slight || (value !== "0.75" && value !== "0.25"))}
         onChange={(label) => onChange({ ...filters, label })}
       />
       <Select

@@ -38,7 +38,12 @@ export function LabelTablePage({ id, me }: { id: string; me: Me }) {
           Download as CSV
         </a>
       </div>
-      <Filters filters={filters} authors={authors} onChange={setFilters} />
+      <Filters
+        filters={filters}
+        authors={authors}
+        slight={experiment.data?.config.answer_scale === "five"}
+        onChange={setFilters}
+      />
       {queries.error && <Alert>{errorMessage(queries.error)}</Alert>}
       {queries.data && items.length === 0 && <p className="muted">No pair passes these filters.</p>}
       {items.length > 0 && (

@@ -52,11 +52,12 @@ export function QueryRows({ id, query }: { id: string; query: RecordedQuery }) {
 
 /** Stills of both segments, in segment order, with their true returns. Those that a labeller preferred have a frame. */
 function Segments({ query }: { query: RecordedQuery }) {
-  const preferred = new Set(query.labels.map(({ revisions }) => revisions.at(-1)?.label));
+  const labels = query.labels.map(({ revisions }) => revisions.at(-1)?.label ?? 0.5);
+  const preferred = [labels.some((label) => label > 0.5), labels.some((label) => label < 0.5)];
   return (
     <div className="segments">
       {query.segments.map(({ segment_id, thumbnail_url, clip_url, true_return }, index) => (
-        <figure key={segment_id} data-better={preferred.has(1 - index) || undefined}>
+        <figure key={segment_id} data-better={preferred[index] || undefined}>
           {thumbnail_url && clip_url && (
             <a href={clip_url} target="_blank" rel="noreferrer">
               <img
@@ -120,7 +121,8 @@ function labelText({ state, label, left_segment }: LabelRevision): string {
   if (state === "undone") return "Undone";
   if (label === null) return "Skipped";
   if (label === 0.5) return "Equally good";
-  const better = label === 1 ? 0 : 1;
+  const better = label > 0.5 ? 0 : 1;
+  const slightly = label === 1 || label === 0 ? "" : ", slightly";
   const side = left_segment === null ? "" : better === left_segment ? " (left)" : " (right)";
-  return `${better === 0 ? "First" : "Second"}${side}`;
+  return `${better === 0 ? "First" : "Second"}${side}${slightly}`;
 }

@@ -9,14 +9,19 @@ interface ChoiceButtonsProps {
   canSkip: boolean;
   /** the choice just made, highlighted until the next pair is shown */
   chosen: Choice | null;
+  /** whether one can also choose slightly better */
+  slight: boolean;
   names: ClipNames;
   onChoose: (choice: Choice) => void;
 }
 
+/** With the answer scale `five`, in two rows of three on phones. */
 const BUTTONS = [
   { choice: "left", key: "←", keyName: "ArrowLeft", hint: "Left arrow" },
+  { choice: "slightlyLeft", key: "⇧ ←", keyName: "Shift+ArrowLeft", hint: "Shift and left arrow" },
   { choice: "equal", key: "↑", keyName: "ArrowUp", hint: "Up arrow" },
   { choice: "skip", key: "↓", keyName: "ArrowDown", hint: "Down arrow" },
+  { choice: "slightlyRight", key: "⇧ →", keyName: "Shift+ArrowRight", hint: "Shift and right arrow" },
   { choice: "right", key: "→", keyName: "ArrowRight", hint: "Right arrow" },
 ] as const;
 
@@ -24,6 +29,9 @@ const BUTTONS = [
 function textOf(choice: Choice, names: ClipNames): { text: string; short: string } {
   if (choice === "equal") return { text: "Equally good", short: "Equal" };
   if (choice === "skip") return { text: "Can’t tell, skip", short: "Skip" };
+  if (choice === "slightlyLeft") return { text: `${names.left} slightly`, short: `${names.left} slightly` };
+  if (choice === "slightlyRight")
+    return { text: `${names.right} slightly`, short: `${names.right} slightly` };
   return { text: `${names[choice]} is better`, short: names[choice] };
 }
 
@@ -33,10 +41,11 @@ function textOf(choice: Choice, names: ClipNames): { text: string; short: string
  * Without a pair the buttons are `aria-disabled`, not `disabled`, so that a focused button keeps the focus from one
  * pair to the next.
  */
-export function ChoiceButtons({ enabled, canSkip, chosen, names, onChoose }: ChoiceButtonsProps) {
+export function ChoiceButtons({ enabled, canSkip, chosen, slight, names, onChoose }: ChoiceButtonsProps) {
+  const buttons = BUTTONS.filter(({ choice }) => slight || !choice.startsWith("slightly"));
   return (
-    <fieldset className="choices" aria-label="Which clip is better?">
-      {BUTTONS.map(({ choice, key, keyName, hint }) => {
+    <fieldset className="choices" data-scale={slight ? "five" : "three"} aria-label="Which clip is better?">
+      {buttons.map(({ choice, key, keyName, hint }) => {
         const active = choice === "skip" ? canSkip : enabled;
         const { text, short } = textOf(choice, names);
         return (

@@ -2,7 +2,7 @@ import type { RefObject } from "react";
 import type { Query, Task } from "@/shared/api/types";
 import type { PairPlayback } from "@/shared/media/usePairPlayer";
 import { useAgentName } from "./AgentName";
-import type { Choice } from "./choices";
+import { type Choice, sideOf } from "./choices";
 import { CAMERA_NAMES, type Camera } from "./clipViews";
 import type { ClipNames } from "./layout";
 
@@ -94,16 +94,23 @@ export function ClipPair(props: ClipPairProps) {
   );
 }
 
-type Verdict = "better" | "equal" | "skipped" | "worse" | null;
+type Verdict = "better" | "slightlyBetter" | "equal" | "skipped" | "worse" | null;
 
 function verdictOf(side: "left" | "right", chosen: Choice | null): Verdict {
   if (chosen === null) return null;
   if (chosen === "equal") return "equal";
   if (chosen === "skip") return "skipped";
-  return chosen === side ? "better" : "worse";
+  if (sideOf(chosen) !== side) return "worse";
+  return chosen === side ? "better" : "slightlyBetter";
 }
 
-const VERDICT_TEXT = { better: "✓ Better", equal: "= Equal", skipped: "Skipped", worse: "" } as const;
+const VERDICT_TEXT = {
+  better: "✓ Better",
+  slightlyBetter: "✓ Slightly better",
+  equal: "= Equal",
+  skipped: "Skipped",
+  worse: "",
+} as const;
 
 interface ClipViewProps {
   side: "left" | "right";

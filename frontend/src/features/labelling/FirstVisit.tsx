@@ -1,5 +1,6 @@
 import type { Experiment } from "@/shared/api/types";
 import { LazyMarkdown } from "@/shared/markdown/LazyMarkdown";
+import { hasSlight } from "./choices";
 import { KeyList } from "./keys";
 
 interface FirstVisitProps {
@@ -27,7 +28,7 @@ export function FirstVisit({ experiment, isUpdate, onStart }: FirstVisitProps) {
           </p>
           <p className="for-touch">Tap the better clip, or one of the buttons below the clips.</p>
           <div className="for-keys">
-            <KeyList />
+            <KeyList slight={hasSlight(experiment)} />
           </div>
         </section>
       )}

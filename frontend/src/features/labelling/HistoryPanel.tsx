@@ -1,6 +1,6 @@
 import { useEffect, useRef } from "react";
 import { plural } from "@/shared/ui/format";
-import type { Choice } from "./choices";
+import { sideOf } from "./choices";
 import { type ClipNames, choiceText } from "./layout";
 import type { AnsweredPair } from "./queue";
 import type { SessionView } from "./sessionView";
@@ -19,7 +19,10 @@ export function HistoryPanel({ view, names, onReview, onLoadOlder, onClose }: Hi
   const { history, historyLoaded, hasOlder, labelCount, reviewed } = view;
   const panel = useRef<HTMLElement>(null);
   // On a small screen the panel is below the clips.
-  useEffect(() => panel.current?.scrollIntoView({ block: "nearest" }), []);
+  useEffect(() => {
+    // Newer browsers return a promise, which React would call as the effect's clean-up.
+    panel.current?.scrollIntoView({ block: "nearest" });
+  }, []);
   return (
     <aside ref={panel} className="history" aria-labelledby="history-title">
       <div className="history-head">
@@ -59,6 +62,8 @@ export function HistoryPanel({ view, names, onReview, onLoadOlder, onClose }: Hi
   );
 }
 
+const SIDES = ["left", "right"] as const;
+
 function Thumbnails({ pair: { query, choice } }: { pair: AnsweredPair }) {
   return (
     <span className="thumbnails" data-choice={choice}>
@@ -71,7 +76,7 @@ function Thumbnails({ pair: { query, choice } }: { pair: AnsweredPair }) {
             loading="lazy"
             width="100"
             height="75"
-            data-better={choice === (["left", "right"] satisfies Choice[])[index] || undefined}
+            data-better={sideOf(choice) === SIDES[index] || undefined}
           />
         ),
       )}

@@ -6,7 +6,7 @@ import { usePairPlayer } from "@/shared/media/usePairPlayer";
 import { isOver } from "@/shared/ui/status";
 import { ChoiceButtons } from "./ChoiceButtons";
 import { ClipPair } from "./ClipPair";
-import type { Choice } from "./choices";
+import { type Choice, hasSlight, sideOf } from "./choices";
 import { useCamera, useClipViews } from "./clipViews";
 import { type Command, useKeyboardCommands } from "./commands";
 import { ExperimentSummary } from "./ExperimentSummary";
@@ -50,6 +50,7 @@ export function LabelView({ experiment, connected, decides = false }: LabelViewP
   const { upcoming, reviewed } = view;
   const last = view.history.at(-1);
   const over = isOver(experiment);
+  const slight = hasSlight(experiment);
   const current = over ? (reviewed?.query ?? null) : view.current;
   const { cameras, camera, setCamera } = useCamera(experiment.task);
   const views = useClipViews(camera, [current, upcoming[0]].filter(isPair));
@@ -79,7 +80,8 @@ export function LabelView({ experiment, connected, decides = false }: LabelViewP
   );
   const run = useCallback(
     (command: Command) => {
-      if (command.type === "choose" && !over) choose(command.choice);
+      if (command.type === "choose" && !over)
+        choose(slight ? command.choice : (sideOf(command.choice) ?? command.choice));
       else if (command.type === "undo") session?.undo();
       else if (command.type === "closeReview") session?.closeReview();
       else if (command.type === "toggleHistory") setHistoryOpen((open) => !open);
@@ -91,7 +93,7 @@ export function LabelView({ experiment, connected, decides = false }: LabelViewP
       else if (command.type === "nextCamera")
         setCamera(cameras[(cameras.indexOf(camera) + 1) % cameras.length] ?? "follow");
     },
-    [choose, session, player, over, cameras, camera, setCamera],
+    [choose, session, player, over, slight, cameras, camera, setCamera],
   );
   useKeyboardCommands(run);
   usePairNotification(experiment.name, current !== null);
@@ -157,6 +159,7 @@ export function LabelView({ experiment, connected, decides = false }: LabelViewP
             enabled={current !== null && player.state === "playing" && !over}
             canSkip={current !== null && player.state !== "loading" && !over}
             chosen={view.chosen}
+            slight={slight}
             names={names}
             onChoose={onChoose}
           />
@@ -175,7 +178,7 @@ export function LabelView({ experiment, connected, decides = false }: LabelViewP
       {guide === "rules" && <RulesDialog text={experiment.instructions} onClose={() => setGuide(null)} />}
       {guide === "keys" && (
         <GuideDialog title="Keys" onClose={() => setGuide(null)}>
-          <KeyList />
+          <KeyList slight={slight} />
         </GuideDialog>
       )}
       {historyOpen && (

@@ -1,17 +1,30 @@
-import type { NewLabel } from "@/shared/api/types";
+import type { Experiment, NewLabel } from "@/shared/api/types";
 
 const MAX_RESPONSE_SECONDS = 86_400;
 
-/** A labeller's judgement of a pair. */
-export type Choice = "left" | "right" | "equal" | "skip";
+/** A labeller's judgement of a pair. The slight ones exist with the answer scale `five`. */
+export type Choice = "left" | "slightlyLeft" | "equal" | "slightlyRight" | "right" | "skip";
 
 /** The label of a choice in the order shown: 1 means that the left clip is better, null skips the pair. */
 export const LABELS: Readonly<Record<Choice, number | null>> = {
   left: 1,
-  right: 0,
+  slightlyLeft: 0.75,
   equal: 0.5,
+  slightlyRight: 0.25,
+  right: 0,
   skip: null,
 };
+
+/** The side that a choice prefers, clearly or slightly; null for none. */
+export function sideOf(choice: Choice): "left" | "right" | null {
+  if (choice === "left" || choice === "slightlyLeft") return "left";
+  return choice === "right" || choice === "slightlyRight" ? "right" : null;
+}
+
+/** Whether labellers of an experiment also choose between slightly and clearly better. */
+export function hasSlight({ config }: Pick<Experiment, "config">): boolean {
+  return config.answer_scale === "five";
+}
 
 /** Skips do not count as labels. */
 export function countOf(choice: Choice): number {

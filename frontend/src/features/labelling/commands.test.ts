@@ -3,12 +3,20 @@ import { LABELS, labelBody } from "./choices";
 import { commandOf } from "./commands";
 
 const press = (key: string, more: Partial<Parameters<typeof commandOf>[0]> = {}) =>
-  commandOf({ key, repeat: false, ctrlKey: false, metaKey: false, altKey: false, ...more });
+  commandOf({ key, repeat: false, ctrlKey: false, metaKey: false, altKey: false, shiftKey: false, ...more });
 
 test("arrow keys choose, and left is label 1 in the order shown", () => {
   expect(press("ArrowLeft")).toEqual({ type: "choose", choice: "left" });
   expect(press("ArrowUp")).toEqual({ type: "choose", choice: "equal" });
-  expect(LABELS).toEqual({ left: 1, right: 0, equal: 0.5, skip: null });
+  expect(LABELS).toMatchObject({ left: 1, right: 0, equal: 0.5, skip: null });
+});
+
+test("with Shift, an arrow key chooses slightly better", () => {
+  expect(press("ArrowLeft", { shiftKey: true })).toEqual({ type: "choose", choice: "slightlyLeft" });
+  expect(press("ArrowRight", { shiftKey: true })).toEqual({ type: "choose", choice: "slightlyRight" });
+  expect(press("ArrowUp", { shiftKey: true })).toEqual({ type: "choose", choice: "equal" });
+  expect(press("?", { shiftKey: true })).toEqual({ type: "showKeys" });
+  expect(LABELS).toMatchObject({ slightlyLeft: 0.75, slightlyRight: 0.25 });
 });
 
 test("a held arrow key chooses once, a held full stop keeps stepping", () => {

@@ -24,6 +24,8 @@ export const SPEEDS = [
 const COMMANDS: ReadonlyMap<string, Command> = new Map<string, Command>([
   ["ArrowLeft", { type: "choose", choice: "left" }],
   ["ArrowRight", { type: "choose", choice: "right" }],
+  ["Shift+ArrowLeft", { type: "choose", choice: "slightlyLeft" }],
+  ["Shift+ArrowRight", { type: "choose", choice: "slightlyRight" }],
   ["ArrowUp", { type: "choose", choice: "equal" }],
   ["ArrowDown", { type: "choose", choice: "skip" }],
   ["z", { type: "undo" }],
@@ -48,13 +50,14 @@ interface Key {
   ctrlKey: boolean;
   metaKey: boolean;
   altKey: boolean;
+  shiftKey: boolean;
 }
 
 /** The command of a key press. Holding a key repeats frame steps, but never labels a second pair. */
-export function commandOf({ key, repeat, ctrlKey, metaKey, altKey }: Key): Command | null {
+export function commandOf({ key, repeat, ctrlKey, metaKey, altKey, shiftKey }: Key): Command | null {
   const isUndoShortcut = (ctrlKey || metaKey) && !altKey && key.toLowerCase() === "z";
   if ((ctrlKey || metaKey || altKey) && !isUndoShortcut) return null;
-  const command = COMMANDS.get(key) ?? null;
+  const command = (shiftKey && COMMANDS.get(`Shift+${key}`)) || (COMMANDS.get(key) ?? null);
   return repeat && command?.type !== "step" ? null : command;
 }
 

@@ -1,5 +1,8 @@
+const CHOICE_KEYS = [[["←", "→"], "The left or the right clip is better"]] as const;
+
+const SLIGHT_KEYS = [[["Shift ←", "Shift →"], "The left or the right clip is slightly better"]] as const;
+
 const KEYS = [
-  [["←", "→"], "The left or the right clip is better"],
   [["↑"], "Both are equally good"],
   [["↓"], "Skip: you cannot tell"],
   [["Z"], "Undo the last label"],
@@ -13,10 +16,10 @@ const KEYS = [
 ] as const;
 
 /** What each key of the labelling page does. */
-export function KeyList() {
+export function KeyList({ slight }: { slight: boolean }) {
   return (
     <dl className="key-list">
-      {KEYS.map(([keys, text]) => (
+      {[...CHOICE_KEYS, ...(slight ? SLIGHT_KEYS : []), ...KEYS].map(([keys, text]) => (
         <div key={text}>
           <dt>
             {keys.map((name) => (

@@ -32,5 +32,7 @@ function isStacked(): boolean {
 export function choiceText(choice: Choice, names: ClipNames): string {
   if (choice === "equal") return "Equally good";
   if (choice === "skip") return "Skipped";
+  if (choice === "slightlyLeft") return `${names.left} is slightly better`;
+  if (choice === "slightlyRight") return `${names.right} is slightly better`;
   return `${names[choice]} is better`;
 }

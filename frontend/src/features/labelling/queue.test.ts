@@ -1,6 +1,6 @@
 import { describe, expect, test } from "vitest";
-import type { Query } from "@/shared/api/types";
-import { append, EMPTY, labelFirst, remove, undoLast } from "./queue";
+import type { OwnLabel, Query } from "@/shared/api/types";
+import { append, EMPTY, labelFirst, remove, undoLast, withHistory } from "./queue";
 
 const query = (id: string) => ({ id }) as Query;
 const ids = (queries: readonly Query[]) => queries.map(({ id }) => id);
@@ -24,6 +24,25 @@ describe("the queue", () => {
   test("undo without a past and a label without a pair change nothing", () => {
     expect(undoLast(three)).toBe(three);
     expect(labelFirst(EMPTY, "left")).toBe(EMPTY);
+  });
+
+  test("stored labels become the choices of the sides on which they were seen", () => {
+    const stored = (label: number | null, index: number) =>
+      ({
+        query: { id: `${label} ${index}`, left: { index } },
+        label,
+        revision: 1,
+        updated_at: "",
+      }) as OwnLabel;
+    const labels = [1, 0.75, 0.5, 0.25, 0, null];
+    const choices = (index: number) =>
+      withHistory(
+        EMPTY,
+        labels.map((label) => stored(label, index)),
+        false,
+      ).past.map(({ choice }) => choice);
+    expect(choices(0)).toEqual(["skip", "right", "slightlyRight", "equal", "slightlyLeft", "left"]);
+    expect(choices(1)).toEqual(["skip", "left", "slightlyLeft", "equal", "slightlyRight", "right"]);
   });
 
   test("a removed pair leaves the screen and can no longer be undone", () => {

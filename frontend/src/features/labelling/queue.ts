@@ -86,8 +86,10 @@ function fromServer({ query, label, revision, updated_at }: OwnLabel): AnsweredP
 
 function choiceOf(label: number | null, leftSegment: number): Choice {
   if (label === null) return "skip";
-  if (label === 0.5) return "equal";
-  return (label === 1) === (leftSegment === 0) ? "left" : "right";
+  const shown = leftSegment === 0 ? label : 1 - label;
+  if (shown === 0.5) return "equal";
+  if (shown > 0.5) return shown === 1 ? "left" : "slightlyLeft";
+  return shown === 0 ? "right" : "slightlyRight";
 }
 
 function answered(query: Query, choice: Choice): AnsweredPair {

@@ -45,7 +45,7 @@ export function PairPage({ id, query, me }: { id: string; query: string; me: Me 
       <div className="page-head">
         <div>
           <h1>What was learned from pair {data.query.number}</h1>
-          <p className="muted">{labelText(data)}</p>
+          <p className="muted">{labelText(data, experiment.data.config.answer_scale === "five")}</p>
         </div>
         <label className="filter">
           Reward version
@@ -141,11 +141,12 @@ function Pair({ experiment, credit }: { experiment: Experiment; credit: Credit }
 }
 
 /** What the labels say, in the order of the sides. */
-function labelText({ label, query }: Credit): string {
+function labelText({ label, query }: Credit, slight: boolean): string {
   if (label === null) return "";
   const left = query.left.index === 0 ? label : 1 - label;
   if (left === 0.5) return "Labelled: equally good";
   if (left === 1 || left === 0) return `Labelled: ${left === 1 ? "left" : "right"} is better`;
+  if (slight) return `Labelled: P(left is better) ${Math.round(100 * left)}%`;
   return `Labels differ: left is better for ${Math.round(100 * left)}%`;
 }
 

@@ -4,8 +4,15 @@ import { Link } from "@/shared/routing/router";
 import { formatPercent } from "@/shared/ui/format";
 import { atOdds, mostUnsure } from "./ranking";
 
+interface GalleryProps {
+  experimentId: string;
+  pairs: readonly PredictedPair[];
+  /** whether labellers also choose slightly better */
+  slight: boolean;
+}
+
 /** Pairs on which the model is least certain, and those whose labels it contradicts most. */
-export function Gallery({ experimentId, pairs }: { experimentId: string; pairs: readonly PredictedPair[] }) {
+export function Gallery({ experimentId, pairs, slight }: GalleryProps) {
   const unsure = mostUnsure(pairs);
   const odds = atOdds(pairs);
   const hasSpread = pairs.some(({ spread }) => spread !== null);
@@ -21,6 +28,7 @@ export function Gallery({ experimentId, pairs }: { experimentId: string; pairs: 
         empty="The model is sure of every pair."
         experimentId={experimentId}
         pairs={unsure}
+        slight={slight}
       />
       <Pairs
         title="Most at odds with the labels"
@@ -28,20 +36,19 @@ export function Gallery({ experimentId, pairs }: { experimentId: string; pairs: 
         empty="The model agrees with every label."
         experimentId={experimentId}
         pairs={odds}
+        slight={slight}
       />
     </>
   );
 }
 
-interface PairsProps {
+interface PairsProps extends GalleryProps {
   title: string;
   note: string;
   empty: string;
-  experimentId: string;
-  pairs: readonly PredictedPair[];
 }
 
-function Pairs({ title, note, empty, experimentId, pairs }: PairsProps) {
+function Pairs({ title, note, empty, experimentId, pairs, slight }: PairsProps) {
   return (
     <section className="card" aria-label={title}>
       <h2>{title}</h2>
@@ -57,7 +64,7 @@ function Pairs({ title, note, empty, experimentId, pairs }: PairsProps) {
               </span>
               <span>Pair {pair.number}</span>
               <span className="muted">{predictionText(pair)}</span>
-              <span className="muted">{labelText(pair)}</span>
+              <span className="muted">{labelText(pair, slight)}</span>
             </Link>
           </li>
         ))}
@@ -71,7 +78,7 @@ function predictionText({ probability, spread }: PredictedPair): string {
   return `P(first is better) ${formatPercent(probability)}${deviation}`;
 }
 
-function labelText({ label, trained_on }: PredictedPair): string {
+function labelText({ label, trained_on }: PredictedPair, slight: boolean): string {
   if (label === null) return "No label";
   const text =
     label === 1
@@ -80,6 +87,8 @@ function labelText({ label, trained_on }: PredictedPair): string {
         ? "Second is better"
         : label === 0.5
           ? "Equally good"
-          : `First is better for ${formatPercent(label)}`;
+          : slight
+            ? `P(first is better) ${formatPercent(label)}`
+            : `First is better for ${formatPercent(label)}`;
   return `Label: ${text}${trained_on ? "" : ", not trained on"}`;
 }

@@ -84,7 +84,11 @@ function Report({ experiment, number }: { experiment: Experiment; number: number
   }
   return (
     <>
-      <Gallery experimentId={experiment.id} pairs={result.pairs} />
+      <Gallery
+        experimentId={experiment.id}
+        pairs={result.pairs}
+        slight={experiment.config.answer_scale === "five"}
+      />
       <Calibration report={result} />
       <Histograms report={result} task={experiment.task} />
     </>

@@ -1113,7 +1113,7 @@ export interface components {
         BatchLabel: {
             /**
              * Label
-             * @description 1, 0 or 0.5 (see `order`); null skips the query. Skips are stored but not trained on.
+             * @description 1, 0 or 0.5 (see `order`), and with the answer scale `five` also 0.75 or 0.25: slightly better. Null skips the query. Skips are stored but not trained on.
              */
             label: number | null;
             /**
@@ -1714,7 +1714,7 @@ export interface components {
         GoldAnswer: {
             /**
              * Label
-             * @description 1, 0 or 0.5, in segment order: 1 means that segment 0 is better.
+             * @description 1, 0 or 0.5, in segment order: 1 means that segment 0 is better. Slight answers are right, too.
              */
             label: number;
         };
@@ -1929,7 +1929,7 @@ export interface components {
             budget: number;
             /**
              * Labels
-             * @description Labels 1, 0 or 0.5, without skips.
+             * @description Labels, without skips.
              */
             labels: number;
             /**
@@ -2066,11 +2066,11 @@ export interface components {
             left: components["schemas"]["Share"] | null;
             /** @description Labels that say equal. */
             equal: components["schemas"]["Share"] | null;
-            /** @description Right answers to gold queries. */
+            /** @description The right side in gold queries, slightly or clearly. */
             gold: components["schemas"]["Share"] | null;
-            /** @description The same answer to a repeat. */
+            /** @description The same side in a repeat, slightly or clearly. */
             consistency: components["schemas"]["Share"] | null;
-            /** @description The same answer as another labeller, over all labels of others on the same queries. */
+            /** @description The same side as another labeller, slightly or clearly, over all labels of others on the same queries. */
             agreement: components["schemas"]["Share"] | null;
             /** @description The segment with the higher true return was preferred, as by a scripted teacher without noise. */
             teacher: components["schemas"]["Share"] | null;
@@ -2341,6 +2341,12 @@ export interface components {
              */
             repeat_share: number;
             /**
+             * @description Answers that a labeller chooses from. three: one of the clips is better, or both are equal. five: also slightly better, stored as 0.75 or 0.25, the probability that the reward model then learns.
+             * @default three
+             * @enum {string}
+             */
+            answer_scale: "three" | "five";
+            /**
              * @description Queries kept ready beyond those due, so that labellers do not wait for clips.
              * @default 8
              */
@@ -2607,7 +2613,7 @@ export interface components {
         NewLabel: {
             /**
              * Label
-             * @description 1, 0 or 0.5 (see `order`); null skips the query. Skips are stored but not trained on.
+             * @description 1, 0 or 0.5 (see `order`), and with the answer scale `five` also 0.75 or 0.25: slightly better. Null skips the query. Skips are stored but not trained on.
              */
             label: number | null;
             /**
@@ -2828,7 +2834,7 @@ export interface components {
              * @description Everyone who has labelled it, by name.
              */
             labellers: components["schemas"]["LabellerQuality"][];
-            /** @description Krippendorff's alpha of labels as an ordinal scale, over queries with several labels, without excluded ones: 1 is full agreement, 0 that of chance. Null if there are none, or all labels are the same. */
+            /** @description Krippendorff's alpha of the preferred sides as an ordinal scale, over queries with several labels, without excluded ones: 1 is full agreement, 0 that of chance. Slightly and clearly better are the same side. Null if there are none, or all labels are the same. */
             alpha: components["schemas"]["Estimate"] | null;
             /**
              * Disputed
@@ -4070,7 +4076,7 @@ export interface operations {
                 /** @description Only queries that this user has labelled, usr_... */
                 user?: string | null;
                 /** @description Only queries with this label, in segment order; with `user`, given by that user. */
-                label?: ("1" | "0" | "0.5" | "skip" | "undone") | null;
+                label?: ("1" | "0" | "0.5" | "0.75" | "0.25" | "skip" | "undone") | null;
                 /** @description Only queries with (true) or without (false) a label that was changed. */
                 changed?: boolean | null;
             };
@@ -4111,7 +4117,7 @@ export interface operations {
                 /** @description Only queries that this user has labelled, usr_... */
                 user?: string | null;
                 /** @description Only queries with this label, in segment order; with `user`, given by that user. */
-                label?: ("1" | "0" | "0.5" | "skip" | "undone") | null;
+                label?: ("1" | "0" | "0.5" | "0.75" | "0.25" | "skip" | "undone") | null;
                 /** @description Only queries with (true) or without (false) a label that was changed. */
                 changed?: boolean | null;
             };

@@ -17,6 +17,8 @@ FORMAT = "accord preferences"
 #: 2 added the columns of `OPTIONAL`
 SCHEMA_VERSION = 2
 SEGMENTS, QUERIES, LABELS = "segments", "queries", "labels"
+#: labels that are not skips; 0.75 and 0.25 mean slightly better
+LABEL_VALUES = (0.0, 0.25, 0.5, 0.75, 1.0)
 #: columns that files of earlier versions lack
 OPTIONAL = frozenset({"repeats_id", "gold", "excluded", "final", "instructions_revision"})
 _KEY = b"accord"

@@ -14,11 +14,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from mapt.errors import AlreadyExists, ShapeError
+from mapt.errors import AlreadyExists, NotRepresentable, ShapeError
 from mapt.io import sync_folder
 from mapt.preferences.dataset import FloatArray, IntArray, PreferenceDataset
 from mapt.preferences.formats.records import Comparisons, SegmentRecords, records_in_batches
 from mapt.preferences.formats.table_schemas import (
+    LABEL_VALUES,
     LABELS,
     QUERIES,
     SEGMENTS,
@@ -171,7 +172,9 @@ def write_tables(path: Path | str, comparisons: Comparisons, *, about: Mapping[s
 
     Raises:
         AlreadyExists: if `path` exists.
+        NotRepresentable: if a label is not one of `LABEL_VALUES`. Nothing is left.
     """
+    _check_labels(Path(path), comparisons.labels)
     layout = comparisons.records.layout()
     with TableWriter(path, layout, about=about) as tables:
         _write(tables, [comparisons.records], comparisons.pairs, comparisons.labels)
@@ -181,8 +184,9 @@ def write_dataset(path: Path | str, dataset: PreferenceDataset, *, about: Mappin
     """Write a dataset as tables; segments on disk are read a few hundred at a time.
 
     Raises:
-        AlreadyExists: if `path` exists.
+        AlreadyExists, NotRepresentable: as `write_tables`.
     """
+    _check_labels(Path(path), dataset.labels)
     source = dataset.segments
     layout = (
         source.layout
@@ -191,6 +195,14 @@ def write_dataset(path: Path | str, dataset: PreferenceDataset, *, about: Mappin
     )
     with TableWriter(path, layout, about=about) as tables:
         _write(tables, records_in_batches(source), dataset.pairs, dataset.labels)
+
+
+def _check_labels(path: Path, labels: FloatArray) -> None:
+    unknown = sorted(set(labels[~np.isnan(labels)].tolist()) - set(LABEL_VALUES))
+    if unknown:
+        raise NotRepresentable(
+            path, f"cannot hold a label of {unknown[0]}: its format has only 1, 0.75, 0.5, 0.25 and 0"
+        )
 
 
 def _write(tables: TableWriter, batches: Iterable[SegmentRecords], pairs: IntArray, labels: FloatArray) -> None:

@@ -22,6 +22,7 @@ from mapt.errors import AlreadyExists, FileTooLarge, InvalidFile, MissingPart, N
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.preferences.formats.records import SegmentRecords, save_records
 from mapt.preferences.formats.table_schemas import (
+    LABEL_VALUES,
     LABELS,
     OPTIONAL,
     QUERIES,
@@ -82,15 +83,16 @@ class PreferenceTables:
         """All labels, skips included.
 
         Raises:
-            UnknownLabel: for a label other than 1, 0 and 0.5, or an unknown state.
+            UnknownLabel: for a label that is not one of `LABEL_VALUES`, or an unknown state.
             InvalidFile: if the table is damaged.
         """
         labels: list[LabelRow] = []
         path = _name(self.path, LABELS)
         for index, row in enumerate(self._rows(LABELS)):
-            if (row["label"], row["state"]) not in ((1, "label"), (0, "label"), (0.5, "label"), (None, "skip")):
+            known: dict[str, tuple[float | None, ...]] = {"label": LABEL_VALUES, "skip": (None,)}
+            if row["label"] not in known.get(row["state"], ()):
                 found = f"{row['label']!r} with state {row['state']!r}"
-                raise UnknownLabel(path, index, found, '1, 0 and 0.5 with state "label", None with "skip"')
+                raise UnknownLabel(path, index, found, '1, 0.75, 0.5, 0.25 and 0 with state "label", None with "skip"')
             labels.append(LabelRow(**{**row, "teacher": _teacher(path, index, row["teacher"])}))
         return labels
 

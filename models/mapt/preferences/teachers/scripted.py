@@ -34,7 +34,8 @@ class Teacher(Protocol):
             first, second: segment 0 and segment 1 of each pair; T may differ between the two.
 
         Returns:
-            P(segment 0 preferred), float32 (B,): 1, 0 or 0.5; NaN for pairs that the teacher skips.
+            P(segment 0 preferred), float32 (B,): 1, 0 or 0.5, and 0.75 or 0.25 for slight preferences; NaN for pairs
+            that the teacher skips.
 
         Raises:
             ShapeError: if the two views hold different numbers of segments.
@@ -100,6 +101,8 @@ class BPrefParameters:
     skip: float = 0.0
     #: eps of the equality threshold: a pair is labelled 0.5 if its scores differ by less
     equal: float = 0.0
+    #: eps of the threshold of slight preferences: a preference is labelled 0.75 or 0.25 if the scores differ by less
+    slight: float = 0.0
     #: fraction of pairs that are labelled without looking: 1 or 0 with equal probability
     guess: float = 0.0
     #: fraction of pairs for which the segment on the left is preferred without looking
@@ -111,22 +114,24 @@ class BPrefParameters:
         for name in ("gamma", "mistake", "guess", "left"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidTeacher(f"{name} is {getattr(self, name)}; it must lie in [0, 1].")
-        for name, value in (("skip", self.skip), ("equal", self.equal)):
+        for name, value in (("skip", self.skip), ("equal", self.equal), ("slight", self.slight)):
             if not 0 <= value < np.inf:
                 raise InvalidTeacher(f"{name} is {value}; it must be 0 or more and finite.")
 
 
 class ScriptedTeacher:
-    """Labels pairs by a rule and `BPrefParameters`, in B-Pref's order, followed by two errors of inattentive people.
+    """Labels pairs by a rule and `BPrefParameters`, in B-Pref's order, but for steps 5 and 7, which B-Pref lacks.
 
     1. Skip the pair if both scores are below the skip threshold.
     2. Myopia: discount rewards by gamma per step of age, and score the segments again.
     3. Prefer the higher score, or sample from the Boltzmann model with beta. Equal scores give 0.5.
     4. Flip the label with probability `mistake`.
-    5. Replace the label by 0.5 if the scores differ by less than the equality threshold.
-    6. Replace the label by a guess, or by the left segment, for the fractions `guess` and `left` of the pairs.
+    5. Make the preference slight, 0.75 or 0.25, if the scores differ by less than the threshold of slight preferences.
+    6. Replace the label by 0.5 if the scores differ by less than the equality threshold.
+    7. Replace the label by a guess, or by the left segment, for the fractions `guess` and `left` of the pairs, as
+       inattentive people do.
 
-    Steps 1 and 5 compare scores of undiscounted rewards, as B-Pref's code does.
+    Steps 1, 5 and 6 compare scores of undiscounted rewards, as B-Pref's code does.
 
     A threshold is eps x mean episode return x T / episode length, where T is the length of the longer segment. Without
     `set_episode_return`, the mean reward of the segments so far stands in for that of episodes. B-Pref's code
@@ -134,7 +139,8 @@ class ScriptedTeacher:
 
     If the mean return is not positive, or scores are not returns, such a threshold is meaningless: with negative
     returns, every pair would be skipped. The thresholds are then relative to the running mean m and standard deviation
-    s of the scores: equal if the scores differ by less than eps x s; skip if both are below m - (1 - eps) x s.
+    s of the scores: equal or slight if the scores differ by less than eps x s; skip if both are below
+    m - (1 - eps) x s.
     """
 
     def __init__(
@@ -177,8 +183,11 @@ class ScriptedTeacher:
         preference_draw, mistake_draw = self._rng.random((len(scores), 2)).T
         label = self._prefer(difference, thresholds.unit, preference_draw)
         label = np.where(mistake_draw < self.bpref.mistake, 1.0 - label, label)
+        distance = np.abs(scores[:, 0] - scores[:, 1])
+        if self.bpref.slight:
+            label = np.where(distance < thresholds.slight, 0.25 + label / 2, label)
         if self.bpref.equal:
-            label[np.abs(scores[:, 0] - scores[:, 1]) < thresholds.equal] = 0.5
+            label[distance < thresholds.equal] = 0.5
         if self.bpref.skip:
             label[scores.max(axis=1) <= thresholds.skip] = np.nan
         guess_draw, side_draw, left_draw = self._inattention.random((len(scores), 3)).T
@@ -200,7 +209,7 @@ class ScriptedTeacher:
     @property
     def uses_episode_return(self) -> bool:
         """Whether `set_episode_return` affects the labels."""
-        return self.rule.is_return and (self.bpref.skip > 0 or self.bpref.equal > 0)
+        return self.rule.is_return and (self.bpref.skip > 0 or self.bpref.equal > 0 or self.bpref.slight > 0)
 
     def set_episode_return(self, mean_return: float, length_steps: float) -> None:
         """Set the mean return and length of episodes, from which the thresholds are computed.
@@ -216,7 +225,7 @@ class ScriptedTeacher:
         """See `Teacher.parameters`."""
         errors = _fields(self.bpref)
         # Fields that were added later are left out at 0, so that stored results of earlier teachers keep their keys.
-        errors = {name: value for name, value in errors.items() if value or name not in ("guess", "left")}
+        errors = {name: value for name, value in errors.items() if value or name not in ("slight", "guess", "left")}
         return {**self._record, **errors, **_fields(self.rule)}
 
     def _prefer(self, difference: Float64s, unit: Float64s, draw: Float64s) -> Float64s:
@@ -228,14 +237,16 @@ class ScriptedTeacher:
 
     def _thresholds(self, scores: Float64s, lengths: NDArray[np.int64]) -> "_Thresholds":
         mean, deviation, length = self._statistics.update(scores, lengths)
-        skip, equal = mean - (1 - self.bpref.skip) * deviation, self.bpref.equal * deviation
+        skip = mean - (1 - self.bpref.skip) * deviation
+        equal, slight = self.bpref.equal * deviation, self.bpref.slight * deviation
         if not self.rule.is_return:
-            return _Thresholds(skip, equal, deviation)
+            return _Thresholds(skip, equal, slight, deviation)
         expected = mean / length if self._episode_reward is None else np.full_like(mean, self._episode_reward)
         expected = expected * lengths.max(axis=1)
         return _Thresholds(
             np.where(expected > 0, self.bpref.skip * expected, skip),
             np.where(expected > 0, self.bpref.equal * expected, equal),
+            np.where(expected > 0, self.bpref.slight * expected, slight),
             np.ones_like(mean),
         )
 
@@ -246,6 +257,7 @@ class _Thresholds:
 
     skip: Float64s
     equal: Float64s
+    slight: Float64s
     #: score differences are divided by this before beta is applied
     unit: Float64s
 
@@ -264,7 +276,8 @@ def _fields(settings: Any) -> dict[str, Any]:
 
 Settings = TypeVar("Settings", BPrefParameters, Rule)
 
-#: B-Pref's teachers (Lee et al. 2021, table 1), and three people whose labels a quality check should find.
+#: B-Pref's teachers (Lee et al. 2021, table 1), one that also prefers slightly, and three people whose labels a quality
+#: check should find.
 PRESETS = {
     "oracle": BPrefParameters(),
     "stochastic": BPrefParameters(beta=1.0),
@@ -272,6 +285,7 @@ PRESETS = {
     "skip": BPrefParameters(skip=0.1),
     "myopic": BPrefParameters(gamma=0.9),
     "equal": BPrefParameters(equal=0.1),
+    "slight": BPrefParameters(slight=0.3),
     "careless": BPrefParameters(guess=0.8),
     "left": BPrefParameters(left=0.5),
     "opposite": BPrefParameters(mistake=1.0),

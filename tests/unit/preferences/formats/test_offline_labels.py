@@ -207,7 +207,7 @@ def test_written_files_have_the_same_meaning_for_both_projects(tmp_path, ours):
 
 
 def test_data_that_the_format_cannot_represent_is_refused(tmp_path):
-    for made in (made_comparisons([0.7]), made_comparisons([1.0], lengths=[2, 4])):
+    for made in (made_comparisons([0.75]), made_comparisons([1.0], lengths=[2, 4])):
         with pytest.raises(NotRepresentable):
             write_offline_labels(tmp_path / "out", made)
     assert list(tmp_path.iterdir()) == []

@@ -109,7 +109,7 @@ def test_skipped_pairs_are_not_written(tmp_path):
 
 
 def test_data_that_the_format_cannot_represent_is_refused(tmp_path):
-    for made in (made_comparisons([0.7]), made_comparisons([1.0], lengths=[2, 4])):
+    for made in (made_comparisons([0.75]), made_comparisons([1.0], lengths=[2, 4])):
         with pytest.raises(NotRepresentable):
             write_reference(tmp_path / "reference.pkl", made.dataset())
     assert everything_in(tmp_path) == {}

@@ -18,6 +18,7 @@ from mapt.errors import (
     NewerFile,
     NotEnoughPairs,
     NotOneHot,
+    NotRepresentable,
     ShapeError,
     UnknownLabel,
 )
@@ -204,6 +205,16 @@ def test_existing_export_is_not_overwritten(tmp_path):
     assert everything_in(tmp_path) == {"export/mine": b""}
 
 
+def test_slight_labels_are_read_back_and_other_probabilities_are_refused(tmp_path):
+    comparisons = made_comparisons([0.75, 0.25, 1.0])
+    write_tables(tmp_path / "export", comparisons)
+    assert [row.label for row in PreferenceTables.open(tmp_path / "export").labels()] == [0.75, 0.25, 1.0]
+    for made in (made_comparisons([0.6]), made_comparisons([float("nan"), 0.1])):
+        with pytest.raises(NotRepresentable):
+            write_tables(tmp_path / "other", made)
+    assert [path.name for path in tmp_path.iterdir()] == ["export"]
+
+
 def test_segments_with_another_layout_are_refused(tmp_path):
     layout = made_records(4).layout()
     for other in (replace(layout, n_agents=3), replace(layout, rewards=False), replace(layout, n_steps=2)):
@@ -319,7 +330,7 @@ def replaced(table, column, values):
 
 @pytest.mark.parametrize(
     ("label", "state"),
-    [(-1.0, "label"), (2.0, "label"), (0.25, "label"), (None, "label"), (1.0, "skip"), (1.0, "undone")],
+    [(-1.0, "label"), (2.0, "label"), (0.6, "label"), (None, "label"), (1.0, "skip"), (1.0, "undone")],
 )
 def test_unknown_label_is_refused(tmp_path, label, state):
     write(tmp_path / "export")
