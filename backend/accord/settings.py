@@ -18,6 +18,37 @@ class Settings(BaseSettings):
     host: str = Field(default="127.0.0.1", description="Address the server listens on.")
     port: int = Field(default=8000, ge=0, le=65_535, description="Port the server listens on; 0 takes a free one.")
     public_url: str = Field(default="", description="URL of sign-in links when the server is behind a proxy.")
+    trusted_proxies: str = Field(
+        default="127.0.0.1",
+        description="With a public URL: comma-separated addresses or networks of the proxies whose X-Forwarded-For and "
+        "X-Forwarded-Proto are believed.",
+    )
+    max_connections: int = Field(
+        default=2000,
+        ge=1,
+        le=10**6,
+        description="Most open connections; fewer if the system allows fewer files (`ulimit -n`). Beyond that, those "
+        "that wait for a request are closed.",
+    )
+    request_timeout_seconds: float = Field(
+        default=20.0,
+        gt=0,
+        le=3600,
+        description="How long a client may take to send the headers of a request, and its body before its token is "
+        "verified.",
+    )
+    transfer_timeout_seconds: float = Field(
+        default=30.0,
+        gt=0,
+        le=3600,
+        description="How long a client may take to send 16 kB of a larger body, or to read 16 kB of a response.",
+    )
+    failed_sign_ins_per_minute: int = Field(
+        default=20,
+        ge=1,
+        le=10**6,
+        description="Wrong tokens, sign-in links and invitations that one address may try; more are refused with 429.",
+    )
     lease_seconds: float = Field(
         default=60.0,
         gt=0,

@@ -11,8 +11,10 @@ import uvicorn
 
 from accord.api.app import create_app
 from accord.api.listener import address_of, listen
+from accord.api.server import server_config
 from accord.domain.enums import Role
 from accord.settings import Settings
+from accord.store.tables import UserRow
 from support.plain_http import PLAIN_HTTP
 from support.sample_experiments import user
 from support.stores import Stores
@@ -47,13 +49,16 @@ def client(url: str, token: str | None, **options: object) -> httpx.Client:
 
 @contextmanager
 def run_api_server(stores: Stores, home: Path, **changes: object) -> Generator[ApiServer]:
-    """Run a server over the stores until the block ends."""
+    """Run a server over the stores until the block ends. A second server over them has users of its own."""
     settings = Settings(home=home, **changes)  # type: ignore[arg-type]
     app = create_app(settings, stores.database, stores.blobs)
-    config = uvicorn.Config(app, log_level="critical", access_log=False, timeout_graceful_shutdown=1)
+    config = server_config(app, settings)
+    config.timeout_graceful_shutdown = 1
     server = uvicorn.Server(config)
     with stores.database.transaction() as session:
-        tokens = {role: user(session, f"the {role}", role)[1] for role in Role}
+        number = session.query(UserRow).count()
+        suffix = f" {number}" if number else ""
+        tokens = {role: user(session, f"the {role}{suffix}", role)[1] for role in Role}
     listener = listen("127.0.0.1", 0)
     url = address_of(listener)
     thread = threading.Thread(target=server.run, args=([listener],))

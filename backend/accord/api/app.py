@@ -25,6 +25,7 @@ from accord.api.routes import (
     segments,
     shares,
 )
+from accord.api.sign_in_limit import SignInLimit
 from accord.settings import Settings
 from accord.store.blobs import BlobStore
 from accord.store.database import Database
@@ -51,7 +52,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         generate_unique_id_function=_operation_id,
         responses=errors.RESPONSES,
     )
-    app.state.accord = AppState(settings, database, blobs)
+    app.state.accord = AppState(settings, database, blobs, SignInLimit(settings.failed_sign_ins_per_minute))
     app.state.streams = events.Streams()
     # Routes are matched in this order, so the busiest come first.
     for module in (
@@ -78,6 +79,9 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         BodyLimit,
         limit_bytes=settings.max_body_bytes,
         larger={f"{PREFIX}{imports.PATH}": settings.max_import_bytes},
+        transfer_seconds=settings.transfer_timeout_seconds,
+        authenticated=f"{PREFIX}/",
+        public=f"{PREFIX}/join/",
     )
     return app
 

@@ -17,8 +17,9 @@ from fastapi.responses import Response
 from pydantic import AfterValidator, BaseModel
 from sqlalchemy.orm import Session
 
+from accord.api.sign_in_limit import SignInLimit
 from accord.domain.enums import Role
-from accord.domain.errors import Forbidden, Unauthenticated
+from accord.domain.errors import Forbidden, InvitationNotValid, Unauthenticated
 from accord.domain.ids import check_id
 from accord.services import accounts
 from accord.settings import Settings
@@ -37,6 +38,7 @@ class AppState:
     settings: Settings
     database: Database
     blobs: BlobStore
+    sign_in_limit: SignInLimit
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,8 @@ class Auth:
 
     app: AppState
     token: str
+    #: of the client
+    address: str
 
     @contextmanager
     def writing(self) -> Generator[CallerSession]:
@@ -70,7 +74,13 @@ class Auth:
             yield self._authenticated(session)
 
     def _authenticated(self, session: Session) -> CallerSession:
-        user = accounts.authenticate(session, self.token)
+        limit = self.app.sign_in_limit
+        try:
+            user = accounts.authenticate(session, self.token)
+        except Unauthenticated:
+            limit.failed(self.address, self.token)
+            raise
+        limit.succeeded(self.token)
         return CallerSession(session, user, Role(user.role))
 
 
@@ -79,22 +89,56 @@ def app_state(request: Request) -> AppState:
     return cast(AppState, request.app.state.accord)
 
 
+def address_of_client(request: Request) -> str:
+    """The address of the client; that of the proxy unless ACCORD_TRUSTED_PROXIES names it."""
+    return "" if request.client is None else request.client.host
+
+
+@contextmanager
+def counting_failures(request: Request) -> Generator[None]:
+    """For a secret that is no user's token: Unauthenticated and InvitationNotValid in the block count as failures.
+
+    Raises:
+        TooManyFailedSignIns: before the block, if the client reached the limit.
+    """
+    limit, address = app_state(request).sign_in_limit, address_of_client(request)
+    limit.check(address)
+    try:
+        yield
+    except (Unauthenticated, InvitationNotValid):
+        limit.failed(address)
+        raise
+
+
+def verify(auth: Auth) -> None:
+    """Raises Unauthenticated if the token is not valid. Blocks on the database."""
+    with auth.reading():
+        pass
+
+
 async def authentication(request: Request) -> Auth:
     """Reads the token from the header or the cookie, without a query to the database.
 
     Raises:
         Unauthenticated: if there is none.
+        TooManyFailedSignIns: if the client tried too many others.
         Forbidden: if a page of another site made the browser send its cookie with a request that writes.
     """
     scheme, _, bearer = request.headers.get("authorization", "").partition(" ")
     if scheme.lower() == "bearer" and bearer.strip():
-        return Auth(app_state(request), bearer.strip())
+        return _auth(request, bearer.strip())
     cookie = request.cookies.get(COOKIE)
     if not cookie:
         raise Unauthenticated
     if request.method not in _SAFE_METHODS:
         _require_same_origin(request)
-    return Auth(app_state(request), cookie)
+    return _auth(request, cookie)
+
+
+def _auth(request: Request, token: str) -> Auth:
+    auth = Auth(app_state(request), token, address_of_client(request))
+    auth.app.sign_in_limit.check(auth.address, token)
+    return auth
 
 
 def _require_same_origin(request: Request) -> None:

@@ -14,12 +14,14 @@ from accord.api.schemas import ErrorBody, ErrorResponse
 from accord.domain.errors import (
     AccordError,
     BodyTooLarge,
+    BodyTooSlow,
     DatabaseFull,
     Forbidden,
     Invalid,
     LeaseLost,
     NotFound,
     TaskUnavailable,
+    TooManyFailedSignIns,
     TooManyStreams,
     Unauthenticated,
     Unavailable,
@@ -37,13 +39,16 @@ STATUS: tuple[tuple[type[AccordError], int], ...] = (
     (NotFound, 404),
     (WrongState, 409),
     (LeaseLost, 410),
+    (BodyTooSlow, 408),
     (BodyTooLarge, 413),
     (Invalid, 422),
     (TooManyStreams, 429),
+    (TooManyFailedSignIns, 429),
     (DatabaseFull, 507),
     (Unavailable, 503),
 )
 _HTTP_MESSAGES = {
+    414: ("path_too_long", "The path is too long. The API is described at /api/docs."),
     404: ("not_found", "There is nothing at this path. The API is described at /api/docs."),
     405: ("method_not_allowed", "This path does not support this method. The API is described at /api/docs."),
 }
@@ -57,11 +62,17 @@ def error_response(
     status: int,
     code: str,
     message: str,
-    details: Sequence[dict[str, Any]] = (),
+    details: Sequence[dict[str, str]] = (),
     headers: Mapping[str, str] | None = None,
 ) -> JSONResponse:
-    body = ErrorResponse(error=ErrorBody(code=code, message=message, details=list(details)))
+    shown = [{name: _encodable(value) for name, value in each.items()} for each in details]
+    body = ErrorResponse(error=ErrorBody(code=code, message=_encodable(message), details=shown))
     return JSONResponse(body.model_dump(), status, headers)
+
+
+def _encodable(text: str) -> str:
+    """The text with lone surrogates, which JSON bodies can contain and UTF-8 cannot encode, as escapes."""
+    return text.encode(errors="backslashreplace").decode()
 
 
 def status_of(error: AccordError) -> int:
@@ -74,6 +85,8 @@ def accord_error_response(error: AccordError) -> JSONResponse:
         headers["WWW-Authenticate"] = 'Bearer realm="accord"'
     elif isinstance(error, Unavailable | TooManyStreams):
         headers["Retry-After"] = "5"
+    elif isinstance(error, TooManyFailedSignIns):
+        headers["Retry-After"] = "60"
     field = getattr(error, "field", None)
     details = [] if field is None else [{"field": field, "problem": str(error)}]
     return error_response(status_of(error), error.code, str(error), details, headers)
@@ -103,6 +116,9 @@ def install(app: FastAPI) -> None:
 
     async def on_http_exception(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, HTTPException)
+        if error.status_code == 400:
+            # FastAPI could not parse the body, for a reason other than its syntax: a number of 5,000 digits.
+            return error_response(422, "invalid_request", "The body of the request is not valid JSON.")
         phrase = HTTPStatus(error.status_code).phrase
         code, message = _HTTP_MESSAGES.get(
             error.status_code, (phrase.lower().replace(" ", "_"), f"{error.detail or phrase}.")

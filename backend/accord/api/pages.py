@@ -19,6 +19,8 @@ _NOT_BUILT = (
 #: folder of the files whose names contain a hash of their content
 _HASHED = "assets"
 _REFUSED = frozenset({"q=0", "q=0.0", "q=0.00", "q=0.000"})
+#: longest path that is looked up
+_MAX_PATH_CHARACTERS = 2000
 #: content codings and the endings of their files, the smallest first
 _CODINGS = (("br", ".br"), ("gzip", ".gz"))
 
@@ -30,9 +32,9 @@ class Page:
         self._folder = folder.resolve()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            return
         path = scope["path"].lstrip("/")
+        if len(path) > _MAX_PATH_CHARACTERS:
+            raise HTTPException(414)
         if path == "api" or path.startswith("api/"):
             raise HTTPException(404)
         if scope["method"] not in {"GET", "HEAD"}:
@@ -43,8 +45,8 @@ class Page:
         index = self._folder / "index.html"
         if not index.is_file():
             return PlainTextResponse(_NOT_BUILT, 503)
-        file = (self._folder / path).resolve() if "\0" not in path else index
-        if path and file.is_relative_to(self._folder) and file.is_file():
+        file = self._file(path)
+        if file is not None:
             immutable_file = path.startswith(f"{_HASHED}/")
             return _file_response(
                 file, "public, max-age=31536000, immutable" if immutable_file else "no-cache", accepted
@@ -52,6 +54,14 @@ class Page:
         if path.startswith(f"{_HASHED}/"):
             raise HTTPException(404)
         return _file_response(index, "no-cache", accepted)
+
+    def _file(self, path: str) -> Path | None:
+        """The file at a path within the folder; None if there is none."""
+        try:
+            file = (self._folder / path).resolve()
+            return file if path and file.is_relative_to(self._folder) and file.is_file() else None
+        except (OSError, ValueError):
+            return None  # a name that no file can have, for example of 300 characters
 
 
 def link_refused(reason: str, folder: Path) -> Response:

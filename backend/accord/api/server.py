@@ -5,16 +5,21 @@ requests wait while this process restarts.
 """
 
 import argparse
+import asyncio
 import logging
 import os
 import signal
 import socket
 import sys
+from functools import partial
 from types import FrameType
+from typing import cast
 
 import uvicorn
+from fastapi import FastAPI
 
 from accord.api.app import create_app
+from accord.api.connections import Connections, LimitedHttp
 from accord.api.listener import address_of, listen
 from accord.domain.errors import AccordError
 from accord.settings import Settings
@@ -40,17 +45,25 @@ def serve(listener: socket.socket, settings: Settings) -> None:
         migrate(database)
         blobs = open_blobs(settings.resolved_blob_url)
         blobs.check_writable()
-        config = uvicorn.Config(
-            create_app(settings, database, blobs),
-            log_config=None,
-            access_log=False,
-            timeout_graceful_shutdown=GRACE_SECONDS,
-            proxy_headers=bool(settings.public_url),
-        )
+        config = server_config(create_app(settings, database, blobs), settings)
         log.info("Process %d serves %s", os.getpid(), address_of(listener))
         uvicorn.Server(config).run([listener])
     finally:
         database.close()
+
+
+def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
+    """How uvicorn serves the application."""
+    return uvicorn.Config(
+        app,
+        http=cast(type[asyncio.Protocol], partial(LimitedHttp, connections=Connections(settings))),
+        ws="none",
+        log_config=None,
+        access_log=False,
+        timeout_graceful_shutdown=GRACE_SECONDS,
+        proxy_headers=bool(settings.public_url),
+        forwarded_allow_ips=settings.trusted_proxies,
+    )
 
 
 def end_by_exception(_signal: int, _frame: FrameType | None) -> None:

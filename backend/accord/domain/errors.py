@@ -13,7 +13,9 @@
     ├── Invalid                       a value is not valid
     │   └── InvalidLabel, InvalidId, InvalidExperiment, UnknownTask
     ├── BodyTooLarge                  the request is too large
+    ├── BodyTooSlow                   the request arrives too slowly
     ├── TooManyStreams                the user follows too many experiments at once
+    ├── TooManyFailedSignIns          the client tried too many wrong tokens or links
     └── Unavailable                   this machine cannot do it now; the message says what to do
         ├── DatabaseTooNew, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, TaskUnavailable, PortInUse
         └── BlobUnreadable
@@ -262,6 +264,24 @@ class BodyTooLarge(AccordError):
             f"The body is larger than {limit_bytes} bytes. Send labels in smaller batches, and import a large export "
             "with `accord import`."
         )
+
+
+class BodyTooSlow(AccordError):
+    """The body of the request arrived too slowly. Send it again over a faster connection, or in smaller parts."""
+
+    code = "body_too_slow"
+
+    def __init__(self) -> None:
+        super().__init__(type(self).__doc__)
+
+
+class TooManyFailedSignIns(AccordError):
+    """Too many wrong tokens or sign-in links came from your address. Wait a minute, then try again."""
+
+    code = "too_many_failed_sign_ins"
+
+    def __init__(self) -> None:
+        super().__init__(type(self).__doc__)
 
 
 class TooManyStreams(AccordError):

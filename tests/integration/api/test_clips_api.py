@@ -65,6 +65,16 @@ def test_clip_without_its_file_is_a_503_error(api: ApiServer, clip: str) -> None
     assert (response.status_code, response.json()["error"]["code"]) == (503, "blob_missing")
 
 
+@pytest.mark.parametrize("headers", [{}, {"Range": "bytes=0-"}, {"Range": "bytes=-100"}])
+def test_clip_of_the_wrong_size_is_a_503_error(api: ApiServer, clip: str, headers: dict[str, str]) -> None:
+    key = f"clips/{clip.rpartition('/')[2]}"
+    api.stores.blobs.delete(key)
+    api.stores.blobs.put(key, CLIP_BYTES[:2])
+    for url in (clip, clip.replace(".mp4", ".jpg")):
+        response = api.labeller.get(url, headers=headers)
+        assert (response.status_code, response.json()["error"]["code"]) == (503, "blob_damaged")
+
+
 @pytest.mark.parametrize(
     ("header", "expected"),
     [
@@ -74,6 +84,8 @@ def test_clip_without_its_file_is_a_503_error(api: ApiServer, clip: str) -> None
         ("bytes=a-b", None),
         ("items=0-1", None),
         ("bytes=0-1,3-4", None),
+        (f"bytes={'9' * 4300}-", None),
+        (f"bytes=-{'9' * 4301}", None),
         ("bytes=0-999", ByteRange(0, 100)),
         ("bytes=99-99", ByteRange(99, 100)),
         ("bytes=100-", ByteRange(100, 100)),

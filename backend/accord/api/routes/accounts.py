@@ -7,7 +7,7 @@ from fastapi import APIRouter, Path, Request
 from fastapi.responses import RedirectResponse, Response
 
 from accord.api import schemas
-from accord.api.dependencies import COOKIE, AppState, AuthDep, app_state
+from accord.api.dependencies import COOKIE, AppState, AuthDep, app_state, counting_failures
 from accord.api.pages import FOLDER, link_refused
 from accord.domain.enums import Role
 from accord.domain.errors import Unauthenticated, Unavailable
@@ -46,7 +46,7 @@ def sign_out(auth: AuthDep) -> Response:
 @router.get("/join/{token}", summary="Look at an invitation")
 def get_join(token: InvitationToken, request: Request) -> schemas.InvitationView:
     """Says what an invitation is for. Needs no authentication, and uses nothing up."""
-    with app_state(request).database.reading() as session:
+    with counting_failures(request), app_state(request).database.reading() as session:
         row = invitations.valid(session, token)
         experiment = None if row.experiment_id is None else experiments.get(session, row.experiment_id).name
         return schemas.InvitationView(experiment=experiment, invited_by=row.created_by)
@@ -56,7 +56,7 @@ def get_join(token: InvitationToken, request: Request) -> schemas.InvitationView
 def join(token: InvitationToken, body: schemas.NewMember, request: Request, response: Response) -> schemas.Member:
     """Creates a labeller and signs this browser in. Needs no authentication."""
     app = app_state(request)
-    with app.database.transaction() as session:
+    with counting_failures(request), app.database.transaction() as session:
         experiment_id = invitations.valid(session, token).experiment_id
         user, session_token = invitations.join(session, token, body.name, app.settings.session_days)
         member = schemas.Member(id=user.id, name=user.name, role=Role(user.role), experiment_id=experiment_id)
@@ -69,7 +69,7 @@ def sign_in(link_token: str, request: Request) -> Response:
     """Redeems a one-time link: sets the browser's cookie and redirects to the page."""
     app = app_state(request)
     try:
-        with app.database.transaction() as session:
+        with counting_failures(request), app.database.transaction() as session:
             _, token = accounts.redeem_link(session, link_token, app.settings.session_days)
     except Unauthenticated as error:
         if _signed_in(request):

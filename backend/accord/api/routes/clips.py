@@ -12,7 +12,7 @@ from fastapi.responses import Response
 from accord.api import responses, schemas
 from accord.api.dependencies import Auth, AuthDep, CallerSession, ClipId
 from accord.domain.enums import ClipCamera
-from accord.domain.errors import ClipNotFound
+from accord.domain.errors import BlobDamaged, ClipNotFound
 from accord.services import access, clip_views, clips
 from accord.store.blobs import BlobStore
 from accord.store.tables import ClipRow
@@ -22,7 +22,7 @@ from mapt.rendering.stills import animation, thumbnail
 log = logging.getLogger(__name__)
 router = APIRouter(tags=["clips"])
 CameraPath = Annotated[ClipCamera, Path(description="Where the camera is: side or top.")]
-_RANGE = re.compile(r"bytes=(\d*)-(\d*)")
+_RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +88,26 @@ def _video(request: Request, blobs: BlobStore, key: str, size: int, etag: str) -
     if request.headers.get("if-range", etag) != etag:
         wanted = None
     if wanted is None:
-        return Response(blobs.read(key), 200, headers, media_type="video/mp4")
+        return Response(_whole(blobs, key, size), 200, headers, media_type="video/mp4")
     if wanted.start >= wanted.stop:
         return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
     headers["Content-Range"] = f"bytes {wanted.start}-{wanted.stop - 1}/{size}"
     content = blobs.read_range(key, wanted.start, wanted.stop)
+    if len(content) != wanted.stop - wanted.start:
+        raise _incomplete(key, size)
     return Response(content, 206, headers, media_type="video/mp4")
+
+
+def _whole(blobs: BlobStore, key: str, size: int) -> bytes:
+    """The blob of a clip. Raises BlobDamaged if it does not have the size that was stored."""
+    content = blobs.read(key)
+    if len(content) != size:
+        raise _incomplete(key, size)
+    return content
+
+
+def _incomplete(key: str, size: int) -> BlobDamaged:
+    return BlobDamaged(key, f"it does not have the {size} bytes that were stored")
 
 
 @router.get(
@@ -126,14 +140,15 @@ def get_animation(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
 
 def _image(clip_id: str, request: Request, auth: Auth, make: Callable[[bytes], bytes], media_type: str) -> Response:
     with auth.reading() as caller:
-        key = _visible(caller, clip_id).blob_key
+        row = _visible(caller, clip_id)
+        key, size = row.blob_key, row.size_bytes
     assert key is not None  # a ready clip has a blob
     etag = f'"{clip_id}-{media_type}"'
     headers = {"ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
     if etag in request.headers.get("if-none-match", ""):
         return Response(status_code=304, headers=headers)
     try:
-        image = make(auth.app.blobs.read(key))
+        image = make(_whole(auth.app.blobs, key, size))
     except ClipNotRead as error:
         log.warning("%s: %s", clip_id, error)
         raise ClipNotFound(clip_id) from error

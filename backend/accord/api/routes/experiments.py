@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Annotated
 
 from fastapi import APIRouter, Query
+from pydantic import AfterValidator
 from sqlalchemy.orm import Session
 
 from accord.api import responses, schemas
@@ -14,9 +15,15 @@ from accord.domain.ids import check_id
 from accord.domain.permissions import may_run_experiments, require
 from accord.services import access, costs, deletion, experiments, metrics, publish, workers
 from accord.services.experiment_config import read_config
+from accord.services.validation import check_line
 from accord.store.tables import ExperimentRow
 
 router = APIRouter(tags=["experiments"])
+
+
+def _names(names: list[str] | None) -> list[str] | None:
+    """Raises Invalid if a name holds characters that cannot be stored."""
+    return names and [check_line(name, "names", 100) for name in names]
 
 
 @router.get("/tasks", summary="List the tasks")
@@ -155,7 +162,9 @@ def get_costs(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Costs:
 def get_metrics(
     experiment_id: ExperimentId,
     auth: AuthDep,
-    names: Annotated[list[str] | None, Query(description="Curves to return; all by default.")] = None,
+    names: Annotated[
+        list[str] | None, AfterValidator(_names), Query(description="Curves to return; all by default.")
+    ] = None,
 ) -> schemas.Metrics:
     """Curves over the policy's environment steps. Labellers get no curve of returns, true or learned."""
     with auth.reading() as caller:

@@ -4,6 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
+from pydantic import AfterValidator
 
 from accord.api import responses, schemas
 from accord.api.dependencies import AuthDep, CallerSession, ExperimentId, QueryId, json_response
@@ -11,10 +12,19 @@ from accord.domain.errors import AccordError
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_label_in_batches, require, require_returns
 from accord.services import access, experiments, label, lease
+from accord.services.validation import check_line
 
 router = APIRouter(tags=["labelling"])
+
+
+def _tab(name: str) -> str:
+    """Raises Invalid if the name holds characters that cannot be stored."""
+    return check_line(name, "tab", 40) if name else name
+
+
 Tab = Annotated[
     str,
+    AfterValidator(_tab),
     Query(
         max_length=40,
         description="Any name that is unique to a tab or process of the caller. Each has leases of its own, so that "

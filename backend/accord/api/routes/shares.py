@@ -4,7 +4,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from accord.api import responses, schemas
-from accord.api.dependencies import AuthDep, ExperimentId, ShareId, app_state
+from accord.api.dependencies import AuthDep, ExperimentId, ShareId, app_state, counting_failures
 from accord.domain.enums import Role
 from accord.domain.errors import Unauthenticated
 from accord.domain.permissions import may_run_experiments, require
@@ -54,7 +54,7 @@ def get_shared(request: Request) -> schemas.SharedExperiment:
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
     if scheme.lower() != "bearer" or not token.strip():
         raise Unauthenticated("Send the token of the link, the part after #, as `Authorization: Bearer <token>`.")
-    with app_state(request).database.reading() as session:
+    with counting_failures(request), app_state(request).database.reading() as session:
         share = shares.valid(session, token.strip())
         row = experiments.get(session, share.experiment_id)
         experiment = responses.experiment_response(session, row, _SEEN_AS)
