@@ -239,6 +239,8 @@ def _recorded_query(query: RecordedQuery) -> schemas.RecordedQuery:
         labels_wanted=query.labels_wanted,
         repeats_id=query.repeats_id,
         gold=query.gold_value,
+        practice=query.practice,
+        explanation=query.explanation,
         segments=[
             schemas.RecordedSegment(
                 segment_id=segment.id,

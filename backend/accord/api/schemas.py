@@ -16,6 +16,7 @@ from accord.domain.enums import (
     WorkerRole,
     WorkerState,
 )
+from accord.services.checks import MAX_EXPLANATION
 from accord.services.experiment_config import ExperimentConfig
 from mapt.settings import json_schema
 
@@ -500,6 +501,31 @@ class Queries(Schema):
     )
 
 
+class PracticePairs(Schema):
+    """The pairs of a practice round, without their answers."""
+
+    items: list[Query] = Field(description="Sorted by number. They are not leased.")
+
+
+class PracticeAnswer(Schema):
+    """An answer to a practice pair. It is not stored."""
+
+    label: float | None = Field(
+        strict=True,
+        description="1, 0 or 0.5, or slightly 0.75 or 0.25, in the order shown: 1 means that the left clip is better; "
+        "null skips.",
+    )
+
+
+class PracticeFeedback(Schema):
+    """The known answer of a practice pair."""
+
+    query_id: str = Field(description="qry_...")
+    is_correct: bool = Field(description="Whether the answer was the known one.")
+    label: float = Field(description="The known answer, in the order shown: 1 means that the left clip is better.")
+    explanation: str = Field(description="Why, in one sentence; may be empty.")
+
+
 class NewLabel(Schema):
     """A label for a query. Sending the same label again changes nothing."""
 
@@ -626,6 +652,8 @@ class RecordedQuery(Schema):
     gold: float | None = Field(
         description="The known answer of a gold query, in segment order; otherwise null. Its labels are not trained on."
     )
+    practice: bool = Field(description="Whether people practise on this gold query, so that it is no hidden check.")
+    explanation: str = Field(description="Why that is its answer, for those who practise; may be empty.")
     segments: list[RecordedSegment] = Field(description="Segments 0 and 1.")
     labels: list[RecordedLabel] = Field(description="In the order in which they were first given.")
 
@@ -706,7 +734,8 @@ class Quality(Schema):
     )
     disputed: int = Field(description="Queries on which labels differ and which nobody has decided.")
     decided: int = Field(description="Queries that a researcher has decided with a final label.")
-    gold_queries: int = Field(description="Queries whose answer is known.")
+    gold_queries: int = Field(description="Queries whose answer is known, without practice pairs.")
+    practice_queries: int = Field(description="Practice pairs.")
 
 
 class GoldAnswer(Schema):
@@ -716,6 +745,15 @@ class GoldAnswer(Schema):
         strict=True,
         description="1, 0 or 0.5, in segment order: 1 means that segment 0 is better. Slight answers are right, too.",
     )
+    practice: bool = Field(
+        default=False,
+        description="Whether people practise on it. They are told its answer, so that it is no hidden check.",
+    )
+    explanation: str = Field(
+        default="",
+        max_length=MAX_EXPLANATION,
+        description="Why that is the answer, in one line, for those who practise.",
+    )
 
 
 class GoldQuery(Schema):
@@ -723,6 +761,8 @@ class GoldQuery(Schema):
 
     query_id: str = Field(description="qry_...")
     gold: float | None = Field(description="Its known answer, in segment order; null for an ordinary query.")
+    practice: bool = Field(description="Whether people practise on it.")
+    explanation: str = Field(description="Why that is the answer; may be empty.")
 
 
 class LabelExclusion(Schema):

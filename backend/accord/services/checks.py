@@ -18,10 +18,12 @@ from accord.domain.ids import new_id
 from accord.domain.label_values import SIDES
 from accord.services.accounts import Caller
 from accord.services.exclusion import recount
+from accord.services.validation import check_line
 from accord.store import experiments, labels, queries
 from accord.store.queries import Repeatable
 from accord.store.tables import QueryRow
 
+MAX_EXPLANATION = 300
 #: Labels that a user gives between a pair and its repeat, so that the second answer is not remembered.
 REPEAT_GAP = 10
 # The system's random source, as for sides, so that nobody can predict a check.
@@ -85,7 +87,9 @@ def _add_repeat(session: Session, experiment_id: str, repeated: Repeatable) -> s
     return query.id
 
 
-def set_gold(session: Session, query_id: str, value: float | None) -> QueryRow:
+def set_gold(
+    session: Session, query_id: str, value: float | None, *, practice: bool = False, explanation: str = ""
+) -> QueryRow:
     """Makes a query gold by giving its answer, or an ordinary query again with None.
 
     Labels of a gold query no longer count, so that the experiment asks for others in their place.
@@ -93,23 +97,32 @@ def set_gold(session: Session, query_id: str, value: float | None) -> QueryRow:
     Args:
         value: P(segment 0 is preferred): 1, 0 or 0.5. An answer to a gold query is right if it prefers the same side,
             slightly or clearly.
+        practice: whether people practise on it, instead of being checked with it.
+        explanation: why that is the answer; may be empty.
 
     Raises:
         InvalidLabel: for any other value.
+        Invalid: if the explanation is too long or has several lines.
         QueryNotFound: if there is no such query.
         LabelConflict: if its clips are not ready, or it is a repeat.
     """
     if value is not None and value not in SIDES:
         raise InvalidLabel(value)
+    reason = check_line(explanation, "explanation", MAX_EXPLANATION) if explanation.strip() else ""
     query = queries.lock_row(session, query_id)
     if query is None:
         raise QueryNotFound(query_id)
     if query.status not in (QueryStatus.OPEN, QueryStatus.CLOSED) or query.repeats_id is not None:
-        reason = "is a repeat" if query.repeats_id is not None else f"has no clips ({query.status})"
-        raise LabelConflict(f"Query {query_id!r} {reason}, so that it cannot be gold.")
+        obstacle = "is a repeat" if query.repeats_id is not None else f"has no clips ({query.status})"
+        raise LabelConflict(f"Query {query_id!r} {obstacle}, so that it cannot be gold.")
     experiments.lock(session, query.experiment_id)
     was_gold = query.gold_value is not None
     query.gold_value = value
+    query.practice = value is not None and practice
+    query.explanation = "" if value is None else reason
+    if query.practice:
+        # Whoever has it as a hidden check gets another pair.
+        query.leased_by, query.leased_until, query.leased_tab = None, None, ""
     session.flush()
     if was_gold != (value is not None):
         labels.mark_changed(session, query.experiment_id, labels.ids_of_query(session, query_id))

@@ -107,6 +107,8 @@ def _write(blobs: BlobStore, found: Contents, folder: Path, on_segments: Callabl
                 query.reward_version_id,
                 query.repeats_id,
                 query.gold_value,
+                query.practice,
+                query.explanation,
             )
             for query in found.queries
         )

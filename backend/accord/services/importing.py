@@ -88,8 +88,9 @@ def _checked(tables: PreferenceTables) -> Imported:
     unknown = {label.query_id for label in labels} - {query.query_id for query in every}
     if unknown:
         raise Invalid(f"The export is incomplete: its labels refer to {len(unknown)} queries that it does not hold.")
-    queries = [query for query in every if query.query_id in labelled]
-    if not queries:
+    # Researchers chose the pairs with a known answer: they are kept without labels too.
+    queries = [query for query in every if query.query_id in labelled or query.gold is not None]
+    if not labelled:
         raise Invalid("The export holds no labels to import.")
     segment_ids = Counter(tables.segment_ids())
     twice = [id for id, count in segment_ids.items() if count > 1]
@@ -111,9 +112,10 @@ def _checked(tables: PreferenceTables) -> Imported:
 def create(session: Session, owner_id: str, name: str, found: Imported) -> None:
     """Creates the experiment, paused, with the imported segments, queries and labels.
 
-    Queries without a label are left out. The labels of teachers who are users of this installation stay theirs; every
-    other teacher becomes a new user who cannot sign in. Render workers make the clips from the simulator states, after
-    those that a query waits for; an export of a task that renders itself has no states, and its pairs get no clips.
+    Queries without a label are left out unless their answer is known. The labels of teachers who are users of this
+    installation stay theirs; every other teacher becomes a new user who cannot sign in. Render workers make the clips
+    from the simulator states, after those that a query waits for; an export of a task that renders itself has no
+    states, and its pairs get no clips.
 
     Raises:
         UnknownTask, InvalidExperiment, NameTaken, Invalid: as `experiments.create`.
@@ -140,6 +142,8 @@ def create(session: Session, owner_id: str, name: str, found: Imported) -> None:
                 # It stays a repeat where the query that it repeats has no label left and is not imported.
                 repeats_id=None if query.repeats_id is None else query_ids.get(query.repeats_id, ""),
                 gold_value=query.gold,
+                practice=query.gold is not None and bool(query.practice),
+                explanation=query.explanation or "",
             )
         )
     session.flush()

@@ -83,7 +83,8 @@ def put_label(
         ExperimentNotActive: if the experiment is over.
         LabelChanged: if the user's label has another revision than `replaces`: another tab has written it.
         QueryClosed: if another user has labelled it.
-        LabelConflict: if its clips are not ready, or could not be rendered; or if another researcher has decided it.
+        LabelConflict: if its clips are not ready, or could not be rendered; if it is a practice pair; or if another
+            researcher has decided it.
         LeaseLost: if another user holds it; if it was never shown to a labeller; or if `shown` is sent for such a
             query.
     """
@@ -154,6 +155,7 @@ def undo(
         ExperimentNotFound: if the experiment is hidden from the user.
         LabelNotFound: if the user has no label on it.
         LabelChanged: if the label has another revision than `replaces`.
+        LabelConflict: if it has become a practice pair.
         ExperimentNotActive: if the experiment is over.
         QueryClosed, LeaseLost: if, after a skip, another user has labelled it or holds it.
     """
@@ -189,6 +191,8 @@ def _require_revision(found: LockedQuery, replaces: int | None) -> None:
 def _require_labellable(session: Session, user: Caller, found: LockedQuery, *, final: bool) -> None:
     """Raises unless this user may label this query now."""
     require_not_over(found.experiment_id, found.experiment_status)
+    if found.is_practice:
+        raise LabelConflict(f"Query {found.query_id!r} is a practice pair: answers to it are not stored.")
     previous_state = None if found.response is None else found.response.state
     if previous_state == "label":
         return  # its author may change a label at any time

@@ -41,6 +41,8 @@ COLUMNS = (
     "instructions_revision",
     "gold",
     "repeats_id",
+    "practice",
+    "explanation",
 )
 #: a spreadsheet runs a cell that begins with one of these as a formula
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
@@ -144,7 +146,10 @@ def table_as_csv(session: Session, experiment_id: str, filters: Filters) -> str:
         cells = [query.number, query.id, query.status, query.selector, first.id, second.id]
         cells += [first.true_return, second.true_return]
         for label in query.labels:
-            check = [query.gold_value, query.repeats_id]
+            explanation = (
+                f"'{query.explanation}" if query.explanation.startswith(_FORMULA_STARTS) else query.explanation
+            )
+            check = [query.gold_value, query.repeats_id, query.practice, explanation]
             writer.writerows([*cells, *row, *check] for row in _revision_cells(label))
         if not query.labels:
             writer.writerow([*cells, *([""] * (len(COLUMNS) - len(cells)))])

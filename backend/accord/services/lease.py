@@ -93,7 +93,7 @@ def next_queries(
     if not ids:
         return Leased(task, [], _waiting_reason(session, user, experiment_id))
     queries.lease(session, ids, user.id, until, tab)
-    items = _with_sides(session, user.id, ids, left_segments)
+    items = with_sides(session, user.id, ids, left_segments)
     return Leased(task, items, "" if len(items) == count else _waiting_reason(session, user, experiment_id))
 
 
@@ -118,13 +118,13 @@ def next_disputed(
     if not ids:
         return Leased(task, [], "all_decided")
     queries.lease(session, ids, user.id, until, tab)
-    items = _with_sides(session, user.id, ids)
+    items = with_sides(session, user.id, ids)
     return Leased(task, items, "" if len(items) == count else "all_decided")
 
 
 def leased_query(session: Session, user: Caller, query_id: str) -> LeasedQuery:
     """A leased query with the sides its user sees."""
-    return _with_sides(session, user.id, [query_id])[0]
+    return with_sides(session, user.id, [query_id])[0]
 
 
 def shown_queries(session: Session, user: Caller, query_ids: Sequence[str]) -> list[LeasedQuery]:
@@ -166,7 +166,7 @@ def release(session: Session, user: Caller, query_id: str, tab: str = "") -> Non
         queries.set_lease(session, query_id, found.status, None, None)
 
 
-def _with_sides(
+def with_sides(
     session: Session, user_id: str, ids: Sequence[str], left_segments: Mapping[str, int] | None = None
 ) -> list[LeasedQuery]:
     """The queries by number, on the sides they were first shown with, else on those given, else on random ones."""

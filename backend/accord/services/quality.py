@@ -76,7 +76,9 @@ class Quality:
     #: queries on which labels differ, undecided and decided
     disputed: int
     decided: int
+    #: without practice pairs
     gold_queries: int
+    practice_queries: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +91,7 @@ class Rows:
     disputed: int
     decided: int
     gold_queries: int
+    practice_queries: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +116,8 @@ def read(session: Session, experiment_id: str) -> Rows:
         states,
         queries.count_disputed(session, experiment_id),
         quality.count_decided(session, experiment_id),
-        quality.count_gold(session, experiment_id),
+        quality.count_gold(session, experiment_id, practice=False),
+        quality.count_gold(session, experiment_id, practice=True),
     )
 
 
@@ -141,7 +145,7 @@ def quality_of(rows: Rows) -> Quality:
         )
         found.append(_labeller(user, by_user[user.id], rows.states.get(user.id), others))
     alpha = alpha_of([[each.value for each in labels if each.value is not None] for labels in shared])
-    return Quality(found, alpha, rows.disputed, rows.decided, rows.gold_queries)
+    return Quality(found, alpha, rows.disputed, rows.decided, rows.gold_queries, rows.practice_queries)
 
 
 def _labeller(

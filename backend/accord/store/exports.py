@@ -31,6 +31,9 @@ class ExportedQuery:
     repeats_id: str | None
     #: the known answer of a gold query
     gold_value: float | None
+    #: whether people practise on it, and why that is its answer
+    practice: bool
+    explanation: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,8 @@ def queries(session: Session, experiment_id: str) -> list[ExportedQuery]:
             QueryRow.reward_version_id,
             QueryRow.repeats_id,
             QueryRow.gold_value,
+            QueryRow.practice,
+            QueryRow.explanation,
         )
         .where(QueryRow.experiment_id == experiment_id)
         .order_by(QueryRow.number)

@@ -88,6 +88,9 @@ class RecordedQuery:
     repeats_id: str | None
     #: the known answer of a gold query
     gold_value: float | None
+    #: whether people practise on it, and why that is its answer
+    practice: bool
+    explanation: str
     segments: tuple[RecordedSegment, RecordedSegment]
     #: by the time they were first given
     labels: list[RecordedLabel]
@@ -174,6 +177,7 @@ def queries(
     columns: list[Any] = [
         *(QueryRow.id, QueryRow.number, QueryRow.status, QueryRow.selector, QueryRow.created_at),
         *(QueryRow.labels_wanted, QueryRow.repeats_id, QueryRow.gold_value),
+        *(QueryRow.practice, QueryRow.explanation),
         *(segment_0.id, segment_0.policy_steps, segment_0.true_return, clip_0.id),
         *(segment_1.id, segment_1.policy_steps, segment_1.true_return, clip_1.id),
     ]
@@ -192,7 +196,7 @@ def queries(
     rows = session.execute(statement).all()
     labels = _labels_of(session, [row[0] for row in rows])
     return [
-        RecordedQuery(*row[:8], (RecordedSegment(*row[8:12]), RecordedSegment(*row[12:16])), labels[row[0]])
+        RecordedQuery(*row[:10], (RecordedSegment(*row[10:14]), RecordedSegment(*row[14:18])), labels[row[0]])
         for row in rows
     ]
 

@@ -72,8 +72,11 @@ def users(session: Session, user_ids: set[str]) -> list[LabellingUser]:
     return [LabellingUser(*row) for row in rows]
 
 
-def count_gold(session: Session, experiment_id: str) -> int:
-    statement = select(func.count()).where(QueryRow.experiment_id == experiment_id, QueryRow.gold_value.is_not(None))
+def count_gold(session: Session, experiment_id: str, *, practice: bool) -> int:
+    """Gold queries that are practice pairs, or that check the labellers."""
+    statement = select(func.count()).where(
+        QueryRow.experiment_id == experiment_id, QueryRow.gold_value.is_not(None), QueryRow.practice.is_(practice)
+    )
     return session.scalar(statement) or 0
 
 

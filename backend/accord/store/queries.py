@@ -115,6 +115,8 @@ class LockedQuery:
     labels_wanted: int
     #: whether it is a repeat or gold, so that its labels are not trained on
     is_check: bool
+    #: whether it is a gold query on which people practise, so that it takes no labels
+    is_practice: bool
     response: Response | None
 
 
@@ -135,6 +137,7 @@ _LOCK = (
         LabellerRow.excluded_at,
         QueryRow.labels_wanted,
         ~IS_TRAINED_ON,
+        QueryRow.practice,
         ExperimentRow.instructions_revision,
         ExperimentRow.config,
         *RESPONSE_COLUMNS,
@@ -186,9 +189,15 @@ _GOLD = (
     .where(
         QueryRow.experiment_id == bindparam("experiment"),
         QueryRow.gold_value.is_not(None),
+        ~QueryRow.practice,
         or_(QueryRow.leased_by.is_(None), QueryRow.leased_until <= bindparam("now")),
         ~exists().where(
             LabelRow.query_id == QueryRow.id, LabelRow.user_id == bindparam("user"), LabelRow.state != "undone"
+        ),
+        ~exists().where(
+            PresentationRow.query_id == QueryRow.id,
+            PresentationRow.user_id == bindparam("user"),
+            PresentationRow.practised,
         ),
     )
     .with_for_update(skip_locked=True)
@@ -244,6 +253,15 @@ _SHOWN = (
 )
 
 
+def get(session: Session, query_id: str) -> QueryRow | None:
+    return session.get(QueryRow, query_id)
+
+
+def presentation(session: Session, query_id: str, user_id: str) -> PresentationRow | None:
+    """The sides on which a query was shown to a user; None if it never was."""
+    return session.get(PresentationRow, (query_id, user_id))
+
+
 def lock_row(session: Session, query_id: str) -> QueryRow | None:
     """Reads a query again and locks it until the transaction ends."""
     return session.get(QueryRow, query_id, with_for_update=True, populate_existing=True)
@@ -279,9 +297,10 @@ def lock(session: Session, query_id: str, user_id: str) -> LockedQuery | None:
         labeller_excluded=found[12] is not None,
         labels_wanted=found[13],
         is_check=bool(found[14]),
-        instructions_revision=found[15],
-        config=found[16],
-        response=None if found[8] is None else Response(*found[17:]),
+        is_practice=bool(found[15]),
+        instructions_revision=found[16],
+        config=found[17],
+        response=None if found[8] is None else Response(*found[18:]),
     )
 
 
@@ -298,8 +317,21 @@ def lock_free_ids(session: Session, user_id: str, experiment_id: str, now: datet
 
 
 def lock_gold_ids(session: Session, user_id: str, experiment_id: str, now: datetime) -> list[str]:
-    """Gold queries without a lease that the user has not labelled."""
+    """Gold queries without a lease that check labellers, and that the user has neither labelled nor practised on."""
     return list(session.connection().scalars(_GOLD, {"user": user_id, "experiment": experiment_id, "now": now}))
+
+
+def practice_ids(session: Session, experiment_id: str, limit: int) -> list[str]:
+    """Practice pairs whose clips are ready, by number."""
+    statement = (
+        select(QueryRow.id)
+        .join(_CLIP_0, (_CLIP_0.segment_id == QueryRow.segment_0_id) & (_CLIP_0.status == "ready"))
+        .join(_CLIP_1, (_CLIP_1.segment_id == QueryRow.segment_1_id) & (_CLIP_1.status == "ready"))
+        .where(QueryRow.experiment_id == experiment_id, QueryRow.gold_value.is_not(None), QueryRow.practice)
+        .order_by(QueryRow.number)
+        .limit(limit)
+    )
+    return list(session.scalars(statement))
 
 
 @dataclass(frozen=True, slots=True)

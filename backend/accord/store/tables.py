@@ -295,6 +295,10 @@ class QueryRow(Base):
     repeats_id: Mapped[str | None] = mapped_column(String(32), default=None)
     #: the known answer of a gold query, P(segment 0 is preferred)
     gold_value: Mapped[float | None] = mapped_column(default=None)
+    #: whether people practise on this gold query, so that it is no hidden check
+    practice: Mapped[bool] = mapped_column(default=False, server_default=false())
+    #: why that is the answer, for those who practise
+    explanation: Mapped[str] = mapped_column(default="", server_default="")
     leased_by: Mapped[str | None] = mapped_column(ForeignKey("users.id"), default=None)
     leased_until: Mapped[datetime | None] = mapped_column(default=None)
     #: the tab or process of that user, so that two tabs show different pairs; empty if the client names none
@@ -324,6 +328,8 @@ class PresentationRow(Base):
     #: the segment, 0 or 1, that is shown on the left
     left_segment: Mapped[int]
     shown_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    #: whether the user was told its known answer in a practice round, so that it cannot check them
+    practised: Mapped[bool] = mapped_column(default=False, server_default=false())
 
 
 class LabelRow(Base):

@@ -35,6 +35,8 @@ ALLOWED: dict[str, frozenset[Role]] = {
     "DELETE /queries/{query_id}/lease": EVERYONE,
     "PUT /queries/{query_id}/label": EVERYONE,
     "DELETE /queries/{query_id}/label": EVERYONE,
+    "POST /experiments/{experiment_id}/practice": EVERYONE,
+    "PUT /queries/{query_id}/practice": EVERYONE,
     # A labeller gets an answer only for a query that they have labelled.
     "PUT /queries/{query_id}/credit": EVERYONE,
     "GET /queries/{query_id}/credit": EVERYONE,
@@ -88,6 +90,7 @@ BODIES: dict[str, dict[str, Any]] = {
     "POST /experiments": {"name": "one", "task": "no such task"},
     "PATCH /experiments/{experiment_id}": {"instructions": "Run."},
     "PUT /queries/{query_id}/label": {"label": 1},
+    "PUT /queries/{query_id}/practice": {"label": 1},
     "POST /experiments/{experiment_id}/labels": {"labels": [{"query_id": new_id("qry"), "label": 1}]},
     "PATCH /experiments/{experiment_id}/labels": {"label_ids": [new_id("lbl")], "excluded": True},
     "PATCH /experiments/{experiment_id}/labellers/{user_id}": {"paused": True},

@@ -6,6 +6,7 @@ from typing import Any
 import httpx
 import pytest
 
+from accord.domain.enums import Role
 from accord.domain.ids import new_id
 from accord.services import publish
 from support.api_in_thread import ApiServer
@@ -43,13 +44,64 @@ def labels_in(client: httpx.Client, sample: SampleExperiment) -> int:
 def test_gold_query_is_marked_listed_and_unmarked(api_per_database: ApiServer, sample: SampleExperiment) -> None:
     client = api_per_database.researcher
     gold = f"/api/v1/queries/{sample.query_ids[0]}/gold"
-    assert client.put(gold, json={"label": 0.5}).json() == {"query_id": sample.query_ids[0], "gold": 0.5}
+    made = client.put(gold, json={"label": 0.5}).json()
+    assert made == {"query_id": sample.query_ids[0], "gold": 0.5, "practice": False, "explanation": ""}
     assert labels_in(client, sample) == 2
     listed = client.get(f"/api/v1/experiments/{sample.experiment.id}/queries").json()["items"]
     assert [each["gold"] for each in listed] == [None, None, None, 0.5]
     assert client.put(gold, json={"label": 0.7}).json()["error"]["code"] == "invalid_label"
     assert client.delete(gold).json()["gold"] is None
     assert labels_in(client, sample) == 4
+
+
+def test_the_known_answer_of_a_practice_pair_is_told_only_in_reply_to_an_answer(
+    api_per_database: ApiServer, sample: SampleExperiment
+) -> None:
+    api, query_id = api_per_database, sample.query_ids[2]
+    practice = f"/api/v1/experiments/{sample.experiment.id}/practice"
+    marked = {"label": 1.0, "practice": True, "explanation": " It runs further. "}
+    api.researcher.put(f"/api/v1/queries/{query_id}/gold", json=marked)
+    listed = api.researcher.get(f"/api/v1/experiments/{sample.experiment.id}/queries").json()["items"]
+    found = [each for each in listed if each["practice"]]
+    assert [(each["id"], each["gold"], each["explanation"]) for each in found] == [(query_id, 1.0, "It runs further.")]
+    before = labels_in(api.researcher, sample)
+    for role in Role:
+        client: httpx.Client = getattr(api, role.value)
+        assert client.put(f"/api/v1/queries/{query_id}/practice", json={"label": 1}).status_code == 409, "not shown yet"
+        response = client.post(practice)
+        assert not {"further", "gold", "label"} & set(response.text.split('"'))
+        (item,) = response.json()["items"]
+        known = 1.0 if item["left"]["index"] == 0 else 0.0
+        for answer, is_correct in ((known, True), (1.0 - known, False), (None, False)):
+            told = client.put(f"/api/v1/queries/{query_id}/practice", json={"label": answer}).json()
+            feedback = {
+                "query_id": query_id,
+                "is_correct": is_correct,
+                "label": known,
+                "explanation": "It runs further.",
+            }
+            assert told == feedback
+        refused = client.put(f"/api/v1/queries/{query_id}/label", json={"label": known, "order": "shown"})
+        assert (refused.status_code, refused.json()["error"]["code"]) == (409, "label_conflict")
+    listed = api.researcher.get(f"/api/v1/experiments/{sample.experiment.id}/queries").json()["items"]
+    assert next(each for each in listed if each["id"] == query_id)["labels"] == []
+    assert labels_in(api.researcher, sample) == before
+    quality = api.researcher.get(f"/api/v1/experiments/{sample.experiment.id}/quality").json()
+    assert (quality["gold_queries"], quality["practice_queries"]) == (0, 1)
+
+
+def test_no_answer_is_told_of_other_pairs(api_per_database: ApiServer, sample: SampleExperiment) -> None:
+    api = api_per_database
+    check, ordinary = sample.query_ids[0], sample.query_ids[1]
+    api.researcher.put(f"/api/v1/queries/{check}/gold", json={"label": 1.0, "explanation": "It runs further."})
+    # The labeller has seen both.
+    for query_id in (check, ordinary):
+        refused = api.labeller.put(f"/api/v1/queries/{query_id}/practice", json={"label": 1})
+        assert (refused.status_code, refused.json()["error"]["code"]) == (409, "label_conflict")
+        assert "further" not in refused.text
+    assert api.labeller.put(f"/api/v1/queries/{new_id('qry')}/practice", json={"label": 1}).status_code == 404
+    invalid = api.labeller.put(f"/api/v1/queries/{check}/practice", json={"label": 0.3})
+    assert invalid.json()["error"]["code"] == "invalid_label"
 
 
 def test_labels_of_a_person_and_single_labels_are_excluded(

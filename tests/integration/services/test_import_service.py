@@ -22,6 +22,7 @@ from accord.services import (
     label,
     label_history,
     lease,
+    practice,
     publish,
     select,
 )
@@ -124,6 +125,21 @@ def test_checks_exclusions_and_decisions_are_imported(stores: Stores, tmp_path: 
             (each.query_number, each.value) for each in before
         )
         assert experiments.get(session, id).label_count == 5
+
+
+def test_practice_pairs_are_imported_without_labels(stores: Stores, tmp_path: Path) -> None:
+    sample = create_sample(stores.database, stores.blobs)
+    with stores.database.transaction() as session:
+        program, _ = user(session, "program", Role.TEACHER)
+        label.put_label(session, program, sample.query_ids[0], 1.0)
+        checks.set_gold(session, sample.query_ids[1], 0.0, practice=True, explanation="It falls.")
+    id = imported(stores, exported(stores, sample.experiment.id, tmp_path / "out"))
+    make_clips(stores.database, stores.blobs)
+    with stores.database.transaction() as session:
+        (item,) = practice.pairs(session, program, id).items
+        told = practice.answer(session, program, item.id, None)
+        assert (told.label, told.explanation) == (float(item.left_segment), "It falls.")
+        assert experiments.get(session, id).label_count == 1
 
 
 def test_revisions_of_the_instructions_are_imported(stores: Stores, tmp_path: Path) -> None:

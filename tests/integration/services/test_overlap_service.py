@@ -6,9 +6,10 @@ import pytest
 from sqlalchemy import select as sql_select
 
 from accord.domain.errors import Forbidden, LabelConflict, QueryClosed
-from accord.services import checks, exclusion, experiments, label, lease, publish, select
+from accord.services import checks, exclusion, experiments, label, lease, practice, publish, select
 from accord.services.lease import Leased
-from accord.store.tables import LabelRow, QueryRow, UserRow
+from accord.store import queries
+from accord.store.tables import LabelRow, QueryRow, UserRow, utc_now
 from support.sample_experiments import SampleExperiment, create_sample, user
 from support.stores import Stores
 
@@ -160,6 +161,40 @@ def test_gold_query_is_shown_to_everybody_once_and_is_not_trained_on(stores: Sto
     with stores.database.transaction() as session:
         checks.set_gold(session, gold[0], None)
     assert ("ada", gold[0], 1.0) in crew.training()
+
+
+def test_who_has_practised_on_a_pair_never_gets_it_as_a_check(stores: Stores) -> None:
+    crew = Crew(stores, create_sample(stores.database, stores.blobs, segments=12, queries=40, gold_share=0.3))
+    ((held,), pair) = crew.next("bob").items, crew.sample.query_ids[3]
+    with stores.database.transaction() as session:
+        for query_id in (held.id, pair):
+            checks.set_gold(session, query_id, 1.0, practice=True)
+    asked = [crew.answer(who) for who in ("bob", "ada") for _ in range(6)]
+    assert not {held.id, pair} & set(asked), "practice pairs are not offered, not even to whoever holds one"
+    with stores.database.transaction() as session:
+        shown = practice.pairs(session, crew.users["ada"], crew.id).items
+        assert [each.id for each in shown] == [held.id, pair]
+        assert practice.answer(session, crew.users["ada"], pair, 0.5).is_correct is False
+    with stores.database.transaction() as session:
+        for query_id in (held.id, pair):
+            checks.set_gold(session, query_id, 1.0)
+        with pytest.raises(LabelConflict):
+            practice.answer(session, crew.users["ada"], pair, 0.5)
+        found = {
+            who: set(queries.lock_gold_ids(session, crew.users[who].id, crew.id, utc_now())) for who in ("ada", "eve")
+        }
+    assert found == {"ada": {held.id}, "eve": {held.id, pair}}
+
+
+def test_a_label_cannot_be_changed_once_its_pair_is_for_practice(stores: Stores) -> None:
+    crew = Crew(stores, create_sample(stores.database, stores.blobs))
+    query_id = crew.answer("ada")
+    with stores.database.transaction() as session:
+        checks.set_gold(session, query_id, 0.0, practice=True)
+    with pytest.raises(LabelConflict):
+        crew.put("ada", query_id, 0.0)
+    with pytest.raises(LabelConflict):
+        crew.undo("ada", query_id)
 
 
 def test_repeat_cannot_be_gold_and_a_query_without_clips_neither(sqlite: Stores) -> None:

@@ -15,7 +15,7 @@ from accord import store
 from accord.domain.enums import Role
 from accord.domain.errors import DatabaseTooNew
 from accord.domain.ids import new_id
-from accord.services import accounts, experiments, label, publish
+from accord.services import accounts, checks, experiments, label, practice, publish, quality
 from accord.store.database import Database
 from accord.store.migrate import alembic_config, migrate
 from accord.store.tables import Base, QueryRow, RewardVersionRow
@@ -139,6 +139,19 @@ def test_the_instructions_of_revision_13_become_their_first_revision(stores: Sto
     with stores.database.reading() as session:
         (row,) = experiments.instruction_revisions(session, sample.experiment.id)
         assert (row.number, row.text, row.created_at) == (1, "Run.", sample.experiment.created_at)
+
+
+def test_gold_queries_of_revision_14_are_hidden_checks(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs)
+    with stores.database.transaction() as session:
+        checks.set_gold(session, sample.query_ids[0], 1.0, practice=True, explanation="It runs further.")
+        practice.pairs(session, sample.owner, sample.experiment.id)
+    with stores.database.engine.begin() as connection:
+        command.downgrade(alembic_config(connection), "0014")
+    migrate(stores.database)
+    with stores.database.transaction() as session:
+        assert practice.pairs(session, sample.owner, sample.experiment.id).items == []
+        assert quality.read(session, sample.experiment.id).gold_queries == 1
 
 
 def test_database_of_a_newer_version_is_refused(stores: Stores) -> None:

@@ -71,7 +71,7 @@ def crew(pairs: int = 60) -> Quality:
             add(person, f"repeat {pair}", 1.0 - float(pair % 2), repeats=f"pair {pair}")
         labels.append(GivenLabel(person, "skipped", None, 0, 3.0, False, None, None, 1.0, 0.0))
     users = [LabellingUser(person, person, "labeller") for person in PEOPLE]
-    return quality_of(Rows(labels, users, {}, disputed=3, decided=1, gold_queries=12))
+    return quality_of(Rows(labels, users, {}, disputed=3, decided=1, gold_queries=12, practice_queries=0))
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +114,9 @@ def test_statistics_count_what_they_name(found: Quality) -> None:
 
 def test_few_labels_raise_no_flag() -> None:
     labels = [GivenLabel("ada", f"pair {n}", 0.5, 0, 0.5, False, 1.0, None, 1.0, 0.0) for n in range(4)]
-    rows = Rows(labels, [LabellingUser("ada", "ada", "labeller")], {}, disputed=0, decided=0, gold_queries=4)
+    rows = Rows(
+        labels, [LabellingUser("ada", "ada", "labeller")], {}, disputed=0, decided=0, gold_queries=4, practice_queries=0
+    )
     assert quality_of(rows).labellers[0].flags == []
 
 
@@ -125,7 +127,7 @@ def test_excluded_labels_do_not_lower_the_agreement_of_others() -> None:
         for person, value in (("ada", float(n % 2)), ("bob", float(n % 2)), ("bad", 1.0 - n % 2))
     ]
     users = [LabellingUser(person, person, "labeller") for person in ("ada", "bad", "bob")]
-    found = quality_of(Rows(labels, users, {}, disputed=0, decided=0, gold_queries=0))
+    found = quality_of(Rows(labels, users, {}, disputed=0, decided=0, gold_queries=0, practice_queries=0))
     assert found.alpha is not None
     assert found.alpha.value == pytest.approx(1.0)
     ada, bad = of(found, "ada").agreement, of(found, "bad").agreement
@@ -148,7 +150,7 @@ def test_slight_and_clear_answers_are_the_same_side() -> None:
         for n in range(10)
     ]
     users = [LabellingUser(person, person, "labeller") for person in values]
-    found = quality_of(Rows(labels, users, {}, disputed=0, decided=0, gold_queries=10))
+    found = quality_of(Rows(labels, users, {}, disputed=0, decided=0, gold_queries=10, practice_queries=0))
     ada, bob = of(found, "ada"), of(found, "bob")
     assert bob.gold is not None
     assert bob.consistency is not None

@@ -11,7 +11,7 @@ from accord.api.dependencies import AuthDep, CallerSession, ExperimentId, QueryI
 from accord.domain.errors import AccordError
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_label_in_batches, require, require_returns
-from accord.services import access, experiments, label, lease
+from accord.services import access, experiments, label, lease, practice
 from accord.services.validation import check_line
 
 router = APIRouter(tags=["labelling"])
@@ -115,6 +115,24 @@ def undo_label(
         item = lease.leased_query(caller.session, caller.user, query_id)
         task = experiments.get(caller.session, row.experiment_id).config["task"]
         return json_response(responses.query_response(item, task, lease_seconds))
+
+
+@router.post("/experiments/{experiment_id}/practice", summary="Get the practice pairs")
+def practice_pairs(experiment_id: ExperimentId, auth: AuthDep) -> schemas.PracticePairs:
+    """Returns the pairs on which people practise, on sides that are drawn once for each user. Nothing is leased."""
+    with auth.writing() as caller:
+        found = practice.pairs(caller.session, caller.user, experiment_id)
+        return schemas.PracticePairs(
+            items=[responses.query_response(item, found.task, auth.app.settings.lease_seconds) for item in found.items]
+        )
+
+
+@router.put("/queries/{query_id}/practice", summary="Answer a practice pair")
+def answer_practice(query_id: QueryId, body: schemas.PracticeAnswer, auth: AuthDep) -> schemas.PracticeFeedback:
+    """Tells the known answer of a practice pair after the caller has answered it. The caller's answer is not stored."""
+    with auth.writing() as caller:
+        found = practice.answer(caller.session, caller.user, query_id, body.label)
+        return schemas.PracticeFeedback.model_validate(found)
 
 
 @router.post(

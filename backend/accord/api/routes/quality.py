@@ -75,13 +75,16 @@ def exclude_labels(experiment_id: ExperimentId, body: schemas.LabelExclusion, au
 
 @router.put("/queries/{query_id}/gold", summary="Make a query gold")
 def set_gold(query_id: QueryId, body: schemas.GoldAnswer, auth: AuthDep) -> schemas.GoldQuery:
-    """Gives the known answer of a query, which then checks the labellers. For researchers and admins.
+    """Gives the known answer of a query, which then checks the labellers, or on which people practise. For researchers
+    and admins.
 
     Labels of a gold query are not trained on, and do not count towards the label budget.
     """
     with auth.writing() as caller:
         _require(caller)
-        return _gold(checks.set_gold(caller.session, query_id, body.label))
+        return _gold(
+            checks.set_gold(caller.session, query_id, body.label, practice=body.practice, explanation=body.explanation)
+        )
 
 
 @router.delete("/queries/{query_id}/gold", summary="Make a gold query ordinary")
@@ -97,4 +100,4 @@ def _require(caller: CallerSession) -> None:
 
 
 def _gold(row: QueryRow) -> schemas.GoldQuery:
-    return schemas.GoldQuery(query_id=row.id, gold=row.gold_value)
+    return schemas.GoldQuery(query_id=row.id, gold=row.gold_value, practice=row.practice, explanation=row.explanation)

@@ -11,14 +11,24 @@ const ANSWERS = [
   ["0.5", "Gold: equal"],
 ] as const;
 
-/** The known answer of a pair, which makes it a check of the labellers. */
+type Known = Pick<RecordedQuery, "gold" | "practice" | "explanation">;
+
+/** The known answer of a pair, which makes it a check of the labellers, or a pair on which they practise. */
 export function GoldSelect({ id, query }: { id: string; query: RecordedQuery }) {
-  const change = useJudgement(id, (label: number | null) => {
+  const change = useJudgement(id, (changed: Partial<Known>) => {
+    const { gold: label, practice, explanation } = { ...query, ...changed };
     const params = { params: { path: { query_id: query.id } } };
     return label === null
       ? unwrap(api.DELETE("/api/v1/queries/{query_id}/gold", params))
-      : unwrap(api.PUT("/api/v1/queries/{query_id}/gold", { ...params, body: { label } }));
+      : unwrap(
+          api.PUT("/api/v1/queries/{query_id}/gold", { ...params, body: { label, practice, explanation } }),
+        );
   });
+  // While a change is being stored, it is shown already.
+  const { gold, practice, explanation }: Known = {
+    ...query,
+    ...(change.isPending ? change.variables : null),
+  };
   if (query.repeats_id !== null) return <span className="badge">repeat</span>;
   if (query.status !== "open" && query.status !== "closed") return null;
   return (
@@ -26,9 +36,9 @@ export function GoldSelect({ id, query }: { id: string; query: RecordedQuery }) 
       <select
         className="gold-select"
         aria-label={`Known answer of pair ${query.number}`}
-        value={query.gold === null ? "" : String(query.gold)}
+        value={gold === null ? "" : String(gold)}
         disabled={change.isPending}
-        onChange={({ target }) => change.mutate(target.value === "" ? null : Number(target.value))}
+        onChange={({ target }) => change.mutate({ gold: target.value === "" ? null : Number(target.value) })}
       >
         <option value="">Not gold</option>
         {ANSWERS.map(([value, text]) => (
@@ -37,6 +47,33 @@ export function GoldSelect({ id, query }: { id: string; query: RecordedQuery }) 
           </option>
         ))}
       </select>
+      {gold !== null && (
+        <label className="practice-choice">
+          <input
+            type="checkbox"
+            checked={practice}
+            disabled={change.isPending}
+            onChange={({ target }) => change.mutate({ practice: target.checked })}
+          />
+          for practice
+        </label>
+      )}
+      {gold !== null && practice && (
+        <textarea
+          key={explanation}
+          className="practice-reason"
+          aria-label={`Explanation of pair ${query.number}`}
+          placeholder="Why? Shown after an answer."
+          rows={3}
+          maxLength={300}
+          defaultValue={explanation}
+          disabled={change.isPending}
+          onBlur={({ target }) => {
+            const written = target.value.replace(/\s+/g, " ").trim();
+            if (written !== explanation) change.mutate({ explanation: written });
+          }}
+        />
+      )}
       {change.error && <Alert>{errorMessage(change.error)}</Alert>}
     </>
   );

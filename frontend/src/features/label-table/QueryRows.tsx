@@ -20,7 +20,7 @@ export function QueryRows({ id, query }: { id: string; query: RecordedQuery }) {
       <tr>
         <th scope="rowgroup" rowSpan={rows}>
           {query.number}
-          <span className="muted block">{STATUSES[query.status]}</span>
+          <span className="muted block">{query.gold === null ? STATUSES[query.status] : "known answer"}</span>
           <span className="muted block">{query.selector}</span>
           {query.labels_wanted > 1 && (
             <span className="muted block">wants {plural(query.labels_wanted, "label")}</span>

@@ -1,35 +1,29 @@
 import type { RefObject } from "react";
-import type { Query, Task } from "@/shared/api/types";
+import type { Experiment, Query, Task } from "@/shared/api/types";
 import type { PairPlayback } from "@/shared/media/usePairPlayer";
 import { useAgentName } from "./AgentName";
 import { type Choice, sideOf } from "./choices";
-import { CAMERA_NAMES, type Camera } from "./clipViews";
+import { CAMERA_NAMES } from "./clipViews";
 import type { ClipNames } from "./layout";
+import type { Stage } from "./stage";
 
 interface ClipPairProps {
   query: Query;
-  task: Task;
-  camera: Camera;
-  /** whether the pair is shown from this camera */
-  view: "shown" | "rendering" | "failed";
-  /** whether the experiment renders clips at all */
-  rendersClips: boolean;
+  experiment: Experiment;
+  stage: Stage;
   /** number of pairs that follow; their clips are being loaded */
   upcoming: number;
-  /** the choice just made, marked on the clips until the next pair is shown */
+  /** the choice marked on the clips: the one just made, until the next pair is shown */
   chosen: Choice | null;
-  player: PairPlayback;
-  left: RefObject<HTMLCanvasElement | null>;
-  right: RefObject<HTMLCanvasElement | null>;
-  progress: RefObject<HTMLDivElement | null>;
   names: ClipNames;
   onChoose: (choice: Choice) => void;
 }
 
 /** Two clips side by side, or one above the other on an upright phone, as large as the window allows. */
-export function ClipPair(props: ClipPairProps) {
-  const { query, task, camera, view, rendersClips, upcoming, chosen, player } = props;
-  const { left, right, progress, names, onChoose } = props;
+export function ClipPair({ query, experiment, stage, upcoming, chosen, names, onChoose }: ClipPairProps) {
+  const { left, right, progress, player, camera } = stage;
+  const { task } = experiment;
+  const view = stage.views.stateOf(query);
   return (
     <section
       className="pair"
@@ -67,7 +61,7 @@ export function ClipPair(props: ClipPairProps) {
       </div>
       {query.left.clip_url === null && (
         <p className="pair-note">
-          {rendersClips
+          {experiment.config.render_clips !== false
             ? "This pair was imported and has no clips yet: they are made after those of new pairs. A task that draws itself cannot be drawn again."
             : "This experiment has no clips: only scripted teachers can label it."}
         </p>

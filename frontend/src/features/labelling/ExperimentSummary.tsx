@@ -25,7 +25,7 @@ export function ExperimentSummary({ experiment, view, connected }: ExperimentSum
   );
 }
 
-function AgentLegend({ experiment: { task } }: { experiment: Experiment }) {
+export function AgentLegend({ experiment: { task } }: { experiment: Experiment }) {
   return (
     <section className="card" aria-labelledby="legend-title">
       <h2 id="legend-title">

@@ -1,17 +1,19 @@
-import type { Experiment } from "@/shared/api/types";
+import type { Experiment, Query } from "@/shared/api/types";
 import { LazyMarkdown } from "@/shared/markdown/LazyMarkdown";
 import { hasSlight } from "./choices";
 import { KeyList } from "./keys";
+import { PractiseButton } from "./PractiseButton";
 
 interface FirstVisitProps {
   experiment: Experiment;
   /** whether the labeller has seen an earlier revision of the rules */
   isUpdate: boolean;
   onStart: () => void;
+  onPractise: (pairs: readonly Query[]) => void;
 }
 
 /** The rules and the keys, before the first pair and after every change of the rules. No pair is held meanwhile. */
-export function FirstVisit({ experiment, isUpdate, onStart }: FirstVisitProps) {
+export function FirstVisit({ experiment, isUpdate, onStart, onPractise }: FirstVisitProps) {
   return (
     <main className="page narrow first-visit" id="content">
       <h1>{isUpdate ? "The rules have changed" : "Before you start"}</h1>
@@ -37,6 +39,7 @@ export function FirstVisit({ experiment, isUpdate, onStart }: FirstVisitProps) {
         <button type="button" className="button primary" autoFocus onClick={onStart}>
           Start labelling
         </button>
+        <PractiseButton experiment={experiment} onPractise={onPractise} />
       </div>
     </main>
   );

@@ -3,11 +3,13 @@ import { type ReactNode, useEffect, useId, useRef } from "react";
 interface GuideDialogProps {
   title: string;
   children: ReactNode;
+  /** buttons beside "Close" */
+  actions?: ReactNode;
   onClose: () => void;
 }
 
 /** A dialog that only shows something: the rules or the keys. Escape and "Close" close it. */
-export function GuideDialog({ title, children, onClose }: GuideDialogProps) {
+export function GuideDialog({ title, children, actions, onClose }: GuideDialogProps) {
   const dialog = useRef<HTMLDialogElement>(null);
   const id = useId();
   useEffect(() => dialog.current?.showModal(), []);
@@ -19,6 +21,7 @@ export function GuideDialog({ title, children, onClose }: GuideDialogProps) {
         {children}
       </section>
       <div className="row end">
+        {actions}
         <button type="button" className="button primary" onClick={() => dialog.current?.close()}>
           Close
         </button>

@@ -1,6 +1,8 @@
+import type { Experiment, Query } from "@/shared/api/types";
 import { LazyMarkdown } from "@/shared/markdown/LazyMarkdown";
 import { summaryOf } from "@/shared/markdown/summary";
 import { GuideDialog } from "./GuideDialog";
+import { PractiseButton } from "./PractiseButton";
 
 /** The beginning of the instructions above the clips, with the button that shows all of them. */
 export function Instructions({ text, onOpen }: { text: string; onOpen: () => void }) {
@@ -20,11 +22,22 @@ export function RulesButton({ onOpen }: { onOpen: () => void }) {
   );
 }
 
+interface RulesDialogProps {
+  experiment: Experiment;
+  onClose: () => void;
+  /** called with the practice pairs; without it, practice is not offered */
+  onPractise?: ((pairs: readonly Query[]) => void) | undefined;
+}
+
 /** All instructions, over the pair, which stays as it is. */
-export function RulesDialog({ text, onClose }: { text: string; onClose: () => void }) {
+export function RulesDialog({ experiment, onClose, onPractise }: RulesDialogProps) {
   return (
-    <GuideDialog title="What to look for" onClose={onClose}>
-      <LazyMarkdown text={text} />
+    <GuideDialog
+      title="What to look for"
+      onClose={onClose}
+      actions={onPractise && <PractiseButton experiment={experiment} onPractise={onPractise} />}
+    >
+      <LazyMarkdown text={experiment.instructions} />
     </GuideDialog>
   );
 }

@@ -1,7 +1,8 @@
 import { useQuery } from "@tanstack/react-query";
+import { useState } from "react";
 import { errorMessage } from "@/shared/api/errors";
 import { experimentQuery } from "@/shared/api/queries";
-import type { Me } from "@/shared/api/types";
+import type { Me, Query } from "@/shared/api/types";
 import { useLiveUpdates } from "@/shared/api/useLiveUpdates";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
@@ -9,6 +10,7 @@ import { Message } from "@/shared/ui/Message";
 import { isOver } from "@/shared/ui/status";
 import { FirstVisit } from "./FirstVisit";
 import { LabelView } from "./LabelView";
+import { PracticeView } from "./PracticeView";
 import { useSeenRules } from "./seenRules";
 import "./clips.css";
 import "./guide.css";
@@ -29,18 +31,40 @@ function Labelling({ id, me, decides }: { id: string; me: Me; decides: boolean }
   const experiment = useQuery(experimentQuery(id));
   const connected = useLiveUpdates(id);
   const [seenRules, setSeenRules] = useSeenRules(me.id, id);
+  const [practice, setPractice] = useState<readonly Query[] | null>(null);
   if (experiment.data) {
     const { instructions_revision: newest } = experiment.data;
+    if (practice) {
+      return (
+        <PracticeView
+          experiment={experiment.data}
+          pairs={practice}
+          onLeave={() => setPractice(null)}
+          onStartLabelling={() => {
+            setSeenRules(newest);
+            setPractice(null);
+          }}
+        />
+      );
+    }
     if (!decides && seenRules < newest && !isOver(experiment.data)) {
       return (
         <FirstVisit
           experiment={experiment.data}
           isUpdate={seenRules > 0}
           onStart={() => setSeenRules(newest)}
+          onPractise={setPractice}
         />
       );
     }
-    return <LabelView experiment={experiment.data} connected={connected} decides={decides} />;
+    return (
+      <LabelView
+        experiment={experiment.data}
+        connected={connected}
+        decides={decides}
+        onPractise={setPractice}
+      />
+    );
   }
   if (experiment.error) {
     return (

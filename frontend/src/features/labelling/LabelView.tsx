@@ -1,13 +1,9 @@
-import { useCallback, useEffect, useRef, useState } from "react";
+import { useCallback, useEffect, useState } from "react";
 import type { Experiment, Query } from "@/shared/api/types";
-import type { ClipSource } from "@/shared/media/clip";
-import { ClipCache } from "@/shared/media/clipCache";
-import { usePairPlayer } from "@/shared/media/usePairPlayer";
 import { isOver } from "@/shared/ui/status";
 import { ChoiceButtons } from "./ChoiceButtons";
 import { ClipPair } from "./ClipPair";
-import { type Choice, hasSlight, sideOf } from "./choices";
-import { useCamera, useClipViews } from "./clipViews";
+import { type Choice, hasSlight, MIN_RESPONSE_SECONDS, sideOf } from "./choices";
 import { type Command, useKeyboardCommands } from "./commands";
 import { ExperimentSummary } from "./ExperimentSummary";
 import { GuideDialog } from "./GuideDialog";
@@ -17,14 +13,12 @@ import { KeyList } from "./keys";
 import { useClipNames } from "./layout";
 import { NoPair } from "./NoPair";
 import { PaceNotice, usePace } from "./PaceNotice";
-import { PlaybackControls } from "./PlaybackControls";
+import { Control, PlaybackControls } from "./PlaybackControls";
 import { usePairNotification } from "./pairNotification";
 import { ReviewBanner } from "./ReviewBanner";
 import { StatusLine } from "./StatusLine";
+import { useStage } from "./stage";
 import { useLabellingSession } from "./useLabellingSession";
-
-/** Nobody compares two clips faster than this: an earlier key press was meant for the previous pair. */
-const MIN_RESPONSE_SECONDS = 0.3;
 
 const DECIDES = "People disagree on these pairs. Your answer is final: training uses it in place of theirs.";
 
@@ -33,35 +27,25 @@ interface LabelViewProps {
   connected: boolean;
   /** whether the labels decide pairs on which those of others differ */
   decides?: boolean;
+  onPractise: (pairs: readonly Query[]) => void;
 }
 
 /** The instructions, the pair of clips, the choices, and the progress of the experiment. */
-export function LabelView({ experiment, connected, decides = false }: LabelViewProps) {
+export function LabelView({ experiment, connected, decides = false, onPractise }: LabelViewProps) {
   const { session, view } = useLabellingSession(experiment.id, decides, experiment.instructions_revision);
   const names = useClipNames();
   const pace = usePace();
   const addToPace = pace.add;
   const [historyOpen, setHistoryOpen] = useState(false);
   const [guide, setGuide] = useState<"rules" | "keys" | null>(null);
-  const [clips] = useState(() => new ClipCache());
-  const left = useRef<HTMLCanvasElement>(null);
-  const right = useRef<HTMLCanvasElement>(null);
-  const progress = useRef<HTMLDivElement>(null);
   const { upcoming, reviewed } = view;
   const last = view.history.at(-1);
   const over = isOver(experiment);
   const slight = hasSlight(experiment);
   const current = over ? (reviewed?.query ?? null) : view.current;
-  const { cameras, camera, setCamera } = useCamera(experiment.task);
-  const views = useClipViews(camera, [current, upcoming[0]].filter(isPair));
-  const [leftClip, rightClip] = current ? views.sourcesOf(current) : [null, null];
-  const player = usePairPlayer(clips, leftClip, rightClip, view.displayCount, { left, right, progress });
-
-  const sources = [current, ...upcoming, last?.query].filter(isPair).flatMap(views.sourcesOf).filter(isClip);
-  const urls = sources.map(({ url }) => url).join();
-  // biome-ignore lint/correctness/useExhaustiveDependencies: the sources change with their addresses
-  useEffect(() => clips.prefetch(sources), [clips, urls]);
-  useEffect(() => () => clips.clear(), [clips]);
+  const others = last ? [...upcoming, last.query] : upcoming;
+  const stage = useStage(experiment.task, current, others, view.displayCount);
+  const { player, run: play } = stage;
 
   // biome-ignore lint/correctness/useExhaustiveDependencies: after these changes there may be new pairs
   useEffect(() => {
@@ -87,13 +71,9 @@ export function LabelView({ experiment, connected, decides = false }: LabelViewP
       else if (command.type === "toggleHistory") setHistoryOpen((open) => !open);
       else if (command.type === "showRules") setGuide("rules");
       else if (command.type === "showKeys") setGuide("keys");
-      else if (command.type === "togglePause") player.togglePause();
-      else if (command.type === "step") player.step(command.direction);
-      else if (command.type === "setSpeed") player.setSpeed(command.speed);
-      else if (command.type === "nextCamera")
-        setCamera(cameras[(cameras.indexOf(camera) + 1) % cameras.length] ?? "follow");
+      else play(command);
     },
-    [choose, session, player, over, slight, cameras, camera, setCamera],
+    [choose, session, play, over, slight],
   );
   useKeyboardCommands(run);
   usePairNotification(experiment.name, current !== null);
@@ -127,16 +107,10 @@ export function LabelView({ experiment, connected, decides = false }: LabelViewP
         {current ? (
           <ClipPair
             query={current}
-            task={experiment.task}
-            camera={camera}
-            view={views.stateOf(current)}
-            rendersClips={experiment.config.render_clips !== false}
+            experiment={experiment}
+            stage={stage}
             upcoming={upcoming.length}
             chosen={view.chosen}
-            player={player}
-            left={left}
-            right={right}
-            progress={progress}
             names={names}
             onChoose={onChoose}
           />
@@ -164,18 +138,30 @@ export function LabelView({ experiment, connected, decides = false }: LabelViewP
             onChoose={onChoose}
           />
         </div>
-        <PlaybackControls
-          player={player}
-          canUndo={last !== undefined || view.chosen !== null}
-          historyOpen={historyOpen}
-          cameras={cameras}
-          camera={camera}
-          onCommand={run}
-          onCamera={setCamera}
-        />
+        <PlaybackControls stage={stage} onCommand={run}>
+          <Control
+            keyName="Z"
+            text="Undo"
+            disabled={last === undefined && view.chosen === null}
+            onClick={() => run({ type: "undo" })}
+          />
+          <Control
+            keyName="H"
+            text="Your labels"
+            disabled={false}
+            pressed={historyOpen}
+            onClick={() => run({ type: "toggleHistory" })}
+          />
+        </PlaybackControls>
         <ExperimentSummary experiment={experiment} view={view} connected={connected} />
       </div>
-      {guide === "rules" && <RulesDialog text={experiment.instructions} onClose={() => setGuide(null)} />}
+      {guide === "rules" && (
+        <RulesDialog
+          experiment={experiment}
+          onClose={() => setGuide(null)}
+          onPractise={decides ? undefined : onPractise}
+        />
+      )}
       {guide === "keys" && (
         <GuideDialog title="Keys" onClose={() => setGuide(null)}>
           <KeyList slight={slight} />
@@ -193,6 +179,3 @@ export function LabelView({ experiment, connected, decides = false }: LabelViewP
     </main>
   );
 }
-
-const isPair = (query: Query | null | undefined): query is Query => Boolean(query);
-const isClip = (source: ClipSource | null): source is ClipSource => source !== null;

@@ -1,33 +1,24 @@
-import type { PairPlayback } from "@/shared/media/usePairPlayer";
+import type { ReactNode } from "react";
 import { Key } from "@/shared/ui/Key";
 import { blurAfterMouseClick } from "./ChoiceButtons";
-import { CAMERA_NAMES, type Camera } from "./clipViews";
+import { CAMERA_NAMES } from "./clipViews";
 import { type Command, SPEEDS } from "./commands";
+import type { Stage } from "./stage";
 
 interface PlaybackControlsProps {
-  player: PairPlayback;
-  canUndo: boolean;
-  historyOpen: boolean;
-  cameras: readonly Camera[];
-  camera: Camera;
+  stage: Stage;
   onCommand: (command: Command) => void;
-  onCamera: (camera: Camera) => void;
+  /** controls that come first */
+  children?: ReactNode;
 }
 
-/** Buttons for undo, the history, pause, single frames, speed and camera. */
-export function PlaybackControls(props: PlaybackControlsProps) {
-  const { player, canUndo, historyOpen, cameras, camera, onCommand, onCamera } = props;
+/** Buttons for pause, single frames, speed and camera. */
+export function PlaybackControls({ stage, onCommand, children }: PlaybackControlsProps) {
+  const { player, cameras, camera, setCamera } = stage;
   const disabled = player.state !== "playing";
   return (
     <div className="playback" role="toolbar" aria-label="Playback">
-      <Control keyName="Z" text="Undo" disabled={!canUndo} onClick={() => onCommand({ type: "undo" })} />
-      <Control
-        keyName="H"
-        text="Your labels"
-        disabled={false}
-        pressed={historyOpen}
-        onClick={() => onCommand({ type: "toggleHistory" })}
-      />
+      {children}
       <Control
         keyName="Space"
         text={player.paused ? "Play" : "Pause"}
@@ -70,7 +61,7 @@ export function PlaybackControls(props: PlaybackControlsProps) {
               text={CAMERA_NAMES[each]}
               disabled={false}
               pressed={camera === each}
-              onClick={() => onCamera(each)}
+              onClick={() => setCamera(each)}
             />
           ))}
         </fieldset>
@@ -99,7 +90,7 @@ interface ControlProps {
   onClick: () => void;
 }
 
-function Control({ keyName, text, disabled, pressed, onClick }: ControlProps) {
+export function Control({ keyName, text, disabled, pressed, onClick }: ControlProps) {
   return (
     <button
       type="button"

@@ -2,6 +2,9 @@ import type { Experiment, NewLabel } from "@/shared/api/types";
 
 const MAX_RESPONSE_SECONDS = 86_400;
 
+/** Nobody compares two clips faster than this: an earlier key press was meant for the previous pair. */
+export const MIN_RESPONSE_SECONDS = 0.3;
+
 /** A labeller's judgement of a pair. The slight ones exist with the answer scale `five`. */
 export type Choice = "left" | "slightlyLeft" | "equal" | "slightlyRight" | "right" | "skip";
 
@@ -14,6 +17,14 @@ export const LABELS: Readonly<Record<Choice, number | null>> = {
   right: 0,
   skip: null,
 };
+
+/** The choice of a label in the order shown. */
+export function choiceOf(label: number | null): Choice {
+  if (label === null) return "skip";
+  if (label === 0.5) return "equal";
+  if (label > 0.5) return label === 1 ? "left" : "slightlyLeft";
+  return label === 0 ? "right" : "slightlyRight";
+}
 
 /** The side that a choice prefers, clearly or slightly; null for none. */
 export function sideOf(choice: Choice): "left" | "right" | null {

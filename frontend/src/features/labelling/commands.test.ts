@@ -37,7 +37,7 @@ test("h shows the labels given so far, and Escape ends a review", () => {
 
 test("other keys have no command", () => {
   expect(press("a")).toBeNull();
-  expect(press("Enter")).toBeNull();
+  expect(press("Tab")).toBeNull();
 });
 
 test("a final label replaces whatever its author has given before, and says that it is final", () => {

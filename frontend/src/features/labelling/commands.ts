@@ -6,6 +6,7 @@ export type Command =
   | { type: "choose"; choice: Choice }
   | { type: "undo" }
   | { type: "closeReview" }
+  | { type: "next" }
   | { type: "toggleHistory" }
   | { type: "showRules" }
   | { type: "showKeys" }
@@ -31,6 +32,7 @@ const COMMANDS: ReadonlyMap<string, Command> = new Map<string, Command>([
   ["z", { type: "undo" }],
   ["Z", { type: "undo" }],
   ["Escape", { type: "closeReview" }],
+  ["Enter", { type: "next" }],
   ["h", { type: "toggleHistory" }],
   ["H", { type: "toggleHistory" }],
   ["r", { type: "showRules" }],
@@ -68,8 +70,8 @@ export function useKeyboardCommands(run: (command: Command) => void): void {
       if (event.defaultPrevented || document.querySelector("dialog[open]")) return;
       const target = event.target instanceof Element ? event.target : null;
       if (target?.closest("input, textarea, select, [contenteditable]")) return;
-      // Space activates a focused button.
-      if (event.key === " " && target?.closest("button, a")) return;
+      // Space and Enter activate a focused button.
+      if ((event.key === " " || event.key === "Enter") && target?.closest("button, a")) return;
       const command = commandOf(event);
       if (!command) return;
       event.preventDefault();

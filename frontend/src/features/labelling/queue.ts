@@ -1,5 +1,5 @@
 import type { OwnLabel, Query } from "@/shared/api/types";
-import type { Choice } from "./choices";
+import { type Choice, choiceOf } from "./choices";
 
 /** A pair that the user has answered, in this tab or another one. */
 export interface AnsweredPair {
@@ -81,15 +81,8 @@ export function withHistory(queue: Queue, labels: readonly OwnLabel[], older: bo
 }
 
 function fromServer({ query, label, revision, updated_at }: OwnLabel): AnsweredPair {
-  return { query, choice: choiceOf(label, query.left.index), revision, time: updated_at };
-}
-
-function choiceOf(label: number | null, leftSegment: number): Choice {
-  if (label === null) return "skip";
-  const shown = leftSegment === 0 ? label : 1 - label;
-  if (shown === 0.5) return "equal";
-  if (shown > 0.5) return shown === 1 ? "left" : "slightlyLeft";
-  return shown === 0 ? "right" : "slightlyRight";
+  const shown = label !== null && query.left.index === 1 ? 1 - label : label;
+  return { query, choice: choiceOf(shown), revision, time: updated_at };
 }
 
 function answered(query: Query, choice: Choice): AnsweredPair {

@@ -11,7 +11,7 @@ interface AgreementProps {
 
 /** How far people agree, the pairs on which they do not, and the checks that this experiment mixes in. */
 export function Agreement({ id, quality, experiment }: AgreementProps) {
-  const { alpha, disputed, decided, gold_queries } = quality;
+  const { alpha, disputed, decided, gold_queries, practice_queries } = quality;
   const config = experiment?.config ?? {};
   const goldShare = Number(config.gold_share ?? 0);
   return (
@@ -43,6 +43,10 @@ export function Agreement({ id, quality, experiment }: AgreementProps) {
         <div>
           <dt>Gold pairs</dt>
           <dd>{gold_queries}</dd>
+        </div>
+        <div>
+          <dt>Practice pairs</dt>
+          <dd>{practice_queries}</dd>
         </div>
       </dl>
       <p>

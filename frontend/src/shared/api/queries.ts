@@ -101,6 +101,14 @@ export const qualityQuery = (id: string) =>
     refetchInterval: 15_000,
   });
 
+/** The pairs on which people practise, without their answers. */
+export const practiceQuery = (id: string) =>
+  queryOptions({
+    queryKey: ["practice", id],
+    queryFn: () => unwrap(api.POST("/api/v1/experiments/{experiment_id}/practice", byExperiment(id))),
+    refetchOnWindowFocus: false,
+  });
+
 /** What was estimated of the labellers for the newest reward version. */
 export const reliabilityQuery = (id: string) =>
   queryOptions({

@@ -76,6 +76,46 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/experiments/{experiment_id}/practice": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Get the practice pairs
+         * @description Returns the pairs on which people practise, on sides that are drawn once for each user. Nothing is leased.
+         */
+        post: operations["practice_pairs"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/queries/{query_id}/practice": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /**
+         * Answer a practice pair
+         * @description Tells the known answer of a practice pair after the caller has answered it. The caller's answer is not stored.
+         */
+        put: operations["answer_practice"];
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/experiments/{experiment_id}/labels": {
         parameters: {
             query?: never;
@@ -652,7 +692,8 @@ export interface paths {
         get?: never;
         /**
          * Make a query gold
-         * @description Gives the known answer of a query, which then checks the labellers. For researchers and admins.
+         * @description Gives the known answer of a query, which then checks the labellers, or on which people practise. For researchers
+         *     and admins.
          *
          *     Labels of a gold query are not trained on, and do not count towards the label budget.
          */
@@ -1717,6 +1758,18 @@ export interface components {
              * @description 1, 0 or 0.5, in segment order: 1 means that segment 0 is better. Slight answers are right, too.
              */
             label: number;
+            /**
+             * Practice
+             * @description Whether people practise on it. They are told its answer, so that it is no hidden check.
+             * @default false
+             */
+            practice: boolean;
+            /**
+             * Explanation
+             * @description Why that is the answer, in one line, for those who practise.
+             * @default
+             */
+            explanation: string;
         };
         /**
          * GoldQuery
@@ -1733,6 +1786,16 @@ export interface components {
              * @description Its known answer, in segment order; null for an ordinary query.
              */
             gold: number | null;
+            /**
+             * Practice
+             * @description Whether people practise on it.
+             */
+            practice: boolean;
+            /**
+             * Explanation
+             * @description Why that is the answer; may be empty.
+             */
+            explanation: string;
         };
         /**
          * Health
@@ -2784,6 +2847,54 @@ export interface components {
          */
         Phase: "queued" | "collecting" | "waiting_for_labels" | "training" | "evaluating" | "done";
         /**
+         * PracticeAnswer
+         * @description An answer to a practice pair. It is not stored.
+         */
+        PracticeAnswer: {
+            /**
+             * Label
+             * @description 1, 0 or 0.5, or slightly 0.75 or 0.25, in the order shown: 1 means that the left clip is better; null skips.
+             */
+            label: number | null;
+        };
+        /**
+         * PracticeFeedback
+         * @description The known answer of a practice pair.
+         */
+        PracticeFeedback: {
+            /**
+             * Query Id
+             * @description qry_...
+             */
+            query_id: string;
+            /**
+             * Is Correct
+             * @description Whether the answer was the known one.
+             */
+            is_correct: boolean;
+            /**
+             * Label
+             * @description The known answer, in the order shown: 1 means that the left clip is better.
+             */
+            label: number;
+            /**
+             * Explanation
+             * @description Why, in one sentence; may be empty.
+             */
+            explanation: string;
+        };
+        /**
+         * PracticePairs
+         * @description The pairs of a practice round, without their answers.
+         */
+        PracticePairs: {
+            /**
+             * Items
+             * @description Sorted by number. They are not leased.
+             */
+            items: components["schemas"]["Query"][];
+        };
+        /**
          * PredictedPair
          * @description A query of a report.
          */
@@ -2848,9 +2959,14 @@ export interface components {
             decided: number;
             /**
              * Gold Queries
-             * @description Queries whose answer is known.
+             * @description Queries whose answer is known, without practice pairs.
              */
             gold_queries: number;
+            /**
+             * Practice Queries
+             * @description Practice pairs.
+             */
+            practice_queries: number;
         };
         /**
          * Queries
@@ -3043,6 +3159,16 @@ export interface components {
              * @description The known answer of a gold query, in segment order; otherwise null. Its labels are not trained on.
              */
             gold: number | null;
+            /**
+             * Practice
+             * @description Whether people practise on this gold query, so that it is no hidden check.
+             */
+            practice: boolean;
+            /**
+             * Explanation
+             * @description Why that is its answer, for those who practise; may be empty.
+             */
+            explanation: string;
             /**
              * Segments
              * @description Segments 0 and 1.
@@ -3739,6 +3865,74 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Query"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    practice_pairs: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["PracticePairs"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    answer_practice: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The query, qry_... */
+                query_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["PracticeAnswer"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["PracticeFeedback"];
                 };
             };
             /** @description A stable code, a message, and the invalid field. */

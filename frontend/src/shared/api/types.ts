@@ -22,6 +22,7 @@ export type OwnLabel = Schemas["OwnLabel"];
 export type OwnLabels = Schemas["OwnLabels"];
 export type Queries = Schemas["Queries"];
 export type Query = Schemas["Query"];
+export type PracticeFeedback = Schemas["PracticeFeedback"];
 export type RecordedLabel = Schemas["RecordedLabel"];
 export type RecordedQuery = Schemas["RecordedQuery"];
 export type PredictedPair = Schemas["PredictedPair"];

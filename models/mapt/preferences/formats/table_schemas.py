@@ -20,7 +20,7 @@ SEGMENTS, QUERIES, LABELS = "segments", "queries", "labels"
 #: labels that are not skips; 0.75 and 0.25 mean slightly better
 LABEL_VALUES = (0.0, 0.25, 0.5, 0.75, 1.0)
 #: columns that files of earlier versions lack
-OPTIONAL = frozenset({"repeats_id", "gold", "excluded", "final", "instructions_revision"})
+OPTIONAL = frozenset({"repeats_id", "gold", "practice", "explanation", "excluded", "final", "instructions_revision"})
 _KEY = b"accord"
 
 
@@ -51,6 +51,10 @@ class QueryRow:
     repeats_id: str | None = None
     #: the known answer of a query that checks the labellers
     gold: float | None = None
+    #: whether labellers practise on it and are told the known answer
+    practice: bool | None = None
+    #: why that is the answer
+    explanation: str | None = None
 
     @property
     def is_check(self) -> bool:
@@ -176,6 +180,8 @@ _COLUMNS: dict[str, list[pa.Field]] = {
         pa.field("reward_version_id", pa.string()),
         pa.field("repeats_id", pa.string()),
         pa.field("gold", pa.float32()),
+        pa.field("practice", pa.bool_()),
+        pa.field("explanation", pa.string()),
     ],
     LABELS: [
         pa.field("query_id", pa.string(), nullable=False),

@@ -136,7 +136,10 @@ def test_labels_that_are_not_for_training_are_not_loaded(tmp_path):
 
 def test_export_of_version_1_is_read(tmp_path):
     write(tmp_path / "export")
-    for name, added in (("queries", ["repeats_id", "gold"]), ("labels", ["excluded", "final"])):
+    for name, added in (
+        ("queries", ["repeats_id", "gold", "practice", "explanation"]),
+        ("labels", ["excluded", "final"]),
+    ):
         change_table(tmp_path / "export" / f"{name}.parquet", lambda table, added=added: table.drop_columns(added))
         change_metadata(tmp_path / "export" / f"{name}.parquet", schema_version=1)
     tables = PreferenceTables.open(tmp_path / "export")
