@@ -22,6 +22,7 @@ from accord.api.routes import (
     labelling,
     people,
     quality,
+    recordings,
     segments,
     shares,
 )
@@ -63,6 +64,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         experiments,
         quality,
         credit,
+        recordings,
         exports,
         imports,
         shares,

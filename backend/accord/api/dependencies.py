@@ -172,6 +172,10 @@ def _clip_id(id: str) -> str:
     return check_id(id, "clp")
 
 
+def _recording_id(id: str) -> str:
+    return check_id(id, "rec")
+
+
 def _segment_id(id: str) -> str:
     return check_id(id, "seg")
 
@@ -191,6 +195,7 @@ def _share_id(id: str) -> str:
 ExperimentId = Annotated[str, AfterValidator(_experiment_id), Path(description="The experiment, exp_...")]
 QueryId = Annotated[str, AfterValidator(_query_id), Path(description="The query, qry_...")]
 ClipId = Annotated[str, AfterValidator(_clip_id), Path(description="The clip, clp_...")]
+RecordingId = Annotated[str, AfterValidator(_recording_id), Path(description="The recording, rec_...")]
 SegmentId = Annotated[str, AfterValidator(_segment_id), Path(description="The segment, seg_...")]
 ShareId = Annotated[str, AfterValidator(_share_id), Path(description="The link, shr_...")]
 

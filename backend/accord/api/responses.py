@@ -18,7 +18,7 @@ from accord.domain.enums import (
     WorkerState,
 )
 from accord.domain.permissions import may_see_returns
-from accord.services import attempts, experiments, metrics
+from accord.services import attempts, experiments, metrics, recordings
 from accord.services.collect import load_arrays
 from accord.services.credit import Answer
 from accord.services.experiments import LabelCounts
@@ -32,7 +32,14 @@ from accord.store.blobs import BlobStore
 from accord.store.label_history import RecordedLabel, RecordedQuery
 from accord.store.queries import QuerySegment
 from accord.store.rewards import NamedReliability
-from accord.store.tables import ClipViewRow, ExperimentRow, RewardVersionRow, WorkerRow, utc_now
+from accord.store.tables import (
+    ClipViewRow,
+    ExperimentRow,
+    RecordingViewRow,
+    RewardVersionRow,
+    WorkerRow,
+    utc_now,
+)
 from mapt.rendering.appearance import agent_colour
 from mapt.rendering.camera import cameras_of
 from mapt.tasks import task_names, task_spec
@@ -315,6 +322,34 @@ def view_response(row: ClipViewRow) -> schemas.ClipView:
     ready = row.status == ClipStatus.READY
     url = f"/api/v1/clips/{row.clip_id}/views/{row.camera}.mp4" if ready else None
     return schemas.ClipView(status=ClipStatus(row.status), clip_url=url)
+
+
+def recordings_response(session: Session, row: ExperimentRow) -> schemas.Recordings:
+    """Every recording of an experiment, with a fixed number of SQL statements."""
+    spec = task_spec(row.config["task"])
+    rendered = recordings.rendered(session, row.id)
+    return schemas.Recordings(
+        available=spec.nq > 0,
+        items=[
+            schemas.Recording(
+                id=found.row.id,
+                policy_steps=found.row.policy_steps,
+                reward_version=found.reward_version,
+                frames=found.row.length_steps,
+                seconds=found.row.length_steps * spec.step_seconds,
+                true_return=found.row.true_return,
+                rendered=rendered.get(found.row.id, []),
+                created_at=found.row.created_at,
+            )
+            for found in recordings.of_experiment(session, row.id)
+        ],
+    )
+
+
+def recording_view_response(row: RecordingViewRow) -> schemas.RecordingView:
+    ready = row.status == ClipStatus.READY
+    url = f"/api/v1/recordings/{row.recording_id}/views/{row.camera}.mp4" if ready else None
+    return schemas.RecordingView(status=ClipStatus(row.status), video_url=url)
 
 
 def _thumbnail_url(clip_id: str | None) -> str | None:

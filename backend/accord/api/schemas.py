@@ -12,6 +12,7 @@ from accord.domain.enums import (
     ExperimentStatus,
     Phase,
     QueryStatus,
+    RecordingCamera,
     Role,
     WorkerRole,
     WorkerState,
@@ -465,6 +466,36 @@ class ClipView(Schema):
         description="failed: it cannot be rendered, for example because the task renders itself."
     )
     clip_url: str | None = Field(description="Path of the MP4 file, as long as the clip; null until it is ready.")
+
+
+class RecordingView(Schema):
+    """The video of a recording from one camera."""
+
+    status: ClipStatus = Field(description="failed: it cannot be rendered.")
+    video_url: str | None = Field(description="Path of the MP4 file; null until it is ready.")
+
+
+class Recording(Schema):
+    """The first steps of an episode of the policy, with mean actions."""
+
+    id: str = Field(description="rec_...")
+    policy_steps: int = Field(description="Environment steps the policy was trained for; 0 for the untrained policy.")
+    reward_version: int | None = Field(
+        description="Number of the reward version of its last update; null for the untrained policy, and where the "
+        "policy learns from the true reward."
+    )
+    frames: int = Field(description="Frames of the video, one per step.")
+    seconds: float = Field(description="Duration of the video.")
+    true_return: float = Field(description="Sum of the true rewards over these steps.")
+    rendered: list[RecordingCamera] = Field(description="Cameras from which its video is ready.")
+    created_at: datetime = Field(description="When it was recorded.")
+
+
+class Recordings(Schema):
+    """Recordings of the policy of an experiment, which all begin in the same state."""
+
+    available: bool = Field(description="False if the task renders itself: then there are no recordings.")
+    items: list[Recording] = Field(description="By steps of the policy.")
 
 
 class Query(Schema):

@@ -67,6 +67,15 @@ class ClipCamera(StrEnum):
     TOP = "top"
 
 
+class RecordingCamera(StrEnum):
+    """A camera for recordings of policies, which are all rendered on demand."""
+
+    #: the camera of clips, which suits the task
+    FOLLOW = "follow"
+    SIDE = "side"
+    TOP = "top"
+
+
 class WorkerRole(StrEnum):
     """What a worker process does."""
 

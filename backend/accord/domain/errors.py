@@ -6,7 +6,8 @@
     │   └── ReturnsHidden, CreditHidden
     ├── NotFound                      the object does not exist
     │   └── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound, UserNotFound,
-    │       CreditNotFound, RewardVersionNotFound, InvitationNotFound, InvitationNotValid, ShareNotFound
+    │       CreditNotFound, RewardVersionNotFound, InvitationNotFound, InvitationNotValid, ShareNotFound,
+    │       RecordingNotFound
     ├── WrongState                    the object is in a state that does not allow it
     │   └── ExperimentNotActive, ExperimentInUse, QueryClosed, LabelConflict, LabelChanged, NameTaken, OwnAccount
     ├── LeaseLost                     the caller holds no lease on the query
@@ -96,6 +97,11 @@ class QueryNotFound(NotFound):
 class ClipNotFound(NotFound):
     code = "clip_not_found"
     thing = "clip"
+
+
+class RecordingNotFound(NotFound):
+    code = "recording_not_found"
+    thing = "recording"
 
 
 class LabelNotFound(NotFound):

@@ -1,30 +1,37 @@
-"""Clips from other cameras: requested by whoever looks at a pair, rendered before the clips of later pairs."""
+"""Videos on request: clips from other cameras, and recordings of policies.
+
+They are requested by whoever looks at them, and rendered before the clips of later pairs.
+"""
 
 from dataclasses import dataclass
 
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from accord.domain.enums import ClipCamera, ClipStatus
-from accord.domain.errors import ClipNotFound
-from accord.services import clips
-from accord.services.clips import MAX_ATTEMPTS
+from accord.domain.enums import ClipCamera, ClipStatus, RecordingCamera
+from accord.domain.errors import ClipNotFound, RecordingNotFound
+from accord.services import clips, recordings
+from accord.services.clips import MAX_ATTEMPTS, clips_folder
 from accord.services.lease import now_and_end
 from accord.store import clip_views
-from accord.store.tables import ClipViewRow, ExperimentRow, SegmentRow
+from accord.store.clip_views import Row, ViewRow
+from accord.store.tables import ClipViewRow, ExperimentRow, RecordingRow, RecordingViewRow, SegmentRow
 
 
 @dataclass(frozen=True, slots=True)
 class ViewJob:
     """A view to render."""
 
-    clip_id: str
-    camera: ClipCamera
-    experiment_id: str
+    table: type[ClipViewRow] | type[RecordingViewRow]
+    #: of the clip or the recording
+    shown_id: str
+    camera: ClipCamera | RecordingCamera
     #: name of the task, which determines the model to draw
     task: str
-    #: blob of the segment's arrays
-    segment_blob_key: str
+    #: blob with qpos and qvel
+    states_blob_key: str
+    #: prefix of the video's blob key
+    folder: str
 
 
 def request(session: Session, clip_id: str, camera: ClipCamera) -> ClipViewRow:
@@ -34,16 +41,27 @@ def request(session: Session, clip_id: str, camera: ClipCamera) -> ClipViewRow:
         ClipNotFound: if there is no such clip, or it is not rendered yet.
     """
     clip = clips.get(session, clip_id)
-    found = clip_views.get(session, clip_id, camera)
+    found = clip_views.get(session, ClipViewRow, clip_id, camera)
     if found is not None:
         return found
-    row = ClipViewRow(clip_id=clip_id, camera=camera.value, experiment_id=clip.experiment_id)
-    try:
-        with session.begin_nested():
-            session.add(row)
-    except IntegrityError:  # another request was faster
-        return clip_views.lock(session, clip_id, camera) or row
-    return row
+    return _insert(session, ClipViewRow(clip_id=clip_id, camera=camera.value, experiment_id=clip.experiment_id))
+
+
+def request_recording(session: Session, recording_id: str, camera: RecordingCamera) -> RecordingViewRow:
+    """The view of a recording, which is rendered if nobody has asked for it before.
+
+    Raises:
+        RecordingNotFound: if there is no such recording.
+    """
+    # Locked, so that it is not deleted before the view refers to it.
+    recording = recordings.locked(session, recording_id)
+    found = clip_views.get(session, RecordingViewRow, recording_id, camera)
+    if found is not None:
+        return found
+    return _insert(
+        session,
+        RecordingViewRow(recording_id=recording_id, camera=camera.value, experiment_id=recording.experiment_id),
+    )
 
 
 def get(session: Session, clip_id: str, camera: ClipCamera) -> ClipViewRow:
@@ -52,9 +70,21 @@ def get(session: Session, clip_id: str, camera: ClipCamera) -> ClipViewRow:
     Raises:
         ClipNotFound: if nobody has requested it, or it is not rendered yet.
     """
-    row = clip_views.get(session, clip_id, camera)
+    row = clip_views.get(session, ClipViewRow, clip_id, camera)
     if row is None or row.status != ClipStatus.READY:
         raise ClipNotFound(clip_id)
+    return row
+
+
+def get_recording(session: Session, recording_id: str, camera: RecordingCamera) -> RecordingViewRow:
+    """A view that is ready to play.
+
+    Raises:
+        RecordingNotFound: if nobody has requested it, or it is not rendered yet.
+    """
+    row = clip_views.get(session, RecordingViewRow, recording_id, camera)
+    if row is None or row.status != ClipStatus.READY:
+        raise RecordingNotFound(recording_id)
     return row
 
 
@@ -66,11 +96,7 @@ def claim_pending(session: Session, holder: str, lease_seconds: float) -> ViewJo
             row.attempts += 1
             row.claimed_by, row.claimed_until = holder, until
             session.flush()
-            segment = session.get_one(SegmentRow, clips.get(session, row.clip_id).segment_id)
-            experiment = session.get_one(ExperimentRow, row.experiment_id)
-            return ViewJob(
-                row.clip_id, ClipCamera(row.camera), row.experiment_id, str(experiment.config["task"]), segment.blob_key
-            )
+            return _job(session, row)
         row.status = ClipStatus.FAILED.value
         session.flush()
     return None
@@ -78,24 +104,51 @@ def claim_pending(session: Session, holder: str, lease_seconds: float) -> ViewJo
 
 def heartbeat(session: Session, job: ViewJob, holder: str, lease_seconds: float) -> bool:
     """Renews a claim. Returns False if another worker holds it."""
-    row = clip_views.lock(session, job.clip_id, job.camera)
+    row = clip_views.lock(session, job.table, job.shown_id, job.camera)
     if row is None or row.status != ClipStatus.PENDING or row.claimed_by != holder:
         return False
     _, row.claimed_until = now_and_end(lease_seconds)
     return True
 
 
-def finish(session: Session, job: ViewJob, blob_key: str, size_bytes: int) -> None:
-    """Marks a view as ready. Nothing happens if its experiment was deleted meanwhile."""
-    row = clip_views.lock(session, job.clip_id, job.camera)
-    if row is not None:
-        row.status, row.blob_key, row.size_bytes = ClipStatus.READY.value, blob_key, size_bytes
-        row.claimed_by = row.claimed_until = None
+def finish(session: Session, job: ViewJob, blob_key: str, size_bytes: int) -> bool:
+    """Marks a view as ready. Returns False if it was deleted meanwhile; then nothing refers to the blob."""
+    row = clip_views.lock(session, job.table, job.shown_id, job.camera)
+    if row is None:
+        return False
+    row.status, row.blob_key, row.size_bytes = ClipStatus.READY.value, blob_key, size_bytes
+    row.claimed_by = row.claimed_until = None
+    return True
 
 
 def fail(session: Session, job: ViewJob) -> None:
     """Records that it cannot be rendered. The clip itself and its queries are not affected."""
-    row = clip_views.lock(session, job.clip_id, job.camera)
+    row = clip_views.lock(session, job.table, job.shown_id, job.camera)
     if row is not None and row.status == ClipStatus.PENDING:
         row.status = ClipStatus.FAILED.value
         row.claimed_by = row.claimed_until = None
+
+
+def _insert(session: Session, row: Row) -> Row:
+    try:
+        with session.begin_nested():
+            session.add(row)
+    except IntegrityError:  # another request was faster
+        return clip_views.lock(session, type(row), _shown_id(row), row.camera) or row
+    return row
+
+
+def _shown_id(row: ViewRow) -> str:
+    return row.clip_id if isinstance(row, ClipViewRow) else row.recording_id
+
+
+def _job(session: Session, row: ViewRow) -> ViewJob:
+    task = str(session.get_one(ExperimentRow, row.experiment_id).config["task"])
+    if isinstance(row, ClipViewRow):
+        segment = session.get_one(SegmentRow, clips.get(session, row.clip_id).segment_id)
+        camera, folder = ClipCamera(row.camera), clips_folder(row.experiment_id)
+        return ViewJob(ClipViewRow, row.clip_id, camera, task, segment.blob_key, folder)
+    recording = session.get_one(RecordingRow, row.recording_id)
+    # Not shared between recordings: deleting one of them must not delete the video of an equal one.
+    folder = recording.blob_key.removesuffix(".safetensors")
+    return ViewJob(RecordingViewRow, recording.id, RecordingCamera(row.camera), task, recording.blob_key, folder)

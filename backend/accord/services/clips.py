@@ -42,6 +42,14 @@ class StoredClip:
     height: int
 
 
+def clips_folder(experiment_id: str) -> str:
+    """Prefix of the blob keys of an experiment's clips.
+
+    Clips are not shared between experiments: deleting one must not delete a clip that another is about to use.
+    """
+    return f"clips/{experiment_id}"
+
+
 def claim_pending(session: Session, holder: str, lease_seconds: float) -> ClipJob | None:
     """Claims the pending clip whose query comes first; None if there is none.
 

@@ -40,7 +40,7 @@ def delete(session: Session, experiment_id: str, name: str, deleted_by: str) -> 
     if deletions.is_claimed(session, experiment_id, utc_now()):
         raise ExperimentInUse(experiment_id)
     found = deletions.blob_keys(session, experiment_id)
-    keys = found.checkpoints + found.clips
+    keys = found.checkpoints + found.recordings + found.clips
     keys += [key for each in found.segments for key in (each, replayed_clip_key(each))]
     keys += [key for each in found.rewards for key in (each, card_key(each), ensemble_key(each))]
     record = DeletionRow(

@@ -1,29 +1,43 @@
-"""Rows of clips from other cameras."""
+"""Rows of videos that somebody asked for: clips from other cameras, and recordings of policies."""
 
 from datetime import datetime
+from typing import TypeVar
 
 from sqlalchemy import or_, select
 from sqlalchemy.orm import Session
 
-from accord.store.tables import ClipViewRow
+from accord.store.tables import ClipViewRow, RecordingViewRow
+
+ViewRow = ClipViewRow | RecordingViewRow
+Row = TypeVar("Row", bound=ViewRow)
 
 
-def get(session: Session, clip_id: str, camera: str) -> ClipViewRow | None:
-    return session.get(ClipViewRow, (clip_id, camera))
+def get(session: Session, table: type[Row], shown_id: str, camera: str) -> Row | None:
+    """
+    Args:
+        shown_id: of the clip or the recording.
+    """
+    return session.get(table, (shown_id, camera))
 
 
-def lock(session: Session, clip_id: str, camera: str) -> ClipViewRow | None:
-    return session.get(ClipViewRow, (clip_id, camera), with_for_update=True, populate_existing=True)
+def lock(session: Session, table: type[Row], shown_id: str, camera: str) -> Row | None:
+    """As `get`, with a lock."""
+    return session.get(table, (shown_id, camera), with_for_update=True, populate_existing=True)
 
 
-def lock_pending(session: Session, now: datetime) -> ClipViewRow | None:
-    """Locks the unclaimed view that was requested last: somebody may still be looking at its pair."""
+def lock_pending(session: Session, now: datetime) -> ViewRow | None:
+    """Locks the unclaimed view that was requested last: somebody may still be looking at it.
+
+    Views of clips come first, because labellers wait for them.
+    """
+    return _lock_newest(session, ClipViewRow, now) or _lock_newest(session, RecordingViewRow, now)
+
+
+def _lock_newest(session: Session, table: type[Row], now: datetime) -> Row | None:
     return session.scalars(
-        select(ClipViewRow)
-        .where(
-            ClipViewRow.status == "pending", or_(ClipViewRow.claimed_until.is_(None), ClipViewRow.claimed_until <= now)
-        )
-        .order_by(ClipViewRow.requested_at.desc(), ClipViewRow.clip_id)
+        select(table)
+        .where(table.status == "pending", or_(table.claimed_until.is_(None), table.claimed_until <= now))
+        .order_by(table.requested_at.desc())
         .limit(1)
         .with_for_update(skip_locked=True)
         .execution_options(populate_existing=True)

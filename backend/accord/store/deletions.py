@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import ColumnElement, Table, delete, exists, func, select
+from sqlalchemy import ColumnElement, Table, delete, exists, func, or_, select
 from sqlalchemy.orm import Session
 
 from accord.store.tables import (
@@ -15,6 +15,8 @@ from accord.store.tables import (
     DeletionRow,
     ExperimentRow,
     PolicyCheckpointRow,
+    RecordingRow,
+    RecordingViewRow,
     RewardVersionRow,
     SegmentRow,
 )
@@ -39,22 +41,31 @@ class BlobKeys:
     checkpoints: list[str]
     #: weights of reward versions
     rewards: list[str]
-    #: without those that another experiment shows too: earlier versions of Accord stored equal clips once
+    #: states of recordings
+    recordings: list[str]
+    #: Without those that another experiment shows too: earlier versions of Accord stored equal clips once. Videos of
+    #: recordings are among them.
     clips: list[str]
 
 
 def blob_keys(session: Session, experiment_id: str) -> BlobKeys:
     of_experiment = [
         select(table.blob_key).where(table.experiment_id == experiment_id)
-        for table in (SegmentRow, PolicyCheckpointRow, RewardVersionRow)
+        for table in (SegmentRow, PolicyCheckpointRow, RewardVersionRow, RecordingRow)
     ]
     return BlobKeys(
         *(list(session.scalars(statement)) for statement in of_experiment),
-        clips=[key for table in (ClipRow, ClipViewRow) for key in _own_clips(session, table, experiment_id)],
+        clips=[
+            key
+            for table in (ClipRow, ClipViewRow, RecordingViewRow)
+            for key in _own_clips(session, table, experiment_id)
+        ],
     )
 
 
-def _own_clips(session: Session, table: type[ClipRow | ClipViewRow], experiment_id: str) -> list[str]:
+def _own_clips(
+    session: Session, table: type[ClipRow | ClipViewRow | RecordingViewRow], experiment_id: str
+) -> list[str]:
     """Blobs of clips that no other experiment shows."""
     shared = select(table.blob_key).where(table.experiment_id != experiment_id, table.blob_key.is_not(None))
     own = select(table.blob_key).where(
@@ -66,13 +77,11 @@ def _own_clips(session: Session, table: type[ClipRow | ClipViewRow], experiment_
 def is_claimed(session: Session, experiment_id: str, now: datetime) -> bool:
     """Whether a worker is working on the experiment or rendering one of its clips."""
     claims = exists().where(ClaimRow.subject.endswith(f":{experiment_id}", autoescape=True), ClaimRow.expires_at > now)
-    rendered = exists().where(
-        ClipRow.experiment_id == experiment_id, ClipRow.status == "pending", ClipRow.claimed_until > now
-    )
-    viewed = exists().where(
-        ClipViewRow.experiment_id == experiment_id, ClipViewRow.status == "pending", ClipViewRow.claimed_until > now
-    )
-    return bool(session.scalar(select(claims | rendered | viewed)))
+    rendered = [
+        exists().where(table.experiment_id == experiment_id, table.status == "pending", table.claimed_until > now)
+        for table in (ClipRow, ClipViewRow, RecordingViewRow)
+    ]
+    return bool(session.scalar(select(or_(claims, *rendered))))
 
 
 def newest(session: Session, limit: int) -> list[DeletionRow]:

@@ -251,12 +251,9 @@ class ClipRow(Base):
     __table_args__ = (UniqueConstraint("segment_id"),)
 
 
-class ClipViewRow(Base):
-    """A clip from another camera, rendered because somebody asked for it."""
+class RequestedView(MappedAsDataclass, kw_only=True):
+    """Columns of a video that a render worker makes because somebody asked for it."""
 
-    __tablename__ = "clip_views"
-    clip_id: Mapped[str] = mapped_column(ForeignKey("clips.id"), primary_key=True)
-    #: side | top
     camera: Mapped[str] = mapped_column(String(10), primary_key=True)
     experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"), index=True)
     status: Mapped[str] = mapped_column(String(10), default="pending", index=True)
@@ -267,6 +264,20 @@ class ClipViewRow(Base):
     claimed_by: Mapped[str | None] = mapped_column(String(64), default=None)
     claimed_until: Mapped[datetime | None] = mapped_column(default=None)
     requested_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
+class ClipViewRow(RequestedView, Base):
+    """A clip from another camera: side or top."""
+
+    __tablename__ = "clip_views"
+    clip_id: Mapped[str] = mapped_column(ForeignKey("clips.id"), primary_key=True)
+
+
+class RecordingViewRow(RequestedView, Base):
+    """The video of a recording from one camera: follow, side or top."""
+
+    __tablename__ = "recording_views"
+    recording_id: Mapped[str] = mapped_column(ForeignKey("recordings.id"), primary_key=True)
 
 
 class QueryRow(Base):
@@ -416,6 +427,28 @@ class RewardVersionRow(Base):
     metrics: Mapped[dict[str, Any]]
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
     __table_args__ = (UniqueConstraint("experiment_id", "number"),)
+
+
+class RecordingRow(Base):
+    """The first steps of an episode of the policy. All recordings of an experiment begin in the same state.
+
+    The blob is safetensors: qpos (T,nq) and qvel (T,nv) float64, the simulator states in which the actions were taken.
+    """
+
+    __tablename__ = "recordings"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id"))
+    #: environment steps the policy was trained for
+    policy_steps: Mapped[int]
+    #: the reward version of its last update; None if it is untrained, or learns from the true reward
+    reward_version_id: Mapped[str | None] = mapped_column(ForeignKey("reward_versions.id"))
+    #: T; less than that of other recordings if the episode terminated
+    length_steps: Mapped[int]
+    #: sum of true rewards over these steps
+    true_return: Mapped[float]
+    blob_key: Mapped[str]
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    __table_args__ = (UniqueConstraint("experiment_id", "policy_steps"),)
 
 
 class CreditRow(Base):

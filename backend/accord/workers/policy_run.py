@@ -16,13 +16,14 @@ from sqlalchemy.orm import Session
 
 from accord.domain.enums import ExperimentStatus, Phase, WorkerState
 from accord.domain.errors import AccordError, BlobUnreadable, InvalidExperiment
-from accord.services import checkpoints, collect, experiments, metrics, publish, select
+from accord.services import checkpoints, collect, experiments, metrics, publish, recordings, select
 from accord.services.collect import NewSegment
 from accord.services.experiment_config import ExperimentConfig
 from accord.services.metrics import FINAL, UNTRAINED
-from accord.store.tables import ExperimentRow, RewardVersionRow
+from accord.store.tables import ExperimentRow, RecordingRow, RewardVersionRow
 from accord.workers.heartbeat import Claim
 from accord.workers.model_store import read_checkpoint, read_reward_model, store_checkpoint
+from accord.workers.recording import play_start
 from accord.workers.replayed_clips import RolloutReplay, needs_replay
 from accord.workers.runner import Context
 from mapt.policies import Learner, Rollout, evaluate
@@ -257,8 +258,11 @@ class PolicyRun:
         if trainer.iteration == 0 and not self._has_metric(UNTRAINED):
             # Not earlier: until the first version exists, the cores are needed for the first clips.
             self._evaluate(UNTRAINED)
+        previous = trainer.source.version
         if version is not None:
             version = self._use_newest_readable(version)
+        if trainer.iteration == 0 or trainer.source.version != previous:
+            self._record_start(previous)
         values = trainer.update(rollout)
         self._rollout = None
         if self._config.reward_source == "preferences":
@@ -357,9 +361,35 @@ class PolicyRun:
             self._claim.check_within(session)
             metrics.record(session, self._id, self._trainer.steps, values, self._trainer.source.version)
 
+    def _record_start(self, reward_version_id: str | None) -> None:
+        """Store the first steps of an episode of the current policy, whose last update used this reward version."""
+        trainer, context = self._trainer, self._context
+        if trainer.learner.task.spec.nq == 0:
+            return  # there are no states to render
+        with context.database.reading() as session:
+            if recordings.has(session, self._id, trainer.steps, reward_version_id):
+                return  # stored by a process that was killed before its next checkpoint
+        played = play_start(trainer.learner, self._config.task, self._config.seed)
+        id, key = recordings.store_states(context.blobs, self._id, played.qpos, played.qvel)
+        row = RecordingRow(
+            id=id,
+            experiment_id=self._id,
+            policy_steps=trainer.steps,
+            reward_version_id=reward_version_id,
+            length_steps=len(played.qpos),
+            true_return=played.true_return,
+            blob_key=key,
+        )
+        with context.database.transaction() as session:
+            self._claim.check_within(session)
+            deleted = recordings.add(session, row)
+        for old in deleted:
+            context.blobs.delete(old)
+
     def _finish(self) -> None:
         self._show_progress()
         self.save_progress()
+        self._record_start(self._trainer.source.version)
         self._evaluate(FINAL)
         with self._context.database.transaction() as session:
             self._claim.check_within(session)

@@ -1,4 +1,4 @@
-"""The render worker: `python -m accord.workers.render_worker`. Renders the clips that queries need, one at a time."""
+"""The render worker: `python -m accord.workers.render_worker`. Renders clips and recordings, one at a time."""
 
 import hashlib
 import io
@@ -21,7 +21,7 @@ from accord.rendering.process import ClipJob as RenderJob
 from accord.rendering.process import RenderFailed, RenderProcess
 from accord.services import clip_views, clips
 from accord.services.clip_views import ViewJob
-from accord.services.clips import ClipJob, StoredClip
+from accord.services.clips import ClipJob, StoredClip, clips_folder
 from accord.services.collect import load_arrays, replayed_clip_key
 from accord.workers.runner import Context, run_worker
 from mapt.rendering.encode import ClipFile
@@ -100,29 +100,35 @@ class RenderWorker:
             clips.finish(session, job.clip_id, made)
 
     def _render_view(self, process: RenderProcess, job: ViewJob, lease: float) -> None:
-        """Render a clip from another camera."""
+        """Render a view that somebody asked for."""
         context = self._context
-        context.heartbeat.set_state(WorkerState.WORKING, f"Rendering a clip of {job.task} from another camera.")
+        context.heartbeat.set_state(WorkerState.WORKING, f"Rendering a requested video of {job.task}.")
         with context.heartbeat.renewing(
-            f"{job.clip_id}:{job.camera}",
+            f"{job.shown_id}:{job.camera}",
             lambda session: clip_views.heartbeat(session, job, context.holder, lease),
         ):
             try:
                 if task_spec(job.task).nq == 0:
                     raise RenderFailed(f"{job.task} renders itself, from one direction.")
-                _, _, blob_key = self._render_states(process, job, job.camera.value)
+                _, _, blob_key = self._render_states(
+                    process, job.task, job.states_blob_key, job.folder, camera=job.camera.value
+                )
             except RenderFailed as error:
-                log.warning("%s from the camera %s: %s", job.clip_id, job.camera, error)
+                log.warning("%s from the camera %s: %s", job.shown_id, job.camera, error)
                 with context.database.transaction() as session:
                     clip_views.fail(session, job)
                 return
             with context.database.transaction() as session:
-                clip_views.finish(session, job, blob_key, context.blobs.size(blob_key))
+                wanted = clip_views.finish(session, job, blob_key, context.blobs.size(blob_key))
+            if not wanted:
+                context.blobs.delete(blob_key)
 
     def _render_and_store(self, process: RenderProcess, job: ClipJob) -> StoredClip:
         if task_spec(job.task).nq == 0:
             return self._replayed_clip(job)
-        key, clip, blob_key = self._render_states(process, job, "follow")
+        key, clip, blob_key = self._render_states(
+            process, job.task, job.segment_blob_key, clips_folder(job.experiment_id)
+        )
         return StoredClip(
             cache_key=key,
             blob_key=blob_key,
@@ -135,21 +141,20 @@ class RenderWorker:
         )
 
     def _render_states(
-        self, process: RenderProcess, job: ClipJob | ViewJob, camera: Camera
+        self, process: RenderProcess, task_name: str, states_blob_key: str, folder: str, *, camera: Camera = "follow"
     ) -> tuple[str, ClipFile, str]:
-        """Render a segment and store the clip; return its cache key, its properties, and the key of its blob."""
+        """Render states and store the clip; return its cache key, its properties, and the key of its blob."""
         try:
-            arrays = load_arrays(self._context.blobs, job.segment_blob_key)
+            arrays = load_arrays(self._context.blobs, states_blob_key)
         except BlobUnreadable as error:
             raise RenderFailed(str(error)) from error
-        task = self._task(job.task)
+        task = self._task(task_name)
         settings = replace(task.settings, camera=camera)
         qpos, qvel = (arrays[name].astype(np.float64, copy=False) for name in ("qpos", "qvel"))
         key = clip_key(qpos, qvel, task.model, task.agents, settings)
         path = Path(self._folder.name) / f"{key}.mp4"
-        clip: ClipFile = process.render(RenderJob(job.task, qpos, qvel, settings, path))
-        # Not shared between experiments: deleting one of them must not delete a clip that another one is about to use.
-        blob_key = f"clips/{job.experiment_id}/{key}.mp4"
+        clip: ClipFile = process.render(RenderJob(task_name, qpos, qvel, settings, path))
+        blob_key = f"{folder}/{key}.mp4"
         try:
             content = path.read_bytes()
         finally:

@@ -2,11 +2,11 @@
 
 import pytest
 
-from accord.api.routes.clips import ByteRange, parse_range
+from accord.api.video import ByteRange, parse_range
 from accord.domain.enums import ClipCamera
 from accord.domain.errors import ClipNotFound
 from accord.domain.ids import new_id
-from accord.services import clip_views, deletion, experiments
+from accord.services import clip_views, clips, deletion, experiments
 from accord.store import deletions
 from support.api_in_thread import ApiServer
 from support.sample_experiments import CLIP_BYTES, create_sample
@@ -131,7 +131,7 @@ def test_views_of_deleted_experiments_are_deleted(api: ApiServer, clip: str) -> 
         job = clip_views.claim_pending(session, "worker", 60.0)
         assert job is not None
         clip_views.finish(session, job, "clips/view.mp4", SIZE)
-        row = experiments.cancel(session, job.experiment_id)
+        row = experiments.cancel(session, clips.get(session, clip_id).experiment_id)
         deleted, keys = deletion.delete(session, row.id, row.name, "Rosa")
         assert deletions.blob_keys(session, row.id).clips == []
     assert "clips/view.mp4" in keys

@@ -65,6 +65,9 @@ ALLOWED: dict[str, frozenset[Role]] = {
     "GET /experiments/{experiment_id}/queries.csv": RESEARCHERS,
     "PUT /experiments/{experiment_id}/reward-versions/{number}/report": RESEARCHERS,
     "GET /experiments/{experiment_id}/reward-versions/{number}/report": RESEARCHERS,
+    "GET /experiments/{experiment_id}/recordings": RESEARCHERS,
+    "PUT /recordings/{recording_id}/views/{camera}": RESEARCHERS,
+    "GET /recordings/{recording_id}/views/{camera}.mp4": RESEARCHERS,
     "PATCH /experiments/{experiment_id}/labels": RESEARCHERS,
     "PATCH /experiments/{experiment_id}/labellers/{user_id}": RESEARCHERS,
     "GET /experiments/{experiment_id}/quality": RESEARCHERS,
@@ -108,7 +111,7 @@ INVALID = {"POST /experiments", "POST /experiments/import"}
 def request(client: httpx.Client, operation: str, **ids: str) -> httpx.Response:
     """Send a valid request; objects that `ids` does not name do not exist."""
     absent = {"experiment_id": "exp", "query_id": "qry", "clip_id": "clp", "segment_id": "seg", "user_id": "usr"}
-    absent |= {"invitation_id": "inv", "share_id": "shr"}
+    absent |= {"invitation_id": "inv", "share_id": "shr", "recording_id": "rec"}
     method, path = operation.split()
     filled = f"/api/v1{path}".format(
         number=1, camera="top", **{name: new_id(kind) for name, kind in absent.items()} | ids

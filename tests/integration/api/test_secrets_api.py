@@ -9,12 +9,14 @@ import pytest
 
 from accord.domain.enums import Phase, WorkerRole, WorkerState
 from accord.domain.ids import new_id
-from accord.services import experiments, metrics, publish, workers
+from accord.services import experiments, metrics, publish, recordings, workers
+from accord.store.tables import RecordingRow
 from support.api_in_thread import ApiServer
 from support.sample_experiments import SampleExperiment, create_sample
 
 #: a true return with digits that no other number of the experiment has
 SECRET = 98765.4321
+RECORDING = new_id("rec")
 FREE_TEXT = f"evaluated: true return {SECRET}"
 
 
@@ -38,6 +40,18 @@ def sample(api: ApiServer, request: pytest.FixtureRequest) -> SampleExperiment:
             policy_steps=0,
             metrics={"loss": 0.5, "true_rank_correlation": SECRET, "rank_correlation": SECRET},
         )
+        recordings.add(
+            session,
+            RecordingRow(
+                id=RECORDING,
+                experiment_id=found.experiment.id,
+                policy_steps=0,
+                reward_version_id=None,
+                length_steps=5,
+                true_return=SECRET,
+                blob_key="recordings/1",
+            ),
+        )
         workers.report(session, "policy-0", WorkerRole.POLICY, 1, WorkerState.WORKING, FREE_TEXT)
     return found
 
@@ -54,6 +68,7 @@ def fill_path(path: str, sample: SampleExperiment, clip_id: str) -> str:
         token="no-invitation",
         number="1",
         share_id=new_id("shr"),
+        recording_id=RECORDING,
     )
 
 
@@ -115,6 +130,7 @@ def test_routes_send_true_returns_to_a_researcher(api: ApiServer, sample: Sample
     for address in (path, "/api/v1/experiments", f"{path}/metrics", f"{path}/reward-versions", "/api/v1/workers"):
         assert "98765" in api.researcher.get(address).text, address
         assert_no_secret(api.labeller.get(address).text)
+    assert "98765" in api.researcher.get(f"{path}/recordings").text
     events = first_events(api.researcher, f"{path}/events", 3)
     assert events.count("98765") >= 3
     query = api.researcher.post(f"{path}/queries/next", params={"returns": True, "count": 4}).json()

@@ -3,9 +3,12 @@
 import pytest
 from sqlalchemy import func, select
 
+from accord.domain.enums import RecordingCamera
 from accord.domain.errors import ExperimentInUse, ExperimentNotActive, ExperimentNotFound, Invalid
+from accord.domain.ids import new_id
 from accord.services import (
     accounts,
+    clip_views,
     clips,
     costs,
     credit,
@@ -15,11 +18,12 @@ from accord.services import (
     lease,
     metrics,
     publish,
+    recordings,
     workers,
 )
 from accord.services.clips import StoredClip
 from accord.services.publish import card_key, ensemble_key
-from accord.store.tables import Base
+from accord.store.tables import Base, RecordingRow
 from support.sample_experiments import CLIP_BYTES, STEPS, SampleExperiment, create_sample, user
 from support.stores import Stores
 
@@ -52,6 +56,18 @@ def filled(stores: Stores, name: str) -> SampleExperiment:
         )
         for query_id in (sample.query_ids[0], None):
             credit.request(session, version, query_id)
+        recording = RecordingRow(
+            id=new_id("rec"),
+            experiment_id=sample.experiment.id,
+            policy_steps=3200,
+            reward_version_id=version.id,
+            length_steps=STEPS,
+            true_return=1.0,
+            blob_key=f"recordings/{sample.experiment.id}/1.safetensors",
+        )
+        stores.blobs.put(recording.blob_key, b"states")
+        recordings.add(session, recording)
+        clip_views.request_recording(session, recording.id, RecordingCamera.FOLLOW)
         for step in (3200, 6400):
             metrics.record(session, sample.experiment.id, step, {"steps_per_second": 800.0}, version.id)
     return sample

@@ -69,6 +69,13 @@ def test_queries_open_once_the_environments_own_clips_are_ready(harness: WorkerH
         assert len(harness.context.blobs.read(key)) == size_bytes
 
 
+def test_the_policy_of_a_task_that_renders_itself_is_not_recorded(harness: WorkerHarness) -> None:
+    id = harness.create_experiment(task="Buttons-2", reward_source="true", total_steps=150, **OPTIONS)
+    harness.train(id)
+    assert harness.rows("SELECT status FROM experiments") == [("finished",)]
+    assert harness.rows("SELECT count(*) FROM recordings") == [(0,)]
+
+
 def test_clips_of_a_rollout_that_starts_within_episodes_show_its_states(harness: WorkerHarness) -> None:
     # An episode has 30 steps and a rollout has 50, so the second rollout starts within an episode.
     task = make_task("Buttons-2", 3)

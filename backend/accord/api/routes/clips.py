@@ -1,9 +1,7 @@
-"""Clips, with HTTP range requests, so that a browser can seek."""
+"""Clips of segments, from every camera, and still images of them."""
 
 import logging
-import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Request
@@ -11,10 +9,10 @@ from fastapi.responses import Response
 
 from accord.api import responses, schemas
 from accord.api.dependencies import Auth, AuthDep, CallerSession, ClipId
+from accord.api.video import video_response, whole_video
 from accord.domain.enums import ClipCamera
-from accord.domain.errors import BlobDamaged, ClipNotFound
+from accord.domain.errors import ClipNotFound
 from accord.services import access, clip_views, clips
-from accord.store.blobs import BlobStore
 from accord.store.tables import ClipRow
 from mapt.errors import ClipNotRead
 from mapt.rendering.stills import animation, thumbnail
@@ -22,15 +20,6 @@ from mapt.rendering.stills import animation, thumbnail
 log = logging.getLogger(__name__)
 router = APIRouter(tags=["clips"])
 CameraPath = Annotated[ClipCamera, Path(description="Where the camera is: side or top.")]
-_RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
-
-
-@dataclass(frozen=True, slots=True)
-class ByteRange:
-    """Bytes from `start` up to but not including `stop`."""
-
-    start: int
-    stop: int
 
 
 @router.get(
@@ -50,7 +39,7 @@ def get_clip(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
         row = _visible(caller, clip_id)
         key, size = row.blob_key, row.size_bytes
     assert key is not None  # a ready clip has a blob
-    return _video(request, auth.app.blobs, key, size, f'"{clip_id}"')
+    return video_response(request, auth.app.blobs, key, size, f'"{clip_id}"')
 
 
 @router.put("/clips/{clip_id}/views/{camera}", summary="Request a clip from another camera")
@@ -77,37 +66,7 @@ def get_view(clip_id: ClipId, camera: CameraPath, request: Request, auth: AuthDe
         row = clip_views.get(caller.session, clip_id, camera)
         key, size = row.blob_key, row.size_bytes
     assert key is not None  # a ready view has a blob
-    return _video(request, auth.app.blobs, key, size, f'"{clip_id}-{camera}"')
-
-
-def _video(request: Request, blobs: BlobStore, key: str, size: int, etag: str) -> Response:
-    headers = {"Accept-Ranges": "bytes", "ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
-    if etag in request.headers.get("if-none-match", ""):
-        return Response(status_code=304, headers=headers)
-    wanted = parse_range(request.headers.get("range", ""), size)
-    if request.headers.get("if-range", etag) != etag:
-        wanted = None
-    if wanted is None:
-        return Response(_whole(blobs, key, size), 200, headers, media_type="video/mp4")
-    if wanted.start >= wanted.stop:
-        return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
-    headers["Content-Range"] = f"bytes {wanted.start}-{wanted.stop - 1}/{size}"
-    content = blobs.read_range(key, wanted.start, wanted.stop)
-    if len(content) != wanted.stop - wanted.start:
-        raise _incomplete(key, size)
-    return Response(content, 206, headers, media_type="video/mp4")
-
-
-def _whole(blobs: BlobStore, key: str, size: int) -> bytes:
-    """The blob of a clip. Raises BlobDamaged if it does not have the size that was stored."""
-    content = blobs.read(key)
-    if len(content) != size:
-        raise _incomplete(key, size)
-    return content
-
-
-def _incomplete(key: str, size: int) -> BlobDamaged:
-    return BlobDamaged(key, f"it does not have the {size} bytes that were stored")
+    return video_response(request, auth.app.blobs, key, size, f'"{clip_id}-{camera}"')
 
 
 @router.get(
@@ -148,7 +107,7 @@ def _image(clip_id: str, request: Request, auth: Auth, make: Callable[[bytes], b
     if etag in request.headers.get("if-none-match", ""):
         return Response(status_code=304, headers=headers)
     try:
-        image = make(_whole(auth.app.blobs, key, size))
+        image = make(whole_video(auth.app.blobs, key, size))
     except ClipNotRead as error:
         log.warning("%s: %s", clip_id, error)
         raise ClipNotFound(clip_id) from error
@@ -161,20 +120,3 @@ def _visible(caller: CallerSession, clip_id: str) -> ClipRow:
     if not access.sees(caller.session, caller.user, row.experiment_id):
         raise ClipNotFound(clip_id)
     return row
-
-
-def parse_range(header: str, size: int) -> ByteRange | None:
-    """The single range of a Range header, limited to the size; an empty one cannot be satisfied.
-
-    None if there is no range, several, or an invalid one; RFC 9110 then lets a server send everything.
-    """
-    match = _RANGE.fullmatch(header.strip())
-    if match is None or match[0] == "bytes=-":
-        return None
-    first, last = match.groups()
-    if not first:
-        return ByteRange(max(0, size - int(last)), size)
-    stop = size if not last else min(size, int(last) + 1)
-    if last and int(last) < int(first):
-        return None
-    return ByteRange(int(first), stop)

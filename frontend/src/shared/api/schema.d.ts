@@ -760,6 +760,70 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/experiments/{experiment_id}/recordings": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List recordings of the policy
+         * @description Returns a recording of the untrained policy, one when each reward version is replaced, and one at the end.
+         *
+         *     All begin in the same state. Of many, about 50 are kept. For researchers and admins.
+         */
+        get: operations["list_recordings"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/recordings/{recording_id}/views/{camera}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /**
+         * Request the video of a recording
+         * @description Returns the state of the video. The first request has it rendered, before the clips of later pairs.
+         *
+         *     Ask again until it is ready, which usually takes a second or two. For researchers and admins.
+         */
+        put: operations["request_recording"];
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/recordings/{recording_id}/views/{camera}.mp4": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get the video of a recording
+         * @description H.264 video in MP4. It never changes, so browsers may cache it. For researchers and admins.
+         */
+        get: operations["get_recording"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/experiments/{experiment_id}/export": {
         parameters: {
             query?: never;
@@ -3212,6 +3276,88 @@ export interface components {
             thumbnail_url: string | null;
         };
         /**
+         * Recording
+         * @description The first steps of an episode of the policy, with mean actions.
+         */
+        Recording: {
+            /**
+             * Id
+             * @description rec_...
+             */
+            id: string;
+            /**
+             * Policy Steps
+             * @description Environment steps the policy was trained for; 0 for the untrained policy.
+             */
+            policy_steps: number;
+            /**
+             * Reward Version
+             * @description Number of the reward version of its last update; null for the untrained policy, and where the policy learns from the true reward.
+             */
+            reward_version: number | null;
+            /**
+             * Frames
+             * @description Frames of the video, one per step.
+             */
+            frames: number;
+            /**
+             * Seconds
+             * @description Duration of the video.
+             */
+            seconds: number;
+            /**
+             * True Return
+             * @description Sum of the true rewards over these steps.
+             */
+            true_return: number;
+            /**
+             * Rendered
+             * @description Cameras from which its video is ready.
+             */
+            rendered: components["schemas"]["RecordingCamera"][];
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was recorded.
+             */
+            created_at: string;
+        };
+        /**
+         * RecordingCamera
+         * @description A camera for recordings of policies, which are all rendered on demand.
+         * @enum {string}
+         */
+        RecordingCamera: "follow" | "side" | "top";
+        /**
+         * RecordingView
+         * @description The video of a recording from one camera.
+         */
+        RecordingView: {
+            /** @description failed: it cannot be rendered. */
+            status: components["schemas"]["ClipStatus"];
+            /**
+             * Video Url
+             * @description Path of the MP4 file; null until it is ready.
+             */
+            video_url: string | null;
+        };
+        /**
+         * Recordings
+         * @description Recordings of the policy of an experiment, which all begin in the same state.
+         */
+        Recordings: {
+            /**
+             * Available
+             * @description False if the task renders itself: then there are no recordings.
+             */
+            available: boolean;
+            /**
+             * Items
+             * @description By steps of the policy.
+             */
+            items: components["schemas"]["Recording"][];
+        };
+        /**
          * RemovedUser
          * @description What remains of a removed user.
          */
@@ -5231,6 +5377,106 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["RewardReport"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    list_recordings: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Recordings"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    request_recording: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The recording, rec_... */
+                recording_id: string;
+                /** @description Where the camera is: follow, as for clips, side or top. */
+                camera: components["schemas"]["RecordingCamera"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RecordingView"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    get_recording: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The recording, rec_... */
+                recording_id: string;
+                /** @description Where the camera is: follow, as for clips, side or top. */
+                camera: components["schemas"]["RecordingCamera"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The whole video, or a range of it as for a clip. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "video/mp4": unknown;
                 };
             };
             /** @description A stable code, a message, and the invalid field. */

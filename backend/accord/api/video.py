@@ -1,0 +1,76 @@
+"""Responses with videos. They support HTTP range requests, so that a browser can seek."""
+
+import re
+from dataclasses import dataclass
+
+from fastapi import Request
+from fastapi.responses import Response
+
+from accord.domain.errors import BlobDamaged
+from accord.store.blobs import BlobStore
+
+_RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
+
+
+@dataclass(frozen=True, slots=True)
+class ByteRange:
+    """Bytes from `start` up to but not including `stop`."""
+
+    start: int
+    stop: int
+
+
+def video_response(request: Request, blobs: BlobStore, key: str, size: int, etag: str) -> Response:
+    """A stored video that never changes, or the requested range of it.
+
+    Args:
+        size: in bytes.
+        etag: with quotation marks.
+
+    Raises:
+        BlobMissing, BlobDamaged: if the video is missing, or does not have this size.
+    """
+    headers = {"Accept-Ranges": "bytes", "ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
+    if etag in request.headers.get("if-none-match", ""):
+        return Response(status_code=304, headers=headers)
+    wanted = parse_range(request.headers.get("range", ""), size)
+    if request.headers.get("if-range", etag) != etag:
+        wanted = None
+    if wanted is None:
+        return Response(whole_video(blobs, key, size), 200, headers, media_type="video/mp4")
+    if wanted.start >= wanted.stop:
+        return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
+    headers["Content-Range"] = f"bytes {wanted.start}-{wanted.stop - 1}/{size}"
+    content = blobs.read_range(key, wanted.start, wanted.stop)
+    if len(content) != wanted.stop - wanted.start:
+        raise _incomplete(key, size)
+    return Response(content, 206, headers, media_type="video/mp4")
+
+
+def whole_video(blobs: BlobStore, key: str, size: int) -> bytes:
+    """The blob of a video. Raises BlobDamaged if it does not have the size that was stored."""
+    content = blobs.read(key)
+    if len(content) != size:
+        raise _incomplete(key, size)
+    return content
+
+
+def _incomplete(key: str, size: int) -> BlobDamaged:
+    return BlobDamaged(key, f"it does not have the {size} bytes that were stored")
+
+
+def parse_range(header: str, size: int) -> ByteRange | None:
+    """The single range of a Range header, limited to the size; an empty one cannot be satisfied.
+
+    None if there is no range, several, or an invalid one; RFC 9110 then lets a server send everything.
+    """
+    match = _RANGE.fullmatch(header.strip())
+    if match is None or match[0] == "bytes=-":
+        return None
+    first, last = match.groups()
+    if not first:
+        return ByteRange(max(0, size - int(last)), size)
+    stop = size if not last else min(size, int(last) + 1)
+    if last and int(last) < int(first):
+        return None
+    return ByteRange(int(first), stop)
