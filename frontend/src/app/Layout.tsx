@@ -72,9 +72,14 @@ function Tabs({ id, page, me }: { id: string; page: Route["page"]; me: Me }) {
         </>
       )}
       {canManageExperiments(me) && (
-        <Link to={paths.reward(id)} aria-current={page === "reward" ? "page" : undefined}>
-          Reward
-        </Link>
+        <>
+          <Link to={paths.reward(id)} aria-current={page === "reward" ? "page" : undefined}>
+            Reward
+          </Link>
+          <Link to={paths.policies(id)} aria-current={page === "policies" ? "page" : undefined}>
+            Policies
+          </Link>
+        </>
       )}
     </nav>
   );

@@ -16,6 +16,7 @@ const loaders = {
   quality: () => import("@/features/quality/QualityPage").then(as("QualityPage")),
   decide: () => import("@/features/labelling/LabelPage").then(as("DecidePage")),
   pair: () => import("@/features/pair/PairPage").then(as("PairPage")),
+  policies: () => import("@/features/policies/PoliciesPage").then(as("PoliciesPage")),
   reward: () => import("@/features/reward/RewardPage").then(as("RewardPage")),
 };
 const ExperimentList = lazy(loaders.experiments);
@@ -28,6 +29,7 @@ const QualityPage = lazy(loaders.quality);
 const DecidePage = lazy(loaders.decide);
 const PairPage = lazy(loaders.pair);
 const RewardPage = lazy(loaders.reward);
+const PoliciesPage = lazy(loaders.policies);
 const ComparePage = lazy(loaders.compare);
 
 /** Turns a module into one with the named component as its default export, as `lazy` expects. */
@@ -73,6 +75,8 @@ function Page({ me }: { me: Me }) {
       return <DecidePage key={route.id} id={route.id} me={me} />;
     case "pair":
       return <PairPage key={route.query} id={route.id} query={route.query} me={me} />;
+    case "policies":
+      return <PoliciesPage key={route.id} id={route.id} me={me} />;
     case "reward":
       return <RewardPage key={route.id} id={route.id} me={me} />;
     case "missing":

@@ -1,9 +1,9 @@
 import type { RefObject } from "react";
 import type { Experiment, Query, Task } from "@/shared/api/types";
+import { CAMERA_NAMES } from "@/shared/media/cameras";
 import type { PairPlayback } from "@/shared/media/usePairPlayer";
 import { useAgentName } from "./AgentName";
 import { type Choice, sideOf } from "./choices";
-import { CAMERA_NAMES } from "./clipViews";
 import type { ClipNames } from "./layout";
 import type { Stage } from "./stage";
 

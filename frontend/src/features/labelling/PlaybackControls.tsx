@@ -1,7 +1,7 @@
 import type { ReactNode } from "react";
+import { CAMERA_NAMES } from "@/shared/media/cameras";
 import { Key } from "@/shared/ui/Key";
 import { blurAfterMouseClick } from "./ChoiceButtons";
-import { CAMERA_NAMES } from "./clipViews";
 import { type Command, SPEEDS } from "./commands";
 import type { Stage } from "./stage";
 

@@ -1,38 +1,13 @@
 import { useQueries } from "@tanstack/react-query";
-import { useCallback, useMemo, useState } from "react";
 import { api, unwrap } from "@/shared/api/client";
 import type { components } from "@/shared/api/schema";
 import type { Query, SegmentView, Task } from "@/shared/api/types";
+import type { Camera } from "@/shared/media/cameras";
 import type { ClipSource } from "@/shared/media/clip";
 
-/** `follow` is the camera that suits the task; the others are rendered when somebody asks for them. */
-export type Camera = "follow" | Task["cameras"][number];
-
-export const CAMERA_NAMES: Readonly<Record<Camera, string>> = {
-  follow: "Follow",
-  side: "Side",
-  top: "Above",
-};
-
-const CAMERA_KEY = "accord.camera";
 const POLL_SECONDS = 0.4;
 
 type View = components["schemas"]["ClipView"];
-
-/** The camera that the user chose in this browser, and the next one in the list. */
-export function useCamera(task: Task): {
-  cameras: readonly Camera[];
-  camera: Camera;
-  setCamera: (camera: Camera) => void;
-} {
-  const cameras = useMemo((): readonly Camera[] => ["follow", ...task.cameras], [task.cameras]);
-  const [chosen, setChosen] = useState<string | null>(() => localStorage.getItem(CAMERA_KEY));
-  const setCamera = useCallback((camera: Camera) => {
-    localStorage.setItem(CAMERA_KEY, camera);
-    setChosen(camera);
-  }, []);
-  return { cameras, camera: cameras.find((camera) => camera === chosen) ?? "follow", setCamera };
-}
 
 type Sides = readonly [ClipSource | null, ClipSource | null];
 

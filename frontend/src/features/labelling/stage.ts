@@ -1,9 +1,10 @@
 import { type RefObject, useCallback, useEffect, useRef, useState } from "react";
 import type { Query, Task } from "@/shared/api/types";
+import { type Camera, useCamera } from "@/shared/media/cameras";
 import type { ClipSource } from "@/shared/media/clip";
 import { ClipCache } from "@/shared/media/clipCache";
 import { type PairPlayback, usePairPlayer } from "@/shared/media/usePairPlayer";
-import { type Camera, type ClipViews, useCamera, useClipViews } from "./clipViews";
+import { type ClipViews, useClipViews } from "./clipViews";
 import type { Command } from "./commands";
 
 /** Where a pair plays: its canvases, its playback, and the camera that it is shown from. */

@@ -2,7 +2,7 @@ import { infiniteQueryOptions, queryOptions } from "@tanstack/react-query";
 import { api, unwrap } from "./client";
 import { ApiError, isTransient } from "./errors";
 import type { operations } from "./schema";
-import type { Credit, RewardReport } from "./types";
+import type { Credit, RecordingCamera, RewardReport } from "./types";
 
 const byExperiment = (id: string) => ({ params: { path: { experiment_id: id } } });
 
@@ -154,6 +154,27 @@ export const reportQuery = (id: string, number: number) => {
     refetchOnWindowFocus: false,
   });
 };
+
+export const recordingsQuery = (id: string) =>
+  queryOptions({
+    queryKey: ["recordings", id],
+    queryFn: () => unwrap(api.GET("/api/v1/experiments/{experiment_id}/recordings", byExperiment(id))),
+    refetchInterval: 15_000,
+  });
+
+/** The video of a recording. The first call has a render worker make it. */
+export const recordingViewQuery = (recording: string, camera: RecordingCamera) =>
+  queryOptions({
+    queryKey: ["recording-view", recording, camera],
+    queryFn: () =>
+      unwrap(
+        api.PUT("/api/v1/recordings/{recording_id}/views/{camera}", {
+          params: { path: { recording_id: recording, camera } },
+        }),
+      ),
+    staleTime: Number.POSITIVE_INFINITY,
+    refetchInterval: ({ state }) => (state.data?.status === "pending" ? ANSWER_MS : false),
+  });
 
 export const workersQuery = queryOptions({
   queryKey: ["workers"],

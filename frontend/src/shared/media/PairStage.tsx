@@ -8,6 +8,8 @@ import "./pair-stage.css";
 export interface StageSide {
   name: string;
   clip: ClipSource | null;
+  /** shown over the clip, for example why there is none */
+  note?: string | undefined;
 }
 
 interface PairStageProps {
@@ -27,6 +29,12 @@ export function PairStage({ label, left, right, below }: PairStageProps) {
   const canvases = { left: useRef<HTMLCanvasElement>(null), right: useRef<HTMLCanvasElement>(null) };
   const progress = useRef<HTMLDivElement>(null);
   const player = usePairPlayer(clips, left.clip, right.clip, 0, { ...canvases, progress });
+  // Decoded clips are large, so those that are no longer shown are freed.
+  // biome-ignore lint/correctness/useExhaustiveDependencies: a clip is identified by its URL
+  useEffect(
+    () => clips.prefetch([left.clip, right.clip].filter((clip) => clip !== null)),
+    [clips, left.clip?.url, right.clip?.url],
+  );
   useEffect(() => () => clips.clear(), [clips]);
   usePlaybackKeys(player);
   const sides = { left, right };
@@ -49,6 +57,9 @@ export function PairStage({ label, left, right, below }: PairStageProps) {
               aria-label={`${sides[side].name} clip`}
             />
             <figcaption>{sides[side].name}</figcaption>
+            <p className="stage-note" role="status">
+              {sides[side].note}
+            </p>
           </figure>
           {below(side, player)}
         </div>

@@ -12,6 +12,7 @@ test("routeOf inverts paths", () => {
   expect(routeOf(paths.quality("exp_1"))).toEqual({ page: "quality", id: "exp_1" });
   expect(routeOf(paths.decide("exp_1"))).toEqual({ page: "decide", id: "exp_1" });
   expect(routeOf(paths.reward("exp_1"))).toEqual({ page: "reward", id: "exp_1" });
+  expect(routeOf(paths.policies("exp_1"))).toEqual({ page: "policies", id: "exp_1" });
   expect(routeOf(paths.pair("exp_1", "qry_1"))).toEqual({ page: "pair", id: "exp_1", query: "qry_1" });
 });
 

@@ -9,6 +9,7 @@ export const paths = {
   pair: (id: string, query: string) =>
     `/experiments/${encodeURIComponent(id)}/pairs/${encodeURIComponent(query)}`,
   reward: (id: string) => `/experiments/${encodeURIComponent(id)}/reward`,
+  policies: (id: string) => `/experiments/${encodeURIComponent(id)}/policies`,
   labels: (id: string) => `/experiments/${encodeURIComponent(id)}/labels`,
   people: () => "/people",
   /** The token of an invitation, if the path is its link. */
@@ -33,11 +34,12 @@ export type Route =
   | { page: "quality"; id: string }
   | { page: "decide"; id: string }
   | { page: "reward"; id: string }
+  | { page: "policies"; id: string }
   | { page: "pair"; id: string; query: string }
   | { page: "missing" };
 
 /** The pages below an experiment, by the last part of their path. */
-const OF_EXPERIMENT = ["label", "labels", "quality", "decide", "reward"] as const;
+const OF_EXPERIMENT = ["label", "labels", "quality", "decide", "reward", "policies"] as const;
 
 export function routeOf(path: string): Route {
   const parts = partsOf(path);

@@ -1,0 +1,41 @@
+import { expect, test } from "vitest";
+import type { Recording } from "@/shared/api/types";
+import { moved, nameOf, placeOf } from "./versions";
+
+const recording = (id: string, policy_steps: number, reward_version: number | null): Recording => ({
+  id,
+  policy_steps,
+  reward_version,
+  frames: 20,
+  seconds: 1,
+  true_return: 0,
+  rendered: [],
+  created_at: "2026-01-01T00:00:00Z",
+});
+const recordings = [recording("a", 0, null), recording("b", 2000, 1), recording("c", 5000, 2)];
+
+test("recordings are named by the reward version that the policy learned from", () => {
+  expect(recordings.map((each) => nameOf(each, 5000))).toEqual([
+    "Untrained",
+    "Version 1",
+    "Version 2, final",
+  ]);
+});
+
+test("without reward versions, recordings are named by steps", () => {
+  expect([0, 2000, 5000].map((steps) => nameOf(recording("a", steps, null), 5000))).toEqual([
+    "Untrained",
+    "After 2K steps",
+    "Final",
+  ]);
+});
+
+test("a recording that is no longer kept is replaced by the default", () => {
+  expect(placeOf(recordings, "b", 2)).toBe(1);
+  expect(placeOf(recordings, "gone", 2)).toBe(2);
+  expect(placeOf(recordings, null, 0)).toBe(0);
+});
+
+test("keys stop at both ends", () => {
+  expect([moved(0, -1, 3), moved(0, 1, 3), moved(2, 1, 3)]).toEqual([0, 1, 2]);
+});

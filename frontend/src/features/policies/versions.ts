@@ -1,0 +1,21 @@
+import type { Recording } from "@/shared/api/types";
+import { formatCompact } from "@/shared/ui/format";
+
+/** What a recording shows: "Untrained", "Version 3", or "Version 3, final". */
+export function nameOf({ policy_steps, reward_version }: Recording, totalSteps: number): string {
+  if (policy_steps === 0) return "Untrained";
+  const isFinal = policy_steps >= totalSteps;
+  if (reward_version === null) return isFinal ? "Final" : `After ${formatCompact(policy_steps)} steps`;
+  return isFinal ? `Version ${reward_version}, final` : `Version ${reward_version}`;
+}
+
+/** The place of the chosen recording; that of the default if none is chosen, or it is no longer kept. */
+export function placeOf(recordings: readonly Recording[], chosen: string | null, byDefault: number): number {
+  const place = recordings.findIndex(({ id }) => id === chosen);
+  return place < 0 ? byDefault : place;
+}
+
+/** The place that a key of the keyboard leads to, from one of `count` places. */
+export function moved(place: number, direction: 1 | -1, count: number): number {
+  return Math.max(0, Math.min(count - 1, place + direction));
+}
