@@ -59,6 +59,13 @@ class Settings(BaseSettings):
     max_import_bytes: int = Field(
         default=4_000_000_000, ge=1000, le=10**13, description="Largest export that can be uploaded to the page."
     )
+    max_training_bytes: int = Field(
+        default=0,
+        ge=0,
+        le=10**15,
+        description="Memory that the training of an experiment may need by its estimate; 0 for that of the machine. A "
+        "larger one is refused when it is created.",
+    )
     poll_seconds: float = Field(
         default=0.25, gt=0, le=60, description="How long a worker waits before it looks for work again."
     )
@@ -67,6 +74,19 @@ class Settings(BaseSettings):
         gt=0,
         le=3600,
         description="After this long without a heartbeat, a worker's claim expires.",
+    )
+    worker_hang_seconds: float = Field(
+        default=600.0,
+        gt=0,
+        le=86_400,
+        description="A worker whose main thread used no CPU time for this long hangs, and is restarted.",
+    )
+    api_timeout_seconds: float = Field(
+        default=20.0,
+        gt=0,
+        le=3600,
+        description="`accord up` restarts the server's process when two requests in a row get no response for this "
+        "long each.",
     )
     render_workers: int = Field(default=1, ge=0, le=256, description="Render processes that `accord up` keeps running.")
     reward_workers: int = Field(default=1, ge=0, le=256, description="Reward processes that `accord up` keeps running.")

@@ -118,3 +118,13 @@ def test_a_worker_that_hangs_is_killed_and_restarted(accord: Accord) -> None:
         return pid not in (0, hung.pid) and state == "idle"
 
     until(replaced, "another one works in its place")
+
+
+def test_a_server_process_that_hangs_is_killed_and_restarted(accord: Accord) -> None:
+    accord.start({"ACCORD_API_TIMEOUT_SECONDS": "1"}, without=["policy", "reward", "render", "child"])
+    hung = accord.processes()["api"]
+    hung.suspend()
+    until(lambda: not alive(hung), "the hung process is killed")
+    until(lambda: (api := accord.processes().get("api")) and api.pid != hung.pid, "another one runs")
+    assert accord.http.get(f"{accord.url}/api/v1/health", timeout=PATIENCE_SECONDS).is_success
+    assert "unanswered" in accord.log.read_text()

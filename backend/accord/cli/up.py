@@ -12,6 +12,7 @@ import typer
 from rich.markup import escape
 
 from accord.api.listener import listen
+from accord.cli.api_watch import ApiWatch
 from accord.cli.options import Home, Port, address_file, load_settings, url_of
 from accord.cli.worker_status import WorkerStatus
 from accord.domain.errors import NameTaken, Unavailable
@@ -89,6 +90,7 @@ def _serve(ready: Ready, stop: Stop) -> None:
     status, specs = WorkerStatus(ready.database, ready.settings.worker_lease_seconds), child_specs(ready)
     status.reset(specs)
     supervisor = Supervisor(specs, ready.settings.home / "logs", status.record_death)
+    api = ApiWatch(url_of(ready.settings.host, ready.settings.port), ready.settings.api_timeout_seconds)
     spinner = out.status("starting", refresh_per_second=2) if on_terminal() else None
     try:
         if spinner:
@@ -99,6 +101,9 @@ def _serve(ready: Ready, stop: Stop) -> None:
             for name, pid, age_seconds in status.hanging():
                 if supervisor.kill(name, pid):
                     log_line(f"killed, because it has not reported for {age_seconds:.0f} s", name)
+            pid = supervisor.pids().get("api")
+            if pid is not None and api.hangs(pid) and supervisor.kill("api", pid):
+                log_line(f"killed, because it left two requests unanswered for {api.timeout_seconds:.0f} s each", "api")
             if spinner and line:
                 spinner.update(escape(line))
     finally:

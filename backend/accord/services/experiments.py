@@ -9,6 +9,7 @@ from accord.domain.enums import ExperimentStatus, Phase, QueryStatus
 from accord.domain.errors import ExperimentNotActive, ExperimentNotFound, InvalidExperiment, NameTaken, UnknownTask
 from accord.domain.ids import new_id
 from accord.services.experiment_config import ExperimentConfig
+from accord.services.training_memory import require_fits
 from accord.services.validation import check_line, check_lines
 from accord.store import attempts, experiments
 from accord.store.tables import ExperimentRow, InstructionRevisionRow, RewardVersionRow, utc_now
@@ -53,16 +54,18 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
     config: ExperimentConfig,
     instructions: str | None,
     experiment_id: str | None = None,
+    memory_limit_bytes: int = 0,
 ) -> ExperimentRow:
     """Creates an experiment, which a policy worker then claims.
 
     Args:
         instructions: shown to labellers; the task's own if None or empty.
         experiment_id: its id, where blobs of it are stored already; a new one by default.
+        memory_limit_bytes: of its training; 0 for the memory of this machine.
 
     Raises:
         UnknownTask: if no task has this name.
-        InvalidExperiment: if a segment is longer than an episode.
+        InvalidExperiment: if a segment is longer than an episode, or the training does not fit in memory.
         NameTaken: if another experiment has this name.
         Invalid: if a text is empty, too long, or contains characters that are not printable.
     """
@@ -77,6 +80,7 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
             f"episode of {config.task}.",
             "segment_steps",
         )
+    require_fits(config, spec, memory_limit_bytes)
     shown = check_lines(instructions or "", "instructions", MAX_INSTRUCTIONS) or spec.instructions
     row = ExperimentRow(
         id=experiment_id or new_id("exp"),

@@ -109,7 +109,7 @@ def _checked(tables: PreferenceTables) -> Imported:
     return Imported(new_id("exp"), config, _instructions(about), {}, queries, kept)
 
 
-def create(session: Session, owner_id: str, name: str, found: Imported) -> None:
+def create(session: Session, owner_id: str, name: str, found: Imported, memory_limit_bytes: int = 0) -> None:
     """Creates the experiment, paused, with the imported segments, queries and labels.
 
     Queries without a label are left out unless their answer is known. The labels of teachers who are users of this
@@ -121,7 +121,13 @@ def create(session: Session, owner_id: str, name: str, found: Imported) -> None:
         UnknownTask, InvalidExperiment, NameTaken, Invalid: as `experiments.create`.
     """
     row = experiments.create(
-        session, owner_id, name, found.config, found.instructions[0], experiment_id=found.experiment_id
+        session,
+        owner_id,
+        name,
+        found.config,
+        found.instructions[0],
+        experiment_id=found.experiment_id,
+        memory_limit_bytes=memory_limit_bytes,
     )
     for text in found.instructions[1:]:
         experiments.edit_instructions(session, row.id, text)

@@ -4,6 +4,7 @@ A thread, because one call of training lasts longer than a lease. It uses its ow
 worker's may be long.
 """
 
+import faulthandler
 import logging
 import os
 import threading
@@ -22,6 +23,8 @@ from accord.store.database import Database
 
 log = logging.getLogger(__name__)
 
+#: exit status of a worker whose main thread hangs
+HANG_STATUS = 70
 #: least time between two reports of a changed state
 _REPORT_SECONDS = 0.1
 
@@ -79,16 +82,48 @@ class Claim:
             raise ClaimLost(self.subject)
 
 
+class MainThreadWatch:
+    """Notices that the main thread of this process hangs: it uses no CPU time at all.
+
+    A worker without work polls, and one that computes is busy. A thread in an endless loop is not noticed.
+    """
+
+    def __init__(self, limit_seconds: float) -> None:
+        main = threading.main_thread().ident
+        assert main is not None  # it has started
+        self._clock = time.pthread_getcpuclockid(main)
+        self._limit_seconds = limit_seconds
+        self._used_seconds, self._used_at = -1.0, time.monotonic()
+
+    def hangs(self) -> bool:
+        """Whether the main thread used no CPU time for longer than the limit, as far as the calls of this show."""
+        used_seconds = time.clock_gettime(self._clock)
+        if used_seconds != self._used_seconds:
+            self._used_seconds, self._used_at = used_seconds, time.monotonic()
+        return time.monotonic() - self._used_at > self._limit_seconds
+
+
 class Heartbeat:
     """Reports the state of one worker process and renews its claims, four times in each lease."""
 
-    def __init__(self, database: Database, worker_id: str, role: WorkerRole, holder: str, lease_seconds: float) -> None:
+    def __init__(
+        self,
+        database: Database,
+        worker_id: str,
+        role: WorkerRole,
+        holder: str,
+        lease_seconds: float,
+        *,
+        hang_seconds: float | None = None,
+    ) -> None:
         """
         Args:
             worker_id: role and number; a restarted process uses the row of the one before.
             holder: unique to this process, so that its claims differ from those of the process before.
             lease_seconds: how long a claim lasts without renewal.
+            hang_seconds: ends the process if its main thread hangs for this long; None never does.
         """
+        self._main_thread = None if hang_seconds is None else MainThreadWatch(hang_seconds)
         self._database = database
         self._worker_id = worker_id
         self._role = role
@@ -159,6 +194,11 @@ class Heartbeat:
     def _run(self) -> None:
         while not self._closed:
             self._send()
+            if self._main_thread is not None and self._main_thread.hangs():
+                # The main thread cannot end the process any more; the supervisor starts another one.
+                faulthandler.dump_traceback()
+                log.error("The main thread hangs: it used no CPU time for too long. This process ends.")
+                os._exit(HANG_STATUS)
             # Several changes of state within `_REPORT_SECONDS` are reported as one.
             self._wake.wait(self._lease_seconds / 4)
             time.sleep(_REPORT_SECONDS)

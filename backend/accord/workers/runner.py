@@ -202,7 +202,9 @@ def run_worker(role: WorkerRole, make_worker: Callable[[Context], Worker], argv:
     worker_id = f"{role.value}-{arguments.slot}"
     holder = f"{worker_id}:{os.getpid()}:{secrets.token_hex(4)}"
     database = Database.open(settings.resolved_database_url)
-    heartbeat = Heartbeat(database, worker_id, role, holder, settings.worker_lease_seconds)
+    heartbeat = Heartbeat(
+        database, worker_id, role, holder, settings.worker_lease_seconds, hang_seconds=settings.worker_hang_seconds
+    )
     heartbeat.start()
     context = Context(settings, database, open_blobs(settings.resolved_blob_url), heartbeat, stop, holder)
     log.info("%s started as %s", worker_id, holder)

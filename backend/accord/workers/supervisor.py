@@ -3,6 +3,7 @@
 import contextlib
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from pathlib import Path
 from accord.workers.runner import Backoff, Stop
 from mapt.processes import describe_exit
 
-#: a larger log is renamed at the next start
+#: a larger log becomes the older log; together they take at most twice as much
 _LOG_BYTES = 10_000_000
 #: a process that ran this long has recovered: its next death counts as the first in a row
 _RECOVERED_SECONDS = 30.0
@@ -45,7 +46,6 @@ class Child:
         """Start it. Its standard output and error go to `<name>.log`."""
         self.spec = spec
         self.log_path = log_folder / f"{spec.name}.log"
-        _rotate(self.log_path)
         with self.log_path.open("ab") as log:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", *spec.arguments, "--parent", str(os.getpid())],
@@ -96,9 +96,15 @@ class Child:
         return lines[-1].strip() if lines else ""
 
 
-def _rotate(path: Path) -> None:
-    if path.exists() and path.stat().st_size > _LOG_BYTES:
-        path.replace(path.with_suffix(".log.1"))
+def rotate(log: Path, limit_bytes: int) -> None:
+    """Move the content of a log above the limit to `.log.1`, while its process may be writing.
+
+    The process keeps its descriptor, which appends, so the file is copied and emptied. A line written between the two
+    is lost.
+    """
+    if log.exists() and log.stat().st_size > limit_bytes:
+        shutil.copyfile(log, log.with_suffix(".log.1"))
+        os.truncate(log, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,9 +144,11 @@ class Supervisor:
         *,
         backoff: Backoff | None = None,
         rng: random.Random | None = None,
+        log_bytes: int = _LOG_BYTES,
     ) -> None:
         self._log_folder = log_folder
         self._on_death = on_death
+        self._log_bytes = log_bytes
         self._backoff = backoff or Backoff()
         self._rng = rng or random.Random()
         self._slots = [_Slot(spec) for spec in specs]
@@ -158,8 +166,10 @@ class Supervisor:
         return False
 
     def tick(self) -> None:
-        """Start the processes that are due and handle those that died."""
+        """Start the processes that are due, handle those that died, and limit the size of their logs."""
         now = time.monotonic()
+        for slot in self._slots:
+            rotate(self._log_folder / f"{slot.spec.name}.log", self._log_bytes)
         self._slots = [self._check(slot, now) for slot in self._slots]
 
     def _check(self, slot: _Slot, now: float) -> _Slot:

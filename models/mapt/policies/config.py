@@ -22,7 +22,7 @@ ALGORITHM_DEFAULTS: Mapping[str, Mapping[str, object]] = {
 }
 
 
-Width = Annotated[int, setting("Units of a layer.", ge=1, le=65_536)]
+Width = Annotated[int, setting("Units of a layer.", ge=1, le=8192)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +42,9 @@ class PolicyConfig(Settings):
             "transformer that decides agent by agent. mat_dec: MAT's encoder as the critic, and one actor per agent."
         ),
     ] = "mappo"
-    n_envs: Annotated[int, setting("Environments stepped in parallel, E.", ge=1, le=65_536)] = 32
+    n_envs: Annotated[int, setting("Environments stepped in parallel, E.", ge=1, le=8192)] = 32
     rollout_steps: Annotated[
-        int, setting("Steps of each environment between updates, L.", ge=1, le=1_000_000, unit="steps")
+        int, setting("Steps of each environment between updates, L.", ge=1, le=100_000, unit="steps")
     ] = 128
     epochs: Annotated[int, setting("Passes over a rollout per update.", ge=1, le=1000)] = 10
     minibatches: Annotated[
@@ -87,8 +87,8 @@ class PolicyConfig(Settings):
         ),
     ] = (64, 64)
     activation: Annotated[Activation, setting("Nonlinearity of the hidden layers.")] = "tanh"
-    width: Annotated[int, setting("Width of the transformers of mat and mat_dec, d.", ge=1, le=65_536)] = 64
-    layers: Annotated[int, setting("Layers of the encoder and of the decoder.", ge=1, le=128)] = 1
+    width: Annotated[int, setting("Width of the transformers of mat and mat_dec, d.", ge=1, le=8192)] = 64
+    layers: Annotated[int, setting("Layers of the encoder and of the decoder.", ge=1, le=64)] = 1
     heads: Annotated[int, setting("Attention heads; must divide width.", ge=1, le=1024)] = 1
     initial_log_std: Annotated[
         float, setting("Logarithm of the actions' standard deviation at the start.", ge=-20, le=20)

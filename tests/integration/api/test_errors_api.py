@@ -98,6 +98,17 @@ def test_error_for_an_invalid_policy_setting_names_it(api: ApiServer, policy: di
     assert_error(response, 422, "invalid_experiment", field, field=field)
 
 
+def test_training_that_does_not_fit_in_memory_is_refused(sqlite: Stores, tmp_path: Path) -> None:
+    large = {"policy": {"n_envs": 4096}}
+    with run_api_server(sqlite, tmp_path, max_training_bytes=2 * 10**9) as api:
+        response = api.researcher.post("/api/v1/experiments", json=NEW | large)
+        assert_error(response, 422, "invalid_experiment", "policy.n_envs", "2.0 GB", field="policy.n_envs")
+        assert api.researcher.post("/api/v1/experiments", json=NEW).status_code == 201
+    with run_api_server(sqlite, tmp_path) as api:
+        response = api.researcher.post("/api/v1/experiments", json=NEW | {"policy": {"n_envs": 65_536}})
+        assert_error(response, 422, "invalid_experiment", field="policy.n_envs")
+
+
 def test_error_for_an_unknown_task_lists_the_known_tasks(api: ApiServer) -> None:
     response = api.researcher.post("/api/v1/experiments", json=NEW | {"task": "Walker"})
     assert_error(response, 422, "unknown_task", "'Walker'", "HalfCheetah-6x1", field="task")

@@ -1,12 +1,19 @@
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from accord.domain.enums import WorkerRole, WorkerState
-from accord.workers.heartbeat import Heartbeat
+from accord.settings import Settings
+from accord.store.database import Database
+from accord.store.migrate import migrate
+from accord.workers.heartbeat import HANG_STATUS, Heartbeat
 from accord.workers.runner import Context, run_loop
 from integration.workers.worker_harness import WorkerHarness, open_harness
-from support.waiting import until
+from support.waiting import PATIENCE_SECONDS, until
 
 
 class FailsTwice:
@@ -90,3 +97,36 @@ def test_heartbeats_extend_the_lease(tmp_path: Path):
             with pytest.raises(AssertionError), second_heartbeat(harness.context).claim("policy:exp_1") as second:
                 assert second is not None
         heartbeat.close()
+
+
+def test_a_worker_whose_main_thread_hangs_ends_but_not_one_that_idles(tmp_path: Path):
+    hang_seconds = 2.0
+    database = Database.open(Settings(home=tmp_path).resolved_database_url)
+    migrate(database)
+    database.close()
+    environment = {
+        "ACCORD_HOME": str(tmp_path),
+        "ACCORD_POLL_SECONDS": "0.05",
+        "ACCORD_WORKER_LEASE_SECONDS": "1",
+        "ACCORD_WORKER_HANG_SECONDS": str(hang_seconds),
+    }
+    log = tmp_path / "worker.log"
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name("hanging_worker.py"))],
+            env=os.environ | environment,
+            stdout=output,
+            stderr=output,
+        )
+    try:
+        until(lambda: "started as" in log.read_text(), "the worker starts")
+        idle_until = time.monotonic() + 2 * hang_seconds
+        until(lambda: process.poll() is not None or time.monotonic() > idle_until)
+        assert process.poll() is None, log.read_text()
+        (tmp_path / "hang").touch()
+        assert process.wait(PATIENCE_SECONDS) == HANG_STATUS
+    finally:
+        process.kill()
+        process.wait()
+    assert "hanging_worker.py" in log.read_text()
+    assert "main thread hangs" in log.read_text()

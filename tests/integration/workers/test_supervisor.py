@@ -13,6 +13,7 @@ from accord.workers.supervisor import ChildSpec, Death, Supervisor
 from integration.workers.process_status import alive
 from support.waiting import PATIENCE_SECONDS, until
 
+LOG_BYTES = 2000
 HERE = Path(__file__).parent
 ENVIRONMENT = {"PYTHONPATH": str(HERE)}
 
@@ -34,7 +35,9 @@ def make(tmp_path: Path, deaths: list[Death]) -> Iterator[Callable[[str], Superv
     def build(behaviour: str) -> Supervisor:
         spec = ChildSpec(f"{behaviour}-0", ("tiny_process", behaviour, str(tmp_path)), "policy", ENVIRONMENT)
         backoff = Backoff(first_seconds=0.01, longest_seconds=0.05)
-        supervisor = Supervisor([spec], tmp_path, deaths.append, backoff=backoff, rng=random.Random(0))
+        supervisor = Supervisor(
+            [spec], tmp_path, deaths.append, backoff=backoff, rng=random.Random(0), log_bytes=LOG_BYTES
+        )
         supervisors.append(supervisor)
         return supervisor
 
@@ -66,6 +69,18 @@ def test_a_child_that_fails_restarts_and_its_last_log_line_is_reported(make, dea
     assert [death.restarts for death in deaths] == [1, 2, 3]
     assert "exit status 3" in deaths[0].description
     assert deaths[0].description.endswith("simulated failure")
+
+
+def test_log_of_a_running_child_stays_small(make, tmp_path):
+    supervisor, log, older = make("log"), tmp_path / "log-0.log", tmp_path / "log-0.log.1"
+    tick_until(supervisor, older.exists)
+    first = older.read_text().splitlines()
+    assert first[:2] == ["line 0", "line 1"]
+    # The same process goes on at the beginning of the emptied file.
+    tick_until(supervisor, lambda: older.read_text().splitlines()[0] != "line 0")
+    assert len(starts(tmp_path)) == 1
+    assert older.stat().st_size > LOG_BYTES
+    assert b"\0" not in older.read_bytes() + log.read_bytes()
 
 
 def test_shutdown_ends_children_that_handle_sigterm(make, tmp_path):

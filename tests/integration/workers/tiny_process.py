@@ -2,8 +2,8 @@
 
 `python -m tiny_process BEHAVIOUR FOLDER --parent PID`. Every start appends a line with the pid to FOLDER/starts.
 
-Behaviours: `sleep` ends at SIGTERM, `ignore-sigterm` does not, `fail` exits with status 3, and `spawn` starts a process
-of its own. All but `fail` sleep for ten minutes.
+Behaviours: `sleep` ends at SIGTERM, `ignore-sigterm` does not, `fail` exits with status 3, `spawn` starts a process of
+its own, and `log` prints numbered lines. All but `fail` run for ten minutes.
 """
 
 import os
@@ -29,6 +29,10 @@ def main() -> None:
     if behaviour == "fail":
         print("simulated failure", file=sys.stderr)
         sys.exit(3)
+    if behaviour == "log":
+        for number in range(600_000):
+            print(f"line {number}", flush=True)
+            time.sleep(0.001)
     time.sleep(600)
 
 

@@ -39,7 +39,14 @@ def create_experiment(body: schemas.NewExperiment, auth: AuthDep) -> schemas.Exp
     config = read_config(body.settings)
     with auth.writing() as caller:
         require(may_run_experiments(caller.role), caller.role, "start experiments")
-        row = experiments.create(caller.session, caller.user.id, body.name, config, body.instructions)
+        row = experiments.create(
+            caller.session,
+            caller.user.id,
+            body.name,
+            config,
+            body.instructions,
+            memory_limit_bytes=auth.app.settings.max_training_bytes,
+        )
         return responses.experiment_response(caller.session, row, caller.role)
 
 

@@ -60,12 +60,13 @@ def _check(auth: Auth, name: str) -> None:
 def _import(auth: Auth, archive: Path, name: str) -> schemas.Experiment:
     """Raises Invalid if the archive is not an export that can be imported."""
     folder = archive.with_suffix("")
-    _extract(archive, folder, auth.app.settings.max_import_bytes)
+    settings = auth.app.settings
+    _extract(archive, folder, settings.max_import_bytes)
     try:
         tables = PreferenceTables.open(folder)
         with importing.storing(auth.app.blobs, tables) as found, auth.writing() as caller:
             require(may_run_experiments(caller.role), caller.role, "import experiments")
-            importing.create(caller.session, caller.user.id, name, found)
+            importing.create(caller.session, caller.user.id, name, found, settings.max_training_bytes)
             row = experiments.get(caller.session, found.experiment_id)
             return responses.experiment_response(caller.session, row, caller.role)
     except PreferenceError as error:
