@@ -46,6 +46,7 @@ def test_an_experiment_finishes_although_each_process_is_killed_once(accord: Acc
     assert_labels_kept(accord, id, acknowledged)
     assert_training_continued(accord, id, steps)
     assert_clips_complete(accord)
+    assert_policy_recorded(accord, id)
 
 
 def assert_restarts_are_reset(accord: Accord) -> None:
@@ -103,6 +104,21 @@ def assert_clips_complete(accord: Accord) -> None:
     for blob_key, frames in ready:
         with av.open(io.BytesIO((accord.home / "blobs" / blob_key).read_bytes())) as container:
             assert sum(1 for _ in container.decode(video=0)) == frames == TINY["segment_steps"]
+
+
+def assert_policy_recorded(accord: Accord, id: str) -> None:
+    """There is one recording of the untrained policy, and one after each reward version that it learned from."""
+    recorded = accord.rows(
+        "SELECT r.policy_steps, coalesce(v.number, 0), r.blob_key FROM recordings r"
+        " LEFT JOIN reward_versions v ON v.id = r.reward_version_id WHERE r.experiment_id = ? ORDER BY r.policy_steps",
+        id,
+    )
+    used = accord.rows(
+        "SELECT DISTINCT value FROM metrics WHERE experiment_id = ? AND name = 'reward_version' ORDER BY value", id
+    )
+    assert [number for _, number, _ in recorded] == [0, *(int(number) for (number,) in used)]
+    assert (recorded[0][0], recorded[-1][0]) == (0, TINY["total_steps"])
+    assert all((accord.home / "blobs" / key).is_file() for _, _, key in recorded)
 
 
 def test_a_worker_that_hangs_is_killed_and_restarted(accord: Accord) -> None:
