@@ -29,6 +29,7 @@ MaptError
 │   ├── InvalidMask
 │   ├── InvalidLabel
 │   ├── InvalidWeight
+│   ├── InvalidAgent
 │   ├── InvalidPair
 │   ├── NotEnoughPairs
 │   ├── NotOneHot
@@ -260,6 +261,15 @@ class InvalidWeight(PreferenceError):
         super().__init__(f"The weight of label {index} is {weight}; it must lie in [0, 1].")
         self.index = index
         self.weight = weight
+
+
+class InvalidAgent(PreferenceError):
+    """The decisive agent of a label does not exist."""
+
+    def __init__(self, index: int, agent: int, n_agents: int) -> None:
+        super().__init__(f"The decisive agent of label {index} is {agent}; it must lie in [0, {n_agents}), or be -1.")
+        self.index = index
+        self.agent = agent
 
 
 class InvalidPair(PreferenceError):

@@ -1,4 +1,4 @@
-"""Answers with more in them: slightly better."""
+"""Answers with more in them: slightly better, and the agent that decided."""
 
 from playwright.sync_api import Page, expect
 
@@ -7,6 +7,9 @@ from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import Labeller
 from browser.service import Service
 from support.waiting import until
+
+#: colour of the back shin of HalfCheetah in the light
+BACK_SHIN = [0, 114, 178]
 
 
 def test_slightly_better_is_one_key_or_one_tap_where_the_experiment_has_five_answers(
@@ -75,3 +78,91 @@ def shown_label(service: Service, query: str) -> float | None:
     until(lambda: bool(service.rows(statement, query)), "the label is stored")
     ((value, left),) = service.rows(statement, query)
     return value if left == 0 else 1 - value
+
+
+def test_the_agent_that_decides_is_one_key_one_tap_or_one_click_on_its_limb(
+    service: Service, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    experiment = new_experiment("Which agent", ask_agent=True)
+    page = sign_in("Lena")
+    labeller = Labeller(page)
+    labeller.open(service.url, experiment)
+    agents = page.locator(".agent-buttons")
+    # The second press takes the mark off, the third puts it on again.
+    for _ in range(3):
+        page.keyboard.press("8")
+    expect(agents.get_by_role("button", name="front shin")).to_have_attribute("aria-pressed", "true")
+    found = violations_of(page, "decisive agent")
+    assert not found, "\n".join(found)
+    with_key = labeller.press("ArrowLeft").query
+    expect(page.get_by_test_id("status")).to_contain_text("Left is better, decided by front shin")
+    expect(agents.locator("[aria-pressed=true]")).to_have_count(0)
+
+    labeller.pair()
+    labeller.wait_until_played()
+    page.keyboard.press(" ")
+    click_on_colour(page, "clip-right", BACK_SHIN)
+    expect(agents.get_by_role("button", name="back shin")).to_have_attribute("aria-pressed", "true")
+    by_click = labeller.press("ArrowRight").query
+    without = labeller.press("ArrowLeft").query
+    labeller.pair()
+    page.keyboard.press("4")
+    equal = labeller.press("ArrowUp").query
+    until(lambda: decisive_agents(service, equal) == [None], "an equal label names no agent")
+    assert [decisive_agents(service, each) for each in (with_key, by_click, without)] == [[4], [1], [None]]
+
+    page.keyboard.press("h")
+    page.locator(".history").get_by_role("button", name="Left is better, decided by front shin").click()
+    expect(agents.get_by_role("button", name="front shin")).to_have_attribute("aria-pressed", "true")
+    agents.get_by_role("button", name="back foot").click()
+    labeller.press("ArrowLeft")
+    until(lambda: decisive_agents(service, with_key) == [4, 2], "the changed agent is stored")
+
+    phone = sign_in("Paul", has_touch=True, is_mobile=True)
+    phone.set_viewport_size({"width": 390, "height": 844})
+    on_phone = Labeller(phone)
+    on_phone.open(service.url, experiment)
+    on_phone.wait_until_played()
+    button = phone.locator(".agent-buttons").get_by_role("button", name="back shin")
+    box = button.bounding_box()
+    assert box is not None
+    assert box["height"] >= 48
+    assert box["y"] + box["height"] <= 844, "the agents are on screen"
+    button.tap()
+    query = on_phone.pair().query
+    phone.get_by_role("button", name="Bottom").tap()
+    expect(phone.get_by_test_id("status")).to_contain_text("Bottom is better, decided by back shin")
+    until(lambda: decisive_agents(service, query) == [1], "the label of the phone is stored")
+
+
+def click_on_colour(page: Page, clip: str, colour: list[int]) -> None:
+    """Click on the first pixel of a clip that has nearly this colour."""
+    canvas = page.get_by_test_id(clip)
+    at = canvas.evaluate(
+        """(canvas, colour) => {
+          const { width, height } = canvas;
+          const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
+          for (let y = 0; y < height; y += 2) for (let x = 0; x < width; x += 2) {
+            const pixel = data.slice(4 * (y * width + x));
+            if (colour.every((value, channel) => Math.abs(value - pixel[channel]) < 12)) {
+              return { x: x / width, y: y / height };
+            }
+          }
+          return null;
+        }""",
+        colour,
+    )
+    box = canvas.bounding_box()
+    assert at is not None, "no pixel has this colour"
+    assert box is not None
+    page.mouse.click(box["x"] + at["x"] * box["width"] + 1, box["y"] + at["y"] * box["height"] + 1)
+
+
+def decisive_agents(service: Service, query: str) -> list[int | None]:
+    """The decisive agent in every revision of the label of a query."""
+    rows = service.rows(
+        "select r.decisive_agent from label_revisions r join labels l on l.id = r.label_id where l.query_id = ? "
+        "order by r.revision",
+        query,
+    )
+    return [agent for (agent,) in rows]

@@ -200,6 +200,7 @@ def label_response(outcome: LabelOutcome) -> schemas.Label:
             "label": row.value,
             "state": row.state,
             "left_segment": row.left_segment,
+            "decisive_agent": row.decisive_agent,
             "revision": row.revision,
             "created": outcome.created,
             "final": row.final,
@@ -217,6 +218,7 @@ def own_labels_response(found: OwnLabels, lease_seconds: float) -> schemas.OwnLa
                     "state": item.state,
                     "revision": item.revision,
                     "response_seconds": item.response_seconds,
+                    "decisive_agent": item.decisive_agent,
                     "updated_at": item.updated_at,
                 }
             )
@@ -280,6 +282,7 @@ def _recorded_label(label: RecordedLabel) -> schemas.RecordedLabel:
                     "left_segment": each.left_segment,
                     "response_seconds": each.response_seconds,
                     "instructions_revision": each.instructions_revision,
+                    "decisive_agent": each.decisive_agent,
                     "created_at": each.created_at,
                 }
             )

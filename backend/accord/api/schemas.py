@@ -580,6 +580,13 @@ class NewLabel(Schema):
         description="Revision of the instructions that a person had read. Ignored if the experiment has none of that "
         "number.",
     )
+    decisive_agent: int | None = Field(
+        default=None,
+        ge=0,
+        le=2**31 - 1,
+        description="The agent that decided the preference, in agent order from 0; null if none is named. For "
+        "experiments with `ask_agent`, and not with a skip or an equal label.",
+    )
     teacher: dict[str, Any] = Field(
         default_factory=dict[str, Any], description="A scripted teacher's name and parameters."
     )
@@ -606,6 +613,7 @@ class Label(Schema):
     revision: int = Field(
         description="Label revision of the experiment: one more with every label written, changed or undone."
     )
+    decisive_agent: int | None = Field(description="The agent that decided the preference; null if none was named.")
     created: bool = Field(description="False if the same label was already stored.")
     final: bool = Field(description="Whether it decides between the labels of others.")
 
@@ -618,6 +626,7 @@ class OwnLabel(Schema):
     state: Literal["label", "skip"] = Field(description="Undone labels are not listed.")
     revision: int = Field(description="Pass it as `replaces` to change or undo the label.")
     response_seconds: float | None = Field(description="Seconds from the start of both clips to the label.")
+    decisive_agent: int | None = Field(description="The agent that decided the preference; null if none was named.")
     updated_at: datetime = Field(description="When it was given or last changed.")
 
 
@@ -641,6 +650,7 @@ class LabelRevision(Schema):
     instructions_revision: int | None = Field(
         description="Of the instructions that the labeller had read; null for programs, and if it is not known."
     )
+    decisive_agent: int | None = Field(description="The agent that decided the preference; null if none was named.")
     created_at: datetime = Field(description="When it was given.")
 
 

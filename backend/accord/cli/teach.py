@@ -19,6 +19,7 @@ from accord.workers.runner import Stop
 from mapt.cli.options import Json, Teacher
 from mapt.cli.output import ProgressBars, print_json, print_line
 from mapt.errors import InvalidTeacher
+from mapt.preferences.dataset import NO_AGENT
 from mapt.preferences.teachers import ScriptedTeacher, TeacherView, make_teacher
 from mapt.settings import NamedSettings
 
@@ -149,6 +150,7 @@ def teach_experiment(
     """
     reader, given, experiment = SegmentReader(api, teacher), 0, api.get(f"/experiments/{experiment_id}")
     horizon_steps = experiment["task"]["horizon_steps"]
+    asks_agent = bool(experiment["config"].get("ask_agent"))
     if teacher.bpref.slight > 0 and experiment["config"].get("answer_scale") != "five":
         raise InvalidTeacher("The teacher gives slight preferences, for which the experiment needs answer_scale five.")
     while given < labels and not stopped():
@@ -158,7 +160,7 @@ def teach_experiment(
         if response["items"]:
             if teacher.uses_episode_return:
                 _update_episode_return(api, experiment_id, teacher, horizon_steps)
-            given += _label(api, experiment_id, teacher, reader, response["items"])
+            given += _label(api, experiment_id, teacher, reader, response["items"], asks_agent)
         on_progress(given)
         if not response["items"]:
             if response["reason"] in _FINAL_REASONS:
@@ -198,14 +200,36 @@ def judge(teacher: ScriptedTeacher, reader: SegmentReader, queries: Sequence[dic
     return [None if math.isnan(label) else label for label in labels]
 
 
-def _label(
-    api: Api, experiment_id: str, teacher: ScriptedTeacher, reader: SegmentReader, queries: Sequence[dict[str, Any]]
+def decisive_agents(
+    teacher: ScriptedTeacher,
+    reader: SegmentReader,
+    queries: Sequence[dict[str, Any]],
+    labels: Sequence[float | None],
+) -> list[int | None]:
+    """The agent that decided each label; None where the teacher's rule does not tell.
+
+    Raises:
+        PreferenceError: if the segments lack what the teacher judges by.
+    """
+    values = np.array([math.nan if label is None else label for label in labels])
+    agents = teacher.decisive_agents(*reader.read(queries), values).tolist()
+    return [None if agent == NO_AGENT else agent for agent in agents]
+
+
+def _label(  # noqa: PLR0917 (private)
+    api: Api,
+    experiment_id: str,
+    teacher: ScriptedTeacher,
+    reader: SegmentReader,
+    queries: Sequence[dict[str, Any]],
+    asks_agent: bool,
 ) -> int:
     """Judge these queries and post the labels. Returns how many the service accepted."""
-    parameters = teacher.parameters()
+    parameters, labels = teacher.parameters(), judge(teacher, reader, queries)
+    agents = decisive_agents(teacher, reader, queries, labels) if asks_agent else [None] * len(labels)
     batch = [
-        {"query_id": query["id"], "label": label, "order": "segments", "teacher": parameters}
-        for query, label in zip(queries, judge(teacher, reader, queries), strict=True)
+        {"query_id": query["id"], "label": label, "order": "segments", "decisive_agent": agent, "teacher": parameters}
+        for query, label, agent in zip(queries, labels, agents, strict=True)
     ]
     outcomes = api.post(f"/experiments/{experiment_id}/labels", {"labels": batch})["items"]
     # A query whose lease expired meanwhile is refused, and is offered again.

@@ -105,6 +105,13 @@ class ExperimentConfig(Settings):
             "slightly better, stored as 0.75 or 0.25, the probability that the reward model then learns."
         ),
     ] = "three"
+    ask_agent: Annotated[
+        bool,
+        setting(
+            "Let labellers name the agent that decided their answer. The reward model learns from it which agents earn "
+            "the reward. Never required."
+        ),
+    ] = False
     lookahead_queries: Annotated[
         int,
         setting(

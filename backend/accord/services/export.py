@@ -126,6 +126,7 @@ def _write(blobs: BlobStore, found: Contents, folder: Path, on_segments: Callabl
                 excluded=label.excluded,
                 final=label.final,
                 instructions_revision=label.instructions_revision,
+                decisive_agent=label.decisive_agent,
             )
             for label in found.labels
         )

@@ -106,6 +106,9 @@ def _checked(tables: PreferenceTables) -> Imported:
                 f"The export is damaged: it holds a label of {label.label}, which the answer scale "
                 f"{config.answer_scale!r} of its experiment does not have."
             )
+    agents = range(tables.layout.n_agents)
+    if any(label.decisive_agent is not None and label.decisive_agent not in agents for label in kept):
+        raise Invalid("The export is damaged: a label names an agent that its task does not have.")
     return Imported(new_id("exp"), config, _instructions(about), {}, queries, kept)
 
 
@@ -171,6 +174,7 @@ def create(session: Session, owner_id: str, name: str, found: Imported, memory_l
             "state": label.state,
             "left_segment": label.left_segment,
             "response_seconds": label.response_seconds,
+            "decisive_agent": label.decisive_agent,
             "instructions_revision": label.instructions_revision if label.instructions_revision in revisions else None,
             "created_at": given_at,
         }

@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 
 from accord.domain.enums import QueryStatus, Role
 from accord.domain.errors import (
+    Invalid,
     InvalidLabel,
     LabelChanged,
     LabelConflict,
@@ -32,6 +33,7 @@ from accord.store import labels, queries
 from accord.store.labels import StoredLabel
 from accord.store.queries import LockedQuery, Response
 from accord.store.tables import utc_now
+from mapt.tasks import task_spec
 
 Order = Literal["segments", "shown"]
 _GIVEN = frozenset({"label", "skip"})
@@ -56,6 +58,7 @@ def put_label(
     response_seconds: float | None = None,
     teacher: dict[str, Any] | None = None,
     instructions_revision: int | None = None,
+    decisive_agent: int | None = None,
     experiment_id: str | None = None,
     replaces: int | None = None,
     final: bool | None = None,
@@ -68,6 +71,7 @@ def put_label(
     Args:
         value: 1, 0 or 0.5, and 0.75 or 0.25 where the experiment's answer scale is `five`; None skips.
         order: `segments`: 1 prefers segment 0. `shown`: 1 prefers the left clip, and is converted to segment order.
+        decisive_agent: the agent that decided a preference, in agent order from 0, where the experiment asks for it.
         experiment_id: when given, the query must be of this experiment.
         instructions_revision: of the instructions that the user had read; ignored if the experiment has none of that
             number, because that must not cost a label.
@@ -77,7 +81,8 @@ def put_label(
     Raises:
         InvalidLabel: for a value that the experiment's answer scale does not have.
         Forbidden: if a labeller or teacher sends a final label.
-        Invalid: if `teacher` is too long or not JSON.
+        Invalid: if `teacher` is too long or not JSON; or if a decisive agent does not exist, is not asked for, or is
+            sent with a skip or an equal label.
         QueryNotFound: if there is no such query (in this experiment).
         ExperimentNotFound: if the experiment is hidden from the user, unless the query was shown to them before.
         ExperimentNotActive: if the experiment is over.
@@ -98,6 +103,8 @@ def put_label(
     scale = found.config.get("answer_scale", "three")
     if value is not None and value not in LABEL_VALUES[scale]:
         raise InvalidLabel(value, scale)
+    if decisive_agent is not None:
+        _check_decisive_agent(found, value, decisive_agent)
     final = found.final if final is None else final
     if order == "shown":
         if found.left_segment is None:
@@ -111,12 +118,14 @@ def put_label(
         response_seconds,
         described,
         instructions_revision if known else None,
+        decisive_agent,
     )
     previous, label_id = found.response, found.label_id
     if (
         previous is not None
         and label_id is not None
-        and (previous.state, previous.value, found.final) == (response.state, response.value, final)
+        and (previous.state, previous.value, previous.decisive_agent, found.final)
+        == (response.state, response.value, response.decisive_agent, final)
     ):
         row = _stored(found, user, label_id, found.label_revision, previous, final=found.final, excluded=found.excluded)
         return LabelOutcome(row, created=False)
@@ -165,7 +174,13 @@ def undo(
         raise LabelNotFound(query_id)
     _require_revision(found, replaces)
     _require_labellable(session, user, found, final=found.final)
-    row = _write(session, user, found, replace(found.response, value=None, state="undone"), final=found.final)
+    row = _write(
+        session,
+        user,
+        found,
+        replace(found.response, value=None, state="undone", decisive_agent=None),
+        final=found.final,
+    )
     status = _status_after(session, found, row)
     if _held_by_another(user, found):
         queries.set_status(session, query_id, status.value)
@@ -180,6 +195,16 @@ def _locked(session: Session, user: Caller, query_id: str, experiment_id: str | 
     if found is None or (experiment_id is not None and found.experiment_id != experiment_id):
         raise QueryNotFound(query_id)
     return found
+
+
+def _check_decisive_agent(found: LockedQuery, value: float | None, agent: int) -> None:
+    if not found.config.get("ask_agent", False):
+        raise Invalid("This experiment does not ask for the decisive agent (ask_agent).", "decisive_agent")
+    if value is None or value == 0.5:
+        raise Invalid("Only a label that prefers a segment has a decisive agent.", "decisive_agent")
+    names = task_spec(str(found.config["task"])).agent_names
+    if not 0 <= agent < len(names):
+        raise Invalid(f"decisive_agent is {agent}; the agents are 0 to {len(names) - 1}.", "decisive_agent")
 
 
 def _require_revision(found: LockedQuery, replaces: int | None) -> None:
@@ -267,6 +292,7 @@ def _stored(
         state=response.state,
         revision=revision,
         left_segment=response.left_segment,
+        decisive_agent=response.decisive_agent,
         final=final,
         excluded=excluded,
     )

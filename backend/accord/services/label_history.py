@@ -39,6 +39,7 @@ COLUMNS = (
     "excluded",
     "final",
     "instructions_revision",
+    "decisive_agent",
     "gold",
     "repeats_id",
     "practice",
@@ -58,6 +59,7 @@ class OwnLabel:
     state: str
     revision: int
     response_seconds: float | None
+    decisive_agent: int | None
     updated_at: datetime
 
 
@@ -101,6 +103,7 @@ def own(  # noqa: PLR0917 (a page of a list, and its filter)
             row.response.state,
             row.revision,
             row.response.response_seconds,
+            row.response.decisive_agent,
             row.updated_at,
         )
         for row in rows
@@ -163,7 +166,7 @@ def _revision_cells(label: RecordedLabel) -> list[list[object]]:
         [
             *(name, label.role, teacher, each.value, each.state, each.left_segment, each.response_seconds),
             *(each.revision, each.created_at.isoformat(), each is label.revisions[-1]),
-            *(label.excluded, label.final, each.instructions_revision),
+            *(label.excluded, label.final, each.instructions_revision, each.decisive_agent),
         ]
         for each in label.revisions
     ]

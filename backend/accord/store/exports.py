@@ -54,6 +54,7 @@ class ExportedLabel:
     excluded: bool
     final: bool
     instructions_revision: int | None
+    decisive_agent: int | None
 
 
 def segments(session: Session, experiment_id: str) -> list[ExportedSegment]:
@@ -109,6 +110,7 @@ def labels(session: Session, experiment_id: str) -> list[ExportedLabel]:
             LabelRow.excluded,
             LabelRow.final,
             LabelRow.instructions_revision,
+            LabelRow.decisive_agent,
         )
         .where(LabelRow.experiment_id == experiment_id, LabelRow.state.in_(("label", "skip")))
         .order_by(LabelRow.created_at, LabelRow.id)

@@ -43,6 +43,8 @@ class Revision:
     response_seconds: float | None
     #: of the instructions that the labeller had read; None for programs, and if it is not known
     instructions_revision: int | None
+    #: the agent that decided a preference; None if none was named
+    decisive_agent: int | None
     created_at: datetime
 
 
@@ -244,6 +246,7 @@ def _labels_of(session: Session, query_ids: Sequence[str]) -> dict[str, list[Rec
             LabelRevisionRow.left_segment,
             LabelRevisionRow.response_seconds,
             LabelRevisionRow.instructions_revision,
+            LabelRevisionRow.decisive_agent,
             LabelRevisionRow.created_at,
         )
         .join(UserRow, UserRow.id == LabelRow.user_id)

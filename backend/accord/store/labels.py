@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import bindparam, exists, func, insert, select, update
+from sqlalchemy import bindparam, case, exists, func, insert, select, update
 from sqlalchemy.orm import Session, aliased
 
 from accord.store.queries import IS_COUNTED, IS_TRAINED_ON, Response
@@ -40,6 +40,7 @@ class StoredLabel:
     state: str
     revision: int
     left_segment: int | None
+    decisive_agent: int | None
     #: a researcher's decision between the labels of others
     final: bool
     #: not trained on
@@ -66,6 +67,8 @@ class LabelledPair:
     decided: bool
     #: the segment that the labeller saw on the left; None for a program that was not shown the pair
     left_segment: int | None
+    #: the agent that decided `value`; None if none was named
+    decisive_agent: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +101,7 @@ def write(session: Session, label: StoredLabel, response: Response, now: datetim
         "left_segment": response.left_segment,
         "response_seconds": response.response_seconds,
         "instructions_revision": response.instructions_revision,
+        "decisive_agent": response.decisive_agent,
         "revision": label.revision,
     }
     newest = content | {"teacher": response.teacher, "final": label.final, "updated_at": now}
@@ -145,6 +149,7 @@ def up_to(session: Session, experiment_id: str, revision: int) -> list[LabelledP
             LabelRow.value,
             decision.value.is_not(None),
             LabelRow.left_segment,
+            case((decision.value.is_not(None), decision.decisive_agent), else_=LabelRow.decisive_agent),
         )
         .select_from(LabelRow)
         .join(QueryRow, QueryRow.id == LabelRow.query_id)

@@ -73,6 +73,8 @@ class Response:
     teacher: dict[str, Any]
     #: of the instructions that the labeller had read; None for programs, and if it is not known
     instructions_revision: int | None = None
+    #: the agent that decided a preference; None if none was named
+    decisive_agent: int | None = None
 
 
 #: the columns of a label that are the fields of its Response, in order
@@ -83,6 +85,7 @@ RESPONSE_COLUMNS: tuple[Any, ...] = (
     LabelRow.response_seconds,
     LabelRow.teacher,
     LabelRow.instructions_revision,
+    LabelRow.decisive_agent,
 )
 
 

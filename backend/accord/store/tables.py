@@ -364,6 +364,8 @@ class LabelRow(Base):
     response_seconds: Mapped[float | None] = mapped_column(default=None)
     #: revision of the instructions that the labeller had read; None for programs, and if it is not known
     instructions_revision: Mapped[int | None] = mapped_column(default=None)
+    #: the agent that decided a preference, in agent order from 0; None if none was named
+    decisive_agent: Mapped[int | None] = mapped_column(default=None)
     #: a scripted teacher's name and parameters
     teacher: Mapped[dict[str, Any]] = mapped_column(default_factory=dict[str, Any])
     #: a researcher excluded it from training
@@ -405,6 +407,8 @@ class LabelRevisionRow(Base):
     response_seconds: Mapped[float | None] = mapped_column(default=None)
     #: revision of the instructions that the labeller had read; None for programs, and if it is not known
     instructions_revision: Mapped[int | None] = mapped_column(default=None)
+    #: as in `LabelRow`
+    decisive_agent: Mapped[int | None] = mapped_column(default=None)
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
 
 

@@ -27,7 +27,7 @@ from accord.workers.query_planner import QueryPlanner, wants_ensemble
 from accord.workers.reward_inspector import RewardInspector
 from accord.workers.runner import BackgroundThread, Context, run_worker
 from mapt.errors import InvalidConfig, ModelMismatch
-from mapt.preferences.dataset import PreferenceDataset
+from mapt.preferences.dataset import NO_AGENT, PreferenceDataset
 from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.ensemble import train_reward_ensemble
 from mapt.rewards.model import RewardModel
@@ -79,7 +79,8 @@ class SegmentCache:
             raise unreadable
         pairs = [(label.segment_0_blob, label.segment_1_blob) for label in readable]
         values, numbers = [label.value for label in readable], [label.query_number for label in readable]
-        return labelled_dataset(pairs, values, self._read, numbers)
+        agents = [NO_AGENT if label.decisive_agent is None else label.decisive_agent for label in readable]
+        return labelled_dataset(pairs, values, self._read, numbers, agents)
 
     def _read(self, key: str) -> _Arrays:
         if key not in self._arrays:

@@ -1,13 +1,22 @@
 """Segments of trajectories, and datasets of labelled pairs of segments."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapt.errors import InvalidLabel, InvalidMask, InvalidPair, InvalidWeight, NotEnoughPairs, NotFinite, ShapeError
+from mapt.errors import (
+    InvalidAgent,
+    InvalidLabel,
+    InvalidMask,
+    InvalidPair,
+    InvalidWeight,
+    NotEnoughPairs,
+    NotFinite,
+    ShapeError,
+)
 
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
@@ -15,6 +24,8 @@ IntArray = NDArray[np.int64]
 
 # Segments of the hold-out may be left out of the training if at least this fraction of its pairs remains.
 MIN_SEPARATE_FRACTION = 0.5
+#: In place of a decisive agent, where none was named.
+NO_AGENT = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,9 +181,9 @@ class PreferenceDataset:
     """Labelled pairs of segments, without skipped pairs.
 
     Raises:
-        ShapeError: if `pairs`, `labels`, `ids` or `weights` has the wrong shape.
-        InvalidPair, InvalidLabel, InvalidWeight: for the first pair that refers to a missing segment, or has an invalid
-            label or weight.
+        ShapeError: if `pairs`, `labels`, `ids`, `weights` or `decisive_agents` has the wrong shape.
+        InvalidPair, InvalidLabel, InvalidWeight, InvalidAgent: for the first pair that refers to a missing segment, or
+            has an invalid label, weight or decisive agent.
     """
 
     #: in memory or on disk; several pairs may share a segment
@@ -185,6 +196,9 @@ class PreferenceDataset:
     ids: IntArray = None  # pyright: ignore[reportAssignmentType]  (set by __post_init__)
     #: float32 (P,) in [0, 1], the weight of each label; see `preference_losses`. By default 1
     weights: FloatArray = None  # pyright: ignore[reportAssignmentType]  (set by __post_init__)
+    #: int (P,), the agent that decided each label, in [0, N), or `NO_AGENT`; see `decisive_agent_losses`. By default
+    #: none was named
+    decisive_agents: IntArray = None  # pyright: ignore[reportAssignmentType]  (set by __post_init__)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pairs", np.asarray(self.pairs, dtype=np.int64))
@@ -201,6 +215,12 @@ class PreferenceDataset:
         if weights.shape != self.labels.shape:
             raise ShapeError("weights", weights.shape, f"{self.labels.shape}")
         object.__setattr__(self, "weights", weights)
+        agents = np.full_like(ids, NO_AGENT)
+        if self.decisive_agents is not None:
+            agents = np.asarray(self.decisive_agents, dtype=np.int64)
+        if agents.shape != self.labels.shape:
+            raise ShapeError("decisive_agents", agents.shape, f"{self.labels.shape}")
+        object.__setattr__(self, "decisive_agents", agents)
         n_segments = len(self.segments)
         invalid = ((self.pairs < 0) | (self.pairs >= n_segments)).any(axis=1)
         invalid |= self.pairs[:, 0] == self.pairs[:, 1]
@@ -214,6 +234,9 @@ class PreferenceDataset:
         invalid = ~((self.weights >= 0) & (self.weights <= 1))
         if invalid.any():
             raise InvalidWeight(int(invalid.argmax()), float(self.weights[invalid.argmax()]))
+        invalid = (agents < NO_AGENT) | (agents >= self.segments.n_agents)
+        if invalid.any():
+            raise InvalidAgent(int(invalid.argmax()), int(agents[invalid.argmax()]), self.segments.n_agents)
 
     def __len__(self) -> int:
         return len(self.pairs)
@@ -222,12 +245,17 @@ class PreferenceDataset:
         """The pairs at `indices`; the segments are shared, not copied."""
         index = np.asarray(indices)
         return PreferenceDataset(
-            self.segments, self.pairs[index], self.labels[index], self.ids[index], self.weights[index]
+            self.segments,
+            self.pairs[index],
+            self.labels[index],
+            self.ids[index],
+            self.weights[index],
+            self.decisive_agents[index],
         )
 
     def weighted(self, weights: ArrayLike) -> "PreferenceDataset":
         """The same pairs with other weights, (P,)."""
-        return PreferenceDataset(self.segments, self.pairs, self.labels, self.ids, np.asarray(weights, np.float32))
+        return replace(self, weights=np.asarray(weights, np.float32))
 
     def joined(self, other: "PreferenceDataset") -> "PreferenceDataset":
         """These pairs followed by those of `other`, which has the same segments."""
@@ -237,6 +265,7 @@ class PreferenceDataset:
             np.concatenate((self.labels, other.labels)),
             np.concatenate((self.ids, other.ids)),
             np.concatenate((self.weights, other.weights)),
+            np.concatenate((self.decisive_agents, other.decisive_agents)),
         )
 
     def held_out(self, fraction: float, seed: int) -> BoolArray:

@@ -53,6 +53,28 @@ def preference_losses(logits: Tensor, label: Tensor, label_noise: float = 0.0, w
     return -(label * _log_likelihood(logits, noise) + (1 - label) * _log_likelihood(-logits, noise))
 
 
+def decisive_agent_losses(shares: Tensor, label: Tensor, agent: Tensor) -> Tensor:
+    """Cross-entropy of the agent that decided each preference, in nats, (B,).
+
+    A labeller who prefers a segment names the agent that decided it. The logit of the preference, score_0 - score_1, is
+    a sum over agents; agent n has the share x_n. The probability that agent n is named is the softmax over agents of
+    s x_n, where s is 1 if segment 0 is preferred and -1 if segment 1 is: Luce's choice rule, as the Bradley-Terry
+    model is for two segments, with the same unit, so that nothing has to be scaled. Preferences alone determine the sum
+    of the shares only. Basu et al. (2018, arXiv 1802.01604) ask for the decisive feature of a comparison likewise.
+
+    Args:
+        shares: of each agent in score_0 - score_1, float32 (B, N).
+        label: P(segment 0 preferred), (B,).
+        agent: the decisive agent, int64 (B,), or -1.
+
+    Returns:
+        The losses; 0 where no agent was named or neither segment is preferred.
+    """
+    side = (label - 0.5).sign()
+    named = F.log_softmax(side[:, None] * shares, dim=1).gather(1, agent.clamp(min=0)[:, None])[:, 0]
+    return torch.where((agent >= 0) & (side != 0), -named, torch.zeros_like(named))
+
+
 def smoothness_penalty(rewards: Tensor, mask: Tensor) -> Tensor:
     """Mean squared change of reward from a step to the next, (); 0 if no segment has two steps.
 

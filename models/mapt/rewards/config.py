@@ -229,6 +229,14 @@ class TrainConfig(Settings):
             ge=0,
         ),
     ] = 0.003
+    decisive_weight: Annotated[
+        float,
+        setting(
+            "Weight in the loss of the agents that decided the preferences, where labels name them "
+            "(`decisive_agent_losses`).",
+            ge=0,
+        ),
+    ] = 0.3
     subtract_mean: Annotated[
         bool,
         setting(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mapt.errors import ModelMismatch
-from mapt.preferences.dataset import PreferenceDataset, SegmentArrays, SegmentSource
+from mapt.preferences.dataset import NO_AGENT, PreferenceDataset, SegmentArrays, SegmentSource
 from mapt.preferences.loss import smoothness_penalty
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.layers import autocast
@@ -145,35 +145,54 @@ def evenly_spaced_sample(segments: SegmentReader) -> Tensor:
 
 #: Scores (B,) of the segments at some indices (B,), by a model.
 Scorer = Callable[[RewardModel, Tensor], Tensor]
-#: The same scores, and the `smoothness_penalty` of the segments' rewards, ().
-ScorerWithPenalty = Callable[[RewardModel, Tensor], tuple[Tensor, Tensor]]
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingScores:
+    """What the loss of a gradient step is computed from, for B segments."""
+
+    #: (B,)
+    score: Tensor
+    #: of each agent in the score, (B, N), or the score up to a constant of the segment; see `RewardModel.agent_shares`.
+    #: None if they are not known
+    shares: Tensor | None
+    #: `smoothness_penalty` of the rewards, ()
+    penalty: Tensor
+
+
+#: `TrainingScores` of the segments at some indices (B,), by a model.
+TrainingScorer = Callable[[RewardModel, Tensor], TrainingScores]
 
 
 @dataclass(frozen=True, slots=True)
 class PairTensors:
-    """Pairs (P, 2) of segment indices, their labels (P,), and the weights of these (P,), None if all are 1."""
+    """Pairs (P, 2) of segment indices and their labels (P,)."""
 
     pairs: Tensor
     labels: Tensor
+    #: of the labels, (P,); None if all are 1
     weights: Tensor | None = None
+    #: decisive agents, int64 (P,); None if no label names one
+    agents: Tensor | None = None
 
     @classmethod
     def of(cls, dataset: PreferenceDataset, device: torch.device) -> "PairTensors":
         pairs, labels = (torch.as_tensor(array, device=device) for array in (dataset.pairs, dataset.labels))
-        weighted = bool((dataset.weights != 1).any())
-        return cls(pairs, labels, torch.as_tensor(dataset.weights, device=device) if weighted else None)
+        weights = torch.as_tensor(dataset.weights, device=device) if (dataset.weights != 1).any() else None
+        named = (dataset.decisive_agents != NO_AGENT).any()
+        return cls(pairs, labels, weights, torch.as_tensor(dataset.decisive_agents, device=device) if named else None)
 
     def __len__(self) -> int:
         return len(self.labels)
 
     def first(self, n_pairs: int) -> "PairTensors":
         """The first `n_pairs` pairs, or all if there are fewer."""
-        first = slice(n_pairs)
-        return PairTensors(self.pairs[first], self.labels[first], None if self.weights is None else self.weights[first])
+        return self.take(slice(n_pairs))
 
-    def training_labels(self, index: Tensor) -> tuple[Tensor, Tensor | None]:
-        """Labels and weights of the pairs at `index`, (B,)."""
-        return self.labels[index], None if self.weights is None else self.weights[index]
+    def take(self, index: Tensor | slice) -> "PairTensors":
+        """The pairs at `index`, (B,)."""
+        optional = (None if each is None else each[index] for each in (self.weights, self.agents))
+        return PairTensors(self.pairs[index], self.labels[index], *optional)
 
     @property
     def irreducible_loss(self) -> float:
@@ -182,9 +201,10 @@ class PairTensors:
         right = (1 + weights * (2 * self.labels - 1).abs()) / 2
         return -(torch.xlogy(right, right) + torch.xlogy(1 - right, 1 - right)).mean().item()
 
-    def segments(self, index: Tensor) -> Tensor:
-        """Segments 0, followed by segments 1, of the pairs at `index` (B,): (2B,), for one forward pass."""
-        return self.pairs[index].T.reshape(-1)
+    @property
+    def segments(self) -> Tensor:
+        """Segments 0, followed by segments 1: (2P,), for one forward pass."""
+        return self.pairs.T.reshape(-1)
 
     @torch.no_grad()
     def logits(self, model: RewardModel, scorer: Scorer) -> Tensor:
@@ -203,6 +223,20 @@ def network_scorer(segments: SegmentReader, dtype: torch.dtype = torch.float32) 
         inputs = segments.take(index).inputs
         with autocast(dtype, inputs[0].device):
             return model(*inputs).score.float()
+
+    return score
+
+
+def network_training_scorer(segments: SegmentReader, dtype: torch.dtype) -> TrainingScorer:
+    """As `network_scorer`, for gradient steps; without a penalty."""
+
+    def score(model: RewardModel, index: Tensor) -> TrainingScores:
+        part = segments.take(index)
+        with autocast(dtype, part.mask.device):
+            output = model(*part.inputs)
+        found = output.score.float()
+        shares = model.agent_shares(output.agent_rewards.float(), output.weights.float(), part.mask)
+        return TrainingScores(found, shares, found.new_zeros(()))
 
     return score
 
@@ -229,18 +263,27 @@ class MarkovScorer:
             self._offset[batch] = output.score - self(model, used[batch])
 
     def __call__(self, model: RewardModel, index: Tensor) -> Tensor:
-        return self._score(model, index)[0]
+        at, rewards, mask = self._rewards(model, index)
+        return self._offset[at] + model.score(rewards.mean(dim=2), self._weights[at], mask)
 
-    def with_penalty(self, model: RewardModel, index: Tensor) -> tuple[Tensor, Tensor]:
-        """A `ScorerWithPenalty`; the penalty is that of the Markov path's rewards."""
-        score, rewards, mask = self._score(model, index)
-        return score, smoothness_penalty(rewards, mask)
+    def training_scores(self, model: RewardModel, index: Tensor) -> TrainingScores:
+        """A `TrainingScorer`; shares and penalty are those of the Markov path's rewards.
 
-    def _score(self, model: RewardModel, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Scores (B,), the Markov path's part of the team's rewards (B, T), and their mask."""
-        at, part = torch.searchsorted(self._used, index), self._segments.take(index)
-        rewards = model.markov_rewards(part.observations, part.actions).mean(dim=2)
-        return self._offset[at] + model.score(rewards, self._weights[at], part.mask), rewards, part.mask
+        The stage of the Markov path is trained only where the attention path contributes nothing to the shares.
+        """
+        at, rewards, mask = self._rewards(model, index)
+        team, weights = rewards.mean(dim=2), self._weights[at]
+        return TrainingScores(
+            self._offset[at] + model.score(team, weights, mask),
+            model.agent_shares(rewards, weights, mask),
+            smoothness_penalty(team, mask),
+        )
+
+    def _rewards(self, model: RewardModel, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Positions of the segments (B,), the Markov path's part of their rewards (B, T, N), and their mask."""
+        part = self._segments.take(index)
+        rewards = model.markov_rewards(part.observations, part.actions)
+        return torch.searchsorted(self._used, index), rewards, part.mask
 
 
 @torch.no_grad()

@@ -118,6 +118,11 @@ class RewardModel(nn.Module, ABC):
         mean = (weights * rewards).sum(dim=1)
         return mean * (mask.sum(dim=1) / self.config.segment_steps) if self.config.segment_steps else mean
 
+    def agent_shares(self, agent_rewards: Tensor, weights: Tensor, mask: Tensor) -> Tensor:
+        """The share of each agent in the `score`, (S, N), from individual rewards (S, T, N); the shares sum to it."""
+        shares = (weights[..., None] * agent_rewards).sum(dim=1) / agent_rewards.shape[2]
+        return shares * (mask.sum(dim=1) / self.config.segment_steps)[:, None] if self.config.segment_steps else shares
+
     def agent_rewards(self, observations: Tensor, actions: Tensor, local: LocalAttention | None = None) -> Tensor:
         """r-hat of every step from its past, or from the part of it that `local` allows: (S, T, N) without the context.
 

@@ -41,6 +41,8 @@ class StageSettings:
     label_noise: float
     #: weight of the `smoothness_penalty` in the loss
     smoothness: float = 0.0
+    #: weight of the `decisive_agent_losses` in the loss
+    decisive: float = 0.0
     #: patience until accuracy is above chance; `patience` if that is more
     patience_at_chance: int = 0
     #: fraction of the trained weights to start with; see `RewardModel.shrink_and_perturb`
@@ -63,6 +65,7 @@ def network_stage(config: TrainConfig, network: RewardConfig, n_pairs: int, *, w
         patience=config.patience,
         patience_at_chance=PATIENCE_AT_CHANCE,
         label_noise=config.label_noise,
+        decisive=config.decisive_weight,
         restart=network.markov_path and not warm,
     )
 
@@ -80,6 +83,7 @@ def markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSetti
         patience=config.markov_patience,
         label_noise=config.label_noise,
         smoothness=config.markov_smoothness,
+        decisive=config.decisive_weight,
         kept_fraction=config.warm_share if warm else 1.0,
     )
 

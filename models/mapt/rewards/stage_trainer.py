@@ -15,8 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
-from mapt.preferences.loss import preference_loss
-from mapt.rewards.data import PairTensors, Scorer, ScorerWithPenalty
+from mapt.preferences.loss import decisive_agent_losses, preference_loss
+from mapt.rewards.data import PairTensors, Scorer, TrainingScorer, TrainingScores
 from mapt.rewards.metrics import calibrated_losses, evaluate_logits
 from mapt.rewards.model import RewardModel
 from mapt.rewards.schedule import StageSettings, is_above_chance, is_out_of_patience, is_reliable
@@ -85,19 +85,18 @@ class Stage:
     settings: StageSettings
     parameters: Sequence[nn.Parameter]
     scorer: Scorer
-    #: a scorer for gradient steps, whose penalty is added to the loss with the weight `settings.smoothness`; None for
-    #: `scorer` without a penalty
-    with_penalty: ScorerWithPenalty | None = None
+    #: the same scores for gradient steps, with what else the loss uses; None for a loss of the scores alone
+    training_scorer: TrainingScorer | None = None
     #: weights to start with, instead of the model's own
     start: dict[str, Tensor] | None = None
     #: most pairs in a forward and backward pass; None for the whole batch
     pairs_per_pass: int | None = None
 
-    def training_scores(self, model: RewardModel, index: Tensor) -> tuple[Tensor, Tensor]:
-        """Scores of the segments at `index`, (B,), and their penalty, ()."""
-        if self.with_penalty is None:
-            return (score := self.scorer(model, index)), score.new_zeros(())
-        return self.with_penalty(model, index)
+    def training_scores(self, model: RewardModel, index: Tensor) -> TrainingScores:
+        """The scores of the segments at `index` (B,) in a gradient step."""
+        if self.training_scorer is None:
+            return TrainingScores((score := self.scorer(model, index)), None, score.new_zeros(()))
+        return self.training_scorer(model, index)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,12 +138,18 @@ class RewardTrainer:
         optimiser.zero_grad()
         loss = torch.zeros((), device=self._train.labels.device)
         for part in batch.tensor_split(math.ceil(len(batch) / (stage.pairs_per_pass or len(batch)))):
-            score, penalty = stage.training_scores(self._model, self._train.segments(part))
-            score_0, score_1 = score.chunk(2)
-            labels, weights = self._train.training_labels(part)
-            part_loss = preference_loss(score_0, score_1, labels, stage.settings.label_noise, weights)
+            pairs = self._train.take(part)
+            scores = stage.training_scores(self._model, pairs.segments)
+            score_0, score_1 = scores.score.chunk(2)
+            part_loss = preference_loss(score_0, score_1, pairs.labels, stage.settings.label_noise, pairs.weights)
+            total = part_loss + stage.settings.smoothness * scores.penalty
+            if pairs.agents is not None and scores.shares is not None:
+                share_0, share_1 = scores.shares.chunk(2)
+                decisive = decisive_agent_losses(share_0 - share_1, pairs.labels, pairs.agents)
+                weighted = decisive if pairs.weights is None else pairs.weights * decisive
+                total = total + stage.settings.decisive * weighted.mean()
             share = len(part) / len(batch)
-            (share * (part_loss + stage.settings.smoothness * penalty)).backward()
+            (share * total).backward()
             loss += share * part_loss.detach()
         nn.utils.clip_grad_norm_(stage.parameters, GRADIENT_NORM_LIMIT)
         optimiser.step()

@@ -25,6 +25,7 @@ from mapt.rewards.data import (
     check_fit,
     evenly_spaced_sample,
     network_scorer,
+    network_training_scorer,
     segment_reader,
     step_rewards,
 )
@@ -243,7 +244,7 @@ class VersionTrainer:
             stage,
             list(model.markov.parameters()),
             scorer,
-            with_penalty=scorer.with_penalty if stage.smoothness else None,
+            scorer.training_scores,
             start=start_weights(stage, model),
         )
         losses = self._trainer(model, fold).run(run)
@@ -265,6 +266,7 @@ class VersionTrainer:
             settings,
             list(model.parameters()),
             network_scorer(self._segments, self._dtype),
+            network_training_scorer(self._segments, self._dtype),
             start=start_weights(settings, model),
             pairs_per_pass=pairs_per_pass(self._config, self._segments),
         )

@@ -372,6 +372,7 @@ def labelled_dataset(
     labels: Sequence[float],
     read: Callable[[SegmentKey], tuple[FloatArray, FloatArray]],
     numbers: Sequence[int],
+    decisive_agents: Sequence[int] | None = None,
 ) -> PreferenceDataset:
     """Make a dataset of labelled pairs. It holds each segment once, in the order of first use.
 
@@ -380,13 +381,15 @@ def labelled_dataset(
         labels: P(segment 0 preferred).
         read: observations (T, N, C) and actions (T, N, A) of a segment.
         numbers: of each label's query, which decide the hold-out.
+        decisive_agents: see `PreferenceDataset`.
     """
     keys = [key for pair in pairs for key in pair]
     index_of = {key: index for index, key in enumerate(dict.fromkeys(keys))}
     arrays = [read(key) for key in index_of]
     segments = SegmentArrays.stack([each[0] for each in arrays], [each[1] for each in arrays])
     indices = np.array([index_of[key] for key in keys]).reshape(-1, 2)
-    return PreferenceDataset(segments, indices, np.array(labels, dtype=np.float32), np.array(numbers))
+    dataset = PreferenceDataset(segments, indices, np.array(labels, dtype=np.float32), np.array(numbers))
+    return dataset if decisive_agents is None else replace(dataset, decisive_agents=np.array(decisive_agents))
 
 
 def _teacher_view(segment: Segment) -> dict[str, FloatArray]:

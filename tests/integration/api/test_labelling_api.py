@@ -1,5 +1,7 @@
 """Labelling over HTTP: leases, labels, undo, batches and concurrency."""
 
+import csv
+import io
 import threading
 
 import httpx
@@ -35,6 +37,7 @@ def test_labeller_labels_undoes_and_labels_again(api_per_database: ApiServer) ->
         "label": 1.0 if query["left"]["index"] == 0 else 0.0,
         "state": "label",
         "left_segment": query["left"]["index"],
+        "decisive_agent": None,
         "revision": 1,
         "created": True,
         "final": False,
@@ -78,6 +81,47 @@ def test_slight_answers_are_refused_where_the_scale_has_three(api_per_database: 
     }
     outcomes = api_per_database.teacher.post(f"/api/v1/experiments/{sample.experiment.id}/labels", json=batch).json()
     assert [(each["ok"], each["code"]) for each in outcomes["items"]] == [(False, "invalid_label"), (True, None)]
+
+
+def test_decisive_agent_is_part_of_the_label_and_its_history(api_per_database: ApiServer) -> None:
+    sample, client = create(api_per_database, ask_agent=True), api_per_database.labeller
+    (query,) = next_queries(client, sample)["items"]
+    path = f"/api/v1/queries/{query['id']}/label"
+    first = client.put(path, json={"label": 1, "decisive_agent": 4})
+    assert (first.status_code, first.json()["decisive_agent"]) == (201, 4)
+    assert client.put(path, json={"label": 1, "decisive_agent": 4}).status_code == 200
+    changed = client.put(path, json={"label": 1, "decisive_agent": 0, "replaces": 1})
+    assert (changed.status_code, changed.json()["revision"]) == (201, 2)
+    (mine,) = client.get(f"/api/v1/experiments/{sample.experiment.id}/labels/mine").json()["items"]
+    assert (mine["label"], mine["decisive_agent"]) == (1.0, 0)
+    assert client.delete(path).status_code == 200
+    assert client.put(path, json={"label": 0}).json()["decisive_agent"] is None
+    listed = f"/api/v1/experiments/{sample.experiment.id}/queries"
+    (label,) = api_per_database.researcher.get(listed, params={"label": "0"}).json()["items"][0]["labels"]
+    assert [(each["state"], each["decisive_agent"]) for each in label["revisions"]] == [
+        *(("label", 4), ("label", 0), ("undone", None), ("label", None)),
+    ]
+    rows = list(csv.DictReader(io.StringIO(api_per_database.researcher.get(f"{listed}.csv").text)))
+    assert [row["decisive_agent"] for row in rows if row["query_id"] == query["id"]] == ["4", "0", "", ""]
+    assert api_per_database.labeller.get(listed).status_code == 403
+
+
+def test_decisive_agent_is_refused_where_it_means_nothing(api_per_database: ApiServer) -> None:
+    asked, other = create(api_per_database, ask_agent=True), create(api_per_database)
+    labels = [(1, 6), (0.5, 0), (None, 0), (1, -1), (1, "back thigh")]
+    for label, agent in labels:
+        refused = api_per_database.teacher.put(
+            f"/api/v1/queries/{asked.query_ids[0]}/label", json={"label": label, "decisive_agent": agent}
+        )
+        assert refused.status_code == 422, (label, agent)
+    batch = {
+        "labels": [
+            {"query_id": other.query_ids[0], "label": 1, "decisive_agent": 0},
+            {"query_id": other.query_ids[1], "label": 1, "decisive_agent": None},
+        ]
+    }
+    outcomes = api_per_database.teacher.post(f"/api/v1/experiments/{other.experiment.id}/labels", json=batch).json()
+    assert [(each["ok"], each["code"]) for each in outcomes["items"]] == [(False, "invalid"), (True, None)]
 
 
 def test_lease_is_renewed_and_released(api_per_database: ApiServer) -> None:

@@ -13,7 +13,7 @@ from accord.domain.enums import Role
 from accord.services import collect, metrics, select
 from accord.services.collect import NewSegment, load_arrays
 from accord.store.tables import LabelRow, QueryRow, SegmentRow
-from mapt.errors import MissingArray
+from mapt.errors import InvalidTeacher, MissingArray
 from mapt.preferences.teachers import RULES, TeacherView, make_teacher, teacher_names
 from support.api_in_thread import ApiServer
 from support.sample_experiments import AGENTS, NQ, NV, OBSERVATION, STEPS, SampleExperiment, create_sample
@@ -43,10 +43,17 @@ def moving_segment(rng: np.random.Generator) -> NewSegment:
 
 @pytest.fixture
 def sample(api: ApiServer) -> SampleExperiment:
-    """An experiment with more queries than its label budget, whose segments all differ."""
+    """An experiment with more queries than its label budget, whose segments all differ. Asks for every answer."""
     stores, rng = api.stores, np.random.default_rng(0)
     found = create_sample(
-        stores.database, stores.blobs, segments=0, queries=0, label_budget=N_LABELS, render_clips=False
+        stores.database,
+        stores.blobs,
+        segments=0,
+        queries=0,
+        label_budget=N_LABELS,
+        render_clips=False,
+        answer_scale="five",
+        ask_agent=True,
     )
     stored = [collect.store_arrays(stores.blobs, found.experiment.id, moving_segment(rng)) for _ in range(8)]
     with stores.database.transaction() as session:
@@ -128,6 +135,30 @@ def test_thresholds_follow_the_recorded_true_return(api: ApiServer, teacher_api:
         metrics.record(session, sample.experiment.id, 1, {"true_return": 1e6})
     teach(teacher_api, sample, "equal")
     assert {row.value for row, _, _ in labelled(api)} == {0.5}
+
+
+def test_a_rule_that_sums_over_agents_names_the_one_that_decided(
+    api: ApiServer, teacher_api: Api, sample: SampleExperiment
+) -> None:
+    assert teach(teacher_api, sample, "low-effort") == N_LABELS
+    rows, teacher = labelled(api), make_teacher("low-effort")
+    expected = [teacher.decisive_agents(first, second, np.array([row.value]))[0] for row, first, second in rows]
+    assert [row.decisive_agent for row, _, _ in rows] == expected
+    assert len(set(expected)) > 1
+
+
+def test_other_rules_name_no_agent(api: ApiServer, teacher_api: Api, sample: SampleExperiment) -> None:
+    teach(teacher_api, sample, "oracle")
+    assert {row.decisive_agent for row, _, _ in labelled(api)} == {None}
+
+
+def test_a_teacher_with_slight_preferences_needs_the_scale_for_them(api: ApiServer, teacher_api: Api) -> None:
+    three = create_sample(api.stores.database, api.stores.blobs)
+    with pytest.raises(InvalidTeacher):
+        teach(teacher_api, three, "slight")
+    assert labelled(api) == []
+    assert teach(teacher_api, three, "low-effort", labels=1) == 1
+    assert [row.decisive_agent for row, _, _ in labelled(api)] == [None]
 
 
 def test_labeller_may_not_run_a_scripted_teacher(api: ApiServer, sample: SampleExperiment) -> None:

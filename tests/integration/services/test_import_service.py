@@ -232,3 +232,24 @@ def test_slight_labels_survive_an_export_and_an_import(stores: Stores, tmp_path:
     about = {**tables.about, "config": {**tables.about["config"], "answer_scale": "three"}}
     with pytest.raises(Invalid), importing.storing(stores.blobs, replace(tables, about=about)):
         pass
+
+
+def test_decisive_agents_survive_an_export_and_an_import_and_are_trained_on(stores: Stores, tmp_path: Path) -> None:
+    sample = create_sample(stores.database, stores.blobs, ask_agent=True)
+    with stores.database.transaction() as session:
+        person, _ = user(session, "Ada")
+        researcher, _ = user(session, "Rosa", Role.RESEARCHER)
+        lease.next_queries(session, person, sample.experiment.id, 3, 60.0)
+        label.put_label(session, person, sample.query_ids[0], 1.0, decisive_agent=5)
+        label.put_label(session, person, sample.query_ids[1], 0.0)
+        label.put_label(session, person, sample.query_ids[2], 1.0, decisive_agent=2)
+        label.put_label(session, researcher, sample.query_ids[2], 0.0, decisive_agent=3, final=True)
+    tables = exported(stores, sample.experiment.id, tmp_path / "first")
+    id = imported(stores, tables)
+    again = exported(stores, id, tmp_path / "again")
+    assert [each.decisive_agent for each in again.labels()] == [5, None, 2, 3]
+    assert again.load(tmp_path / "segments").decisive_agents.tolist() == [5, -1, 3]
+    with stores.database.reading() as session:
+        for each in (sample.experiment.id, id):
+            items = publish.training_labels(session, each).items
+            assert [(item.value, item.decisive_agent) for item in items] == [(1.0, 5), (0.0, None), (0.0, 3)]

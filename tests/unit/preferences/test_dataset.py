@@ -3,7 +3,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapt.errors import InvalidLabel, InvalidMask, InvalidPair, InvalidWeight, NotEnoughPairs, NotFinite, ShapeError
+from mapt.errors import (
+    InvalidAgent,
+    InvalidLabel,
+    InvalidMask,
+    InvalidPair,
+    InvalidWeight,
+    NotEnoughPairs,
+    NotFinite,
+    ShapeError,
+)
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 
 
@@ -193,3 +202,20 @@ def test_every_label_needs_a_weight():
     with pytest.raises(ShapeError) as refused:
         dataset(3).weighted([1, 1])
     assert refused.value.name == "weights"
+
+
+def test_decisive_agents_follow_their_pairs():
+    arrays = segments()
+    pairs, agents = np.array([[0, 1], [1, 2], [2, 3]]), np.array([1, -1, 0])
+    dataset = PreferenceDataset(arrays, pairs, np.array([1.0, 0.5, 0.0]), decisive_agents=agents)
+    assert dataset.take([2, 0]).decisive_agents.tolist() == [0, 1]
+    assert dataset.weighted([0.5, 1, 1]).decisive_agents.tolist() == [1, -1, 0]
+    without = PreferenceDataset(arrays, pairs, np.array([1.0, 0.5, 0.0]))
+    assert without.joined(dataset).decisive_agents.tolist() == [-1, -1, -1, 1, -1, 0]
+
+
+@pytest.mark.parametrize("agent", [-2, 99])
+def test_decisive_agent_must_exist(agent):
+    with pytest.raises(InvalidAgent) as refused:
+        PreferenceDataset(segments(), np.array([[0, 1], [1, 2]]), np.ones(2), decisive_agents=np.array([-1, agent]))
+    assert (refused.value.index, refused.value.agent) == (1, agent)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapt.errors import ShapeError
-from mapt.preferences.loss import preference_loss, preference_losses, smoothness_penalty
+from mapt.preferences.loss import decisive_agent_losses, preference_loss, preference_losses, smoothness_penalty
 
 pytestmark = pytest.mark.numerics
 
@@ -125,3 +125,28 @@ def test_gradients_of_all_weights_are_finite():
     for label in (0.0, 0.5, 1.0):
         preference_losses(logits, torch.full((15,), label), weight=weights).sum().backward()
     assert torch.isfinite(logits.grad).all()
+
+
+def test_decisive_agent_loss_is_the_cross_entropy_of_the_shares_in_the_direction_of_the_label():
+    shares = torch.tensor([[1.0, -2.0, 0.5], [1.0, -2.0, 0.5], [1.0, -2.0, 0.5]])
+    label, agent = torch.tensor([1.0, 0.0, 0.25]), torch.tensor([0, 1, 0])
+    expected = [
+        -(1 - math.log(sum(math.exp(x) for x in (1, -2, 0.5)))),
+        -(2 - math.log(sum(math.exp(x) for x in (-1, 2, -0.5)))),
+        -(-1 - math.log(sum(math.exp(x) for x in (-1, 2, -0.5)))),
+    ]
+    torch.testing.assert_close(decisive_agent_losses(shares, label, agent), torch.tensor(expected))
+
+
+def test_decisive_agent_loss_is_0_without_an_agent_or_a_preference():
+    shares = torch.randn(3, 4, requires_grad=True)
+    losses = decisive_agent_losses(shares, torch.tensor([1.0, 0.5, 0.0]), torch.tensor([-1, 2, -1]))
+    assert losses.tolist() == [0, 0, 0]
+    losses.sum().backward()
+    assert not shares.grad.any()
+
+
+def test_decisive_agent_loss_does_not_depend_on_the_order_of_the_segments():
+    shares, label, agent = torch.randn(5, 3), torch.tensor([1.0, 0.0, 0.75, 0.25, 1.0]), torch.tensor([0, 1, 2, 0, 1])
+    swapped = decisive_agent_losses(-shares, 1 - label, agent)
+    torch.testing.assert_close(decisive_agent_losses(shares, label, agent), swapped)

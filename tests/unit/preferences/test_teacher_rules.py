@@ -13,6 +13,7 @@ from mapt.preferences.teachers import (
     BestWindow,
     EffortBalance,
     FinalWindow,
+    LowEffort,
     MinimumEffort,
     NeverExceeds,
     Phase,
@@ -119,6 +120,10 @@ def slow_effort_balance(rule, _rewards, observations, actions):
     return -np.std(totals) / np.mean(totals)
 
 
+def slow_low_effort(rule, _rewards, observations, actions):
+    return -sum(np.mean(slow_efforts(rule, observations, actions), axis=0))
+
+
 def slow_minimum_effort(rule, _rewards, observations, actions):
     return min(min(each) / np.mean(each) for each in windows(slow_efforts(rule, observations, actions), 3))
 
@@ -131,6 +136,7 @@ CASES = [
     (WorstWindow(window_steps=1, above_mean=0.5), slow_worst_window),
     (FinalWindow(window_steps=4), slow_final_window),
     (FinalWindow(window_steps=4, above_mean=0.0), slow_final_window),
+    *((LowEffort(effort), slow_low_effort) for effort in ("power", "action", "speed")),
     (Smoothness(), slow_smoothness),
     (Smoothness(columns=(1, 4)), slow_smoothness),
     (NeverExceeds(column=4, limit=0.5, side="above"), slow_never_exceeds),
@@ -250,3 +256,31 @@ def test_limit_violations_rank_by_time_then_count_then_excess():
 def test_windows_without_steps_are_refused(rule):
     with pytest.raises(InvalidTeacher):
         rule(window_steps=0)
+
+
+@pytest.mark.parametrize("effort", ["power", "action", "speed"])
+def test_parts_of_agents_sum_to_the_score(effort):
+    view = TeacherView.stack(segments(20))
+    rule = LowEffort(effort)
+    np.testing.assert_allclose(rule.agent_scores(view).sum(axis=1), rule.scores(view), rtol=1e-9)
+    assert Return().agent_scores(view) is None
+
+
+def test_decisive_agent_has_the_largest_part_in_the_direction_of_the_label():
+    first, second = TeacherView.stack(segments(30)), TeacherView.stack(segments(30, seed=1))
+    teacher = make_teacher("low-effort")
+    labels = teacher.judge(first, second)
+    difference = LowEffort().agent_scores(first) - LowEffort().agent_scores(second)
+    right = teacher.decisive_agents(first, second, labels)
+    assert right.tolist() == [
+        (each if label else -each).argmax() for each, label in zip(difference, labels, strict=True)
+    ]
+    wrong = teacher.decisive_agents(first, second, 1 - labels)
+    assert wrong.tolist() == [
+        (-each if label else each).argmax() for each, label in zip(difference, labels, strict=True)
+    ]
+    slight = teacher.decisive_agents(first, second, 0.25 + labels / 2)
+    assert slight.tolist() == right.tolist()
+    for nobody in (np.full(30, 0.5), np.full(30, np.nan)):
+        assert set(teacher.decisive_agents(first, second, nobody).tolist()) == {-1}
+    assert set(make_teacher("oracle").decisive_agents(first, second, labels).tolist()) == {-1}

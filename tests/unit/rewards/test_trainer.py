@@ -661,3 +661,41 @@ def test_irreducible_loss_is_that_of_predicting_each_labels_probability():
     assert irreducible([0.75, 0.25, 0.75, 0.25]) == pytest.approx(entropy, rel=1e-5)
     assert irreducible([1, 0, 0, 1], [0.5] * 4) == pytest.approx(entropy, rel=1e-5)
     assert irreducible([0.75, 1, 0, 1]) == pytest.approx(entropy / 4, rel=1e-5)
+
+
+@pytest.mark.parametrize(("name", "settings"), [("MA-MLP", {}), ("MAPT-paper", {"cpa": False, "tpa": False})])
+def test_decisive_agents_teach_which_agent_earns_the_reward(name, settings):
+    """Agent 0 earns what both observe, so that preferences alone cannot tell whose reward it is."""
+    dataset = preferences(120)
+    observations = dataset.segments.observations.copy()
+    observations[..., 0] = observations[:, :, :1, 0]
+    # The index of the agent, without which equal observations give equal rewards.
+    observations[..., 1] = np.arange(N_AGENTS)
+    segments = SegmentArrays(observations, dataset.segments.actions, dataset.segments.mask)
+    labels = (np.diff(observations[..., 0, 0].mean(axis=1).reshape(-1, 2))[:, 0] < 0).astype(np.float32)
+    base = PreferenceDataset(segments, dataset.pairs, labels)
+    config = RewardConfig.named(
+        name, observation_dim=OBSERVATION_DIM, action_dim=ACTION_DIM, n_agents=N_AGENTS, segment_steps=8
+    )
+    config = replace(config, **settings)
+
+    def spread_of_agents(pairs):
+        settings = TrainConfig(markov_epochs=12, max_epochs=12, device="cpu", decisive_weight=1.0)
+        model = train_reward_model(pairs, config, settings).model
+        inputs = (torch.as_tensor(x) for x in (segments.observations, segments.actions))
+        with torch.inference_mode():
+            return model.agent_rewards(*inputs).std(dim=(0, 1)).numpy()
+
+    tapped = spread_of_agents(replace(base, decisive_agents=np.zeros(len(base), np.int64)))
+    alone = spread_of_agents(base)
+    assert tapped[0] / tapped[1] > 1.5 * alone[0] / alone[1]
+    assert tapped[0] > 2 * tapped[1]
+
+
+def test_decisive_agents_have_no_weight_in_the_losses_that_choose_weights():
+    dataset = preferences(60)
+    tapped = replace(dataset, decisive_agents=np.zeros(len(dataset), np.int64))
+    plain, ignored = (
+        train_reward_model(each, CONFIG, replace(QUICK, decisive_weight=0.0)) for each in (dataset, tapped)
+    )
+    assert same_weights(plain.model, ignored.model)

@@ -62,7 +62,12 @@ export function LabelTablePage({ id, me }: { id: string; me: Me }) {
               </tr>
             </thead>
             {items.map((query) => (
-              <QueryRows key={query.id} id={id} query={query} />
+              <QueryRows
+                key={query.id}
+                id={id}
+                query={query}
+                agents={experiment.data?.task.agent_names ?? []}
+              />
             ))}
           </table>
         </section>

@@ -11,8 +11,15 @@ const STATUSES: Readonly<Record<RecordedQuery["status"], string>> = {
   failed: "clips failed",
 };
 
+interface QueryRowsProps {
+  id: string;
+  query: RecordedQuery;
+  /** names of the agents */
+  agents: readonly string[];
+}
+
 /** The rows of one pair: one for each labeller, or a single one without a label. */
-export function QueryRows({ id, query }: { id: string; query: RecordedQuery }) {
+export function QueryRows({ id, query, agents }: QueryRowsProps) {
   const rows = Math.max(1, query.labels.length);
   const [first, ...others] = query.labels;
   return (
@@ -34,7 +41,7 @@ export function QueryRows({ id, query }: { id: string; query: RecordedQuery }) {
           <Segments query={query} />
         </td>
         {first ? (
-          <LabelCells id={id} number={query.number} label={first} />
+          <LabelCells id={id} number={query.number} label={first} agents={agents} />
         ) : (
           <td colSpan={6} className="muted">
             No label
@@ -43,7 +50,7 @@ export function QueryRows({ id, query }: { id: string; query: RecordedQuery }) {
       </tr>
       {others.map((label) => (
         <tr key={label.id}>
-          <LabelCells id={id} number={query.number} label={label} />
+          <LabelCells id={id} number={query.number} label={label} agents={agents} />
         </tr>
       ))}
     </tbody>
@@ -76,7 +83,14 @@ function Segments({ query }: { query: RecordedQuery }) {
   );
 }
 
-function LabelCells({ id, number, label }: { id: string; number: number; label: RecordedLabel }) {
+interface LabelCellsProps {
+  id: string;
+  number: number;
+  label: RecordedLabel;
+  agents: readonly string[];
+}
+
+function LabelCells({ id, number, label, agents }: LabelCellsProps) {
   const current = label.revisions.at(-1);
   if (!current) return null;
   const teacher = typeof label.teacher.name === "string" ? label.teacher.name : label.role;
@@ -88,6 +102,9 @@ function LabelCells({ id, number, label }: { id: string; number: number; label: 
       </td>
       <td>
         {labelText(current)}
+        {current.decisive_agent !== null && (
+          <span className="muted block">decided by {agents[current.decisive_agent]}</span>
+        )}
         {label.final && <span className="muted block">final</span>}
         {label.excluded && <span className="muted block">excluded</span>}
       </td>

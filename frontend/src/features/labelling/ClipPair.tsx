@@ -17,10 +17,13 @@ interface ClipPairProps {
   chosen: Choice | null;
   names: ClipNames;
   onChoose: (choice: Choice) => void;
+  /** called with the agents of a clicked limb; null if the experiment does not ask for one */
+  onAgents: ((agents: readonly number[]) => void) | null;
 }
 
 /** Two clips side by side, or one above the other on an upright phone, as large as the window allows. */
-export function ClipPair({ query, experiment, stage, upcoming, chosen, names, onChoose }: ClipPairProps) {
+export function ClipPair(props: ClipPairProps) {
+  const { query, experiment, stage, upcoming, chosen, names, onChoose, onAgents } = props;
   const { left, right, progress, player, camera } = stage;
   const { task } = experiment;
   const view = stage.views.stateOf(query);
@@ -46,6 +49,7 @@ export function ClipPair({ query, experiment, stage, upcoming, chosen, names, on
         verdict={verdictOf("left", chosen)}
         state={player.state}
         onChoose={onChoose}
+        onAgents={onAgents}
       />
       <ClipView
         side="right"
@@ -55,6 +59,7 @@ export function ClipPair({ query, experiment, stage, upcoming, chosen, names, on
         verdict={verdictOf("right", chosen)}
         state={player.state}
         onChoose={onChoose}
+        onAgents={onAgents}
       />
       <div className="playback-progress" ref={progress} aria-hidden="true">
         <div />
@@ -114,10 +119,11 @@ interface ClipViewProps {
   verdict: Verdict;
   state: PairPlayback["state"];
   onChoose: (choice: Choice) => void;
+  onAgents: ((agents: readonly number[]) => void) | null;
 }
 
-function ClipView({ side, task, name, canvas, verdict, state, onChoose }: ClipViewProps) {
-  const { label, handlers } = useAgentName(canvas, task);
+function ClipView({ side, task, name, canvas, verdict, state, onChoose, onAgents }: ClipViewProps) {
+  const { label, handlers } = useAgentName(canvas, task, onAgents);
   return (
     <div className="pair-side">
       <figure className="clip" data-verdict={verdict ?? undefined} {...handlers}>
@@ -129,7 +135,10 @@ function ClipView({ side, task, name, canvas, verdict, state, onChoose }: ClipVi
           className="tap"
           tabIndex={-1}
           aria-hidden="true"
-          onClick={() => onChoose(side)}
+          onClick={(event) => {
+            event.stopPropagation();
+            onChoose(side);
+          }}
         />
         <figcaption>{name}</figcaption>
         {label}

@@ -1,6 +1,6 @@
 import type { Experiment, Query } from "@/shared/api/types";
 import { LazyMarkdown } from "@/shared/markdown/LazyMarkdown";
-import { hasSlight } from "./choices";
+import { asksAgent, hasSlight } from "./choices";
 import { KeyList } from "./keys";
 import { PractiseButton } from "./PractiseButton";
 
@@ -30,7 +30,7 @@ export function FirstVisit({ experiment, isUpdate, onStart, onPractise }: FirstV
           </p>
           <p className="for-touch">Tap the better clip, or one of the buttons below the clips.</p>
           <div className="for-keys">
-            <KeyList slight={hasSlight(experiment)} />
+            <KeyList slight={hasSlight(experiment)} agents={asksAgent(experiment)} />
           </div>
         </section>
       )}

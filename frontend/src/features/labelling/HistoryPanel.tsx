@@ -1,13 +1,15 @@
 import { useEffect, useRef } from "react";
+import type { Task } from "@/shared/api/types";
 import { plural } from "@/shared/ui/format";
 import { sideOf } from "./choices";
-import { type ClipNames, choiceText } from "./layout";
+import { answerText, type ClipNames } from "./layout";
 import type { AnsweredPair } from "./queue";
 import type { SessionView } from "./sessionView";
 import "./history.css";
 
 interface HistoryPanelProps {
   view: SessionView;
+  task: Task;
   names: ClipNames;
   onReview: (id: string) => void;
   onLoadOlder: () => void;
@@ -15,7 +17,7 @@ interface HistoryPanelProps {
 }
 
 /** The user's labels in this experiment, newest first. A click shows a pair again, to watch or to change its label. */
-export function HistoryPanel({ view, names, onReview, onLoadOlder, onClose }: HistoryPanelProps) {
+export function HistoryPanel({ view, task, names, onReview, onLoadOlder, onClose }: HistoryPanelProps) {
   const { history, historyLoaded, hasOlder, labelCount, reviewed } = view;
   const panel = useRef<HTMLElement>(null);
   // On a small screen the panel is below the clips.
@@ -46,7 +48,7 @@ export function HistoryPanel({ view, names, onReview, onLoadOlder, onClose }: Hi
             >
               <Thumbnails pair={pair} />
               <span>
-                {choiceText(pair.choice, names)}
+                {answerText(pair, names, task)}
                 <span className="muted"> {timeText(pair.time)}</span>
               </span>
             </button>

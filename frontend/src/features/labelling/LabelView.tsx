@@ -1,9 +1,10 @@
 import { useCallback, useEffect, useState } from "react";
 import type { Experiment, Query } from "@/shared/api/types";
 import { isOver } from "@/shared/ui/status";
+import { AgentButtons } from "./AgentButtons";
 import { ChoiceButtons } from "./ChoiceButtons";
 import { ClipPair } from "./ClipPair";
-import { type Choice, hasSlight, MIN_RESPONSE_SECONDS, sideOf } from "./choices";
+import { asksAgent, type Choice, hasSlight, MIN_RESPONSE_SECONDS, sideOf } from "./choices";
 import { type Command, useKeyboardCommands } from "./commands";
 import { ExperimentSummary } from "./ExperimentSummary";
 import { GuideDialog } from "./GuideDialog";
@@ -42,10 +43,14 @@ export function LabelView({ experiment, connected, decides = false, onPractise }
   const last = view.history.at(-1);
   const over = isOver(experiment);
   const slight = hasSlight(experiment);
+  const asks = asksAgent(experiment);
   const current = over ? (reviewed?.query ?? null) : view.current;
   const others = last ? [...upcoming, last.query] : upcoming;
   const stage = useStage(experiment.task, current, others, view.displayCount);
   const { player, run: play } = stage;
+  const [mark, setMark] = useState<Mark>({ shown: -1, agent: null });
+  // A mark is of one display of a pair, so that it never goes with another pair's answer.
+  const marked = mark.shown === view.displayCount ? mark.agent : (reviewed?.agent ?? null);
 
   // biome-ignore lint/correctness/useExhaustiveDependencies: after these changes there may be new pairs
   useEffect(() => {
@@ -57,15 +62,23 @@ export function LabelView({ experiment, connected, decides = false, onPractise }
       const watched = player.watchedSeconds();
       if (watched !== null && watched >= MIN_RESPONSE_SECONDS) {
         if (!session?.view().chosen) addToPace(choice, watched);
-        session?.choose(choice, watched);
+        session?.choose(choice, watched, sideOf(choice) && marked);
       } else if (player.state === "failed" && choice === "skip") session?.choose(choice, 0);
     },
-    [session, player, addToPace],
+    [session, player, addToPace, marked],
+  );
+  const markAgent = useCallback(
+    (agent: number) => {
+      if (asks && agent < experiment.task.n_agents && session?.view().current)
+        setMark({ shown: session.view().displayCount, agent: agent === marked ? null : agent });
+    },
+    [asks, experiment.task.n_agents, session, marked],
   );
   const run = useCallback(
     (command: Command) => {
       if (command.type === "choose" && !over)
         choose(slight ? command.choice : (sideOf(command.choice) ?? command.choice));
+      else if (command.type === "markAgent") markAgent(command.agent);
       else if (command.type === "undo") session?.undo();
       else if (command.type === "closeReview") session?.closeReview();
       else if (command.type === "toggleHistory") setHistoryOpen((open) => !open);
@@ -73,7 +86,7 @@ export function LabelView({ experiment, connected, decides = false, onPractise }
       else if (command.type === "showKeys") setGuide("keys");
       else play(command);
     },
-    [choose, session, play, over, slight],
+    [choose, markAgent, session, play, over, slight],
   );
   useKeyboardCommands(run);
   usePairNotification(experiment.name, current !== null);
@@ -81,6 +94,11 @@ export function LabelView({ experiment, connected, decides = false, onPractise }
   const onChoose = (choice: Choice) => run({ type: "choose", choice });
   const showRules = () => run({ type: "showRules" });
   const closeReview = () => run({ type: "closeReview" });
+  /** Marks the agent of a clicked limb; further clicks go through the agents that share its colour. */
+  const markOneOf = (agents: readonly number[]) => {
+    const next = marked === null ? 0 : agents.indexOf(marked) + 1;
+    markAgent(agents[next] ?? marked ?? 0);
+  };
   const review = (id: string) => {
     session?.review(id);
     window.scrollTo(0, 0);
@@ -113,6 +131,7 @@ export function LabelView({ experiment, connected, decides = false, onPractise }
             chosen={view.chosen}
             names={names}
             onChoose={onChoose}
+            onAgents={asks ? markOneOf : null}
           />
         ) : (
           <NoPair
@@ -129,6 +148,14 @@ export function LabelView({ experiment, connected, decides = false, onPractise }
             names={names}
             onUndo={() => run({ type: "undo" })}
           />
+          {asks && (
+            <AgentButtons
+              task={experiment.task}
+              enabled={current !== null && !over}
+              marked={marked}
+              onMark={markAgent}
+            />
+          )}
           <ChoiceButtons
             enabled={current !== null && player.state === "playing" && !over}
             canSkip={current !== null && player.state !== "loading" && !over}
@@ -164,12 +191,13 @@ export function LabelView({ experiment, connected, decides = false, onPractise }
       )}
       {guide === "keys" && (
         <GuideDialog title="Keys" onClose={() => setGuide(null)}>
-          <KeyList slight={slight} />
+          <KeyList slight={slight} agents={asks} />
         </GuideDialog>
       )}
       {historyOpen && (
         <HistoryPanel
           view={view}
+          task={experiment.task}
           names={names}
           onReview={review}
           onLoadOlder={() => session?.loadOlder()}
@@ -178,4 +206,10 @@ export function LabelView({ experiment, connected, decides = false, onPractise }
       )}
     </main>
   );
+}
+
+/** The agent that decides the answer to the pair that is displayed as the `shown`-th. */
+interface Mark {
+  shown: number;
+  agent: number | null;
 }

@@ -100,6 +100,7 @@ export function PracticeView({ experiment, pairs, onLeave, onStartLabelling }: P
           chosen={result ? choiceOf(result.feedback.label) : choice}
           names={names}
           onChoose={(each) => run({ type: "choose", choice: each })}
+          onAgents={null}
         />
         <div className="answer-bar">
           {answer.error && <Alert>{errorMessage(answer.error)}</Alert>}
@@ -129,7 +130,7 @@ export function PracticeView({ experiment, pairs, onLeave, onStartLabelling }: P
       {guide === "rules" && <RulesDialog experiment={experiment} onClose={() => setGuide(null)} />}
       {guide === "keys" && (
         <GuideDialog title="Keys" onClose={() => setGuide(null)}>
-          <KeyList slight={slight} />
+          <KeyList slight={slight} agents={false} />
         </GuideDialog>
       )}
     </main>

@@ -5,7 +5,7 @@ import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { Key } from "@/shared/ui/Key";
 import { RulesButton } from "./Instructions";
-import { type ClipNames, choiceText } from "./layout";
+import { answerText, type ClipNames } from "./layout";
 import type { AnsweredPair } from "./queue";
 
 interface ReviewBannerProps {
@@ -23,7 +23,8 @@ export function ReviewBanner({ experiment, pair, names, onRules, onClose }: Revi
   return (
     <div className="review-banner" role="status">
       <h1>
-        Pair {pair.query.number}, answered “{choiceText(pair.choice, names)}”. Answer again to change it.
+        Pair {pair.query.number}, answered “{answerText(pair, names, experiment.task)}”. Answer again to
+        change it.
       </h1>
       {showsCredit && experiment.reward_version !== null && (
         <Link to={paths.pair(experiment.id, pair.query.id)} className="button small">

@@ -4,7 +4,7 @@ import { rewardVersionsQuery } from "@/shared/api/queries";
 import type { Experiment } from "@/shared/api/types";
 import { formatCount } from "@/shared/ui/format";
 import { heldOutAccuracy, heldOutText } from "@/shared/ui/heldOut";
-import { type ClipNames, choiceText } from "./layout";
+import { answerText, type ClipNames } from "./layout";
 import type { SessionView } from "./sessionView";
 
 const NOTICE_SECONDS = 12;
@@ -26,7 +26,7 @@ export function StatusLine({ view, experiment, names, onUndo }: StatusLineProps)
         {view.notice ??
           (last && !view.reviewed && (
             <>
-              {choiceText(last.choice, names)}.<span className="for-keys"> Press Z to undo.</span>
+              {answerText(last, names, experiment.task)}.<span className="for-keys"> Press Z to undo.</span>
             </>
           ))}
       </span>

@@ -37,6 +37,11 @@ export function hasSlight({ config }: Pick<Experiment, "config">): boolean {
   return config.answer_scale === "five";
 }
 
+/** Whether labellers of an experiment may name the agent that decided their answer. */
+export function asksAgent({ config }: Pick<Experiment, "config">): boolean {
+  return config.ask_agent === true;
+}
+
 /** Skips do not count as labels. */
 export function countOf(choice: Choice): number {
   return choice === "skip" ? 0 : 1;
@@ -45,6 +50,7 @@ export function countOf(choice: Choice): number {
 /**
  * The request that stores a choice.
  *
+ * @param agent the agent that decided it, in agent order; null for none
  * @param revision of the label that it changes; null for the first label of the pair in this session
  * @param decides whether it is final
  * @param rules the revision of the instructions that the labeller has read
@@ -52,6 +58,7 @@ export function countOf(choice: Choice): number {
 export function labelBody(
   choice: Choice,
   responseSeconds: number,
+  agent: number | null,
   revision: number | null,
   decides: boolean,
   rules: number,
@@ -62,6 +69,7 @@ export function labelBody(
     final: decides || null,
     label: LABELS[choice],
     order: "shown",
+    decisive_agent: agent,
     instructions_revision: rules,
     response_seconds: Math.min(MAX_RESPONSE_SECONDS, Math.max(0, responseSeconds)),
   };

@@ -41,12 +41,13 @@ test("other keys have no command", () => {
 });
 
 test("a final label replaces whatever its author has given before, and says that it is final", () => {
-  expect(labelBody("left", 2, null, true, 3)).toMatchObject({ replaces: null, final: true, label: 1 });
-  expect(labelBody("left", 2, 7, true, 3)).toMatchObject({ replaces: 7, final: true });
-  expect(labelBody("right", 2, null, false, 3)).toMatchObject({
+  expect(labelBody("left", 2, null, null, true, 3)).toMatchObject({ replaces: null, final: true, label: 1 });
+  expect(labelBody("left", 2, null, 7, true, 3)).toMatchObject({ replaces: 7, final: true });
+  expect(labelBody("right", 2, 4, null, false, 3)).toMatchObject({
     replaces: 0,
     final: null,
     label: 0,
+    decisive_agent: 4,
     instructions_revision: 3,
   });
 });

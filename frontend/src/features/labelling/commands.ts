@@ -4,6 +4,7 @@ import type { Choice } from "./choices";
 /** What a key or button of the labelling view does. */
 export type Command =
   | { type: "choose"; choice: Choice }
+  | { type: "markAgent"; agent: number }
   | { type: "undo" }
   | { type: "closeReview" }
   | { type: "next" }
@@ -21,6 +22,9 @@ export const SPEEDS = [
   { key: "2", speed: 1, text: "1×" },
   { key: "3", speed: 2, text: "2×" },
 ] as const;
+
+/** The keys of the first agents; the digits below choose the speed. */
+export const AGENT_KEYS = ["4", "5", "6", "7", "8", "9"] as const;
 
 const COMMANDS: ReadonlyMap<string, Command> = new Map<string, Command>([
   ["ArrowLeft", { type: "choose", choice: "left" }],
@@ -43,6 +47,7 @@ const COMMANDS: ReadonlyMap<string, Command> = new Map<string, Command>([
   [".", { type: "step", direction: 1 }],
   ["c", { type: "nextCamera" }],
   ["C", { type: "nextCamera" }],
+  ...AGENT_KEYS.map((key, agent): [string, Command] => [key, { type: "markAgent", agent }]),
   ...SPEEDS.map(({ key, speed }): [string, Command] => [key, { type: "setSpeed", speed }]),
 ]);
 

@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import type { Task } from "@/shared/api/types";
-import { agentAt } from "./hoveredAgent";
+import { agentAt, agentsAt } from "./hoveredAgent";
 
 const task = {
   agent_colours: ["#E69F00", "#0072B2", "#E69F00"],
@@ -14,6 +14,7 @@ test("a limb is recognised by its colour, lit or shaded", () => {
 
 test("agents of the same colour are named together", () => {
   expect(agentAt([230, 159, 0], task)).toBe("hip; with stripes tail");
+  expect(agentsAt([230, 159, 0], task)).toEqual([0, 2]);
 });
 
 test("the floor, the backdrop and the torso belong to no agent", () => {

@@ -7,12 +7,17 @@ const TOLERANCE = 22;
 
 type Colour = readonly [number, number, number];
 
-/** The name of the agent whose limb has this colour in a clip; null for the floor and for parts that no agent moves. */
-export function agentAt(pixel: Colour, { agent_colours, agent_names }: Task): string | null {
+/** The agents whose limbs have this colour in a clip; none for the floor and for parts that no agent moves. */
+export function agentsAt(pixel: Colour, { agent_colours }: Pick<Task, "agent_colours">): number[] {
   const distances = agent_colours.map((colour) => distance(pixel, parse(colour)));
   const nearest = Math.min(...distances);
-  if (nearest > TOLERANCE) return null;
-  const names = agent_names.filter((_, agent) => distances[agent] === nearest);
+  if (nearest > TOLERANCE) return [];
+  return distances.flatMap((each, agent) => (each === nearest ? [agent] : []));
+}
+
+/** The name of the agent whose limb has this colour in a clip; null if there is none. */
+export function agentAt(pixel: Colour, task: Task): string | null {
+  const names = agentsAt(pixel, task).map((agent) => task.agent_names[agent]);
   // The limbs of agents with a repeated colour have stripes.
   return names.length > 1 ? `${names[0]}; with stripes ${names.slice(1).join(", ")}` : (names[0] ?? null);
 }

@@ -2,6 +2,10 @@ const CHOICE_KEYS = [[["←", "→"], "The left or the right clip is better"]] a
 
 const SLIGHT_KEYS = [[["Shift ←", "Shift →"], "The left or the right clip is slightly better"]] as const;
 
+const AGENT_KEYS = [
+  [["4", "…", "9"], "The agent that decides your answer; press it before you answer"],
+] as const;
+
 const KEYS = [
   [["↑"], "Both are equally good"],
   [["↓"], "Skip: you cannot tell"],
@@ -16,21 +20,23 @@ const KEYS = [
 ] as const;
 
 /** What each key of the labelling page does. */
-export function KeyList({ slight }: { slight: boolean }) {
+export function KeyList({ slight, agents }: { slight: boolean; agents: boolean }) {
   return (
     <dl className="key-list">
-      {[...CHOICE_KEYS, ...(slight ? SLIGHT_KEYS : []), ...KEYS].map(([keys, text]) => (
-        <div key={text}>
-          <dt>
-            {keys.map((name) => (
-              <kbd className="key" key={name}>
-                {name}
-              </kbd>
-            ))}
-          </dt>
-          <dd>{text}</dd>
-        </div>
-      ))}
+      {[...CHOICE_KEYS, ...(slight ? SLIGHT_KEYS : []), ...(agents ? AGENT_KEYS : []), ...KEYS].map(
+        ([keys, text]) => (
+          <div key={text}>
+            <dt>
+              {keys.map((name) => (
+                <kbd className="key" key={name}>
+                  {name}
+                </kbd>
+              ))}
+            </dt>
+            <dd>{text}</dd>
+          </div>
+        ),
+      )}
     </dl>
   );
 }

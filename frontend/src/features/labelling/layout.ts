@@ -1,4 +1,5 @@
 import { useSyncExternalStore } from "react";
+import type { Task } from "@/shared/api/types";
 import type { Choice } from "./choices";
 
 /** As in labelling.css: a narrow, upright screen shows the clips one above the other. */
@@ -26,6 +27,18 @@ function subscribe(callback: () => void): () => void {
 
 function isStacked(): boolean {
   return window.matchMedia(STACKED).matches;
+}
+
+/** The answer in words, with the agent that decided it, if one was named. */
+export function answerText(
+  { choice, agent }: { choice: Choice; agent: number | null },
+  names: ClipNames,
+  { agent_names }: Task,
+): string {
+  const decisive = agent === null ? undefined : agent_names[agent];
+  return decisive === undefined
+    ? choiceText(choice, names)
+    : `${choiceText(choice, names)}, decided by ${decisive}`;
 }
 
 /** The choice in words, after it was made. */

@@ -5,6 +5,8 @@ import { type Choice, choiceOf } from "./choices";
 export interface AnsweredPair {
   query: Query;
   choice: Choice;
+  /** the agent that decided it, in agent order; null if none was named */
+  agent: number | null;
   /** of the stored label; 0 until the server has acknowledged it */
   revision: number;
   /** when it was answered, ISO 8601 */
@@ -32,18 +34,28 @@ export function append(queue: Queue, queries: readonly Query[], labelled: Readon
 }
 
 /** Moves the pair on screen to the past. */
-export function labelFirst(queue: Queue, choice: Choice): Queue {
+export function labelFirst(queue: Queue, choice: Choice, agent: number | null = null): Queue {
   const [query, ...pairs] = queue.pairs;
   if (!query) return queue;
-  return { pairs, past: [...queue.past, answered(query, choice)] };
+  return { pairs, past: [...queue.past, answered(query, choice, agent)] };
 }
 
 /** Changes the answer of a pair of the past, which becomes the newest. */
-export function labelAgain(queue: Queue, id: string, choice: Choice): Queue {
+function labelAgain(queue: Queue, id: string, choice: Choice, agent: number | null): Queue {
   const old = queue.past.find(({ query }) => query.id === id);
   if (!old) return queue;
   const others = queue.past.filter((pair) => pair !== old);
-  return { ...queue, past: [...others, { ...answered(old.query, choice), revision: old.revision }] };
+  return { ...queue, past: [...others, { ...answered(old.query, choice, agent), revision: old.revision }] };
+}
+
+/** Labels the pair that is reviewed, or else the one on screen. */
+export function labelShown(
+  queue: Queue,
+  reviewed: AnsweredPair | null,
+  choice: Choice,
+  agent: number | null,
+): Queue {
+  return reviewed ? labelAgain(queue, reviewed.query.id, choice, agent) : labelFirst(queue, choice, agent);
 }
 
 /** Brings the last labelled pair back on screen. */
@@ -80,11 +92,11 @@ export function withHistory(queue: Queue, labels: readonly OwnLabel[], older: bo
   return { past, pairs: queue.pairs.filter(({ id }) => !answered.has(id)) };
 }
 
-function fromServer({ query, label, revision, updated_at }: OwnLabel): AnsweredPair {
+function fromServer({ query, label, decisive_agent, revision, updated_at }: OwnLabel): AnsweredPair {
   const shown = label !== null && query.left.index === 1 ? 1 - label : label;
-  return { query, choice: choiceOf(shown), revision, time: updated_at };
+  return { query, choice: choiceOf(shown), agent: decisive_agent, revision, time: updated_at };
 }
 
-function answered(query: Query, choice: Choice): AnsweredPair {
-  return { query, choice, revision: 0, time: new Date().toISOString() };
+function answered(query: Query, choice: Choice, agent: number | null): AnsweredPair {
+  return { query, choice, agent, revision: 0, time: new Date().toISOString() };
 }

@@ -43,6 +43,21 @@ describe("LabellingSession", () => {
     expect(session.view().upcoming.map(({ id }) => id)).toEqual(["c", "d"]);
   });
 
+  test("the agent that decided goes with the answer, and a review changes it", async () => {
+    const session = open();
+    await settle();
+    session.choose("left", 2.5, 3);
+    await settle();
+    expect(session.view().history.map(({ choice, agent }) => [choice, agent])).toEqual([["left", 3]]);
+    session.review("a");
+    session.choose("left", 2, 3);
+    expect(session.view().reviewed, "the same answer closes the review").toBeNull();
+    session.review("a");
+    session.choose("left", 2, 1);
+    await settle();
+    expect(session.view().history.map(({ choice, agent }) => [choice, agent])).toEqual([["left", 1]]);
+  });
+
   test("a second key press during the highlight does not label the next pair", async () => {
     const session = open();
     await settle();

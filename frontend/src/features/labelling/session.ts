@@ -10,8 +10,7 @@ import {
   append,
   EMPTY,
   findAnswered,
-  labelAgain,
-  labelFirst,
+  labelShown,
   type Queue,
   remove,
   undoLast,
@@ -51,6 +50,8 @@ export class LabellingSession {
   /** the revisions of labels acknowledged while their pair was still highlighted, by query */
   readonly #revisions = new Map<string, number>();
   #queue: Queue = EMPTY;
+  /** the agent that decided the choice just made */
+  #chosenAgent: number | null = null;
   #disposed = false;
   #highlightTimer: ReturnType<typeof setTimeout> | undefined;
 
@@ -88,20 +89,20 @@ export class LabellingSession {
   }
 
   /** Labels the pair on screen. The label is stored at once; the next pair follows after the highlight. */
-  choose(choice: Choice, responseSeconds: number): void {
+  choose(choice: Choice, responseSeconds: number, agent: number | null = null): void {
     const { current: query, reviewed } = this.view();
     if (!query || this.view().chosen) return;
     this.#leases.userActive();
-    if (choice === reviewed?.choice) {
+    if (choice === reviewed?.choice && agent === reviewed.agent) {
       this.closeReview();
       return;
     }
-    const { decides, rules } = this.#deps;
-    const body = labelBody(choice, responseSeconds, reviewed?.revision ?? null, decides, rules);
+    const { decides, experimentId, outbox, rules } = this.#deps;
+    const body = labelBody(choice, responseSeconds, agent, reviewed?.revision ?? null, decides, rules);
     this.#labelled.add(query.id);
     this.#history.changed();
-    const { experimentId, outbox } = this.#deps;
     outbox.add({ kind: "label", experimentId, queryId: query.id, body });
+    this.#chosenAgent = agent;
     this.#store.publish({ chosen: choice, notice: null });
     this.#highlightTimer = setTimeout(() => this.#advance(choice), HIGHLIGHT_SECONDS * 1000);
   }
@@ -186,7 +187,7 @@ export class LabellingSession {
   #advance(choice: Choice): void {
     const { current, reviewed, labelCount } = this.view();
     const id = current?.id ?? "";
-    const queue = reviewed ? labelAgain(this.#queue, id, choice) : labelFirst(this.#queue, choice);
+    const queue = labelShown(this.#queue, reviewed, choice, this.#chosenAgent);
     this.#queue = acknowledge(queue, id, this.#revisions.get(id) ?? reviewed?.revision ?? 0);
     const replaced = reviewed ? countOf(reviewed.choice) : 0;
     this.#show({ chosen: null, reviewed: null, labelCount: labelCount + countOf(choice) - replaced });

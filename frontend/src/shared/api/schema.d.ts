@@ -1239,6 +1239,11 @@ export interface components {
              */
             instructions_revision?: number | null;
             /**
+             * Decisive Agent
+             * @description The agent that decided the preference, in agent order from 0; null if none is named. For experiments with `ask_agent`, and not with a skip or an equal label.
+             */
+            decisive_agent?: number | null;
+            /**
              * Teacher
              * @description A scripted teacher's name and parameters.
              */
@@ -1991,6 +1996,11 @@ export interface components {
              */
             revision: number;
             /**
+             * Decisive Agent
+             * @description The agent that decided the preference; null if none was named.
+             */
+            decisive_agent: number | null;
+            /**
              * Created
              * @description False if the same label was already stored.
              */
@@ -2132,6 +2142,11 @@ export interface components {
              * @description Of the instructions that the labeller had read; null for programs, and if it is not known.
              */
             instructions_revision: number | null;
+            /**
+             * Decisive Agent
+             * @description The agent that decided the preference; null if none was named.
+             */
+            decisive_agent: number | null;
             /**
              * Created At
              * Format: date-time
@@ -2474,6 +2489,11 @@ export interface components {
              */
             answer_scale: "three" | "five";
             /**
+             * @description Let labellers name the agent that decided their answer. The reward model learns from it which agents earn the reward. Never required.
+             * @default false
+             */
+            ask_agent: boolean;
+            /**
              * @description Queries kept ready beyond those due, so that labellers do not wait for clips.
              * @default 8
              */
@@ -2761,6 +2781,11 @@ export interface components {
              */
             instructions_revision?: number | null;
             /**
+             * Decisive Agent
+             * @description The agent that decided the preference, in agent order from 0; null if none is named. For experiments with `ask_agent`, and not with a skip or an equal label.
+             */
+            decisive_agent?: number | null;
+            /**
              * Teacher
              * @description A scripted teacher's name and parameters.
              */
@@ -2844,6 +2869,11 @@ export interface components {
              * @description Seconds from the start of both clips to the label.
              */
             response_seconds: number | null;
+            /**
+             * Decisive Agent
+             * @description The agent that decided the preference; null if none was named.
+             */
+            decisive_agent: number | null;
             /**
              * Updated At
              * Format: date-time

@@ -11,6 +11,7 @@ const LABELS: Readonly<Record<string, string>> = {
   overlap_share: "Share of overlap pairs",
   gold_share: "Share of gold pairs",
   repeat_share: "Share of repeated pairs",
+  ask_agent: "Ask for the decisive agent",
   answer_scale: "Answers to choose from",
   control_share: "Share of uniform queries",
   credit: "Reward per agent",

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.errors import InvalidFile, MissingPart, NotRepresentable, UnknownLabel
-from mapt.preferences.dataset import FloatArray, PreferenceDataset, SegmentArrays
+from mapt.preferences.dataset import NO_AGENT, FloatArray, PreferenceDataset, SegmentArrays
 from mapt.preferences.formats.arrays import finite_floats, numbered_actions
 from mapt.preferences.formats.pickle_writer import write_pickle
 from mapt.preferences.formats.pickles import MAX_BYTES, load_pickle
@@ -71,13 +71,15 @@ def write_reference(path: Path | str, dataset: PreferenceDataset, *, discrete: b
     Raises:
         AlreadyExists: if the file exists.
         NotOneHot: if discrete actions are not one-hot.
-        NotRepresentable: if a label is not 1, 0 or 0.5, or the segments differ in length.
+        NotRepresentable: if a label is not 1, 0 or 0.5 or names a decisive agent, or the segments differ in length.
     """
     write_pickle(Path(path), _items(Path(path), dataset, discrete))
 
 
 def _items(path: Path, dataset: PreferenceDataset, discrete: bool) -> Iterator[dict[str, Any]]:
     stored = {label: value for value, label in _LABELS.items()}
+    if (dataset.decisive_agents != NO_AGENT).any():
+        raise NotRepresentable(path, "cannot hold decisive agents: its format has none")
     for pair, label in zip(dataset.pairs, dataset.labels.tolist(), strict=True):
         if label not in stored:
             raise NotRepresentable(path, f"cannot hold a label of {label}: its format has only 1, 0 and 0.5")

@@ -20,7 +20,9 @@ SEGMENTS, QUERIES, LABELS = "segments", "queries", "labels"
 #: labels that are not skips; 0.75 and 0.25 mean slightly better
 LABEL_VALUES = (0.0, 0.25, 0.5, 0.75, 1.0)
 #: columns that files of earlier versions lack
-OPTIONAL = frozenset({"repeats_id", "gold", "practice", "explanation", "excluded", "final", "instructions_revision"})
+OPTIONAL = frozenset(
+    {"repeats_id", "gold", "practice", "explanation", "excluded", "final", "instructions_revision", "decisive_agent"}
+)
 _KEY = b"accord"
 
 
@@ -89,6 +91,8 @@ class LabelRow:
     final: bool | None = None
     #: revision of the instructions that the labeller had read
     instructions_revision: int | None = None
+    #: the agent that decided a preference, in agent order from 0
+    decisive_agent: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,5 +200,6 @@ _COLUMNS: dict[str, list[pa.Field]] = {
         pa.field("excluded", pa.bool_()),
         pa.field("final", pa.bool_()),
         pa.field("instructions_revision", pa.int64()),
+        pa.field("decisive_agent", pa.int64()),
     ],
 }

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mapt.errors import AlreadyExists, NotRepresentable, ShapeError
 from mapt.io import sync_folder
-from mapt.preferences.dataset import FloatArray, IntArray, PreferenceDataset
+from mapt.preferences.dataset import NO_AGENT, FloatArray, IntArray, PreferenceDataset
 from mapt.preferences.formats.records import Comparisons, SegmentRecords, records_in_batches
 from mapt.preferences.formats.table_schemas import (
     LABEL_VALUES,
@@ -177,7 +177,8 @@ def write_tables(path: Path | str, comparisons: Comparisons, *, about: Mapping[s
     _check_labels(Path(path), comparisons.labels)
     layout = comparisons.records.layout()
     with TableWriter(path, layout, about=about) as tables:
-        _write(tables, [comparisons.records], comparisons.pairs, comparisons.labels)
+        nobody = np.full(len(comparisons.labels), NO_AGENT)
+        _write(tables, [comparisons.records], comparisons.pairs, comparisons.labels, nobody)
 
 
 def write_dataset(path: Path | str, dataset: PreferenceDataset, *, about: Mapping[str, Any] | None = None) -> None:
@@ -194,7 +195,7 @@ def write_dataset(path: Path | str, dataset: PreferenceDataset, *, about: Mappin
         else SegmentLayout(source.n_steps, source.n_agents, source.observation_dim, source.action_dim)
     )
     with TableWriter(path, layout, about=about) as tables:
-        _write(tables, records_in_batches(source), dataset.pairs, dataset.labels)
+        _write(tables, records_in_batches(source), dataset.pairs, dataset.labels, dataset.decisive_agents)
 
 
 def _check_labels(path: Path, labels: FloatArray) -> None:
@@ -205,7 +206,9 @@ def _check_labels(path: Path, labels: FloatArray) -> None:
         )
 
 
-def _write(tables: TableWriter, batches: Iterable[SegmentRecords], pairs: IntArray, labels: FloatArray) -> None:
+def _write(
+    tables: TableWriter, batches: Iterable[SegmentRecords], pairs: IntArray, labels: FloatArray, agents: IntArray
+) -> None:
     written = 0
     for records in batches:
         tables.add_segments([SegmentRow(f"segment-{written + index}") for index in range(len(records))], records)
@@ -217,6 +220,6 @@ def _write(tables: TableWriter, batches: Iterable[SegmentRecords], pairs: IntArr
     tables.add_labels(
         LabelRow(f"query-{index}", "imported", "skip", None)
         if np.isnan(label)
-        else LabelRow(f"query-{index}", "imported", "label", label)
-        for index, label in enumerate(labels.tolist())
+        else LabelRow(f"query-{index}", "imported", "label", label, decisive_agent=None if agent == NO_AGENT else agent)
+        for index, (label, agent) in enumerate(zip(labels.tolist(), agents.tolist(), strict=True))
     )

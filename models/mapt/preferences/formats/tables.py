@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from mapt.errors import AlreadyExists, FileTooLarge, InvalidFile, MissingPart, NotEnoughPairs, UnknownLabel
-from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
+from mapt.preferences.dataset import NO_AGENT, PreferenceDataset, SegmentArrays
 from mapt.preferences.formats.records import SegmentRecords, save_records
 from mapt.preferences.formats.table_schemas import (
     LABEL_VALUES,
@@ -169,7 +169,11 @@ class PreferenceTables:
         compared = [queries[label.query_id] for label in labelled]
         pairs = [(index_of[query.segment_0_id], index_of[query.segment_1_id]) for query in compared]
         labels = np.array([decided.get(label.query_id, label.label) for label in labelled], dtype=np.float32)
-        return PreferenceDataset(segments, np.array(pairs, dtype=np.int64), labels)
+        # A decision that names no agent takes back those of the labels that it replaces.
+        named = {label.query_id: label.decisive_agent for label in given if label.final}
+        agents = [named.get(label.query_id, label.decisive_agent) for label in labelled]
+        decisive = np.array([NO_AGENT if agent is None else agent for agent in agents])
+        return PreferenceDataset(segments, np.array(pairs, dtype=np.int64), labels, decisive_agents=decisive)
 
     def _rows(self, table: str) -> Iterator[dict[str, Any]]:
         for group in self._groups(table):

@@ -33,6 +33,14 @@ class Rule(ABC):
             MissingArray: if the view lacks an array that the rule reads.
         """
 
+    def agent_scores(self, view: TeacherView) -> Float64s | None:
+        """The part of each agent in the score, float64 (B, N), which sum to it; None if it is not a sum over agents.
+
+        Raises:
+            MissingArray: if the view lacks an array that the rule reads.
+        """
+        return None
+
 
 class RewardRule(Rule):
     """A rule that reads only the true reward of each step."""
@@ -270,6 +278,32 @@ class PhaseImprovement(Phase):
         """See `Rule.scores`; 0 if one of the agents does not move."""
         terms = self.correlation_terms(view)
         return last_means(terms, view.mask, self.window_steps) - masked_means(terms, view.mask)
+
+
+@dataclass(frozen=True, slots=True)
+class LowEffort(Rule):
+    """Prefers little effort: the negative sum over agents of their mean efforts, as of a control cost.
+
+    Each agent's part depends on its own joints alone, so that the rule knows which agent decided a preference.
+    """
+
+    effort: Effort = "power"
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        return _reads(self.effort)
+
+    def scores(self, view: TeacherView) -> Float64s:
+        """See `Rule.scores`."""
+        return self.agent_scores(view).sum(axis=1)
+
+    def agent_scores(self, view: TeacherView) -> Float64s:
+        """See `Rule.agent_scores`."""
+        return masked_means(self.step_scores(view), view.mask)
+
+    def step_scores(self, view: TeacherView) -> Float64s:
+        """The part of each step and agent, float64 (B, T, N): `agent_scores` is its mean over real steps."""
+        return -_efforts(view, self.effort)
 
 
 @dataclass(frozen=True, slots=True)

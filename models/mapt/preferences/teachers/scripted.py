@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapt.errors import InvalidTeacher, ShapeError, UnknownTeacher
+from mapt.preferences.dataset import NO_AGENT
 from mapt.preferences.teachers.rules import (
     BestWindow,
     EffortBalance,
     FinalWindow,
+    LowEffort,
     MinimumEffort,
     NeverExceeds,
     Phase,
@@ -195,6 +197,26 @@ class ScriptedTeacher:
         label = np.where(left_draw < self.bpref.left, left_segments != 1 if left_segments is not None else 1.0, label)
         return label.astype(np.float32)
 
+    def decisive_agents(
+        self, first: TeacherView, second: TeacherView, labels: NDArray[np.floating]
+    ) -> NDArray[np.int64]:
+        """The agent that decided each of these labels (B,): that with the largest part in the score difference.
+
+        Parts count in the direction of the label, also of a mistaken one. Makes no random draws.
+
+        Returns:
+            int64 (B,); `NO_AGENT` where neither segment is preferred, or if the rule is not a sum over agents.
+
+        Raises:
+            MissingArray: if they lack an array that the rule reads.
+        """
+        parts = self.rule.agent_scores(first), self.rule.agent_scores(second)
+        sides = np.sign(np.nan_to_num(labels, nan=0.5) - 0.5)
+        if parts[0] is None or parts[1] is None:
+            return np.full(len(labels), NO_AGENT)
+        decisive = (sides[:, None] * (parts[0] - parts[1])).argmax(axis=1)
+        return np.where(sides != 0, decisive, NO_AGENT)
+
     def scores(self, view: TeacherView) -> Float64s:
         """Score of each segment with discounted rewards, float64 (B,).
 
@@ -303,6 +325,7 @@ RULES: dict[str, Rule] = {
     "never-tips": NeverExceeds(column=5, limit=0.3, side="beyond"),
     "phase": Phase(),
     "finds-phase": PhaseImprovement(),
+    "low-effort": LowEffort(),
     "shared-load": EffortBalance(),
     "nobody-idle": MinimumEffort(),
 }

@@ -1,5 +1,6 @@
 import os
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -112,6 +113,9 @@ def test_data_that_the_format_cannot_represent_is_refused(tmp_path):
     for made in (made_comparisons([0.75]), made_comparisons([1.0], lengths=[2, 4])):
         with pytest.raises(NotRepresentable):
             write_reference(tmp_path / "reference.pkl", made.dataset())
+    tapped = replace(made_comparisons([1.0]).dataset(), decisive_agents=np.zeros(1, np.int64))
+    with pytest.raises(NotRepresentable):
+        write_reference(tmp_path / "reference.pkl", tapped)
     assert everything_in(tmp_path) == {}
 
 

@@ -218,6 +218,22 @@ def test_slight_labels_are_read_back_and_other_probabilities_are_refused(tmp_pat
     assert [path.name for path in tmp_path.iterdir()] == ["export"]
 
 
+def test_decisive_agents_are_read_back_and_a_decision_takes_them_back(tmp_path):
+    dataset = replace(made_comparisons([1.0, 0.25, 0.5]).dataset(), decisive_agents=np.array([1, 0, -1]))
+    write_dataset(tmp_path / "export", dataset)
+    tables = PreferenceTables.open(tmp_path / "export")
+    assert [row.decisive_agent for row in tables.labels()] == [1, 0, None]
+    assert tables.load(tmp_path / "segments").decisive_agents.tolist() == [1, 0, -1]
+    rows = [
+        LabelRow("qry_0", "usr_a", "label", 1.0, decisive_agent=1),
+        LabelRow("qry_0", "usr_c", "label", 0.0, final=True),
+        LabelRow("qry_1", "usr_a", "label", 1.0, decisive_agent=0),
+    ]
+    write(tmp_path / "decided", labels=rows)
+    decided = PreferenceTables.open(tmp_path / "decided").load(tmp_path / "of decided")
+    assert (decided.labels.tolist(), decided.decisive_agents.tolist()) == ([0.0, 1.0], [-1, 0])
+
+
 def test_segments_with_another_layout_are_refused(tmp_path):
     layout = made_records(4).layout()
     for other in (replace(layout, n_agents=3), replace(layout, rewards=False), replace(layout, n_steps=2)):
