@@ -104,7 +104,7 @@ def main() -> None:
             print(f"{arguments.task}, {browser.version}, nice {os.nice(0)}, load {os.getloadavg()[0]:.1f}", flush=True)
             address = f"{service.url()}/experiments/{experiment}/label"
             measure_opening(browser, api, address, arguments.link_megabits)
-            page = sign_in(browser, api, "labeller").new_page()
+            page = sign_in(browser, api, "labeller", address).new_page()
             measure_answers(page, address, arguments.labels, arguments.pause)
             measure_drift(page, arguments.drift_seconds)
             print(f"load at the end {os.getloadavg()[0]:.1f}")
@@ -132,10 +132,13 @@ def start(api: Api, task: str, labels: int) -> str:
     raise TimeoutError(f"the clips were not ready within {LONGEST_WAIT_SECONDS:.0f} s: {counts}")
 
 
-def sign_in(browser: Browser, api: Api, name: str, **options: Any) -> BrowserContext:
+def sign_in(browser: Browser, api: Api, name: str, address: str, **options: Any) -> BrowserContext:
+    """The browser of a new labeller who has read the rules of the experiment at this address."""
     context = browser.new_context(viewport={"width": 1280, "height": 800}, **options)
-    link = api.post("/users", {"name": name, "role": "labeller"})["sign_in_url"]
-    context.request.get(link)
+    user = api.post("/users", {"name": name, "role": "labeller"})
+    context.request.get(user["sign_in_url"])
+    experiment = address.split("/")[-2]
+    context.add_init_script(f"localStorage.setItem('accord.rules.{user['id']}.{experiment}', '1')")
     return context
 
 
@@ -154,7 +157,7 @@ def measure_opening(browser: Browser, api: Api, address: str, megabits: float) -
 
 
 def open_page(browser: Browser, api: Api, name: str, address: str, coding: str, megabits: float) -> Loaded:
-    context = sign_in(browser, api, name, extra_http_headers={"Accept-Encoding": coding})
+    context = sign_in(browser, api, name, address, extra_http_headers={"Accept-Encoding": coding})
     page = context.new_page()
     network = context.new_cdp_session(page)
     network.send("Network.enable")

@@ -39,7 +39,33 @@ describe("ClipCache", () => {
     clips.prefetch([source("/a"), source("/b")]);
     clips.prefetch([source("/b"), source("/c")]);
     await clips.load(source("/b"));
+    await clips.load(source("/c"));
     expect(fetched).toEqual(["/a", "/b", "/c"]);
+  });
+
+  test("a pair is downloaded after the one before it, and a pair that is on screen at once", async () => {
+    const arrivals = new Map<string, () => void>();
+    vi.stubGlobal("fetch", (url: string) => {
+      fetched.push(url);
+      return new Promise((resolve) => arrivals.set(url, () => resolve(new Response(url))));
+    });
+    const settle = () => vi.advanceTimersByTimeAsync(1);
+    const clips = new ClipCache(decode);
+    clips.prefetch(["/a", "/b", "/c", "/d", "/e", "/f"].map(source));
+    await settle();
+    expect(fetched).toEqual(["/a", "/b"]);
+    arrivals.get("/a")?.();
+    await settle();
+    expect(fetched).toEqual(["/a", "/b", "/c"]);
+    const shown = clips.load(source("/f"));
+    await settle();
+    expect(fetched.at(-1)).toBe("/f");
+    arrivals.get("/f")?.();
+    expect((await shown).width).toBe(10);
+    clips.prefetch([source("/e")]);
+    for (const url of ["/b", "/c"]) arrivals.get(url)?.();
+    await settle();
+    expect(fetched).toEqual(["/a", "/b", "/c", "/f", "/e"]);
   });
 
   test("a decoded clip is ready until it is freed", async () => {

@@ -5,6 +5,8 @@ import { decodeWithWebCodecs } from "./webCodecs";
 
 /** Limit for decoded frames. Encoded clips are small, so all of them are kept. */
 const MAX_DECODED_BYTES = 400_000_000;
+/** Downloads ahead at the same time: the two clips of one pair. */
+const MAX_DOWNLOADS = 2;
 const ATTEMPTS = 4;
 const FIRST_DELAY_SECONDS = 0.5;
 
@@ -13,6 +15,9 @@ type Decode = (blob: Blob, source: ClipSource) => Promise<Clip>;
 /** Downloads and decodes the clips on screen and those of the next pairs, and frees the others. */
 export class ClipCache {
   readonly #blobs = new Map<string, Promise<Blob>>();
+  /** starts the downloads that wait for others, the most urgent first */
+  #waiting = new Map<string, () => void>();
+  #downloads = 0;
   readonly #decoded = new Map<string, Promise<Clip>>();
   readonly #ready = new Map<string, Clip>();
   readonly #decode: Decode;
@@ -23,7 +28,8 @@ export class ClipCache {
   }
 
   /**
-   * Downloads these clips, decodes as many of them as fit in memory, and frees all others.
+   * Downloads these clips one pair after the other, so that on a slow link the first pair does not wait for the others;
+   * decodes as many of them as fit in memory, and frees all others.
    *
    * @param sources the most urgent first.
    */
@@ -32,14 +38,26 @@ export class ClipCache {
     for (const url of this.#blobs.keys()) if (!urls.has(url)) this.#remove(url);
     const capacity = Math.max(2, Math.floor(MAX_DECODED_BYTES / (this.#clipBytes || 1)));
     sources.forEach((source, index) => {
-      const loading = index < capacity ? this.load(source) : this.#download(source.url);
+      const loading = index < capacity ? this.#decodeAhead(source) : this.#download(source.url);
       // The component that shows the clip reports the error.
       loading.catch(() => undefined);
     });
+    const order = [...urls].flatMap((url): [string, () => void][] => {
+      const start = this.#waiting.get(url);
+      return start ? [[url, start]] : [];
+    });
+    this.#waiting = new Map(order);
+    this.#startNext();
   }
 
-  /** Returns a decoded clip. A clip that failed is loaded again by the next call. */
+  /** Returns a decoded clip, ahead of those that are prefetched. A clip that failed is loaded again by the next call. */
   load(source: ClipSource): Promise<Clip> {
+    const clip = this.#decodeAhead(source);
+    this.#waiting.get(source.url)?.();
+    return clip;
+  }
+
+  #decodeAhead(source: ClipSource): Promise<Clip> {
     const { url } = source;
     let clip = this.#decoded.get(url);
     if (!clip) {
@@ -72,11 +90,31 @@ export class ClipCache {
   #download(url: string): Promise<Blob> {
     let blob = this.#blobs.get(url);
     if (!blob) {
-      blob = download(url);
+      const turn = new Promise<void>((resolve) => {
+        this.#waiting.set(url, () => {
+          this.#waiting.delete(url);
+          this.#downloads += 1;
+          resolve();
+        });
+      });
+      blob = turn.then(() => download(url));
       blob.catch(() => this.#blobs.delete(url));
+      blob.then(this.#finished, this.#finished);
       this.#blobs.set(url, blob);
     }
     return blob;
+  }
+
+  readonly #finished = (): void => {
+    this.#downloads -= 1;
+    this.#startNext();
+  };
+
+  #startNext(): void {
+    for (const start of this.#waiting.values()) {
+      if (this.#downloads >= MAX_DOWNLOADS) return;
+      start();
+    }
   }
 
   #remove(url: string): void {
