@@ -37,8 +37,9 @@ _SAMPLE = f"""async () => {{
 
 @pytest.fixture
 def learned(service: Service, new_experiment: NewExperiment, researcher: str, request: pytest.FixtureRequest) -> str:
-    """An experiment with a reward version."""
-    experiment = new_experiment(request.node.name[:100], query_selection="disagreement", ensemble_members=2)
+    """An experiment with a reward version, of another reward model if the test is parametrised."""
+    settings = getattr(request, "param", {"query_selection": "disagreement", "ensemble_members": 2})
+    experiment = new_experiment(request.node.name[:100], **settings)
     with service.api(researcher) as api:
         until(lambda: api.get(f"/experiments/{experiment}").json()["labels"]["open_queries"] >= 10)
         queries = api.get(f"/experiments/{experiment}/queries", params={"status": "open"}).json()["items"]
@@ -92,7 +93,11 @@ def test_the_strips_are_in_step_with_the_frames_and_move_them(service: Service, 
     expect(page.get_by_role("heading", name="P(left is better)")).to_contain_text(f"{left * 100:.0f}%")
 
 
-def test_the_gallery_leads_to_pairs_and_every_page_passes_axe(service: Service, sign_in: SignIn, learned: str) -> None:
+# Without a Markov path, rewards always depend on attention.
+@pytest.mark.parametrize("learned", [{"reward_model": "MAPT-paper"}], indirect=True)
+def test_the_gallery_leads_to_pairs_with_attention_and_every_page_passes_axe(
+    service: Service, sign_in: SignIn, learned: str
+) -> None:
     page = sign_in("Rosa", "researcher")
     page.goto(f"{service.url}/experiments/{learned}")
     page.get_by_role("link", name="Reward", exact=True).click()
@@ -100,8 +105,17 @@ def test_the_gallery_leads_to_pairs_and_every_page_passes_axe(service: Service, 
     expect(gallery).to_be_visible(timeout=PATIENCE_MS)
     expect(page.get_by_role("img", name=re.compile("the true reward"))).not_to_have_count(0)
     found = violations_of(page, "reward")
+    probability = re.search(r"P\(left is better\) \d+%", gallery.get_by_role("link").first.inner_text())
+    assert probability is not None
     gallery.get_by_role("link").first.click()
     expect(page.get_by_role("slider")).to_have_count(2, timeout=PATIENCE_MS)
+    expect(page.get_by_role("heading", name="P(left is better)")).to_have_text(probability.group())
+    credit = page.request.get(f"{service.url}/api/v1/queries/{page.url.rpartition('/')[2]}/credit").json()
+    for side in ("left", "right"):
+        attention = credit["result"]["segments"][credit["query"][side]["index"]]["agent_attention"]
+        cells = page.get_by_role("region", name=f"Matrix of the {side} clip").locator("td.number").all_inner_texts()
+        assert cells == [f"{weight:.2f}" for row in attention for weight in row]
+        assert [sum(row) for row in attention] == pytest.approx([1.0] * len(attention), abs=1e-3)
     found += violations_of(page, "pair")
     assert found == []
 

@@ -19,6 +19,7 @@ from accord.domain.enums import (
 )
 from accord.domain.permissions import may_see_returns
 from accord.services import attempts, experiments, metrics, recordings
+from accord.services.accounts import Caller
 from accord.services.collect import load_arrays
 from accord.services.credit import Answer
 from accord.services.experiments import LabelCounts
@@ -302,13 +303,19 @@ def credit_response(answer: Answer, query: schemas.Query, label: float | None) -
     )
 
 
-def report_response(session: Session, answer: Answer) -> schemas.RewardReport:
+def report_response(session: Session, user: Caller, answer: Answer) -> schemas.RewardReport:
+    """A report with its pairs on the sides that the user sees."""
     result = None
     if answer.result:
         pairs: list[dict[str, Any]] = answer.result["pairs"]
-        clips = credits.clips(session, [pair["query_id"] for pair in pairs])
+        ids = [pair["query_id"] for pair in pairs]
+        clips, left_segments = credits.clips(session, ids), credits.left_segments(session, user.id, ids)
         pairs = [
-            pair | {"thumbnail_urls": [_thumbnail_url(clip) for clip in clips.get(pair["query_id"], ())]}
+            pair
+            | {
+                "thumbnail_urls": [_thumbnail_url(clip) for clip in clips.get(pair["query_id"], ())],
+                "left_segment": left_segments.get(pair["query_id"], 0),
+            }
             for pair in pairs
         ]
         result = schemas.VersionReport.model_validate({**answer.result, "pairs": pairs})

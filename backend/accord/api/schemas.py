@@ -930,6 +930,7 @@ class PredictedPair(Schema):
     label: float | None = Field(description="Mean of its labels, in segment order; null if there is none.")
     trained_on: bool = Field(description="Whether the version was trained on its label.")
     thumbnail_urls: list[str] = Field(description="Paths of still images of segments 0 and 1; empty without clips.")
+    left_segment: Literal[0, 1] = Field(description="The segment that the caller sees on the left.")
 
 
 class CalibrationBin(Schema):

@@ -7,7 +7,7 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session, aliased
 
 from accord.store.queries import IS_COUNTED, IS_TRAINED_ON
-from accord.store.tables import ClipRow, CreditRow, LabelRow, QueryRow, RewardVersionRow, SegmentRow
+from accord.store.tables import ClipRow, CreditRow, LabelRow, PresentationRow, QueryRow, RewardVersionRow, SegmentRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +100,16 @@ def clips(session: Session, query_ids: Sequence[str]) -> dict[str, tuple[str, st
         .where(QueryRow.id.in_(query_ids))
     )
     return {row[0]: (row[1], row[2]) for row in rows}
+
+
+def left_segments(session: Session, user_id: str, query_ids: Sequence[str]) -> dict[str, int]:
+    """Query id -> the segment that was shown to a user on the left, for those that were."""
+    rows = session.execute(
+        select(PresentationRow.query_id, PresentationRow.left_segment).where(
+            PresentationRow.user_id == user_id, PresentationRow.query_id.in_(query_ids)
+        )
+    )
+    return {row[0]: row[1] for row in rows}
 
 
 def _pairs(session: Session, query_ids: Sequence[str]) -> list[ReportedPair]:

@@ -4,7 +4,7 @@ import pytest
 
 from accord.domain.ids import new_id
 from accord.services import credit
-from accord.services.credit import PairCredit, SegmentCredit
+from accord.services.credit import Histograms, PairCredit, PredictedPair, SegmentCredit, VersionReport
 from accord.store.tables import CreditRow, RewardVersionRow
 from support.api_in_thread import ApiServer
 from support.sample_experiments import AGENTS, STEPS, SampleExperiment, create_sample
@@ -106,6 +106,23 @@ def test_reports_are_for_researchers(api: ApiServer) -> None:
     assert code(api.researcher.get(path)) == "credit_not_found"
     assert api.researcher.put(path).json()["status"] == "pending"
     assert api.researcher.get(path).json()["result"] is None
+
+
+def test_a_report_shows_pairs_on_the_sides_that_the_researcher_saw(api_per_database: ApiServer) -> None:
+    api, sample = api_per_database, learned(api_per_database)
+    path = f"/api/v1/experiments/{sample.experiment.id}"
+    shown = api.researcher.post(f"{path}/queries/next", params={"count": 4}).json()["items"]
+    report = f"{path}/reward-versions/1/report"
+    api.researcher.put(report)
+    pairs = [PredictedPair(each["id"], each["number"], 0.75, None, 1.0, True) for each in shown]
+    histograms = Histograms([0.0, 1.0], [[1]], [1], [None], None)
+    with api.stores.database.transaction() as session:
+        (row,) = session.query(CreditRow)
+        credit.finish(session, row.id, VersionReport(pairs, [], 0, histograms, 1, 1))
+    seen = {each["id"]: each["left"]["index"] for each in shown}
+    for client, expected in ((api.researcher, seen), (api.admin, dict.fromkeys(seen, 0))):
+        found = client.get(report).json()["result"]["pairs"]
+        assert {each["query_id"]: each["left_segment"] for each in found} == expected
 
 
 @pytest.mark.parametrize(

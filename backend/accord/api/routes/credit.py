@@ -45,7 +45,7 @@ def request_report(experiment_id: ExperimentId, number: Number, auth: AuthDep) -
     with auth.writing() as caller:
         _require_researcher(caller)
         row = credit.version_of(caller.session, experiment_id, number)
-        return responses.report_response(caller.session, credit.request(caller.session, row, None))
+        return responses.report_response(caller.session, caller.user, credit.request(caller.session, row, None))
 
 
 @router.get("/experiments/{experiment_id}/reward-versions/{number}/report", summary="Get the report on a version")
@@ -54,7 +54,7 @@ def get_report(experiment_id: ExperimentId, number: Number, auth: AuthDep) -> sc
     with auth.reading() as caller:
         _require_researcher(caller)
         row = credit.version_of(caller.session, experiment_id, number)
-        return responses.report_response(caller.session, credit.get(caller.session, row, None))
+        return responses.report_response(caller.session, caller.user, credit.get(caller.session, row, None))
 
 
 def _require_researcher(caller: CallerSession) -> None:

@@ -29,6 +29,7 @@ export function Calibration({ report: { calibration, calibration_pairs } }: { re
         },
         { name: "Perfect calibration", colour: "--muted", x: [0, 1], y: [0, 1], dash: [4, 4] },
       ]}
+      hasNewest={false}
       xLabel="Predicted probability"
       xMax={1}
       yMin={0}

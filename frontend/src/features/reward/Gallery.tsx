@@ -32,7 +32,7 @@ export function Gallery({ experimentId, pairs, slight }: GalleryProps) {
       />
       <Pairs
         title="Most at odds with the labels"
-        note="Labelled pairs for which the model finds the other segment better."
+        note="Labelled pairs for which the model finds the other clip better."
         empty="The model agrees with every label."
         experimentId={experimentId}
         pairs={odds}
@@ -58,7 +58,7 @@ function Pairs({ title, note, empty, experimentId, pairs, slight }: PairsProps) 
           <li key={pair.query_id}>
             <Link to={paths.pair(experimentId, pair.query_id)} className="gallery-pair">
               <span className="gallery-stills">
-                {pair.thumbnail_urls.map((url) => (
+                {stillsOf(pair).map((url) => (
                   <img key={url} src={url} alt="" loading="lazy" width="100" height="75" />
                 ))}
               </span>
@@ -73,22 +73,31 @@ function Pairs({ title, note, empty, experimentId, pairs, slight }: PairsProps) 
   );
 }
 
-function predictionText({ probability, spread }: PredictedPair): string {
-  const deviation = spread === null ? "" : ` ± ${formatPercent(spread)}`;
-  return `P(first is better) ${formatPercent(probability)}${deviation}`;
+/** A probability or label in segment order, as that of the left clip: on the side where the user sees it. */
+function ofLeft(value: number, { left_segment }: PredictedPair): number {
+  return left_segment === 0 ? value : 1 - value;
 }
 
-function labelText({ label, trained_on }: PredictedPair, slight: boolean): string {
-  if (label === null) return "No label";
-  const text =
-    label === 1
-      ? "First is better"
-      : label === 0
-        ? "Second is better"
-        : label === 0.5
-          ? "Equally good"
-          : slight
-            ? `P(first is better) ${formatPercent(label)}`
-            : `First is better for ${formatPercent(label)}`;
-  return `Label: ${text}${trained_on ? "" : ", not trained on"}`;
+/** The stills of the left and the right clip. */
+function stillsOf({ thumbnail_urls, left_segment }: PredictedPair): readonly string[] {
+  return left_segment === 0 ? thumbnail_urls : thumbnail_urls.toReversed();
+}
+
+function predictionText(pair: PredictedPair): string {
+  const deviation = pair.spread === null ? "" : ` ± ${formatPercent(pair.spread)}`;
+  return `P(left is better) ${formatPercent(ofLeft(pair.probability, pair))}${deviation}`;
+}
+
+function labelText(pair: PredictedPair, slight: boolean): string {
+  if (pair.label === null) return "No label";
+  const share = ofLeft(pair.label, pair);
+  const mixed = slight
+    ? `P(left is better) ${formatPercent(share)}`
+    : `Left is better for ${formatPercent(share)}`;
+  const clear = new Map([
+    [1, "Left is better"],
+    [0, "Right is better"],
+    [0.5, "Equally good"],
+  ]);
+  return `Label: ${clear.get(share) ?? mixed}${pair.trained_on ? "" : ", not trained on"}`;
 }

@@ -10,6 +10,7 @@ const pair = (number: number, fields: Partial<PredictedPair>): PredictedPair => 
   label: null,
   trained_on: false,
   thumbnail_urls: [],
+  left_segment: 0,
   ...fields,
 });
 const numbers = (pairs: PredictedPair[]) => pairs.map(({ number }) => number);

@@ -3028,6 +3028,12 @@ export interface components {
              * @description Paths of still images of segments 0 and 1; empty without clips.
              */
             thumbnail_urls: string[];
+            /**
+             * Left Segment
+             * @description The segment that the caller sees on the left.
+             * @enum {integer}
+             */
+            left_segment: 0 | 1;
         };
         /**
          * Quality

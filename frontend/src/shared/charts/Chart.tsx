@@ -10,9 +10,9 @@ import "./chart.css";
 
 const HEIGHT = 200;
 
-/** A live chart of curves. The newest value, or that under the pointer, is also given as text. */
+/** A live chart of curves. The value under the pointer, otherwise the newest one, is also given as text. */
 export function Chart(props: ChartProps) {
-  const { title, note, value, curves, format, formatX, height = HEIGHT } = props;
+  const { title, note, value, curves, format, formatX, hasNewest = true, height = HEIGHT } = props;
   const container = useRef<HTMLDivElement>(null);
   const plot = useRef<uPlot | null>(null);
   const [zoom, setZoom] = useState<[number, number] | null>(null);
@@ -52,7 +52,7 @@ export function Chart(props: ChartProps) {
   const at = hovered === null ? undefined : table[0][hovered];
   const points = Math.max(0, ...curves.map(({ x }) => x.length));
   const single = shown.length === 1 ? shown[0] : undefined;
-  const text = (curve: Curve) => textAt(curve, at, format);
+  const text = (curve: Curve) => (at === undefined && !hasNewest ? "" : textAt(curve, at, format));
   return (
     <section className="card chart" aria-labelledby={titleId} data-points={points}>
       <h2 id={titleId}>

@@ -16,6 +16,8 @@ export interface ChartProps {
   title: string;
   /** what the numbers are, below the title */
   note?: string;
+  /** whether the newest values are given as text; false where x is no time */
+  hasNewest?: boolean;
   /** in place of the newest value of the only curve */
   value?: string | undefined;
   curves: readonly Curve[];
