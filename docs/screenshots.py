@@ -17,6 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import httpx
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
@@ -45,7 +46,18 @@ VARIANTS: dict[str, dict[str, Any]] = {
 SETTINGS: dict[str, Any] = {"task": "HalfCheetah-6x1", "total_steps": 30_000, "lookahead_queries": 3}
 #: a scripted teacher gives all labels, without clips
 FINISHED = SETTINGS | {"label_budget": 40, "initial_labels": 10, "labels_per_version": 10, "render_clips": False}
-RUNNING = SETTINGS | {"label_budget": 60, "initial_labels": 8, "labels_per_version": 26}
+#: a person and two programs label, and rewards depend on attention between agents
+RUNNING = SETTINGS | {
+    "label_budget": 80,
+    "initial_labels": 24,
+    "labels_per_version": 40,
+    "labels_per_pair": 2,
+    "overlap_share": 1.0,
+    "reward_model": "MAPT-paper",
+}
+#: programs that label the running experiment, and how many labels each gives
+TEACHERS = {"Ada": ("stochastic", 12), "Bob": ("careless", 12)}
+PRACTICE_PAIRS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +69,8 @@ class Scene:
     finished: str
     #: with pairs to label
     running: str
+    #: a labelled pair of it, and its newest reward version has rewards for it
+    pair: str
     #: a read-only link
     shared: str
     #: cookies of a browser that is signed in
@@ -85,8 +99,12 @@ class Picture:
 
 
 def _playing(page: Page) -> None:
-    """Both clips are on screen, some frames after their start."""
-    page.locator("[data-pair][data-state=playing]").wait_for()
+    """Both clips are on screen, past the rules on a first visit, some frames after their start."""
+    start, playing = page.get_by_role("button", name="Start labelling"), page.locator("[data-pair][data-state=playing]")
+    start.or_(playing).first.wait_for()
+    if start.is_visible():
+        start.click()
+    playing.wait_for()
     page.wait_for_function("Number(document.querySelector('canvas').dataset.frame) >= 20")
 
 
@@ -97,12 +115,49 @@ def _with_history(page: Page) -> None:
     page.wait_for_function("[...document.querySelectorAll('.history-item img')].slice(0, 4).every((i) => i.complete)")
 
 
+def _first_visit(page: Page) -> None:
+    page.get_by_role("button", name="Practise on").wait_for()
+
+
+def _practising(page: Page) -> None:
+    page.get_by_role("button", name="Practise on").click()
+    _playing(page)
+    page.keyboard.press("ArrowLeft")
+    page.get_by_test_id("feedback").wait_for()
+
+
+def _with_report(page: Page) -> None:
+    page.locator(".gallery img").first.wait_for()
+
+
+def _with_strips(page: Page) -> None:
+    page.get_by_role("slider").first.wait_for()
+    _playing(page)
+    page.get_by_role("button", name="Pause").click()
+
+
 def _with_import(page: Page) -> None:
     page.get_by_role("button", name="Import").click()
     page.get_by_label("Name of the new experiment").fill("Cheetah of last week")
 
 
 PAGES = (
+    Picture(
+        "first-visit",
+        "Before you start",
+        "The rules and the keys, and a practice round.",
+        lambda s: f"/experiments/{s.running}/label",
+        "labeller",
+        _first_visit,
+    ),
+    Picture(
+        "practice",
+        "Practice",
+        "Pairs whose answer a researcher knows, with feedback. These answers are not stored.",
+        lambda s: f"/experiments/{s.running}/label",
+        "labeller",
+        _practising,
+    ),
     Picture(
         "labelling",
         "Labelling",
@@ -136,6 +191,28 @@ PAGES = (
         "All labels",
         "Every pair with its labels and their revisions.",
         lambda s: f"/experiments/{s.running}/labels",
+    ),
+    Picture(
+        "quality",
+        "Quality",
+        "How well each labeller labels, how far they agree, and what is conspicuous.",
+        lambda s: f"/experiments/{s.running}/quality",
+    ),
+    Picture(
+        "reward",
+        "Reward",
+        "What a reward version says about the pairs, its calibration, and the rewards of each agent.",
+        lambda s: f"/experiments/{s.running}/reward",
+        prepare=_with_report,
+        full=True,
+    ),
+    Picture(
+        "credit",
+        "What was learned",
+        "The rewards of every step and agent, in step with the clips, and the attention between agents.",
+        lambda s: f"/experiments/{s.running}/pairs/{s.pair}",
+        prepare=_with_strips,
+        full=True,
     ),
     Picture(
         "compare",
@@ -172,7 +249,8 @@ def main() -> None:
 def set_up(browser: Browser, service: OwnService) -> Scene:
     """Two experiments with labels of a program and of a person."""
     url = service.url()
-    api = Api(url, service.token("admin", Role.ADMIN))
+    token = service.token("admin", Role.ADMIN)
+    api = Api(url, token)
     finished = str(api.post("/experiments", FINISHED | {"name": "Cheetah, six agents"})["id"])
     running = str(api.post("/experiments", RUNNING | {"name": "Cheetah, second run", "seed": 1})["id"])
     states = {"nobody": None}
@@ -182,18 +260,35 @@ def set_up(browser: Browser, service: OwnService) -> Scene:
         context.request.get(link)
         states[name] = context.storage_state()
         context.close()
-    teach(api, finished, FINISHED["label_budget"])
-    label_as_person(browser, states["labeller"], f"{url}/experiments/{running}/label", 4)
+    mark_for_practice(url, token, running)
+    teach(api, finished, "stochastic", FINISHED["label_budget"])
+    for name, (teacher, labels) in TEACHERS.items():
+        teach(Api(url, service.token(name, Role.TEACHER)), running, teacher, labels)
+    label_as_person(browser, states["labeller"], f"{url}/experiments/{running}/label", 6)
     wait(lambda: api.get(f"/experiments/{finished}")["status"] == "finished", "the first experiment to finish")
+    wait(lambda: api.get(f"/experiments/{running}")["reward_version"] is not None, "a reward version")
     wait(lambda: api.get(f"/experiments/{running}")["labels"]["open_queries"] > 1, "pairs to label")
+    queries = api.get(f"/experiments/{running}/queries", status="closed")["items"]
+    pair = next(query["id"] for query in queries if len(query["labels"]) > 1)
     shared = api.post(f"/experiments/{finished}/shares", {"days": 30})["url"]
     api.close()
-    return Scene(url, finished, running, shared.removeprefix(url), states)
+    return Scene(url, finished, running, pair, shared.removeprefix(url), states)
 
 
-def teach(api: Api, experiment: str, labels: int) -> None:
+def mark_for_practice(url: str, token: str, experiment: str) -> None:
+    """Makes the first pairs practice pairs; the one with the higher true return is better."""
+    api, path = Api(url, token), f"/experiments/{experiment}"
+    wait(lambda: api.get(path)["labels"]["open_queries"] >= PRACTICE_PAIRS, "clips")
+    for query in api.get(f"{path}/queries", status="open")["items"][-PRACTICE_PAIRS:]:
+        first, second = (segment["true_return"] for segment in query["segments"])
+        known = {"label": float(first > second), "practice": True, "explanation": "It gets further to the right."}
+        address = f"{url}/api/v1/queries/{query['id']}/gold"
+        httpx.put(address, json=known, headers={"Authorization": f"Bearer {token}"}).raise_for_status()
+
+
+def teach(api: Api, experiment: str, name: str, labels: int) -> None:
     """Labels of a scripted teacher."""
-    teacher = TeacherChoice.parse("stochastic").teacher(0)
+    teacher = TeacherChoice.parse(name).teacher(0)
     reader, given = SegmentReader(api, teacher), 0
     while given < labels:
         wanted = min(10, labels - given)
