@@ -25,8 +25,8 @@ export function AgentAttention({ name, credit, task }: AgentAttentionProps) {
             <tr>
               <td />
               {rows.map((_, agent) => (
-                <th key={agentName(agent)} scope="col" aria-label={agentName(agent)}>
-                  <AgentSwatch colours={task.agent_colours} agent={agent} />
+                <th key={agentName(agent)} scope="col">
+                  <AgentSwatch colours={task.agent_colours} agent={agent} /> {agentName(agent)}
                 </th>
               ))}
             </tr>
