@@ -9,7 +9,9 @@ import httpx
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from sqlalchemy import update
 
+from accord.store.tables import ClipRow
 from mapt.rendering.encode import write_clip
 from mapt.rendering.settings import RenderSettings
 from support.api_in_thread import ApiServer
@@ -30,6 +32,15 @@ def labelled(api_per_database: ApiServer) -> SampleExperiment:
     batch = {"labels": [{"query_id": four, "label": 1.0, "teacher": {"name": "oracle"}}]}
     assert api_per_database.teacher.post(f"{path}/labels", json=batch).json()["items"][0]["ok"]
     return sample
+
+
+def store_video(api: ApiServer, clip_id: str, content: bytes) -> None:
+    """Give a sample's clip, which is not a video, this content."""
+    key = f"clips/{clip_id}.mp4"
+    api.stores.blobs.delete(key)
+    api.stores.blobs.put(key, content)
+    with api.stores.database.transaction() as session:
+        session.execute(update(ClipRow).where(ClipRow.id == clip_id).values(size_bytes=len(content)))
 
 
 def get(client: httpx.Client, sample: SampleExperiment, path: str, **query: Any) -> dict[str, Any]:
@@ -121,9 +132,7 @@ def test_a_still_shows_the_middle_of_a_clip(api: ApiServer, tmp_path: Path) -> N
     clip = write_clip(frames, tmp_path / "clip.mp4", RenderSettings(width=128, height=96))
     (query,) = api.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next").json()["items"]
     path = query["left"]["thumbnail_url"]
-    key = f"clips/{Path(path).stem}.mp4"
-    api.stores.blobs.delete(key)
-    api.stores.blobs.put(key, clip.path.read_bytes())
+    store_video(api, Path(path).stem, clip.path.read_bytes())
     still = api.labeller.get(path)
     assert (still.status_code, still.headers["content-type"]) == (200, "image/jpeg")
     image = iio.imread(still.content, extension=".jpg")
@@ -142,9 +151,7 @@ def test_a_clip_is_also_served_as_a_gif_of_the_same_length(api: ApiServer, tmp_p
     (query,) = api.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next").json()["items"]
     path = query["left"]["clip_url"].replace(".mp4", ".gif")
     assert api.labeller.get(path).status_code == 404  # the sample's clip is not a video
-    key = f"clips/{Path(path).stem}.mp4"
-    api.stores.blobs.delete(key)
-    api.stores.blobs.put(key, clip.path.read_bytes())
+    store_video(api, Path(path).stem, clip.path.read_bytes())
     response = api.labeller.get(path)
     assert (response.status_code, response.headers["content-type"]) == (200, "image/gif")
     shown = iio.imread(response.content, extension=".gif")
