@@ -25,7 +25,9 @@ def mark_for_practice(researcher: Page, number: int, answer: str, explanation: s
     while not pair.is_visible():
         older.click()
     pair.get_by_label(re.compile("^Known answer")).select_option(answer)
-    pair.get_by_label("for practice").check()
+    for_practice = pair.get_by_label("for practice")
+    for_practice.click()
+    expect(for_practice).to_be_checked()
     reason = pair.get_by_label(re.compile("^Explanation"))
     reason.fill(explanation)
     reason.press("Tab")
