@@ -104,3 +104,29 @@ def test_an_admin_adds_promotes_revokes_and_removes_a_user(service: Service, bro
 
 def _row(page: Page, name: str) -> Locator:
     return page.get_by_role("row").filter(has=page.get_by_role("rowheader", name=name))
+
+
+def test_a_researcher_creates_a_token_for_a_program_and_revokes_it(service: Service, sign_in: SignIn) -> None:
+    page = sign_in("Rita", "researcher")
+    page.get_by_role("link", name="Rita of").click()
+    page.get_by_role("button", name="Create a token").click()
+    page.get_by_label("Name: what it is for").fill("night run")
+    page.get_by_label("Role").select_option("teacher")
+    found = violations_of(page, "new token")
+    page.get_by_role("dialog").get_by_role("button", name="Create").click()
+    token = page.get_by_role("dialog").locator("code").inner_text()
+    page.get_by_role("button", name="Done").click()
+    row = _row(page, "night run")
+    expect(row).to_contain_text("teacher")
+    with service.api(token) as program:
+        assert program.get("/me").json()["role"] == "teacher"
+        page.reload()
+        expect(row).to_be_visible()
+        expect(row.get_by_text("Never")).to_have_count(0)
+        found += violations_of(page, "tokens")
+        page.screenshot(path=service.home / "tokens.png")
+        row.get_by_role("button", name="Revoke night run").click()
+        page.get_by_role("dialog").get_by_role("button", name="Revoke").click()
+        expect(row).to_have_count(0)
+        assert program.get("/me").status_code == 401
+    assert found == []

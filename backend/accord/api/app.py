@@ -25,6 +25,7 @@ from accord.api.routes import (
     recordings,
     segments,
     shares,
+    tokens,
 )
 from accord.api.sign_in_limit import SignInLimit
 from accord.settings import Settings
@@ -70,6 +71,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         shares,
         events,
         accounts,
+        tokens,
         people,
         health,
     ):

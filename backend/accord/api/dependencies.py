@@ -6,8 +6,8 @@ would hold the database's write lock between two turns in the thread pool: with 
 waits for the lock while its holder waits for a thread.
 """
 
-from collections.abc import Generator
-from contextlib import contextmanager
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Annotated, cast
 from urllib.parse import urlsplit
@@ -19,9 +19,9 @@ from sqlalchemy.orm import Session
 
 from accord.api.sign_in_limit import SignInLimit
 from accord.domain.enums import Role
-from accord.domain.errors import Forbidden, InvitationNotValid, Unauthenticated
+from accord.domain.errors import Forbidden, InvitationNotValid, Unauthenticated, Unavailable
 from accord.domain.ids import check_id
-from accord.services import accounts
+from accord.services import access, accounts
 from accord.settings import Settings
 from accord.store.accounts import User
 from accord.store.blobs import BlobStore
@@ -58,6 +58,10 @@ class Auth:
     token: str
     #: of the client
     address: str
+    #: name of the route; None before the request is routed
+    operation: str | None
+    #: path parameters, which name what the request is about
+    path: Mapping[str, str]
 
     @contextmanager
     def writing(self) -> Generator[CallerSession]:
@@ -69,9 +73,17 @@ class Auth:
 
     @contextmanager
     def reading(self) -> Generator[CallerSession]:
-        """A transaction that only reads. Raises Unauthenticated."""
+        """A transaction that only reads. Raises Unauthenticated.
+
+        The first use of a bearer token in a minute is recorded afterwards.
+        """
         with self.app.database.reading() as session:
-            yield self._authenticated(session)
+            caller = self._authenticated(session)
+            yield caller
+        if not accounts.use_is_recorded(caller.user):
+            # A full disk must not refuse a request that only reads.
+            with suppress(Unavailable, Unauthenticated), self.writing():
+                pass
 
     def _authenticated(self, session: Session) -> CallerSession:
         limit = self.app.sign_in_limit
@@ -81,6 +93,8 @@ class Auth:
             limit.failed(self.address, self.token)
             raise
         limit.succeeded(self.token)
+        if self.operation is not None:
+            access.require_in_scope(session, user, self.operation, self.path)
         return CallerSession(session, user, Role(user.role))
 
 
@@ -136,7 +150,9 @@ async def authentication(request: Request) -> Auth:
 
 
 def _auth(request: Request, token: str) -> Auth:
-    auth = Auth(app_state(request), token, address_of_client(request))
+    route = request.scope.get("route")
+    operation = None if route is None else str(route.name)
+    auth = Auth(app_state(request), token, address_of_client(request), operation, request.path_params)
     auth.app.sign_in_limit.check(auth.address, token)
     return auth
 
@@ -188,6 +204,10 @@ def _invitation_id(id: str) -> str:
     return check_id(id, "inv")
 
 
+def _token_id(id: str) -> str:
+    return check_id(id, "tok")
+
+
 def _share_id(id: str) -> str:
     return check_id(id, "shr")
 
@@ -200,6 +220,7 @@ SegmentId = Annotated[str, AfterValidator(_segment_id), Path(description="The se
 ShareId = Annotated[str, AfterValidator(_share_id), Path(description="The link, shr_...")]
 
 UserId = Annotated[str, AfterValidator(_user_id), Path(description="The user, usr_...")]
+TokenId = Annotated[str, AfterValidator(_token_id), Path(description="The token, tok_...")]
 InvitationId = Annotated[str, AfterValidator(_invitation_id), Path(description="The invitation, inv_...")]
 
 

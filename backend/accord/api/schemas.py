@@ -104,6 +104,41 @@ class BearerToken(Schema):
     token: str = Field(description="Only its hash is stored, so it cannot be shown again.")
 
 
+class NewToken(Schema):
+    """A bearer token to create for a program of yours."""
+
+    name: str = Field(min_length=1, max_length=100, description="What it is for: one line, for your list of tokens.")
+    role: Role | None = Field(
+        default=None,
+        description="What it may do, at most what you may. Null: your role, also after it changes.",
+    )
+    experiment_id: str | None = Field(
+        default=None, description="The only experiment that it reaches, exp_...; null for all that you see."
+    )
+    days: float | None = Field(
+        default=90.0, gt=0, le=3650, description="It expires after this many days; null for never."
+    )
+
+
+class Token(Schema):
+    """A bearer token of yours."""
+
+    id: str = Field(description="tok_...")
+    name: str = Field(description="What it is for.")
+    role: Role | None = Field(description="What it may do; null for your role.")
+    experiment_id: str | None = Field(description="The only experiment that it reaches; null for all that you see.")
+    created_at: datetime = Field(description="When it was created.")
+    expires_at: datetime | None = Field(description="When it stops working; null for never.")
+    last_used_at: datetime | None = Field(description="Its last use, to the minute; null if it was never used.")
+    current: bool = Field(description="Whether this request was sent with it.")
+
+
+class CreatedToken(Token):
+    """A new token with its secret."""
+
+    token: str = Field(description="Only its hash is stored, so it cannot be shown again.")
+
+
 class RemovedUser(Schema):
     """What remains of a removed user."""
 
@@ -588,7 +623,8 @@ class NewLabel(Schema):
         "experiments with `ask_agent`, and not with a skip or an equal label.",
     )
     teacher: dict[str, Any] = Field(
-        default_factory=dict[str, Any], description="A scripted teacher's name and parameters."
+        default_factory=dict[str, Any],
+        description="A scripted teacher's name and parameters; for programs with a bearer token, not for labellers.",
     )
     replaces: int | None = Field(
         default=None,

@@ -7,7 +7,7 @@
     ├── NotFound                      the object does not exist
     │   └── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound, UserNotFound,
     │       CreditNotFound, RewardVersionNotFound, InvitationNotFound, InvitationNotValid, ShareNotFound,
-    │       RecordingNotFound
+    │       RecordingNotFound, TokenNotFound
     ├── WrongState                    the object is in a state that does not allow it
     │   └── ExperimentNotActive, ExperimentInUse, QueryClosed, LabelConflict, LabelChanged, NameTaken, OwnAccount
     ├── LeaseLost                     the caller holds no lease on the query
@@ -137,6 +137,11 @@ class UserNotFound(NotFound):
     def __init__(self, name: str) -> None:
         AccordError.__init__(self, f"There is no user {name!r}. `accord user list` shows every user.")
         self.id = name
+
+
+class TokenNotFound(NotFound):
+    code = "token_not_found"
+    thing = "token of yours"
 
 
 class InvitationNotFound(NotFound):

@@ -6,6 +6,13 @@ from accord.domain.errors import Forbidden, ReturnsHidden
 _SEES_RETURNS = frozenset({Role.TEACHER, Role.RESEARCHER, Role.ADMIN})
 _RUNS_EXPERIMENTS = frozenset({Role.RESEARCHER, Role.ADMIN})
 _LABELS_IN_BATCHES = frozenset({Role.TEACHER, Role.RESEARCHER, Role.ADMIN})
+#: role -> the roles that a bearer token of its users can have, the strongest first
+_TOKEN_ROLES = {
+    Role.ADMIN: (Role.ADMIN, Role.RESEARCHER, Role.TEACHER, Role.LABELLER),
+    Role.RESEARCHER: (Role.RESEARCHER, Role.TEACHER, Role.LABELLER),
+    Role.TEACHER: (Role.TEACHER,),
+    Role.LABELLER: (Role.LABELLER,),
+}
 
 
 def may_see_returns(role: Role) -> bool:
@@ -21,6 +28,16 @@ def may_run_experiments(role: Role) -> bool:
 def may_label_in_batches(role: Role) -> bool:
     """Whether a role may send many labels at once, and label queries it holds no lease on."""
     return role in _LABELS_IN_BATCHES
+
+
+def may_describe_teacher(role: Role, *, program: bool) -> bool:
+    """Whether a label may say which scripted teacher gave it: never one of a labeller or of a browser."""
+    return program and role in _LABELS_IN_BATCHES
+
+
+def may_have_token(role: Role, token_role: Role) -> bool:
+    """Whether a bearer token of a user with `role` can have `token_role`, which may do no more."""
+    return token_role in _TOKEN_ROLES[role]
 
 
 def may_manage_users(role: Role) -> bool:

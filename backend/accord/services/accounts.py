@@ -7,7 +7,8 @@ Only the SHA-256 of a token is stored; a plain hash is enough for 256 random bit
 import hashlib
 import secrets
 import shlex
-from datetime import timedelta
+from dataclasses import replace
+from datetime import datetime, timedelta
 from typing import Protocol
 
 from sqlalchemy.orm import Session
@@ -15,6 +16,7 @@ from sqlalchemy.orm import Session
 from accord.domain.enums import Role
 from accord.domain.errors import NameTaken, OwnAccount, Unauthenticated, UserNotFound
 from accord.domain.ids import new_id
+from accord.domain.permissions import may_have_token
 from accord.services.validation import check_line
 from accord.store import accounts
 from accord.store.accounts import User, UserSummary
@@ -52,7 +54,7 @@ def create_user(session: Session, name: str, role: Role) -> tuple[UserRow, str]:
             f"`accord user link {shlex.quote(line)}` where Accord runs."
         )
     user = add_row(session, line, role)
-    return user, _new_token(session, user.id, "bearer", None)
+    return user, add_token(session, user.id, "bearer", None, name="First token")
 
 
 def name_is_taken(session: Session, name: str) -> bool:
@@ -139,36 +141,56 @@ def remove(session: Session, user: UserRow) -> bool:
     return True
 
 
-def new_bearer(session: Session, user_id: str) -> str:
-    """Another bearer token for a user.
+def new_bearer(session: Session, user_id: str, name: str = "") -> str:
+    """Another bearer token for a user, without limits.
+
+    Args:
+        name: for the list of the user's tokens.
 
     Raises:
         UserNotFound: if there is no such user.
     """
     _let_in(session, user_id)
-    return _new_token(session, user_id, "bearer", None)
+    return add_token(session, user_id, "bearer", None, name=name)
 
 
 def note_seen(session: Session, user: User) -> None:
-    """Records that a user is here, at most once a minute."""
+    """Records that a user is here, and the use of a bearer token, each at most once a minute."""
     if not was_seen_lately(user):
         accounts.set_last_seen(session, user.id, utc_now())
+    if not use_is_recorded(user):
+        accounts.set_token_used(session, user.token_hash, utc_now())
 
 
 def was_seen_lately(user: User) -> bool:
-    return user.last_seen_at is not None and utc_now() - user.last_seen_at <= _SEEN_EVERY
+    return _is_recent(user.last_seen_at)
+
+
+def use_is_recorded(user: User) -> bool:
+    """Whether the last use of the user's bearer token was recorded within the last minute."""
+    return not user.is_program or _is_recent(user.token_used_at)
+
+
+def _is_recent(time: datetime | None) -> bool:
+    return time is not None and utc_now() - time <= _SEEN_EVERY
 
 
 def authenticate(session: Session, token: str) -> User:
-    """The user with this bearer or session token.
+    """The user with this bearer or session token, with the role of the token.
 
     Raises:
-        Unauthenticated: if the token is unknown or has expired.
+        Unauthenticated: if the token is unknown or has expired, or if its user may no longer have its role.
     """
     user = accounts.user_of_token(session, hash_of(token), utc_now())
     if user is None:
         raise Unauthenticated("This token is wrong or has expired. Ask an admin for another, or open a sign-in link.")
-    return user
+    if user.token_role is None:
+        return user
+    if not may_have_token(Role(user.role), Role(user.token_role)):
+        raise Unauthenticated(
+            f"This token is for a {user.token_role}, but its user is a {user.role} now. Create another one."
+        )
+    return replace(user, role=user.token_role)
 
 
 def make_link(session: Session, user_id: str, minutes: float) -> str:
@@ -178,7 +200,7 @@ def make_link(session: Session, user_id: str, minutes: float) -> str:
         UserNotFound: if there is no such user.
     """
     _let_in(session, user_id)
-    return _new_token(session, user_id, "link", timedelta(minutes=minutes))
+    return add_token(session, user_id, "link", timedelta(minutes=minutes))
 
 
 def redeem_link(session: Session, token: str, session_days: float) -> tuple[UserRow, str]:
@@ -202,7 +224,7 @@ def redeem_link(session: Session, token: str, session_days: float) -> tuple[User
 def start_session(session: Session, user: UserRow, session_days: float) -> str:
     """The token of a new browser session."""
     user.last_seen_at = utc_now()
-    return _new_token(session, user.id, "session", timedelta(days=session_days))
+    return add_token(session, user.id, "session", timedelta(days=session_days))
 
 
 def sign_out(session: Session, token: str) -> None:
@@ -219,10 +241,29 @@ def _let_in(session: Session, user_id: str) -> None:
     get(session, user_id).removed_at = None
 
 
-def _new_token(session: Session, user_id: str, kind: str, lasts: timedelta | None) -> str:
+def add_token(
+    session: Session,
+    user_id: str,
+    kind: str,
+    lasts: timedelta | None,
+    *,
+    name: str = "",
+    role: Role | None = None,
+    experiment_id: str | None = None,
+) -> str:
+    """A new token of a `kind` of `TokenRow`; `accord.services.tokens` checks names and limits that people choose."""
     token = secrets.token_urlsafe(32)
     now = utc_now()
-    expires_at = None if lasts is None else now + lasts
-    session.add(TokenRow(hash=hash_of(token), user_id=user_id, kind=kind, created_at=now, expires_at=expires_at))
+    row = TokenRow(
+        hash=hash_of(token),
+        user_id=user_id,
+        kind=kind,
+        created_at=now,
+        expires_at=None if lasts is None else now + lasts,
+        name=name,
+        role=None if role is None else role.value,
+        experiment_id=experiment_id,
+    )
+    session.add(row)
     session.flush()
     return token

@@ -118,14 +118,21 @@ def config_of(row: ExperimentRow) -> ExperimentConfig:
 
 
 def list_page(
-    session: Session, limit: int, cursor: str | None, archived: bool | None = None, *, only_of: str | None = None
+    session: Session,
+    limit: int,
+    cursor: str | None,
+    archived: bool | None = None,
+    *,
+    only_of: str | None = None,
+    only_id: str | None = None,
 ) -> ExperimentPage:
     """At most `limit` experiments, newest first, from `cursor` on; `archived` None lists archived ones and others.
 
     Args:
         only_of: id of a user; only the experiments that they were given access to.
+        only_id: id of an experiment; only this one.
     """
-    rows = experiments.newest(session, limit + 1, cursor, archived=archived, only_of=only_of)
+    rows = experiments.newest(session, limit + 1, cursor, archived=archived, only_of=only_of, only_id=only_id)
     more = len(rows) > limit
     return ExperimentPage(rows[:limit], rows[limit - 1].id if more else None)
 

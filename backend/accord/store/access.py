@@ -5,7 +5,9 @@ from collections.abc import Iterable, Sequence
 from sqlalchemy import bindparam, delete, exists, insert, select, update
 from sqlalchemy.orm import Session
 
-from accord.store.tables import ExperimentAccessRow, ExperimentRow, QueryRow
+from accord.store.tables import ClipRow, ExperimentAccessRow, ExperimentRow, QueryRow, RecordingRow, SegmentRow
+
+PartRow = type[QueryRow | ClipRow | SegmentRow | RecordingRow]
 
 #: built once, because requests of restricted users run it
 _HAS = select(
@@ -18,6 +20,11 @@ _HAS = select(
 def has(session: Session, user_id: str, experiment_id: str) -> bool:
     """Whether the user was given access to the experiment."""
     return bool(session.connection().scalar(_HAS, {"user": user_id, "experiment": experiment_id}))
+
+
+def experiment_of(session: Session, table: PartRow, id: str) -> str | None:
+    """The experiment of a query, clip, segment or recording; None if there is no such row."""
+    return session.scalar(select(table.experiment_id).where(table.id == id))
 
 
 def replace(session: Session, user_id: str, experiment_ids: Sequence[str]) -> None:

@@ -20,7 +20,19 @@ from accord.store.tables import (
 
 #: built once, because every request runs it
 _SIGNED_IN = (
-    select(UserRow.id, UserRow.name, UserRow.role, UserRow.all_experiments, UserRow.last_seen_at)
+    select(
+        UserRow.id,
+        UserRow.name,
+        UserRow.role,
+        UserRow.all_experiments,
+        UserRow.last_seen_at,
+        TokenRow.hash,
+        TokenRow.kind,
+        TokenRow.role,
+        TokenRow.experiment_id,
+        TokenRow.expires_at,
+        TokenRow.used_at,
+    )
     .join(TokenRow, TokenRow.user_id == UserRow.id)
     .where(
         TokenRow.hash == bindparam("hash"),
@@ -29,18 +41,39 @@ _SIGNED_IN = (
     )
 )
 _SEEN = update(UserRow).where(UserRow.id == bindparam("user"))
+_USED = update(TokenRow).where(TokenRow.hash == bindparam("token"))
 
 
 @dataclass(frozen=True, slots=True)
 class User:
-    """A signed-in user."""
+    """A signed-in user, and the token of the request."""
 
     id: str
     name: str
+    #: that of the token, if it has one
     role: str
     #: False if they see only the experiments that they were given access to
     all_experiments: bool
     last_seen_at: datetime | None
+    token_hash: str
+    #: bearer | session
+    token_kind: str
+    #: of a bearer token that may do less than its user
+    token_role: str | None
+    #: the only experiment that the token reaches
+    token_experiment_id: str | None
+    token_expires_at: datetime | None
+    token_used_at: datetime | None
+
+    @property
+    def is_program(self) -> bool:
+        """Whether the token is a program's, not a browser's cookie."""
+        return self.token_kind == "bearer"
+
+    @property
+    def has_limits(self) -> bool:
+        """Whether the token may do less than its user, or for a shorter time."""
+        return self.is_program and (self.token_role, self.token_experiment_id, self.token_expires_at) != (None,) * 3
 
 
 def user(session: Session, user_id: str) -> UserRow | None:
@@ -138,6 +171,10 @@ def delete_user(session: Session, user_id: str) -> None:
 
 def set_last_seen(session: Session, user_id: str, now: datetime) -> None:
     session.connection().execute(_SEEN, {"user": user_id, "last_seen_at": now})
+
+
+def set_token_used(session: Session, token_hash: str, now: datetime) -> None:
+    session.connection().execute(_USED, {"token": token_hash, "used_at": now})
 
 
 def first_with_role(session: Session, role: str) -> UserRow | None:

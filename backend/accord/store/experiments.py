@@ -71,11 +71,17 @@ def by_name(session: Session, name: str) -> ExperimentRow | None:
 
 
 def newest(
-    session: Session, limit: int, before_id: str | None, *, archived: bool | None, only_of: str | None
+    session: Session,
+    limit: int,
+    before_id: str | None,
+    *,
+    archived: bool | None,
+    only_of: str | None,
+    only_id: str | None = None,
 ) -> list[ExperimentRow]:
     """Newest first; identifiers sort by time of creation. With `archived` None, archived ones and others.
 
-    With `only_of`, those that this user was given access to.
+    With `only_of`, those that this user was given access to; with `only_id`, this one.
     """
     statement = select(ExperimentRow).order_by(ExperimentRow.id.desc()).limit(limit)
     if archived is not None:
@@ -85,6 +91,8 @@ def newest(
     if only_of is not None:
         given = select(ExperimentAccessRow.experiment_id).where(ExperimentAccessRow.user_id == only_of)
         statement = statement.where(ExperimentRow.id.in_(given))
+    if only_id is not None:
+        statement = statement.where(ExperimentRow.id == only_id)
     return list(session.scalars(statement))
 
 

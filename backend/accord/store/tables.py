@@ -114,7 +114,15 @@ class TokenRow(Base):
     kind: Mapped[str] = mapped_column(String(10))
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
     expires_at: Mapped[datetime | None] = mapped_column(default=None)
+    #: of a link: when it was redeemed; of a bearer token: its last use, to the minute
     used_at: Mapped[datetime | None] = mapped_column(default=None)
+    #: of a bearer token, for people
+    name: Mapped[str] = mapped_column(String(100), default="", server_default="")
+    #: of a bearer token that may do less than its user; None: the user's role
+    role: Mapped[str | None] = mapped_column(String(20), default=None)
+    #: The only experiment that a bearer token reaches; None: those of its user. No foreign key: in SQLite, a column
+    #: that has one cannot be dropped again.
+    experiment_id: Mapped[str | None] = mapped_column(String(32), index=True, default=None)
 
 
 class ExperimentRow(Base):

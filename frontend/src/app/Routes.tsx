@@ -11,6 +11,7 @@ const loaders = {
   experiment: () => import("@/features/experiment/ExperimentPage").then(as("ExperimentPage")),
   label: () => import("@/features/labelling/LabelPage").then(as("LabelPage")),
   compare: () => import("@/features/compare/ComparePage").then(as("ComparePage")),
+  account: () => import("@/features/account/AccountPage").then(as("AccountPage")),
   people: () => import("@/features/people/PeoplePage").then(as("PeoplePage")),
   labels: () => import("@/features/label-table/LabelTablePage").then(as("LabelTablePage")),
   quality: () => import("@/features/quality/QualityPage").then(as("QualityPage")),
@@ -24,6 +25,7 @@ const NewExperimentPage = lazy(loaders["new-experiment"]);
 const ExperimentPage = lazy(loaders.experiment);
 const LabelPage = lazy(loaders.label);
 const LabelTablePage = lazy(loaders.labels);
+const AccountPage = lazy(loaders.account);
 const PeoplePage = lazy(loaders.people);
 const QualityPage = lazy(loaders.quality);
 const DecidePage = lazy(loaders.decide);
@@ -67,6 +69,8 @@ function Page({ me }: { me: Me }) {
       return <ComparePage key={route.ids.join()} ids={route.ids} />;
     case "labels":
       return <LabelTablePage key={route.id} id={route.id} me={me} />;
+    case "account":
+      return <AccountPage me={me} />;
     case "people":
       return <PeoplePage me={me} />;
     case "quality":

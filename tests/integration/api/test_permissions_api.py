@@ -21,6 +21,9 @@ ADMINS = frozenset({Role.ADMIN})
 ALLOWED: dict[str, frozenset[Role]] = {
     "GET /me": EVERYONE,
     "POST /sign-out": EVERYONE,
+    "GET /tokens": EVERYONE,
+    "POST /tokens": EVERYONE,
+    "DELETE /tokens/{token_id}": EVERYONE,
     "GET /tasks": EVERYONE,
     "GET /workers": EVERYONE,
     "GET /experiments": EVERYONE,
@@ -102,6 +105,7 @@ BODIES: dict[str, dict[str, Any]] = {
     "PATCH /users/{user_id}": {"role": "labeller"},
     "POST /experiments/{experiment_id}/shares": {"days": 1},
     "POST /invitations": {"experiment_id": new_id("exp")},
+    "POST /tokens": {"name": "mine"},
 }
 PARAMETERS = {"DELETE /experiments/{experiment_id}": {"name": "one"}, "POST /experiments/import": {"name": "one"}}
 #: refused as invalid after the role is checked
@@ -111,7 +115,7 @@ INVALID = {"POST /experiments", "POST /experiments/import"}
 def request(client: httpx.Client, operation: str, **ids: str) -> httpx.Response:
     """Send a valid request; objects that `ids` does not name do not exist."""
     absent = {"experiment_id": "exp", "query_id": "qry", "clip_id": "clp", "segment_id": "seg", "user_id": "usr"}
-    absent |= {"invitation_id": "inv", "share_id": "shr", "recording_id": "rec"}
+    absent |= {"invitation_id": "inv", "share_id": "shr", "recording_id": "rec", "token_id": "tok"}
     method, path = operation.split()
     filled = f"/api/v1{path}".format(
         number=1, camera="top", **{name: new_id(kind) for name, kind in absent.items()} | ids
@@ -197,6 +201,36 @@ def test_hidden_experiments_do_not_exist_for_a_restricted_user(api_per_database:
             # A label on a pair that was never shown to the user
             refused = request(client, "PUT /queries/{query_id}/label", **ids["hidden"])
             assert refused.status_code == (410 if role is Role.LABELLER else 404)
+
+
+#: what a token for one experiment reaches outside experiments
+OUTSIDE_EXPERIMENTS = {"GET /me", "GET /tasks", "GET /experiments", "POST /sign-out"}
+PARTS = ("experiment", "query", "clip", "segment", "recording")
+
+
+def test_a_token_for_one_experiment_reaches_nothing_else(api_per_database: ApiServer) -> None:
+    api = api_per_database
+    shown, hidden = (create_sample(api.stores.database, api.stores.blobs) for _ in range(2))
+    limits = {"name": "one experiment", "experiment_id": shown.experiment.id}
+    ids = ids_of(api, hidden)
+    with api.client(api.admin.post("/api/v1/tokens", json=limits).json()["token"]) as client:
+        for operation in sorted(ALLOWED, key=lambda operation: operation == "POST /sign-out"):
+            if operation in OUTSIDE_EXPERIMENTS:
+                expected = {200, 204}
+            else:
+                expected = {404} if any(f"{{{kind}_id}}" in operation for kind in PARTS) else {403}
+            assert request(client, operation, **ids).status_code in expected, operation
+    with api.client(api.admin.post("/api/v1/tokens", json=limits).json()["token"]) as client:
+        assert [each["id"] for each in client.get("/api/v1/experiments").json()["items"]] == [shown.experiment.id]
+        reached = ids_of(api, shown)
+        for operation in (
+            "GET /experiments/{experiment_id}",
+            "GET /experiments/{experiment_id}/quality",
+            "POST /experiments/{experiment_id}/queries/next",
+            "GET /segments/{segment_id}/arrays",
+            "GET /clips/{clip_id}.mp4",
+        ):
+            assert request(client, operation, **reached).status_code == 200, operation
 
 
 def test_restricted_researchers_see_everything(api: ApiServer) -> None:

@@ -66,6 +66,7 @@ def fill_path(path: str, sample: SampleExperiment, clip_id: str) -> str:
         user_id=sample.owner.id,
         invitation_id=new_id("inv"),
         token="no-invitation",
+        token_id=new_id("tok"),
         number="1",
         share_id=new_id("shr"),
         recording_id=RECORDING,

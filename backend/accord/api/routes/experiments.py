@@ -62,7 +62,8 @@ def list_experiments(
         check_id(cursor, "exp")
     with auth.reading() as caller:
         only_of = None if access.sees_all(caller.user) else caller.user.id
-        page = experiments.list_page(caller.session, limit, cursor, archived, only_of=only_of)
+        only_id = caller.user.token_experiment_id
+        page = experiments.list_page(caller.session, limit, cursor, archived, only_of=only_of, only_id=only_id)
         items = responses.experiment_responses(caller.session, page.rows, caller.role)
         return schemas.ExperimentPage(items=items, next_cursor=page.next_cursor)
 

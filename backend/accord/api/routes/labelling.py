@@ -10,7 +10,7 @@ from accord.api import responses, schemas
 from accord.api.dependencies import AuthDep, CallerSession, ExperimentId, QueryId, json_response
 from accord.domain.errors import AccordError
 from accord.domain.ids import check_id
-from accord.domain.permissions import may_label_in_batches, require, require_returns
+from accord.domain.permissions import may_describe_teacher, may_label_in_batches, require, require_returns
 from accord.services import access, experiments, label, lease, practice
 from accord.services.validation import check_line
 
@@ -162,6 +162,10 @@ def _outcome(caller: CallerSession, experiment_id: str, each: schemas.BatchLabel
 
 
 def _put(caller: CallerSession, query_id: str, body: schemas.NewLabel, experiment_id: str | None) -> label.LabelOutcome:
+    if body.teacher:
+        # Who labelled is read from the token, so that no person's label passes for that of a scripted teacher.
+        program = caller.user.is_program
+        require(may_describe_teacher(caller.role, program=program), caller.role, "label as a scripted teacher")
     return label.put_label(
         caller.session,
         caller.user,

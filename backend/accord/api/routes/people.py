@@ -70,7 +70,8 @@ def create_link(user_id: UserId, request: Request, auth: AuthDep) -> schemas.Sig
 def create_token(user_id: UserId, auth: AuthDep) -> schemas.BearerToken:
     """Another bearer token for a user. Earlier ones stay valid until they are revoked. For admins."""
     with _managing(auth, "create tokens") as caller:
-        return schemas.BearerToken(token=accounts.new_bearer(caller.session, user_id))
+        name = f"Created by {caller.user.name}"
+        return schemas.BearerToken(token=accounts.new_bearer(caller.session, user_id, name[:100]))
 
 
 @router.post("/users/{user_id}/revoke", status_code=204, summary="Revoke a user's sign-ins")

@@ -2,8 +2,10 @@ import { useMutation, useQueryClient } from "@tanstack/react-query";
 import { api, unwrap } from "@/shared/api/client";
 import { meQuery } from "@/shared/api/queries";
 import type { Me } from "@/shared/api/types";
+import { paths } from "@/shared/routing/paths";
+import { Link } from "@/shared/routing/router";
 
-/** The name and role of the signed-in user, and the sign-out button. */
+/** The name and role of the signed-in user, as a link to their tokens, and the sign-out button. */
 export function UserMenu({ me }: { me: Me }) {
   const cache = useQueryClient();
   const signOut = useMutation({
@@ -13,9 +15,13 @@ export function UserMenu({ me }: { me: Me }) {
   });
   return (
     <div className="user">
-      <span className="user-name" title={`Signed in as ${me.name}, ${me.role}`}>
+      <Link
+        to={paths.account()}
+        className="user-name"
+        title={`Signed in as ${me.name}, ${me.role}: your tokens`}
+      >
         {me.name} {me.name !== me.role && <span className="muted">{me.role}</span>}
-      </span>
+      </Link>
       <button
         type="button"
         className="button small"

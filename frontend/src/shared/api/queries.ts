@@ -187,6 +187,12 @@ export const usersQuery = queryOptions({
   queryFn: () => unwrap(api.GET("/api/v1/users")),
 });
 
+/** The bearer tokens of the signed-in user. */
+export const tokensQuery = queryOptions({
+  queryKey: ["tokens"],
+  queryFn: () => unwrap(api.GET("/api/v1/tokens")),
+});
+
 export const invitationsQuery = queryOptions({
   queryKey: ["invitations"],
   queryFn: () => unwrap(api.GET("/api/v1/invitations")),

@@ -1019,6 +1019,52 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/tokens": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List your tokens
+         * @description Your bearer tokens that have not expired, newest first, without their secrets.
+         */
+        get: operations["list_tokens"];
+        put?: never;
+        /**
+         * Create a token
+         * @description A bearer token for a program of yours, which may do at most what you may.
+         *
+         *     Send it from a browser's session, or with a token without a role, an experiment or an expiry of its own.
+         */
+        post: operations["create_own_token"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/tokens/{token_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /**
+         * Revoke a token
+         * @description The token stops working at once.
+         */
+        delete: operations["revoke_token"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/users": {
         parameters: {
             query?: never;
@@ -1245,7 +1291,7 @@ export interface components {
             decisive_agent?: number | null;
             /**
              * Teacher
-             * @description A scripted teacher's name and parameters.
+             * @description A scripted teacher's name and parameters; for programs with a bearer token, not for labellers.
              */
             teacher?: {
                 [key: string]: unknown;
@@ -1482,6 +1528,55 @@ export interface components {
              * @description Only the hash of its token is stored, so it cannot be shown again.
              */
             url: string;
+        };
+        /**
+         * CreatedToken
+         * @description A new token with its secret.
+         */
+        CreatedToken: {
+            /**
+             * Id
+             * @description tok_...
+             */
+            id: string;
+            /**
+             * Name
+             * @description What it is for.
+             */
+            name: string;
+            /** @description What it may do; null for your role. */
+            role: components["schemas"]["Role"] | null;
+            /**
+             * Experiment Id
+             * @description The only experiment that it reaches; null for all that you see.
+             */
+            experiment_id: string | null;
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was created.
+             */
+            created_at: string;
+            /**
+             * Expires At
+             * @description When it stops working; null for never.
+             */
+            expires_at: string | null;
+            /**
+             * Last Used At
+             * @description Its last use, to the minute; null if it was never used.
+             */
+            last_used_at: string | null;
+            /**
+             * Current
+             * @description Whether this request was sent with it.
+             */
+            current: boolean;
+            /**
+             * Token
+             * @description Only its hash is stored, so it cannot be shown again.
+             */
+            token: string;
         };
         /**
          * CreatedUser
@@ -2787,7 +2882,7 @@ export interface components {
             decisive_agent?: number | null;
             /**
              * Teacher
-             * @description A scripted teacher's name and parameters.
+             * @description A scripted teacher's name and parameters; for programs with a bearer token, not for labellers.
              */
             teacher?: {
                 [key: string]: unknown;
@@ -2825,6 +2920,30 @@ export interface components {
              * @default 30
              */
             days: number;
+        };
+        /**
+         * NewToken
+         * @description A bearer token to create for a program of yours.
+         */
+        NewToken: {
+            /**
+             * Name
+             * @description What it is for: one line, for your list of tokens.
+             */
+            name: string;
+            /** @description What it may do, at most what you may. Null: your role, also after it changes. */
+            role?: components["schemas"]["Role"] | null;
+            /**
+             * Experiment Id
+             * @description The only experiment that it reaches, exp_...; null for all that you see.
+             */
+            experiment_id?: string | null;
+            /**
+             * Days
+             * @description It expires after this many days; null for never.
+             * @default 90
+             */
+            days: number | null;
         };
         /**
          * NewUser
@@ -3717,6 +3836,50 @@ export interface components {
              * @description What the team should achieve.
              */
             instructions: string;
+        };
+        /**
+         * Token
+         * @description A bearer token of yours.
+         */
+        Token: {
+            /**
+             * Id
+             * @description tok_...
+             */
+            id: string;
+            /**
+             * Name
+             * @description What it is for.
+             */
+            name: string;
+            /** @description What it may do; null for your role. */
+            role: components["schemas"]["Role"] | null;
+            /**
+             * Experiment Id
+             * @description The only experiment that it reaches; null for all that you see.
+             */
+            experiment_id: string | null;
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was created.
+             */
+            created_at: string;
+            /**
+             * Expires At
+             * @description When it stops working; null for never.
+             */
+            expires_at: string | null;
+            /**
+             * Last Used At
+             * @description Its last use, to the minute; null if it was never used.
+             */
+            last_used_at: string | null;
+            /**
+             * Current
+             * @description Whether this request was sent with it.
+             */
+            current: boolean;
         };
         /**
          * UserAccount
@@ -5870,6 +6033,98 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["Member"];
                 };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    list_tokens: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Token"][];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    create_own_token: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewToken"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CreatedToken"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    revoke_token: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The token, tok_... */
+                token_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description A stable code, a message, and the invalid field. */
             default: {

@@ -12,6 +12,7 @@ export const paths = {
   policies: (id: string) => `/experiments/${encodeURIComponent(id)}/policies`,
   labels: (id: string) => `/experiments/${encodeURIComponent(id)}/labels`,
   people: () => "/people",
+  account: () => "/account",
   /** The token of an invitation, if the path is its link. */
   invitationOf: (path: string) => /^\/join\/([^/]+)$/.exec(path)?.[1] ?? null,
   /** The token of a read-only link, which is in its fragment; null if the address is no such link. */
@@ -31,6 +32,7 @@ export type Route =
   | { page: "compare"; ids: string[] }
   | { page: "labels"; id: string }
   | { page: "people" }
+  | { page: "account" }
   | { page: "quality"; id: string }
   | { page: "decide"; id: string }
   | { page: "reward"; id: string }
@@ -50,6 +52,7 @@ export function routeOf(path: string): Route {
   if (first === "compare" && second !== undefined && third === undefined)
     return { page: "compare", ids: second.split(",") };
   if (first === "people" && second === undefined) return { page: "people" };
+  if (first === "account" && second === undefined) return { page: "account" };
   if (first !== "experiments" || second === undefined) return { page: "missing" };
   if (second === "new") return third === undefined ? { page: "new-experiment" } : { page: "missing" };
   if (third === undefined) return { page: "experiment", id: second };
