@@ -4,27 +4,25 @@ import errno
 import shutil
 import socket
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
-from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
 
 import psutil
-import typer
-from rich.markup import escape
 
+from accord.cli.checks import finish
 from accord.cli.options import Home, Port, load_settings
 from accord.domain.checks import Check
 from accord.domain.errors import AccordError
 from accord.rendering.checks import check_encoder, check_rendering
+from accord.services.verification import verify
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database, sqlite_file
 from accord.store.migrate import is_current
 from mapt.cli.options import Json
-from mapt.cli.output import print_json, print_line
 
 _PYTHON = (3, 11)
 _FREE_BYTES = 2_000_000_000
@@ -35,26 +33,12 @@ _REINSTALL = "pip install --force-reinstall accord"
 def doctor(*, home: Home = None, port: Port = None, as_json: Json = False) -> None:
     """Check that this machine can run Accord.
 
-    Checks package versions, rendering, the video encoder, disk, memory, the database, the blobs, the port and the web
-    page. Exits with status 1 if a check fails.
+    Checks package versions, rendering, the video encoder, disk, memory, the database, the blobs, the port, the web page
+    and, as `accord verify --quick`, what is stored. Exits with status 1 if a check fails.
     """
     settings = load_settings(home, port=port)
     checks = [found for check in CHECKS for found in check(settings)]
-    if as_json:
-        print_json([asdict(found) for found in checks])
-    else:
-        _print(checks)
-    raise typer.Exit(0 if all(found.ok for found in checks) else 1)
-
-
-def _print(checks: Sequence[Check]) -> None:
-    for found in checks:
-        mark = "[green]ok[/green]    " if found.ok else "[bold red]failed[/bold red]"
-        print_line(f"{mark} {escape(found.name)}: {escape(found.detail)}")
-        if found.fix:
-            print_line(f"       fix: {escape(found.fix)}")
-    failed = sum(not found.ok for found in checks)
-    print_line(f"{len(checks) - failed} of {len(checks)} checks passed.")
+    finish(checks, as_json=as_json)
 
 
 def check_python(settings: Settings) -> list[Check]:
@@ -131,6 +115,21 @@ def check_blobs(settings: Settings) -> list[Check]:
     return [Check("blobs", True, f"{settings.resolved_blob_url} is writable")]
 
 
+def check_stored(settings: Settings) -> list[Check]:
+    """What `accord verify --quick` checks; nothing if there is no database, or one that is not up to date."""
+    url = settings.resolved_database_url
+    try:
+        file = sqlite_file(url)
+        if file is not None and not file.exists():
+            return []
+        with closing(Database.open(url)) as database:
+            if not is_current(database):
+                return []
+            return verify(database, open_blobs(settings.resolved_blob_url), read_blobs=False)
+    except AccordError:
+        return []  # `check_database` and `check_blobs` say why
+
+
 def check_port(settings: Settings) -> list[Check]:
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
@@ -166,4 +165,5 @@ CHECKS: tuple[Callable[[Settings], list[Check]], ...] = (
     check_blobs,
     check_port,
     check_page,
+    check_stored,
 )

@@ -6,12 +6,9 @@ from typing import Annotated
 
 import typer
 
-from accord.cli.options import Experiment, Home, load_settings
-from accord.domain.errors import Unavailable
+from accord.cli.options import Experiment, Home, load_settings, open_existing
 from accord.services.export import contents, write
-from accord.settings import Settings
 from accord.store.blobs import open_blobs
-from accord.store.database import Database, sqlite_file
 from mapt.cli.options import Json
 from mapt.cli.output import ProgressBars, print_json, print_line
 
@@ -28,7 +25,7 @@ def export(
     Writes its segments, queries and labels. The service may keep running.
     """
     settings = load_settings(home)
-    with closing(_open_existing(settings)) as database, database.reading() as session:
+    with closing(open_existing(settings)) as database, database.reading() as session:
         found = contents(session, experiment)
     with ProgressBars(hidden=as_json) as bars:
         bars.add("segments", "segments", len(found.segments))
@@ -49,15 +46,3 @@ def export(
         print_json(counts | {"output": str(output)})
     else:
         print_line(", ".join(f"{count} {name}" for name, count in counts.items()) + f" written to {output}.")
-
-
-def _open_existing(settings: Settings) -> Database:
-    """The database, which an export neither creates nor changes.
-
-    Raises:
-        Unavailable: if there is none.
-    """
-    file = sqlite_file(settings.resolved_database_url)
-    if file is not None and not file.exists():
-        raise Unavailable(f"There is no database at {file}. Set the home folder of the service with --home.")
-    return Database.open(settings.resolved_database_url)

@@ -21,6 +21,7 @@ app = make_app(
         "tasks": LazyCommand("mapt.cli.tasks", "tasks", "List the tasks."),
         "export": LazyCommand("accord.cli.export", "export", "Export an experiment as Parquet tables."),
         "import": LazyCommand("accord.cli.importing", "import_experiment", "Import an exported experiment."),
+        "verify": LazyCommand("accord.cli.verify", "verify", "Check that the database and the blobs are complete."),
         "doctor": LazyCommand("accord.cli.doctor", "doctor", "Check that this machine can run Accord."),
     },
 )

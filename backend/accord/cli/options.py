@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
+from accord.domain.errors import Unavailable
 from accord.settings import Settings
+from accord.store.database import Database, sqlite_file
 
 Home = Annotated[
     Path | None,
@@ -51,3 +53,15 @@ def url_of(host: str, port: int) -> str:
     """A URL that a browser on this machine can open."""
     name = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, host)
     return f"http://{name}:{port}"
+
+
+def open_existing(settings: Settings) -> Database:
+    """The database, which is neither created nor migrated.
+
+    Raises:
+        Unavailable: if there is none.
+    """
+    file = sqlite_file(settings.resolved_database_url)
+    if file is not None and not file.exists():
+        raise Unavailable(f"There is no database at {file}. Set the home folder of the service with --home.")
+    return Database.open(settings.resolved_database_url)

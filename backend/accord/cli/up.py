@@ -13,11 +13,13 @@ from rich.markup import escape
 
 from accord.api.listener import listen
 from accord.cli.api_watch import ApiWatch
+from accord.cli.checks import print_check
 from accord.cli.options import Home, Port, address_file, load_settings, url_of
 from accord.cli.worker_status import WorkerStatus
 from accord.domain.errors import NameTaken, Unavailable
 from accord.services import accounts, experiments
 from accord.services.experiment_config import ExperimentConfig
+from accord.services.verification import verify_blobs, verify_file, verify_rows
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
@@ -65,6 +67,7 @@ def up(
     ready = prepare(load_settings(home, host, port))
     try:
         announce(ready, example)
+        _warn_of_faults(ready)
         _serve(ready, stop)
     finally:
         address_file(ready.settings).unlink(missing_ok=True)
@@ -84,6 +87,14 @@ def announce(ready: Ready, example: bool) -> None:
     print_line("[bold]Accord[/bold] is starting. Open this link to sign in as the admin:")
     out.print(f"\n  {link}\n", markup=False)
     print_line("[dim]The link works once; `accord link` prints a new one. Ctrl-C stops Accord.[/dim]")
+
+
+def _warn_of_faults(ready: Ready) -> None:
+    """Print what is wrong with labels, reward versions and blobs. The service runs nevertheless."""
+    blobs = open_blobs(ready.settings.resolved_blob_url)
+    for check in (*verify_rows(ready.database), *verify_blobs(ready.database, blobs, read_blobs=False)):
+        if not check.ok:
+            print_check(check)
 
 
 def _serve(ready: Ready, stop: Stop) -> None:
@@ -174,12 +185,18 @@ class DatabaseEmptied(Unavailable):
     code = "database_emptied"
 
 
+class DatabaseDamaged(Unavailable):
+    """The database's file is damaged: writing to it could destroy more."""
+
+    code = "database_damaged"
+
+
 def prepare(settings: Settings) -> Ready:
-    """Check the home folder, the blobs and the port, and migrate the database.
+    """Check the home folder, the blobs, the port and the database's file, and migrate the database.
 
     Raises:
-        HomeNotWritable, HomeInUse, BlobsNotWritable, DatabaseTooNew, DatabaseUnreachable, DatabaseEmptied, PortInUse:
-            with what to do about it.
+        HomeNotWritable, HomeInUse, BlobsNotWritable, DatabaseTooNew, DatabaseUnreachable, DatabaseDamaged,
+        DatabaseEmptied, PortInUse: with what to do about it.
     """
     make_home(settings)
     with ExitStack() as opened:
@@ -188,6 +205,12 @@ def prepare(settings: Settings) -> Ready:
         blobs.check_writable()
         listener = opened.enter_context(listen(settings.host, settings.port))
         database = opened.enter_context(closing(Database.open(settings.resolved_database_url)))
+        file = verify_file(database)
+        if not file.ok:
+            raise DatabaseDamaged(
+                f"The database {database.name} is damaged: {file.detail}. Restore a backup into a new home folder with "
+                "`accord restore`."
+            )
         if is_new(database) and not blobs.is_empty():
             raise DatabaseEmptied(
                 f"The database {database.name} is empty, but {settings.resolved_blob_url} holds blobs. Restore the "

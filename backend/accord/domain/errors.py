@@ -18,7 +18,8 @@
     ├── TooManyStreams                the user follows too many experiments at once
     ├── TooManyFailedSignIns          the client tried too many wrong tokens or links
     └── Unavailable                   this machine cannot do it now; the message says what to do
-        ├── DatabaseTooNew, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, TaskUnavailable, PortInUse
+        ├── DatabaseTooNew, DatabaseTooOld, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, TaskUnavailable,
+        │   PortInUse
         └── BlobUnreadable
             └── BlobMissing, BlobDamaged
 
@@ -310,6 +311,10 @@ class Unavailable(AccordError):
 
 class DatabaseTooNew(Unavailable):
     code = "database_too_new"
+
+
+class DatabaseTooOld(Unavailable):
+    code = "database_too_old"
 
 
 class DatabaseUnreachable(Unavailable):

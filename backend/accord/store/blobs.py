@@ -1,8 +1,12 @@
 """Blob store: arrays, clips and checkpoints by key. A blob is written once, atomically, and never changes."""
 
 import errno
+import os
 import re
 import secrets
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -13,6 +17,15 @@ from mapt.io import atomic_write, sync_folder
 
 _KEY = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*")
 _PROBE = "probe"
+
+
+@dataclass(frozen=True, slots=True)
+class StoredBlob:
+    """An entry of the list of blobs."""
+
+    key: str
+    size_bytes: int
+    written_at: datetime
 
 
 class BlobStore(Protocol):
@@ -44,6 +57,13 @@ class BlobStore(Protocol):
 
     def delete(self, key: str) -> None:
         """Deletes a blob that no row refers to; does nothing if there is none."""
+        ...
+
+    def stored(self) -> Iterator[StoredBlob]:
+        """Every blob, in no order. One that is written or deleted meanwhile may be left out.
+
+        Probes that a killed process left are not blobs.
+        """
         ...
 
     def is_empty(self) -> bool:
@@ -121,9 +141,20 @@ class FolderBlobs:
     def delete(self, key: str) -> None:
         self._path(key).unlink(missing_ok=True)
 
+    def stored(self) -> Iterator[StoredBlob]:
+        for folder, _, names in os.walk(self._root):
+            for name in names:
+                path = Path(folder, name)
+                key = path.relative_to(self._root).as_posix()
+                if _KEY.fullmatch(key) and not key.startswith(f"{_PROBE}/"):
+                    try:
+                        status = path.stat()
+                    except FileNotFoundError:
+                        continue  # deleted meanwhile
+                    yield StoredBlob(key, status.st_size, datetime.fromtimestamp(status.st_mtime, UTC))
+
     def is_empty(self) -> bool:
-        # Folders of deleted blobs stay, and a killed process may leave a probe.
-        return not any(path.is_file() and path.parent.name != _PROBE for path in self._root.rglob("*"))
+        return next(self.stored(), None) is None
 
     def check_writable(self) -> None:
         key = f"{_PROBE}/{secrets.token_hex(8)}"
@@ -182,11 +213,16 @@ class RemoteBlobs:
         if self.exists(key):
             self._filesystem.rm_file(self._path(key))
 
+    def stored(self) -> Iterator[StoredBlob]:
+        self._filesystem.invalidate_cache()
+        found: dict[str, dict[str, Any]] = self._filesystem.find(self._root, detail=True)
+        for path, status in found.items():
+            key = path.removeprefix(self._root).strip("/")
+            if _KEY.fullmatch(key) and not key.startswith(f"{_PROBE}/"):
+                yield StoredBlob(key, int(status["size"]), self._filesystem.modified(path))
+
     def is_empty(self) -> bool:
-        if not self.exists(""):
-            return True
-        names = [str(each).rstrip("/").rpartition("/")[2] for each in self._filesystem.ls(self._root, detail=False)]
-        return all(name == _PROBE for name in names)
+        return next(self.stored(), None) is None
 
     def check_writable(self) -> None:
         key = f"{_PROBE}/{secrets.token_hex(8)}"

@@ -242,7 +242,12 @@ def queries_of(session: Session, label_ids: Sequence[str]) -> list[str]:
 
 
 def mark_changed(session: Session, experiment_id: str, label_ids: Sequence[str], excluded: bool | None = None) -> None:
-    """Records that training uses these labels differently from now on, and excludes or includes them unless None."""
+    """Records that training uses these labels differently from now on, and excludes or includes them unless None.
+
+    Without labels it does nothing, so that every revision is that of a label.
+    """
+    if not label_ids:
+        return
     revision = advance_revision(session, experiment_id, 0)
     values: dict[str, Any] = {"exclusion_revision": revision}
     if excluded is not None:

@@ -11,7 +11,7 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, text
 
-from accord.domain.errors import DatabaseTooNew
+from accord.domain.errors import DatabaseTooNew, DatabaseTooOld
 from accord.store.database import Database
 
 _SCRIPTS = Path(__file__).parent / "migrations"
@@ -48,6 +48,19 @@ def is_current(database: Database) -> bool:
     """
     with database.connection() as connection:
         return _is_current(connection, ScriptDirectory.from_config(alembic_config(connection)))
+
+
+def require_current(database: Database) -> None:
+    """
+    Raises:
+        DatabaseTooOld: if a migration is missing.
+        DatabaseTooNew, DatabaseUnreachable: as `migrate`.
+    """
+    if not is_current(database):
+        raise DatabaseTooOld(
+            f"The database {database.name} is of an earlier version of Accord. Start `accord up`, which migrates it, "
+            "then try again."
+        )
 
 
 def alembic_config(connection: Connection) -> Config:

@@ -5,6 +5,7 @@ import os
 import secrets
 import subprocess
 import sys
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,20 @@ def test_missing_blob_is_refused(blobs: BlobStore) -> None:
     ):
         with pytest.raises(BlobMissing):
             read()
+
+
+def test_stored_blobs_are_listed_without_probes(blobs: BlobStore) -> None:
+    assert blobs.is_empty()
+    blobs.check_writable()
+    blobs.put("probe/of-a-killed-process", b"x")
+    assert blobs.is_empty()
+    before = datetime.now(UTC) - timedelta(seconds=10)
+    blobs.put("some/folder/blob.bin", b"abc")
+    blobs.put("other", b"")
+    found = {blob.key: blob for blob in blobs.stored()}
+    assert {key: blob.size_bytes for key, blob in found.items()} == {"some/folder/blob.bin": 3, "other": 0}
+    assert all(before < blob.written_at < before + timedelta(seconds=60) for blob in found.values())
+    assert not blobs.is_empty()
 
 
 def test_delete_is_idempotent(blobs: BlobStore) -> None:

@@ -1,0 +1,124 @@
+"""Verification: whether the blobs exist that rows name, and whether labels, their history and reward versions agree."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+
+from safetensors import SafetensorError
+from safetensors.numpy import load
+
+from accord.domain.checks import Check
+from accord.domain.errors import BlobMissing
+from accord.services import inventory
+from accord.store import integrity
+from accord.store.blobs import BlobStore
+from accord.store.database import Database
+from accord.store.integrity import Contradiction
+from accord.store.named_blobs import NamedBlob
+
+#: faults that a check names; it counts the others
+_NAMED_FAULTS = 5
+_RESTORE = "restore a backup into a new home folder: accord restore"
+_COPY = "copy them from the folder `blobs` of a backup"
+
+
+def verify(
+    database: Database,
+    blobs: BlobStore,
+    *,
+    read_blobs: bool,
+    on_blobs: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[Check]:
+    """Checks the database and the blobs. Changes nothing; the service may keep running.
+
+    Args:
+        read_blobs: read all blobs but the videos too, to find incomplete ones. Otherwise only their existence is
+            checked, and the sizes that rows store.
+        on_blobs: called with the number of blobs checked so far, and of all.
+
+    Raises:
+        DatabaseUnreachable: if the database cannot be reached.
+    """
+    file = verify_file(database)
+    if not file.ok:
+        return [file]  # No other statement can be trusted.
+    return [file, *verify_rows(database), *verify_blobs(database, blobs, read_blobs=read_blobs, on_blobs=on_blobs)]
+
+
+def verify_file(database: Database) -> Check:
+    """Whether the database's file is intact. The database may be of an earlier version.
+
+    Raises:
+        DatabaseUnreachable: if it cannot be reached.
+    """
+    with database.reading() as session:
+        return _check("database", integrity.file_damage(session), "intact", _RESTORE)
+
+
+def verify_rows(database: Database) -> list[Check]:
+    """The part of `verify` about labels, their history and reward versions."""
+    with database.reading() as session:
+        labels = integrity.label_contradictions(session)
+        versions = integrity.reward_version_contradictions(session)
+    return [
+        _check("labels", _sentences(labels), "agree with their history", _RESTORE),
+        _check("reward versions", _sentences(versions), "agree with their labels", _RESTORE),
+    ]
+
+
+def verify_blobs(
+    database: Database,
+    blobs: BlobStore,
+    *,
+    read_blobs: bool,
+    on_blobs: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[Check]:
+    """The part of `verify` about blobs. The database may be of an earlier version."""
+    # Listed before the rows are read, so that a blob without a row was there before its row could be deleted.
+    stored = {blob.key: blob.size_bytes for blob in blobs.stored()}
+    with database.reading() as session:
+        required = inventory.required(session)
+    faults: dict[str, str] = {}
+    for done, blob in enumerate(required, 1):
+        fault = _fault(blobs, stored, blob, read=read_blobs)
+        if fault:
+            faults[blob.key] = f"{blob.key} of {blob.what} {blob.id} {fault}"
+        on_blobs(done, len(required))
+    if faults:
+        with database.reading() as session:
+            # Rows and blobs may have been deleted meanwhile.
+            remaining = {blob.key for blob in inventory.required(session)}
+        faults = {key: fault for key, fault in faults.items() if key in remaining}
+    unnamed = stored.keys() - {blob.key for blob in required} - inventory.optional_keys(required)
+    return [
+        _check("blobs", list(faults.values()), f"{len(required)} of rows are complete", _COPY),
+        Check("unused blobs", True, f"{len(unnamed)} ({sum(stored[key] for key in unnamed) / 1e6:.1f} MB)"),
+    ]
+
+
+def _fault(blobs: BlobStore, stored: Mapping[str, int], blob: NamedBlob, *, read: bool) -> str:
+    """What is wrong with a blob; empty if nothing is."""
+    try:
+        # One that was written after the list was made is not in it.
+        size = stored[blob.key] if blob.key in stored else blobs.size(blob.key)
+        if blob.size_bytes is not None and size != blob.size_bytes:
+            return f"has {size} bytes instead of {blob.size_bytes}"
+        if read and blob.key.endswith(".safetensors"):
+            load(blobs.read(blob.key))
+        elif read and blob.key.endswith(".json"):
+            json.loads(blobs.read(blob.key))
+    except BlobMissing:
+        return "is missing"
+    except (SafetensorError, ValueError) as error:
+        return f"is damaged: {error}"
+    return ""
+
+
+def _sentences(found: Sequence[Contradiction]) -> list[str]:
+    return [f"{each.experiment_id}: {each.detail}" for each in found]
+
+
+def _check(name: str, faults: Sequence[str], intact: str, fix: str) -> Check:
+    if not faults:
+        return Check(name, True, intact)
+    more = f"; and {len(faults) - _NAMED_FAULTS} more" if len(faults) > _NAMED_FAULTS else ""
+    return Check(name, False, "; ".join(faults[:_NAMED_FAULTS]) + more, fix)
