@@ -2,6 +2,7 @@
 
 import os
 import pwd
+import secrets
 import shutil
 import subprocess
 import tempfile
@@ -121,6 +122,19 @@ def migrated_postgres_database(server_url: str, name: str) -> Generator[str]:
     _execute(server_url, f'CREATE DATABASE "{name}" TEMPLATE {_MIGRATED}')
     yield _beside(server_url, name)
     _execute(server_url, f'DROP DATABASE "{name}" WITH (FORCE)')
+
+
+@contextmanager
+def new_database_url(stores: Stores, folder: Path) -> Generator[str]:
+    """The URL of a database without tables: SQLite in a folder or PostgreSQL, as the stores."""
+    if stores.database.is_sqlite:
+        yield f"sqlite:///{folder / 'accord.db'}"
+        return
+    name = f"new_{secrets.token_hex(6)}"
+    server = _beside(stores.database_url, "postgres")
+    _execute(server, f'CREATE DATABASE "{name}"')
+    yield _beside(server, name)
+    _execute(server, f'DROP DATABASE "{name}" WITH (FORCE)')
 
 
 def _execute(url: str, statement: str) -> None:

@@ -22,6 +22,8 @@ app = make_app(
         "export": LazyCommand("accord.cli.export", "export", "Export an experiment as Parquet tables."),
         "import": LazyCommand("accord.cli.importing", "import_experiment", "Import an exported experiment."),
         "verify": LazyCommand("accord.cli.verify", "verify", "Check that the database and the blobs are complete."),
+        "backup": LazyCommand("accord.cli.backup", "backup", "Write a backup of the database and the blobs."),
+        "restore": LazyCommand("accord.cli.backup", "restore", "Restore a backup into a new home folder."),
         "doctor": LazyCommand("accord.cli.doctor", "doctor", "Check that this machine can run Accord."),
     },
 )

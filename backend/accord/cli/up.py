@@ -91,8 +91,10 @@ def announce(ready: Ready, example: bool) -> None:
 
 def _warn_of_faults(ready: Ready) -> None:
     """Print what is wrong with labels, reward versions and blobs. The service runs nevertheless."""
-    blobs = open_blobs(ready.settings.resolved_blob_url)
-    for check in (*verify_rows(ready.database), *verify_blobs(ready.database, blobs, read_blobs=False)):
+    with ready.database.reading() as session:
+        checks = verify_rows(session)
+    checks += verify_blobs(ready.database, open_blobs(ready.settings.resolved_blob_url), read_blobs=False)
+    for check in checks:
         if not check.ok:
             print_check(check)
 
@@ -205,7 +207,8 @@ def prepare(settings: Settings) -> Ready:
         blobs.check_writable()
         listener = opened.enter_context(listen(settings.host, settings.port))
         database = opened.enter_context(closing(Database.open(settings.resolved_database_url)))
-        file = verify_file(database)
+        with database.reading() as session:
+            file = verify_file(session)
         if not file.ok:
             raise DatabaseDamaged(
                 f"The database {database.name} is damaged: {file.detail}. Restore a backup into a new home folder with "

@@ -19,7 +19,7 @@
     ├── TooManyFailedSignIns          the client tried too many wrong tokens or links
     └── Unavailable                   this machine cannot do it now; the message says what to do
         ├── DatabaseTooNew, DatabaseTooOld, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, TaskUnavailable,
-        │   PortInUse
+        │   PortInUse, BlobsInUse
         └── BlobUnreadable
             └── BlobMissing, BlobDamaged
 
@@ -311,6 +311,17 @@ class Unavailable(AccordError):
 
 class DatabaseTooNew(Unavailable):
     code = "database_too_new"
+
+
+class BlobsInUse(Unavailable):
+    """Another command needs that no blob is deleted."""
+
+    code = "blobs_in_use"
+
+    def __init__(self, holder: str) -> None:
+        super().__init__(
+            f"Another command works on the blobs: {holder}. Wait until it ends; if it was killed, two minutes."
+        )
 
 
 class DatabaseTooOld(Unavailable):

@@ -3,6 +3,7 @@
 from sqlalchemy.orm import Session
 
 from accord.domain.ids import new_id
+from accord.services import blob_deletion
 from accord.store import rewards
 from accord.store.tables import PolicyCheckpointRow
 
@@ -37,10 +38,10 @@ def kept(session: Session, experiment_id: str) -> list[PolicyCheckpointRow]:
 
 
 def prune(session: Session, experiment_id: str, keep: int = KEPT) -> list[str]:
-    """Deletes the rows of all but the newest checkpoints; returns the keys of their blobs.
+    """Deletes the rows of all but the newest checkpoints; returns the keys of the blobs to delete.
 
-    Delete the blobs after the transaction is committed: a crash may then leave an orphan blob, but no row without its
+    Delete them after the transaction is committed: a crash may then leave an orphan blob, but no row without its
     blob.
     """
     kept = [row.id for row in rewards.checkpoints(session, experiment_id, keep)]
-    return rewards.delete_checkpoints_but(session, experiment_id, kept)
+    return blob_deletion.to_delete(session, rewards.delete_checkpoints_but(session, experiment_id, kept))

@@ -7,6 +7,7 @@ from sqlalchemy.orm import Session
 from accord.domain.enums import ExperimentStatus
 from accord.domain.errors import ExperimentInUse, ExperimentNotActive, ExperimentNotFound, Invalid
 from accord.domain.ids import new_id
+from accord.services import blob_deletion
 from accord.services.collect import replayed_clip_key
 from accord.services.publish import card_key, ensemble_key
 from accord.store import deletions, experiments
@@ -50,7 +51,7 @@ def delete(session: Session, experiment_id: str, name: str, deleted_by: str) -> 
     record.rows = deletions.delete_rows(session, experiment_id)
     session.add(record)
     session.flush()
-    return record, keys
+    return record, blob_deletion.to_delete(session, keys)
 
 
 def delete_blobs(blobs: BlobStore, keys: Sequence[str]) -> None:

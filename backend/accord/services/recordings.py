@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from accord.domain.enums import RecordingCamera
 from accord.domain.errors import RecordingNotFound
 from accord.domain.ids import new_id
-from accord.services import experiments
+from accord.services import blob_deletion, experiments
 from accord.store import recordings
 from accord.store.blobs import BlobStore
 from accord.store.recordings import NumberedRecording
@@ -62,7 +62,8 @@ def add(session: Session, recording: RecordingRow) -> list[str]:
     session.flush()
     kept = [each for each in earlier if each.policy_steps < recording.policy_steps] + [recording]
     surplus = most_crowded([each.policy_steps for each in kept], KEPT)
-    return keys + recordings.delete_rows(session, [kept[index].id for index in surplus])
+    keys += recordings.delete_rows(session, [kept[index].id for index in surplus])
+    return blob_deletion.to_delete(session, keys)
 
 
 def most_crowded(steps: Sequence[int], limit: int) -> list[int]:

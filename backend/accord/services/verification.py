@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from safetensors import SafetensorError
 from safetensors.numpy import load
+from sqlalchemy.orm import Session
 
 from accord.domain.checks import Check
 from accord.domain.errors import BlobMissing
@@ -38,27 +39,23 @@ def verify(
     Raises:
         DatabaseUnreachable: if the database cannot be reached.
     """
-    file = verify_file(database)
-    if not file.ok:
-        return [file]  # No other statement can be trusted.
-    return [file, *verify_rows(database), *verify_blobs(database, blobs, read_blobs=read_blobs, on_blobs=on_blobs)]
-
-
-def verify_file(database: Database) -> Check:
-    """Whether the database's file is intact. The database may be of an earlier version.
-
-    Raises:
-        DatabaseUnreachable: if it cannot be reached.
-    """
     with database.reading() as session:
-        return _check("database", integrity.file_damage(session), "intact", _RESTORE)
+        file = verify_file(session)
+        if not file.ok:
+            return [file]  # No other statement can be trusted.
+        rows = verify_rows(session)
+    return [file, *rows, *verify_blobs(database, blobs, read_blobs=read_blobs, on_blobs=on_blobs)]
 
 
-def verify_rows(database: Database) -> list[Check]:
+def verify_file(session: Session) -> Check:
+    """Whether the database's file is intact. The database may be of an earlier version."""
+    return _check("database", integrity.file_damage(session), "intact", _RESTORE)
+
+
+def verify_rows(session: Session) -> list[Check]:
     """The part of `verify` about labels, their history and reward versions."""
-    with database.reading() as session:
-        labels = integrity.label_contradictions(session)
-        versions = integrity.reward_version_contradictions(session)
+    labels = integrity.label_contradictions(session)
+    versions = integrity.reward_version_contradictions(session)
     return [
         _check("labels", _sentences(labels), "agree with their history", _RESTORE),
         _check("reward versions", _sentences(versions), "agree with their labels", _RESTORE),
@@ -77,12 +74,7 @@ def verify_blobs(
     stored = {blob.key: blob.size_bytes for blob in blobs.stored()}
     with database.reading() as session:
         required = inventory.required(session)
-    faults: dict[str, str] = {}
-    for done, blob in enumerate(required, 1):
-        fault = _fault(blobs, stored, blob, read=read_blobs)
-        if fault:
-            faults[blob.key] = f"{blob.key} of {blob.what} {blob.id} {fault}"
-        on_blobs(done, len(required))
+    faults = _faults(blobs, stored, required, read=read_blobs, on_blobs=on_blobs)
     if faults:
         with database.reading() as session:
             # Rows and blobs may have been deleted meanwhile.
@@ -90,9 +82,37 @@ def verify_blobs(
         faults = {key: fault for key, fault in faults.items() if key in remaining}
     unnamed = stored.keys() - {blob.key for blob in required} - inventory.optional_keys(required)
     return [
-        _check("blobs", list(faults.values()), f"{len(required)} of rows are complete", _COPY),
+        _blob_check(faults, required),
         Check("unused blobs", True, f"{len(unnamed)} ({sum(stored[key] for key in unnamed) / 1e6:.1f} MB)"),
     ]
+
+
+def verify_copies(copies: BlobStore, required: Sequence[NamedBlob]) -> Check:
+    """Whether the blobs are complete in a store that nobody else uses."""
+    stored = {blob.key: blob.size_bytes for blob in copies.stored()}
+    return _blob_check(_faults(copies, stored, required, read=True), required)
+
+
+def _faults(
+    blobs: BlobStore,
+    stored: Mapping[str, int],
+    required: Sequence[NamedBlob],
+    *,
+    read: bool,
+    on_blobs: Callable[[int, int], None] = lambda _done, _total: None,
+) -> dict[str, str]:
+    """Key -> what is wrong with the blob.
+
+    Args:
+        stored: key -> size in bytes.
+    """
+    faults: dict[str, str] = {}
+    for done, blob in enumerate(required, 1):
+        fault = _fault(blobs, stored, blob, read=read)
+        if fault:
+            faults[blob.key] = f"{blob.key} of {blob.what} {blob.id} {fault}"
+        on_blobs(done, len(required))
+    return faults
 
 
 def _fault(blobs: BlobStore, stored: Mapping[str, int], blob: NamedBlob, *, read: bool) -> str:
@@ -111,6 +131,10 @@ def _fault(blobs: BlobStore, stored: Mapping[str, int], blob: NamedBlob, *, read
     except (SafetensorError, ValueError) as error:
         return f"is damaged: {error}"
     return ""
+
+
+def _blob_check(faults: Mapping[str, str], required: Sequence[NamedBlob]) -> Check:
+    return _check("blobs", list(faults.values()), f"{len(required)} of rows are complete", _COPY)
 
 
 def _sentences(found: Sequence[Contradiction]) -> list[str]:

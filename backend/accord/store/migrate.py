@@ -36,8 +36,7 @@ def is_new(database: Database) -> bool:
     Raises:
         DatabaseUnreachable: if it cannot be reached.
     """
-    with database.connection() as connection:
-        return MigrationContext.configure(connection).get_current_revision() is None
+    return revision(database) is None
 
 
 def is_current(database: Database) -> bool:
@@ -48,6 +47,26 @@ def is_current(database: Database) -> bool:
     """
     with database.connection() as connection:
         return _is_current(connection, ScriptDirectory.from_config(alembic_config(connection)))
+
+
+def revision(database: Database) -> str | None:
+    """The revision of the tables; None if no version of Accord has ever migrated them.
+
+    Raises:
+        DatabaseUnreachable: if it cannot be reached.
+    """
+    with database.connection() as connection:
+        return MigrationContext.configure(connection).get_current_revision()
+
+
+def require_known(revision: str | None) -> None:
+    """Raises DatabaseTooNew if this version of Accord does not know the revision of a database."""
+    known = {script.revision for script in ScriptDirectory(str(_SCRIPTS)).walk_revisions()}
+    if revision is not None and revision not in known:
+        raise DatabaseTooNew(
+            f"The database is at revision {revision!r}, which this version of Accord does not know: a newer version "
+            "has migrated it. Use that version, or choose another database with ACCORD_HOME or ACCORD_DATABASE_URL."
+        )
 
 
 def require_current(database: Database) -> None:
@@ -88,10 +107,5 @@ def _upgrade(connection: Connection) -> None:
 def _is_current(connection: Connection, scripts: ScriptDirectory) -> bool:
     """Whether the database is at the newest revision. Raises DatabaseTooNew as `_upgrade`."""
     current = MigrationContext.configure(connection).get_current_revision()
-    known = {script.revision for script in scripts.walk_revisions()}
-    if current is not None and current not in known:
-        raise DatabaseTooNew(
-            f"The database is at revision {current!r}, which this version of Accord does not know: a newer version has "
-            "migrated it. Use that version, or choose another database with ACCORD_HOME or ACCORD_DATABASE_URL."
-        )
+    require_known(current)
     return current == scripts.get_current_head()

@@ -3,11 +3,14 @@
 from datetime import datetime
 from importlib import import_module
 
-from sqlalchemy import delete, or_, select, update
+from sqlalchemy import delete, func, or_, select, update
 from sqlalchemy.dialects import sqlite
 from sqlalchemy.orm import Session
 
 from accord.store.tables import Base, ClaimRow, WorkerRow
+
+#: an arbitrary number, other than that of `accord.store.migrate`
+_POSTGRES_LOCK = 7_264_002
 
 
 def worker(session: Session, worker_id: str) -> WorkerRow | None:
@@ -44,6 +47,22 @@ def renew_claim(session: Session, subject: str, holder: str, until: datetime) ->
 
 def drop_claim(session: Session, subject: str, holder: str) -> None:
     session.execute(delete(ClaimRow).where(ClaimRow.subject == subject, ClaimRow.holder == holder))
+
+
+def claim_holder(session: Session, subject: str, now: datetime) -> str | None:
+    """The holder of an unexpired claim; None if nobody holds it."""
+    return session.scalar(select(ClaimRow.holder).where(ClaimRow.subject == subject, ClaimRow.expires_at > now))
+
+
+def lock_claims(session: Session, *, shared: bool) -> None:
+    """Waits until no other transaction has the lock, which it keeps until it ends; several may share it.
+
+    Whoever reads after it that there is no claim keeps the others from taking one. In SQLite, one transaction at a time
+    writes anyway.
+    """
+    if session.get_bind().dialect.name == "postgresql":
+        function = func.pg_advisory_xact_lock_shared if shared else func.pg_advisory_xact_lock
+        session.execute(select(function(_POSTGRES_LOCK)))
 
 
 def insert(session: Session, table: type[Base]) -> sqlite.Insert:

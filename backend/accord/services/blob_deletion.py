@@ -1,0 +1,66 @@
+"""Deletion of blobs that rows no longer name. It waits while a backup copies the blobs that rows named before."""
+
+import os
+import secrets
+import threading
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from typing import Final
+
+from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
+
+from accord.domain.errors import AccordError, BlobsInUse
+from accord.services import workers
+from accord.store.database import Database
+from accord.store.tables import utc_now
+from accord.store.workers import claim_holder, lock_claims
+
+_SUBJECT: Final = "blobs"
+_LEASE_SECONDS: Final = 120.0
+
+
+def to_delete(session: Session, keys: Sequence[str]) -> list[str]:
+    """Those of the keys to delete once the transaction is committed, which deleted the rows that named them.
+
+    None while a backup runs: its copy of the database may have the rows. `accord prune` deletes the blobs later.
+    """
+    lock_claims(session, shared=True)
+    return [] if claim_holder(session, _SUBJECT, utc_now()) else list(keys)
+
+
+@contextmanager
+def suspended(database: Database, task: str) -> Generator[None]:
+    """Within the block, `to_delete` keeps all blobs whose rows are deleted. A thread renews the claim.
+
+    Args:
+        task: what runs in the block, for the message to others.
+
+    Raises:
+        BlobsInUse: if another task does this already.
+    """
+    holder = f"{task} {os.getpid()} {secrets.token_hex(4)}"
+    with database.transaction() as session:
+        # Waits for transactions that have deleted rows and will delete their blobs.
+        lock_claims(session, shared=False)
+        if not workers.claim(session, _SUBJECT, holder, _LEASE_SECONDS):
+            raise BlobsInUse(claim_holder(session, _SUBJECT, utc_now()) or "another command")
+    ended = threading.Event()
+    renewing = threading.Thread(target=_renew, args=(database, holder, ended), daemon=True)
+    renewing.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        renewing.join()
+        with database.transaction() as session:
+            workers.release(session, _SUBJECT, holder)
+
+
+def _renew(database: Database, holder: str, ended: threading.Event) -> None:
+    while not ended.wait(_LEASE_SECONDS / 4):
+        try:
+            with database.transaction() as session:
+                workers.heartbeat(session, _SUBJECT, holder, _LEASE_SECONDS)
+        except (AccordError, SQLAlchemyError):
+            continue  # the next attempt comes before the claim expires
