@@ -61,6 +61,16 @@ def researcher(service: Service) -> str:
 @pytest.fixture
 def new_experiment(service: Service, researcher: str) -> Iterator[NewExperiment]:
     """Starts experiments and cancels them after the test, so that the next test has all workers."""
+    yield from _cancelled_afterwards(service, researcher)
+
+
+@pytest.fixture(scope="module")
+def new_shared_experiment(service: Service, researcher: str) -> Iterator[NewExperiment]:
+    """Starts experiments that several tests of a module use, and cancels them after its last test."""
+    yield from _cancelled_afterwards(service, researcher)
+
+
+def _cancelled_afterwards(service: Service, researcher: str) -> Iterator[NewExperiment]:
     created: list[str] = []
     with service.api(researcher) as api:
 
@@ -77,20 +87,25 @@ def new_experiment(service: Service, researcher: str) -> Iterator[NewExperiment]
 
 @pytest.fixture
 def sign_in(service: Service, browser: Browser, request: pytest.FixtureRequest) -> Iterator[SignIn]:
-    """Opens a separate browser context for each new user. Saves a screenshot of every page in the service's home."""
+    """Signs each new user in, in a separate browser context; returns a page that loads the list of experiments.
+
+    After a failed test, saves a screenshot of every page in the service's home.
+    """
     contexts = []
+    failed_before = request.session.testsfailed
 
     def enter(name: str, role: str = "labeller", **options: Any) -> Page:
         _, link = service.add_user(f"{name} of {request.node.name}"[:100], role)
         context = browser.new_context(viewport={"width": 1280, "height": 800}, **options)
         contexts.append(context)
+        assert context.request.get(link, max_redirects=0).status == 303
         page = context.new_page()
-        page.goto(link)
-        page.get_by_role("heading", name="Experiments").wait_for()
+        # Most tests open another page at once, and need not wait for this one.
+        page.goto(service.url, wait_until="commit")
         return page
 
     yield enter
     for number, context in enumerate(contexts):
-        for page in context.pages:
+        for page in context.pages if request.session.testsfailed > failed_before else []:
             page.screenshot(path=Path(service.home) / f"{request.node.name}-{number}.png")
         context.close()

@@ -12,6 +12,15 @@ PATIENCE_MS = round(1000 * PATIENCE_SECONDS)
 #: the page ignores a key pressed too soon after the pair appeared: press it again after this
 RETRY_MS = 1_500
 
+#: What the labelling page shows: the pair whose clips play, as [query, left segment, right segment]; the button below
+#: the rules on a first visit; or null, while it loads. One question to the browser, which asks itself before every
+#: repaint: Playwright's own assertions ask once a second after the first few.
+_SHOWN = """() => {
+  const pair = document.querySelector("[data-pair]");
+  if (pair?.dataset.state === "playing") return [pair.dataset.query, pair.dataset.left, pair.dataset.right];
+  return [...document.querySelectorAll("button")].some((each) => each.innerText === "Start labelling") && "rules";
+}"""
+
 #: whether the pair has played for at least eight frames (0.4 s): the page ignores earlier labels
 _PLAYED = """() => Number(document.querySelector("canvas").dataset.frame) >= 8
   || Number(document.querySelector("[data-pair]").dataset.loops) > 0"""
@@ -41,13 +50,9 @@ class Labeller:
 
     def pair(self) -> Pair:
         """Wait until both clips play, past the rules on a first visit; return the pair."""
-        start = self.page.get_by_role("button", name="Start labelling")
-        expect(self.pair_view.or_(start).first).to_be_visible(timeout=PATIENCE_MS)
-        if start.is_visible():
-            start.click()
-        expect(self.pair_view).to_have_attribute("data-state", "playing", timeout=PATIENCE_MS)
-        names = ("data-query", "data-left", "data-right")
-        return Pair(*(self.pair_view.get_attribute(name) or "" for name in names))
+        while (shown := self.page.wait_for_function(_SHOWN, timeout=PATIENCE_MS).json_value()) == "rules":
+            self.page.get_by_role("button", name="Start labelling").click()
+        return Pair(*shown)
 
     def wait_for_clips(self, upcoming: int) -> None:
         """Wait until this many pairs follow the one on screen and all clips are downloaded."""

@@ -139,14 +139,13 @@ def click_on_colour(page: Page, clip: str, colour: list[int]) -> None:
     """Click on the first pixel of a clip that has nearly this colour."""
     canvas = page.get_by_test_id(clip)
     at = canvas.evaluate(
-        """(canvas, colour) => {
+        """(canvas, [red, green, blue]) => {
           const { width, height } = canvas;
           const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
+          const isNear = (at) =>
+            Math.max(Math.abs(data[at] - red), Math.abs(data[at + 1] - green), Math.abs(data[at + 2] - blue)) < 12;
           for (let y = 0; y < height; y += 2) for (let x = 0; x < width; x += 2) {
-            const pixel = data.slice(4 * (y * width + x));
-            if (colour.every((value, channel) => Math.abs(value - pixel[channel]) < 12)) {
-              return { x: x / width, y: y / height };
-            }
+            if (isNear(4 * (y * width + x))) return { x: x / width, y: y / height };
           }
           return null;
         }""",

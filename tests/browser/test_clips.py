@@ -32,20 +32,27 @@ _SAMPLE = """async loops => {
 }"""
 
 
+@pytest.fixture(scope="module")
+def watched(new_shared_experiment: NewExperiment) -> str:
+    """An experiment whose pairs are watched."""
+    return new_shared_experiment("Watched")
+
+
 @pytest.fixture
-def watching(
-    service: Service, new_experiment: NewExperiment, sign_in: SignIn, request: pytest.FixtureRequest
-) -> Iterator[Page]:
+def watching(service: Service, watched: str, sign_in: SignIn) -> Iterator[Page]:
     """A page on which a pair plays. Fails when the page reports a warning, such as a fallback to a slower decoder."""
     page = sign_in("Vera")
     warnings: list[str] = []
     page.on("console", lambda message: warnings.append(message.text) if message.type == "warning" else None)
-    Labeller(page).open(service.url, new_experiment(request.node.name))
+    Labeller(page).open(service.url, watched)
     yield page
+    page.goto("about:blank")  # releases the pairs for the next test
     assert warnings == []
 
 
 def test_both_clips_show_the_same_frame_at_every_repaint(watching: Page) -> None:
+    watching.keyboard.press("3")
+    expect(watching.get_by_role("button", name=re.compile("^2"))).to_have_attribute("aria-pressed", "true")
     seen = watching.evaluate(_SAMPLE, 6)
     assert seen["distance"] == 0
     assert seen["maxDrift"] < 1

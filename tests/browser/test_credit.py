@@ -35,11 +35,13 @@ _SAMPLE = f"""async () => {{
 }}"""
 
 
-@pytest.fixture
-def learned(service: Service, new_experiment: NewExperiment, researcher: str, request: pytest.FixtureRequest) -> str:
+@pytest.fixture(scope="module")
+def learned(
+    service: Service, new_shared_experiment: NewExperiment, researcher: str, request: pytest.FixtureRequest
+) -> str:
     """An experiment with a reward version, of another reward model if the test is parametrised."""
     settings = getattr(request, "param", {"query_selection": "disagreement", "ensemble_members": 2})
-    experiment = new_experiment(request.node.name[:100], **settings)
+    experiment = new_shared_experiment(f"Learned by {settings.get('reward_model', 'two members')}", **settings)
     with service.api(researcher) as api:
         until(lambda: api.get(f"/experiments/{experiment}").json()["labels"]["open_queries"] >= 10)
         queries = api.get(f"/experiments/{experiment}/queries", params={"status": "open"}).json()["items"]
@@ -93,6 +95,16 @@ def test_the_strips_are_in_step_with_the_frames_and_move_them(service: Service, 
     expect(page.get_by_role("heading", name="P(left is better)")).to_contain_text(f"{left * 100:.0f}%")
 
 
+def test_a_labeller_does_not_see_what_was_learned(service: Service, sign_in: SignIn, learned: str) -> None:
+    query = service.rows("select id from queries where experiment_id = ? and status = 'closed'", learned)[0][0]
+    page = sign_in("Lena")
+    page.goto(f"{service.url}/experiments/{learned}/pairs/{query}")
+    expect(page.get_by_role("heading", name="Cannot show this pair")).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_role("link", name="Reward", exact=True)).to_have_count(0)
+    page.goto(f"{service.url}/experiments/{learned}/reward")
+    expect(page.get_by_role("heading", name="Cannot show this reward")).to_be_visible(timeout=PATIENCE_MS)
+
+
 # Without a Markov path, rewards always depend on attention.
 @pytest.mark.parametrize("learned", [{"reward_model": "MAPT-paper"}], indirect=True)
 def test_the_gallery_leads_to_pairs_with_attention_and_every_page_passes_axe(
@@ -118,13 +130,3 @@ def test_the_gallery_leads_to_pairs_with_attention_and_every_page_passes_axe(
         assert [sum(row) for row in attention] == pytest.approx([1.0] * len(attention), abs=1e-3)
     found += violations_of(page, "pair")
     assert found == []
-
-
-def test_a_labeller_does_not_see_what_was_learned(service: Service, sign_in: SignIn, learned: str) -> None:
-    query = service.rows("select id from queries where experiment_id = ? and status = 'closed'", learned)[0][0]
-    page = sign_in("Lena")
-    page.goto(f"{service.url}/experiments/{learned}/pairs/{query}")
-    expect(page.get_by_role("heading", name="Cannot show this pair")).to_be_visible(timeout=PATIENCE_MS)
-    expect(page.get_by_role("link", name="Reward", exact=True)).to_have_count(0)
-    page.goto(f"{service.url}/experiments/{learned}/reward")
-    expect(page.get_by_role("heading", name="Cannot show this reward")).to_be_visible(timeout=PATIENCE_MS)

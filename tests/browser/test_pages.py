@@ -42,6 +42,7 @@ def test_everything_works_with_the_keyboard_alone(
 ) -> None:
     experiment = new_experiment("By keyboard")
     page = sign_in("Kira")
+    page.get_by_role("link", name="Label By keyboard").wait_for()
     _tab_to(page, "Label By keyboard")
     page.keyboard.press("Enter")
     labeller = Labeller(page)
@@ -214,6 +215,7 @@ def test_pages_have_no_accessibility_violations(
     researcher.get_by_role("button", name="Edit instructions").click()
     check(researcher, "dialog")
     labeller = sign_in("Lena")
+    labeller.get_by_role("link", name="Label Labelled").wait_for()
     check(labeller, "list of a labeller")
     Labeller(labeller).open(service.url, labelled)
     Labeller(labeller).press("ArrowLeft")

@@ -13,11 +13,11 @@ from support.waiting import until
 _LABELS_PER_VERSION = 10
 
 
-@pytest.fixture
-def trained(service: Service, new_experiment: NewExperiment, researcher: str, request: pytest.FixtureRequest) -> str:
+@pytest.fixture(scope="module")
+def trained(service: Service, new_shared_experiment: NewExperiment, researcher: str) -> str:
     """A finished experiment whose policy learned from two reward versions."""
-    experiment = new_experiment(
-        request.node.name[:100],
+    experiment = new_shared_experiment(
+        "Trained",
         total_steps=6400,
         label_budget=2 * _LABELS_PER_VERSION,
         labels_per_version=_LABELS_PER_VERSION,
