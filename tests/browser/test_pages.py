@@ -140,7 +140,7 @@ def test_a_researcher_edits_clones_archives_and_deletes_an_experiment(
     page.get_by_role("dialog").get_by_role("button", name="Save").click()
     expect(page.get_by_text("Run on two legs.")).to_be_visible()
 
-    page.get_by_role("link", name="Clone").click()
+    page.get_by_role("link", name="Clone", exact=True).click()
     expect(page.get_by_label("Name", exact=True)).to_have_value(f"Copy of {name}")
     expect(page.get_by_label("Instructions for labellers")).to_have_value("Run on two legs.")
     expect(page.get_by_label("Parallel environments")).to_have_value("8")
