@@ -3,6 +3,7 @@
 import re
 import time
 
+import pyarrow.parquet as pq
 from playwright.sync_api import Browser, Page, expect
 
 from browser.accessibility import violations_of
@@ -303,6 +304,9 @@ def test_a_label_is_changed_in_the_history_and_researchers_see_its_revisions(
     with other.expect_download() as download:
         other.get_by_role("link", name="Download as CSV").click()
     assert second.query in download.value.path().read_text()
+    with other.expect_download() as download:
+        other.get_by_role("link", name="Download as Parquet").click()
+    assert pq.read_table(download.value.path(), columns=["query_id"]).column(0).to_pylist() == [second.query]
 
 
 def _assert_label(service: Service, query: str, left_preferred: float) -> None:

@@ -1,8 +1,5 @@
 """The label history: what a user has labelled, and the table of queries, labels and revisions for researchers."""
 
-import csv
-import io
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -13,40 +10,7 @@ from accord.services import access, experiments, lease
 from accord.services.accounts import Caller
 from accord.services.lease import LeasedQuery
 from accord.store import label_history
-from accord.store.label_history import Author, Filters, OwnCounts, RecordedLabel, RecordedQuery
-
-#: queries read at once for a table of all queries
-_CHUNK = 500
-COLUMNS = (
-    "query_number",
-    "query_id",
-    "status",
-    "selector",
-    "segment_0_id",
-    "segment_1_id",
-    "true_return_0",
-    "true_return_1",
-    "labeller",
-    "role",
-    "teacher",
-    "label",
-    "state",
-    "left_segment",
-    "response_seconds",
-    "revision",
-    "created_at",
-    "current",
-    "excluded",
-    "final",
-    "instructions_revision",
-    "decisive_agent",
-    "gold",
-    "repeats_id",
-    "practice",
-    "explanation",
-)
-#: a spreadsheet runs a cell that begins with one of these as a formula
-_FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
+from accord.store.label_history import Author, Filters, OwnCounts, RecordedQuery
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,46 +91,3 @@ def table(session: Session, experiment_id: str, filters: Filters, limit: int, be
 def _next_before(positions: Sequence[int], limit: int) -> int | None:
     """The position of the last item of a full page, before which the next page begins; None at the end."""
     return positions[-1] if positions and len(positions) == limit else None
-
-
-def table_as_csv(session: Session, experiment_id: str, filters: Filters) -> str:
-    """All queries that pass the filters, oldest first, one row per label revision; a query without labels has one.
-
-    Raises:
-        ExperimentNotFound: if there is no such experiment.
-    """
-    experiments.get(session, experiment_id)
-    found: list[RecordedQuery] = []
-    before: int | None = None
-    while chunk := label_history.queries(session, experiment_id, filters, _CHUNK, before):
-        found += chunk
-        before = chunk[-1].number
-    output = io.StringIO()
-    writer = csv.writer(output)
-    writer.writerow(COLUMNS)
-    for query in reversed(found):
-        first, second = query.segments
-        cells = [query.number, query.id, query.status, query.selector, first.id, second.id]
-        cells += [first.true_return, second.true_return]
-        for label in query.labels:
-            explanation = (
-                f"'{query.explanation}" if query.explanation.startswith(_FORMULA_STARTS) else query.explanation
-            )
-            check = [query.gold_value, query.repeats_id, query.practice, explanation]
-            writer.writerows([*cells, *row, *check] for row in _revision_cells(label))
-        if not query.labels:
-            writer.writerow([*cells, *([""] * (len(COLUMNS) - len(cells)))])
-    return output.getvalue()
-
-
-def _revision_cells(label: RecordedLabel) -> list[list[object]]:
-    name = f"'{label.user_name}" if label.user_name.startswith(_FORMULA_STARTS) else label.user_name
-    teacher = json.dumps(label.teacher, sort_keys=True) if label.teacher else ""
-    return [
-        [
-            *(name, label.role, teacher, each.value, each.state, each.left_segment, each.response_seconds),
-            *(each.revision, each.created_at.isoformat(), each is label.revisions[-1]),
-            *(label.excluded, label.final, each.instructions_revision, each.decisive_agent),
-        ]
-        for each in label.revisions
-    ]

@@ -8,6 +8,7 @@ from typing import Any
 import httpx
 import imageio.v3 as iio
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from sqlalchemy import update
 
@@ -116,12 +117,36 @@ def test_researchers_filter_queries_by_their_labels(api_per_database: ApiServer,
         assert rows[4]["teacher"] == '{"name": "oracle"}'
         assert (rows[3]["state"], rows[3]["label"]) == ("skip", "")
 
+        content = researcher.get(f"/api/v1/experiments/{labelled.experiment.id}/queries.parquet").content
+        table = pq.read_table(io.BytesIO(content))
+        assert table.column_names == list(rows[0])
+        typed = table.to_pylist()
+        assert [(row["query_id"], row["label"], row["current"]) for row in typed] == [
+            (row["query_id"], float(row["label"]) if row["label"] else None, row["current"] == "True") for row in rows
+        ]
+        assert [row["created_at"].isoformat() for row in typed] == [row["created_at"] for row in rows]
+        only_skips = researcher.get(
+            f"/api/v1/experiments/{labelled.experiment.id}/queries.parquet", params={"label": "skip"}
+        )
+        assert pq.read_table(io.BytesIO(only_skips.content)).column("state").to_pylist() == ["skip"]
+
+
+def test_downloads_have_a_row_for_a_query_without_labels_and_run_no_formula(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs, queries=1)
+    address = f"/api/v1/experiments/{sample.experiment.id}/queries"
+    gold = {"label": 1, "practice": False, "explanation": "=1+1"}
+    api.researcher.put(f"/api/v1/queries/{sample.query_ids[0]}/gold", json=gold).raise_for_status()
+    (row,) = csv.DictReader(io.StringIO(api.researcher.get(f"{address}.csv").text))
+    assert (row["gold"], row["explanation"], row["state"], row["label"]) == ("1.0", "'=1+1", "", "")
+    (typed,) = pq.read_table(io.BytesIO(api.researcher.get(f"{address}.parquet").content)).to_pylist()
+    assert (typed["gold"], typed["explanation"], typed["state"], typed["label"]) == (1.0, "=1+1", None, None)
+
 
 def test_labellers_and_teachers_do_not_read_the_labels_of_others(
     api_per_database: ApiServer, labelled: SampleExperiment
 ) -> None:
     for client in (api_per_database.labeller, api_per_database.teacher):
-        for path in ("queries", "queries.csv"):
+        for path in ("queries", "queries.csv", "queries.parquet"):
             response = client.get(f"/api/v1/experiments/{labelled.experiment.id}/{path}")
             assert (response.status_code, response.json()["error"]["code"]) == (403, "forbidden")
 

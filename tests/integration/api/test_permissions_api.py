@@ -66,6 +66,7 @@ ALLOWED: dict[str, frozenset[Role]] = {
     "GET /experiments/{experiment_id}/export": RESEARCHERS,
     "GET /experiments/{experiment_id}/queries": RESEARCHERS,
     "GET /experiments/{experiment_id}/queries.csv": RESEARCHERS,
+    "GET /experiments/{experiment_id}/queries.parquet": RESEARCHERS,
     "PUT /experiments/{experiment_id}/reward-versions/{number}/report": RESEARCHERS,
     "GET /experiments/{experiment_id}/reward-versions/{number}/report": RESEARCHERS,
     "GET /experiments/{experiment_id}/recordings": RESEARCHERS,

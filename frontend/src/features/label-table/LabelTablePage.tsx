@@ -1,7 +1,7 @@
 import { useInfiniteQuery, useQuery } from "@tanstack/react-query";
 import { useState } from "react";
 import { errorMessage } from "@/shared/api/errors";
-import { experimentQuery, type LabelFilters, queriesCsvUrl, queriesQuery } from "@/shared/api/queries";
+import { experimentQuery, type LabelFilters, queriesFileUrl, queriesQuery } from "@/shared/api/queries";
 import { canManageExperiments, type Me } from "@/shared/api/types";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
@@ -34,9 +34,14 @@ export function LabelTablePage({ id, me }: { id: string; me: Me }) {
     <main className="page" id="content">
       <div className="page-head">
         <h1>Labels{experiment.data ? ` of ${experiment.data.name}` : ""}</h1>
-        <a className="button" href={queriesCsvUrl(id, filters)} download>
-          Download as CSV
-        </a>
+        <div className="row">
+          <a className="button" href={queriesFileUrl(id, filters, "csv")} download>
+            Download as CSV
+          </a>
+          <a className="button" href={queriesFileUrl(id, filters, "parquet")} download>
+            Download as Parquet
+          </a>
+        </div>
       </div>
       <Filters
         filters={filters}

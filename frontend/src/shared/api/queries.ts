@@ -117,11 +117,11 @@ export const reliabilityQuery = (id: string) =>
     refetchInterval: 15_000,
   });
 
-/** Where the browser downloads the same queries as CSV. */
-export function queriesCsvUrl(id: string, filters: LabelFilters): string {
+/** Where the browser downloads the same queries as a table. */
+export function queriesFileUrl(id: string, filters: LabelFilters, format: "csv" | "parquet"): string {
   const given = Object.entries(filters).filter(([, value]) => value !== null);
   const query = new URLSearchParams(given.map(([name, value]) => [name, String(value)]));
-  return `/api/v1/experiments/${encodeURIComponent(id)}/queries.csv?${query}`;
+  return `/api/v1/experiments/${encodeURIComponent(id)}/queries.${format}?${query}`;
 }
 
 /** How often to ask whether a reward worker has answered. */

@@ -294,10 +294,30 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Download queries with their labels
+         * Download queries with their labels as CSV
          * @description All queries that pass the filters, oldest first, as CSV; a query without labels has one row.
          */
         get: operations["download_queries"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/queries.parquet": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Download queries with their labels as Parquet
+         * @description The rows of `queries.csv` as Parquet, with types; empty cells are null.
+         */
+        get: operations["download_queries_as_parquet"];
         put?: never;
         post?: never;
         delete?: never;
@@ -4676,6 +4696,47 @@ export interface operations {
                 };
                 content: {
                     "text/csv": unknown;
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    download_queries_as_parquet: {
+        parameters: {
+            query?: {
+                /** @description Only queries with this status. */
+                status?: components["schemas"]["QueryStatus"] | null;
+                /** @description Only queries that this user has labelled, usr_... */
+                user?: string | null;
+                /** @description Only queries with this label, in segment order; with `user`, given by that user. */
+                label?: ("1" | "0" | "0.5" | "0.75" | "0.25" | "skip" | "undone") | null;
+                /** @description Only queries with (true) or without (false) a label that was changed. */
+                changed?: boolean | null;
+            };
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description One row per label revision. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/vnd.apache.parquet": unknown;
                 };
             };
             /** @description A stable code, a message, and the invalid field. */
