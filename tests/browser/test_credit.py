@@ -122,6 +122,7 @@ def test_the_gallery_leads_to_pairs_with_attention_and_every_page_passes_axe(
     gallery.get_by_role("link").first.click()
     expect(page.get_by_role("slider")).to_have_count(2, timeout=PATIENCE_MS)
     expect(page.get_by_role("heading", name="P(left is better)")).to_have_text(probability.group())
+    expect(page.get_by_text("without an ensemble, so there is no spread")).to_be_visible()
     credit = page.request.get(f"{service.url}/api/v1/queries/{page.url.rpartition('/')[2]}/credit").json()
     for side in ("left", "right"):
         attention = credit["result"]["segments"][credit["query"][side]["index"]]["agent_attention"]

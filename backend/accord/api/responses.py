@@ -292,13 +292,13 @@ def _recorded_label(label: RecordedLabel) -> schemas.RecordedLabel:
     )
 
 
-def credit_response(answer: Answer, query: schemas.Query, label: float | None) -> schemas.Credit:
+def credit_response(answer: Answer, query: schemas.Query, labels: list[float]) -> schemas.Credit:
     return schemas.Credit(
         status=answer.status,
         detail=answer.detail,
         version=answer.version.number,
         query=query,
-        label=label,
+        labels=labels,
         result=schemas.PairCredit.model_validate(answer.result) if answer.result else None,
     )
 
@@ -310,9 +310,11 @@ def report_response(session: Session, user: Caller, answer: Answer) -> schemas.R
         pairs: list[dict[str, Any]] = answer.result["pairs"]
         ids = [pair["query_id"] for pair in pairs]
         clips, left_segments = credits.clips(session, ids), credits.left_segments(session, user.id, ids)
+        labels = credits.labels(session, ids)
         pairs = [
             pair
             | {
+                "labels": labels.get(pair["query_id"], []),
                 "thumbnail_urls": [_thumbnail_url(clip) for clip in clips.get(pair["query_id"], ())],
                 "left_segment": left_segments.get(pair["query_id"], 0),
             }

@@ -948,8 +948,9 @@ class Credit(Schema):
     detail: str = Field(description="Why it failed; empty otherwise.")
     version: int = Field(description="Number of the reward version.")
     query: Query = Field(description="On the sides that the caller saw; with true rewards for researchers.")
-    label: float | None = Field(
-        description="Mean of its labels, in segment order; null if there is none, and for labellers."
+    labels: list[float] = Field(
+        description="Its labels for training, in segment order, oldest first, or a researcher's decision between them; "
+        "empty for labellers."
     )
     result: PairCredit | None = Field(description="Null until it is ready.")
 
@@ -963,7 +964,10 @@ class PredictedPair(Schema):
     spread: float | None = Field(
         description="Standard deviation of that probability over the ensemble; null without an ensemble."
     )
-    label: float | None = Field(description="Mean of its labels, in segment order; null if there is none.")
+    label: float | None = Field(
+        description="Mean of the labels that it had when the report was written, in segment order; null without labels."
+    )
+    labels: list[float] = Field(description="The labels that it has now, as those of `GET /queries/{query_id}/credit`.")
     trained_on: bool = Field(description="Whether the version was trained on its label.")
     thumbnail_urls: list[str] = Field(description="Paths of still images of segments 0 and 1; empty without clips.")
     left_segment: Literal[0, 1] = Field(description="The segment that the caller sees on the left.")

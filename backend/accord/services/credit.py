@@ -183,12 +183,6 @@ def get(session: Session, version: RewardVersionRow, query_id: str | None) -> An
     return _answer(row, version)
 
 
-def label_of(session: Session, query_id: str) -> float | None:
-    """Mean of a query's labels for training; None if there is none."""
-    pair = credits.pair(session, query_id)
-    return None if pair is None else pair.label
-
-
 def pairs_of_report(session: Session, experiment_id: str) -> list[ReportedPair]:
     """The newest labelled queries, then the newest open ones."""
     labelled = credits.labelled_pairs(session, experiment_id, LABELLED_PAIRS)

@@ -66,6 +66,22 @@ def pair(session: Session, query_id: str) -> ReportedPair | None:
     return found[0] if found else None
 
 
+def labels(session: Session, query_ids: Sequence[str]) -> dict[str, list[float]]:
+    """Query id -> its labels for training, oldest first; a researcher's decision between them stands alone."""
+    rows = session.execute(
+        select(LabelRow.query_id, LabelRow.value, LabelRow.final)
+        .join(QueryRow, QueryRow.id == LabelRow.query_id)
+        .where(LabelRow.query_id.in_(query_ids), LabelRow.state == "label", ~LabelRow.excluded, IS_TRAINED_ON)
+        .order_by(LabelRow.revision)
+    )
+    found: dict[str, list[float]] = {}
+    decisions: dict[str, list[float]] = {}
+    for query_id, value, final in rows:
+        if value is not None:
+            (decisions if final else found).setdefault(query_id, []).append(value)
+    return found | decisions
+
+
 def labelled_pairs(session: Session, experiment_id: str, limit: int) -> list[ReportedPair]:
     """Queries with labels for training, newest first."""
     ids = session.scalars(

@@ -58,10 +58,10 @@ def test_a_researcher_asks_and_gets_the_answer_with_true_rewards(api_per_databas
     # Segment i has the true reward i at each step.
     assert found["query"]["left"]["true_rewards"] == [0.0] * STEPS
     assert found["query"]["right"]["true_rewards"] == [1.0] * STEPS
-    assert found["label"] is None
+    assert found["labels"] == []
     body = {"labels": [{"query_id": sample.query_ids[0], "label": 1.0}]}
     api_per_database.teacher.post(f"/api/v1/experiments/{sample.experiment.id}/labels", json=body).raise_for_status()
-    assert api_per_database.researcher.get(path).json()["label"] == 1.0
+    assert api_per_database.researcher.get(path).json()["labels"] == [1.0]
 
 
 def test_a_labeller_sees_nothing_by_default(api: ApiServer) -> None:
@@ -90,7 +90,7 @@ def test_with_show_credit_a_labeller_sees_it_after_the_label_and_never_true_rewa
     answer_all(api)
     found = api.labeller.get(path).json()
     assert found["result"]["probability"] == 0.75
-    assert found["label"] is None
+    assert found["labels"] == []
     assert {found["query"][side][name] for side in ("left", "right") for name in ("true_rewards", "true_return")} == {
         None
     }
@@ -123,6 +123,33 @@ def test_a_report_shows_pairs_on_the_sides_that_the_researcher_saw(api_per_datab
     for client, expected in ((api.researcher, seen), (api.admin, dict.fromkeys(seen, 0))):
         found = client.get(report).json()["result"]["pairs"]
         assert {each["query_id"]: each["left_segment"] for each in found} == expected
+
+
+def test_opposite_labels_are_listed_until_a_researcher_decides(api_per_database: ApiServer) -> None:
+    api, sample = api_per_database, learned(api_per_database, labels_per_pair=2, overlap_share=1.0)
+    query = sample.query_ids[0]
+    report = f"/api/v1/experiments/{sample.experiment.id}/reward-versions/1/report"
+    asked = api.researcher.put(report).json()["status"], api.researcher.put(f"/api/v1/queries/{query}/credit").json()
+    assert asked[0] == asked[1]["status"] == "pending"
+    histograms = Histograms([0.0, 1.0], [[1]], [1], [None], None)
+    with api.stores.database.transaction() as session:
+        (row,) = session.query(CreditRow).where(CreditRow.query_id.is_(None))
+        pairs = [PredictedPair(query, 1, 0.75, None, None, trained_on=False)]
+        credit.finish(session, row.id, VersionReport(pairs, [], 0, histograms, 1, 1))
+
+    def labels() -> list[list[float]]:
+        of_pair = api.researcher.get(f"/api/v1/queries/{query}/credit").json()["labels"]
+        return [of_pair, api.researcher.get(report).json()["result"]["pairs"][0]["labels"]]
+
+    assert labels() == [[], []]
+    for client, value in ((api.labeller, 1.0), (api.teacher, 0.0)):
+        client.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next")
+        body = {"label": value, "order": "segments"}
+        client.put(f"/api/v1/queries/{query}/label", json=body).raise_for_status()
+    assert labels() == [[1.0, 0.0]] * 2
+    decision = {"label": 0.0, "order": "segments", "final": True}
+    api.researcher.put(f"/api/v1/queries/{query}/label", json=decision).raise_for_status()
+    assert labels() == [[0.0]] * 2
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from accord.domain.permissions import may_run_experiments, require
 from accord.services import credit, experiments
 from accord.services.credit import Answer
 from accord.services.lease import LeasedQuery
+from accord.store import credits
 
 router = APIRouter(tags=["rewards"])
 VersionNumber = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Reward version; the newest by default.")]
@@ -66,6 +67,6 @@ def _credit(auth: Auth, caller: CallerSession, query: LeasedQuery, answer: Answe
     # True rewards and the labels of others are read only where the caller may see them.
     researcher = may_run_experiments(caller.role)
     blobs = auth.app.blobs if researcher else None
-    label = credit.label_of(caller.session, query.id) if researcher else None
+    labels = credits.labels(caller.session, [query.id]).get(query.id, []) if researcher else []
     shown = responses.query_response(query, task, auth.app.settings.lease_seconds, blobs)
-    return responses.credit_response(answer, shown, label)
+    return responses.credit_response(answer, shown, labels)

@@ -10,6 +10,7 @@ import {
   type SegmentView,
 } from "@/shared/api/types";
 import { CreditStrips } from "@/shared/credit/CreditStrips";
+import { labelsText } from "@/shared/credit/labelsText";
 import { scaleOf, sidesOf } from "@/shared/credit/strips";
 import type { ClipSource } from "@/shared/media/clip";
 import { PairStage } from "@/shared/media/PairStage";
@@ -45,7 +46,9 @@ export function PairPage({ id, query, me }: { id: string; query: string; me: Me 
       <div className="page-head">
         <div>
           <h1>What was learned from pair {data.query.number}</h1>
-          <p className="muted">{labelText(data, experiment.data.config.answer_scale === "five")}</p>
+          <p className="muted">
+            {canManageExperiments(me) && labelsText(data.labels, data.query.left.index)}
+          </p>
         </div>
         <label className="filter">
           Reward version
@@ -138,16 +141,6 @@ function Pair({ experiment, credit }: { experiment: Experiment; credit: Credit }
       )}
     </>
   );
-}
-
-/** What the labels say, in the order of the sides. */
-function labelText({ label, query }: Credit, slight: boolean): string {
-  if (label === null) return "";
-  const left = query.left.index === 0 ? label : 1 - label;
-  if (left === 0.5) return "Labelled: equally good";
-  if (left === 1 || left === 0) return `Labelled: ${left === 1 ? "left" : "right"} is better`;
-  if (slight) return `Labelled: P(left is better) ${Math.round(100 * left)}%`;
-  return `Labels differ: left is better for ${Math.round(100 * left)}%`;
 }
 
 function clipSource({ clip_url, frames, seconds }: SegmentView): ClipSource | null {

@@ -2,6 +2,8 @@ import type { Credit } from "@/shared/api/types";
 import { formatPercent } from "@/shared/ui/format";
 
 const ENSEMBLE_IS_MISSING = "The ensemble of this version is not trained yet, so its spread is unknown.";
+const NO_ENSEMBLE =
+  "One model, without an ensemble, so there is no spread. For one, clone the experiment and set Query selection to disagreement or entropy.";
 
 interface PreferenceProps {
   credit: Credit;
@@ -33,8 +35,7 @@ export function Preference({ credit, result }: PreferenceProps) {
 }
 
 function membersText(members: readonly number[]): string {
-  if (members.length === 0)
-    return "No spread: only experiments whose query selection needs an ensemble train one.";
+  if (members.length === 0) return NO_ENSEMBLE;
   const mean = members.reduce((sum, value) => sum + value, 0) / members.length;
   const spread = Math.sqrt(members.reduce((sum, value) => sum + (value - mean) ** 2, 0) / members.length);
   return `Ensemble of ${members.length}: ${members.map(formatPercent).join(", ")}; standard deviation ${formatPercent(spread)}.`;

@@ -1,4 +1,5 @@
 import type { PredictedPair } from "@/shared/api/types";
+import { labelsText } from "@/shared/credit/labelsText";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { formatPercent } from "@/shared/ui/format";
@@ -7,12 +8,10 @@ import { atOdds, mostUnsure } from "./ranking";
 interface GalleryProps {
   experimentId: string;
   pairs: readonly PredictedPair[];
-  /** whether labellers also choose slightly better */
-  slight: boolean;
 }
 
 /** Pairs on which the model is least certain, and those whose labels it contradicts most. */
-export function Gallery({ experimentId, pairs, slight }: GalleryProps) {
+export function Gallery({ experimentId, pairs }: GalleryProps) {
   const unsure = mostUnsure(pairs);
   const odds = atOdds(pairs);
   const hasSpread = pairs.some(({ spread }) => spread !== null);
@@ -28,7 +27,6 @@ export function Gallery({ experimentId, pairs, slight }: GalleryProps) {
         empty="The model is sure of every pair."
         experimentId={experimentId}
         pairs={unsure}
-        slight={slight}
       />
       <Pairs
         title="Most at odds with the labels"
@@ -36,7 +34,6 @@ export function Gallery({ experimentId, pairs, slight }: GalleryProps) {
         empty="The model agrees with every label."
         experimentId={experimentId}
         pairs={odds}
-        slight={slight}
       />
     </>
   );
@@ -48,7 +45,7 @@ interface PairsProps extends GalleryProps {
   empty: string;
 }
 
-function Pairs({ title, note, empty, experimentId, pairs, slight }: PairsProps) {
+function Pairs({ title, note, empty, experimentId, pairs }: PairsProps) {
   return (
     <section className="card" aria-label={title}>
       <h2>{title}</h2>
@@ -64,7 +61,10 @@ function Pairs({ title, note, empty, experimentId, pairs, slight }: PairsProps) 
               </span>
               <span>Pair {pair.number}</span>
               <span className="muted">{predictionText(pair)}</span>
-              <span className="muted">{labelText(pair, slight)}</span>
+              <span className="muted">
+                {labelsText(pair.labels, pair.left_segment)}
+                {pair.label !== null && !pair.trained_on && ", not trained on"}
+              </span>
             </Link>
           </li>
         ))}
@@ -73,7 +73,7 @@ function Pairs({ title, note, empty, experimentId, pairs, slight }: PairsProps) 
   );
 }
 
-/** A probability or label in segment order, as that of the left clip: on the side where the user sees it. */
+/** A probability in segment order, as that of the left clip: on the side where the user sees it. */
 function ofLeft(value: number, { left_segment }: PredictedPair): number {
   return left_segment === 0 ? value : 1 - value;
 }
@@ -86,18 +86,4 @@ function stillsOf({ thumbnail_urls, left_segment }: PredictedPair): readonly str
 function predictionText(pair: PredictedPair): string {
   const deviation = pair.spread === null ? "" : ` ± ${formatPercent(pair.spread)}`;
   return `P(left is better) ${formatPercent(ofLeft(pair.probability, pair))}${deviation}`;
-}
-
-function labelText(pair: PredictedPair, slight: boolean): string {
-  if (pair.label === null) return "No label";
-  const share = ofLeft(pair.label, pair);
-  const mixed = slight
-    ? `P(left is better) ${formatPercent(share)}`
-    : `Left is better for ${formatPercent(share)}`;
-  const clear = new Map([
-    [1, "Left is better"],
-    [0, "Right is better"],
-    [0.5, "Equally good"],
-  ]);
-  return `Label: ${clear.get(share) ?? mixed}${pair.trained_on ? "" : ", not trained on"}`;
 }

@@ -84,11 +84,7 @@ function Report({ experiment, number }: { experiment: Experiment; number: number
   }
   return (
     <>
-      <Gallery
-        experimentId={experiment.id}
-        pairs={result.pairs}
-        slight={experiment.config.answer_scale === "five"}
-      />
+      <Gallery experimentId={experiment.id} pairs={result.pairs} />
       <Calibration report={result} />
       <Histograms report={result} task={experiment.task} />
     </>

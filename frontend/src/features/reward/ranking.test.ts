@@ -8,6 +8,7 @@ const pair = (number: number, fields: Partial<PredictedPair>): PredictedPair => 
   probability: 0.5,
   spread: null,
   label: null,
+  labels: [],
   trained_on: false,
   thumbnail_urls: [],
   left_segment: 0,

@@ -1646,10 +1646,10 @@ export interface components {
             /** @description On the sides that the caller saw; with true rewards for researchers. */
             query: components["schemas"]["Query"];
             /**
-             * Label
-             * @description Mean of its labels, in segment order; null if there is none, and for labellers.
+             * Labels
+             * @description Its labels for training, in segment order, oldest first, or a researcher's decision between them; empty for labellers.
              */
-            label: number | null;
+            labels: number[];
             /** @description Null until it is ready. */
             result: components["schemas"]["PairCredit"] | null;
         };
@@ -3154,9 +3154,14 @@ export interface components {
             spread: number | null;
             /**
              * Label
-             * @description Mean of its labels, in segment order; null if there is none.
+             * @description Mean of the labels that it had when the report was written, in segment order; null without labels.
              */
             label: number | null;
+            /**
+             * Labels
+             * @description The labels that it has now, as those of `GET /queries/{query_id}/credit`.
+             */
+            labels: number[];
             /**
              * Trained On
              * @description Whether the version was trained on its label.
