@@ -120,3 +120,6 @@ def test_an_experiment_without_recordings_says_when_there_will_be_one(
     page.goto(f"{service.url}/experiments/{experiment}/policies")
     expect(page.get_by_text("recorded when the first reward version is ready")).to_be_visible()
     assert violations_of(page, "no recordings") == []
+    page.set_viewport_size({"width": 390, "height": 800})
+    page.reload()
+    expect(page.get_by_role("link", name="Policies")).to_be_in_viewport(ratio=0.9)

@@ -1,5 +1,5 @@
 import { useQuery } from "@tanstack/react-query";
-import type { ReactNode } from "react";
+import { type ReactNode, useEffect, useRef } from "react";
 import { UserMenu } from "@/features/session/UserMenu";
 import { experimentQuery } from "@/shared/api/queries";
 import { canManageExperiments, canManageUsers, type Me } from "@/shared/api/types";
@@ -50,8 +50,14 @@ function AdminTabs({ page }: { page: Route["page"] }) {
 
 function Tabs({ id, page, me }: { id: string; page: Route["page"]; me: Me }) {
   const { data } = useQuery(experimentQuery(id));
+  const nav = useRef<HTMLElement>(null);
+  // On a phone, the tabs scroll sideways.
+  // biome-ignore lint/correctness/useExhaustiveDependencies: the page decides which tab is current
+  useEffect(() => {
+    nav.current?.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest", inline: "center" });
+  }, [page]);
   return (
-    <nav className="tabs" aria-label="Experiment">
+    <nav className="tabs" aria-label="Experiment" ref={nav}>
       <span className="tabs-name" title={data?.name}>
         {data?.name ?? "…"}
       </span>

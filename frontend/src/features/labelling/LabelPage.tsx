@@ -52,7 +52,11 @@ function Labelling({ id, me, decides }: { id: string; me: Me; decides: boolean }
         <FirstVisit
           experiment={experiment.data}
           isUpdate={seenRules > 0}
-          onStart={() => setSeenRules(newest)}
+          onStart={() => {
+            // The button may be below a long text, and the clips must be on screen.
+            window.scrollTo(0, 0);
+            setSeenRules(newest);
+          }}
           onPractise={setPractice}
         />
       );
