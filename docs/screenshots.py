@@ -42,6 +42,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
         "has_touch": True,
     },
 }
+SIDEWAYS = VARIANTS["phone"] | {"viewport": {"width": 780, "height": 360}}
 #: small enough for a machine that is busy
 SETTINGS: dict[str, Any] = {"task": "HalfCheetah-6x1", "total_steps": 30_000, "lookahead_queries": 3}
 #: a scripted teacher gives all labels, without clips
@@ -54,6 +55,7 @@ RUNNING = SETTINGS | {
     "labels_per_pair": 2,
     "overlap_share": 1.0,
     "reward_model": "MAPT-paper",
+    "ask_agent": True,
 }
 #: programs that label the running experiment, and how many labels each gives
 TEACHERS = {"Ada": ("stochastic", 12), "Bob": ("careless", 12)}
@@ -96,6 +98,11 @@ class Picture:
     prepare: Callable[[Page], None] = field(default=_nothing)
     #: the whole page instead of what fits into the window; phones always show what fits
     full: bool = False
+    #: also on a phone held sideways
+    sideways: bool = False
+
+    def variants(self) -> dict[str, dict[str, Any]]:
+        return VARIANTS | ({"sideways": SIDEWAYS} if self.sideways else {})
 
 
 def _playing(page: Page) -> None:
@@ -136,6 +143,10 @@ def _with_strips(page: Page) -> None:
     page.get_by_role("button", name="Pause").click()
 
 
+def _with_correlation(page: Page) -> None:
+    page.get_by_label("Curve").select_option(label="Correlation of learned and true reward")
+
+
 def _with_import(page: Page) -> None:
     page.get_by_role("button", name="Import").click()
     page.get_by_label("Name of the new experiment").fill("Cheetah of last week")
@@ -161,10 +172,11 @@ PAGES = (
     Picture(
         "labelling",
         "Labelling",
-        "Two clips in step, and the keys to answer.",
+        "Two clips in step, and the keys to answer. This experiment also asks which agent decided.",
         lambda s: f"/experiments/{s.running}/label",
         "labeller",
         _playing,
+        sideways=True,
     ),
     Picture(
         "history",
@@ -215,10 +227,24 @@ PAGES = (
         full=True,
     ),
     Picture(
+        "policies",
+        "Policies",
+        "Episodes of two versions of the policy from the same start, in step.",
+        lambda s: f"/experiments/{s.finished}/policies",
+        prepare=_playing,
+    ),
+    Picture(
         "compare",
         "Compare",
         "Curves and results of several experiments.",
         lambda s: f"/compare/{s.finished},{s.running}",
+        prepare=_with_correlation,
+    ),
+    Picture(
+        "account",
+        "Your account",
+        "Tokens for programs, with their role and how long they are valid.",
+        lambda s: "/account",
     ),
     Picture("people", "People", "Users, their access, sign-in links and invitations.", lambda s: "/people"),
     Picture("shared", "Read-only link", "What somebody without an account sees.", lambda s: s.shared, "nobody"),
@@ -238,8 +264,8 @@ def main() -> None:
             browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
             scene = set_up(browser, service)
             for picture in chosen:
-                for variant in VARIANTS:
-                    take(browser, scene, picture, variant)
+                for variant, options in picture.variants().items():
+                    take(browser, scene, picture, variant, options)
         finally:
             service.close()
     if not sys.argv[1:]:
@@ -327,9 +353,9 @@ def wait(until: Callable[[], bool], what: str) -> None:
         time.sleep(1.0)
 
 
-def take(browser: Browser, scene: Scene, picture: Picture, variant: str) -> None:
+def take(browser: Browser, scene: Scene, picture: Picture, variant: str, options: dict[str, Any]) -> None:
     """Save one page in one variant."""
-    context = browser.new_context(**VARIANTS[variant], storage_state=scene.states[picture.user])
+    context = browser.new_context(**options, storage_state=scene.states[picture.user])
     page = context.new_page()
     page.set_default_timeout(1000 * LONGEST_WAIT_SECONDS)
     page.goto(f"{scene.url}{picture.path(scene)}")
@@ -337,7 +363,7 @@ def take(browser: Browser, scene: Scene, picture: Picture, variant: str) -> None
     picture.prepare(page)
     # Curves and stills arrive after the heading.
     page.wait_for_timeout(1_500)
-    png = page.screenshot(full_page=picture.full and variant != "phone")
+    png = page.screenshot(full_page=picture.full and not options.get("is_mobile"))
     image = Image.open(io.BytesIO(png)).convert("RGB")
     path = IMAGES / f"{picture.name}-{variant}.webp"
     image.save(path, quality=QUALITY, method=6)
@@ -360,6 +386,9 @@ def document() -> str:
             f'<img src="{dark}" width="66%" alt="{picture.title}, dark"> '
             f'<img src="{phone}" width="28%" alt="{picture.title} on a phone">',
         ]
+        if picture.sideways:
+            path = f"images/pages/{picture.name}-sideways.webp"
+            parts.append(f'<img src="{path}" width="66%" alt="{picture.title} on a phone held sideways">')
     return "\n\n".join(parts) + "\n"
 
 
