@@ -82,6 +82,10 @@ def test_the_strips_are_in_step_with_the_frames_and_move_them(service: Service, 
         for side, frames in clips.items():
             assert_shows(image(page, side), frames, step)
 
+    with page.expect_download() as download:
+        page.get_by_role("link", name="Left clip as GIF").click()
+    assert download.value.path().read_bytes().startswith(b"GIF8")
+
     # The numbers beside the strips are those of the API at this step.
     query = page.url.rpartition("/")[2]
     credit = json.loads(page.request.get(f"{service.url}/api/v1/queries/{query}/credit").text())

@@ -101,9 +101,16 @@ function Pair({ experiment, credit }: { experiment: Experiment; credit: Credit }
         right={{ name: names.right, clip: clipSource(query.right) }}
         below={(side, player) => (
           <>
-            {query[side].true_return !== null && query[side].true_return !== undefined && (
-              <p className="muted">True return {formatReturn(query[side].true_return)}</p>
-            )}
+            <p className="row muted">
+              {query[side].true_return != null && (
+                <span>True return {formatReturn(query[side].true_return)}</span>
+              )}
+              {query[side].clip_url !== null && (
+                <a href={query[side].clip_url.replace(/\.mp4$/, ".gif")} download>
+                  {names[side]} clip as GIF
+                </a>
+              )}
+            </p>
             {sides && scale && (
               <CreditStrips
                 name={names[side]}
