@@ -176,15 +176,16 @@ def test_the_labelling_view_fits_a_small_window_without_scrolling(
 ) -> None:
     page = sign_in("Lena")
     page.set_viewport_size({"width": 1024, "height": 640})
-    Labeller(page).open(service.url, new_experiment("Small window"))
+    labeller = Labeller(page)
+    labeller.open(service.url, new_experiment("Small window"))
     root = page.evaluate("[document.documentElement.scrollHeight, document.documentElement.scrollWidth]")
     assert root == [640, 1024]
     clip = page.get_by_test_id("clip-left").bounding_box()
     assert clip is not None
     assert clip["width"] > 350
     before = clip
-    page.keyboard.press("ArrowDown")
-    Labeller(page).pair()
+    labeller.press("ArrowDown")
+    labeller.pair()
     assert page.get_by_test_id("clip-left").bounding_box() == before, "the layout must not shift between pairs"
 
 
