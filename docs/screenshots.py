@@ -283,7 +283,7 @@ def set_up(browser: Browser, service: OwnService) -> Scene:
     for name, role in (("admin", Role.ADMIN), ("labeller", Role.LABELLER)):
         context = browser.new_context()
         link = api.post("/users", {"name": {"admin": "Rosa", "labeller": "Lena"}[name], "role": role})["sign_in_url"]
-        context.request.get(link)
+        context.request.post(link.replace("/sign-in/", "/api/v1/sign-in/"))
         states[name] = context.storage_state()
         context.close()
     mark_for_practice(url, token, running)

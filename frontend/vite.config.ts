@@ -38,5 +38,5 @@ export default defineConfig({
     target: "es2022",
   },
   // `npm run dev` serves the page with hot reloading and forwards API requests to a running `accord up`.
-  server: { proxy: { "/api": server, "/sign-in": server } },
+  server: { proxy: { "/api": server } },
 });

@@ -64,7 +64,7 @@ def wrong_tokens(port: int, stop: Event) -> None:
             with suppress(httpx.HTTPError), httpx.Client(base_url=f"http://127.0.0.1:{port}", **PLAIN_HTTP) as client:
                 while not stop.is_set():
                     client.post("/api/v1/sign-out", headers={"Authorization": f"Bearer {number}"})
-                    client.get(f"/sign-in/{number}")
+                    client.post(f"/api/v1/sign-in/{number}")
 
     threads = [threading.Thread(target=attack, args=(number,)) for number in range(TOKEN_CLIENTS)]
     for thread in threads:

@@ -136,7 +136,7 @@ def sign_in(browser: Browser, api: Api, name: str, address: str, **options: Any)
     """The browser of a new labeller who has read the rules of the experiment at this address."""
     context = browser.new_context(viewport={"width": 1280, "height": 800}, **options)
     user = api.post("/users", {"name": name, "role": "labeller"})
-    context.request.get(user["sign_in_url"])
+    context.request.post(user["sign_in_url"].replace("/sign-in/", "/api/v1/sign-in/"))
     experiment = address.split("/")[-2]
     context.add_init_script(f"localStorage.setItem('accord.rules.{user['id']}.{experiment}', '1')")
     return context

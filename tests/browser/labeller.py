@@ -1,5 +1,6 @@
 """Drives the labelling page as a person does: waits for a pair and presses keys."""
 
+import re
 import time
 from dataclasses import dataclass
 
@@ -24,6 +25,12 @@ _SHOWN = """() => {
 #: whether the pair has played for at least eight frames (0.4 s): the page ignores earlier labels
 _PLAYED = """() => Number(document.querySelector("canvas").dataset.frame) >= 8
   || Number(document.querySelector("[data-pair]").dataset.loops) > 0"""
+
+
+def open_link(page: Page, link: str) -> None:
+    """Open a sign-in link and redeem it."""
+    page.goto(link)
+    page.get_by_role("button", name=re.compile("^Sign in as ")).click()
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import expect
 
 from browser.fixture_types import NewExperiment, SignIn
-from browser.labeller import PATIENCE_MS, Labeller
+from browser.labeller import PATIENCE_MS, Labeller, open_link
 from browser.service import Service
 
 
@@ -226,7 +226,8 @@ def test_a_label_given_while_signed_out_is_sent_after_signing_in_again(
     expect(page.get_by_role("heading", name="You are signed out")).to_be_visible()
     expect(page.get_by_test_id("kept-labels")).to_contain_text("1 label")
     other_tab = page.context.new_page()
-    other_tab.goto(service.link_for(user))
+    open_link(other_tab, service.link_for(user))
+    expect(other_tab.get_by_role("heading", name="Experiments")).to_be_visible()
     other_tab.close()
     expect(page.get_by_role("progressbar", name="All labels")).to_have_attribute(
         "aria-valuenow", "1", timeout=PATIENCE_MS

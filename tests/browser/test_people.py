@@ -6,7 +6,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 
 from browser.accessibility import violations_of
 from browser.fixture_types import NewExperiment, SignIn
-from browser.labeller import Labeller
+from browser.labeller import Labeller, open_link
 from browser.service import Service
 
 
@@ -76,7 +76,7 @@ def test_an_admin_adds_promotes_revokes_and_removes_a_user(service: Service, bro
     admin.get_by_role("button", name="Done").click()
     context = browser.new_context()
     nora = context.new_page()
-    nora.goto(link)
+    open_link(nora, link)
     expect(nora.get_by_role("heading", name="Experiments")).to_be_visible()
     nora.goto(f"{service.url}/people")
     expect(nora.get_by_role("heading", name="Only admins manage people")).to_be_visible()
@@ -91,7 +91,7 @@ def test_an_admin_adds_promotes_revokes_and_removes_a_user(service: Service, bro
     nora.reload()
     expect(nora.get_by_role("heading", name="Sign in to Accord")).to_be_visible()
     row.get_by_role("button", name="New link").click()
-    nora.goto(admin.get_by_role("dialog").locator("code").inner_text())
+    open_link(nora, admin.get_by_role("dialog").locator("code").inner_text())
     admin.get_by_role("button", name="Done").click()
     expect(nora.get_by_role("heading", name="Experiments")).to_be_visible()
     row.get_by_role("button", name="Remove").click()

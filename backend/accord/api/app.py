@@ -34,7 +34,7 @@ from accord.store.database import Database
 
 PREFIX = "/api/v1"
 #: need no sign-in
-_PUBLIC = ("/health", "/join/{token}")
+_PUBLIC = ("/health", "/join/{token}", "/sign-in/{token}")
 _DESCRIPTION = """Preference-based reward learning for cooperative multi-agent reinforcement learning.
 
 Sign in with `Authorization: Bearer <token>`. Every error has the same body: a stable `code`, a `message`, and
@@ -76,7 +76,6 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         health,
     ):
         app.include_router(module.router, prefix=PREFIX)
-    app.include_router(accounts.pages)
     app.router.default = Page()
     errors.install(app)
     app.add_middleware(
@@ -85,7 +84,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         larger={f"{PREFIX}{imports.PATH}": settings.max_import_bytes},
         transfer_seconds=settings.transfer_timeout_seconds,
         authenticated=f"{PREFIX}/",
-        public=f"{PREFIX}/join/",
+        public=(f"{PREFIX}/join/", f"{PREFIX}/sign-in/"),
     )
     return app
 

@@ -32,14 +32,14 @@ class BodyLimit:
         larger: Mapping[str, int],
         transfer_seconds: float,
         authenticated: str,
-        public: str,
+        public: tuple[str, ...],
     ) -> None:
         """
         Args:
             larger: limits of the paths that store their body in a file.
             transfer_seconds: in each such time, `LEAST_TRANSFER_BYTES` or the rest of the body must arrive.
             authenticated: beginning of the paths that need a token.
-            public: beginning of those among them that need none.
+            public: beginnings of those among them that need none.
         """
         self.app = app
         self._limit_bytes = limit_bytes

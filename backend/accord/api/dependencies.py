@@ -173,6 +173,15 @@ def _require_same_origin(request: Request) -> None:
     )
 
 
+def refuse_other_sites(request: Request) -> None:
+    """Raises Forbidden if a page of another site sent a sign-in, which would sign its visitor in as somebody else.
+
+    Programs, and browsers that do not say where a request comes from, are let through.
+    """
+    if request.headers.get("sec-fetch-site", "same-origin") != "same-origin":
+        raise Forbidden("This sign-in does not come from Accord's own page. Open the link itself.")
+
+
 AuthDep = Annotated[Auth, Depends(authentication)]
 
 

@@ -6,7 +6,7 @@ The build compresses the text files, so that the server only chooses among them.
 import mimetypes
 from pathlib import Path
 
-from fastapi.responses import FileResponse, HTMLResponse, PlainTextResponse, Response
+from fastapi.responses import FileResponse, PlainTextResponse
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import Receive, Scope, Send
@@ -62,14 +62,6 @@ class Page:
             return file if path and file.is_relative_to(self._folder) and file.is_file() else None
         except (OSError, ValueError):
             return None  # a name that no file can have, for example of 300 characters
-
-
-def link_refused(reason: str, folder: Path) -> Response:
-    """The response to a sign-in link that is not valid: the page, which explains it, or the reason without a page."""
-    index = folder / "index.html"
-    if not index.is_file():
-        return PlainTextResponse(reason, 401)
-    return HTMLResponse(index.read_text(), 401, headers={"Cache-Control": "no-store"})
 
 
 def _file_response(file: Path, cache_control: str, accepted: frozenset[str]) -> FileResponse:

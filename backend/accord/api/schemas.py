@@ -37,6 +37,13 @@ class Me(Schema):
     role: Role = Field(description="What the user may do.")
 
 
+class SignInView(Schema):
+    """What somebody who opens a sign-in link sees."""
+
+    name: str = Field(description="The user whom it signs in.")
+    role: Role = Field(description="What the user may do.")
+
+
 class Access(Schema):
     """Which experiments a labeller or teacher may see. Researchers and admins see all."""
 

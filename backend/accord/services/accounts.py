@@ -23,6 +23,10 @@ from accord.store.accounts import User, UserSummary
 from accord.store.tables import TokenRow, UserRow, utc_now
 
 _ADMIN_NAME = "admin"
+_LINK_NOT_VALID = (
+    "This sign-in link has been used or has expired; each link works once. Ask whoever runs Accord for a new one: "
+    "`accord user link NAME`, or `accord link` for the admin."
+)
 #: the time of the last request is recorded no more often
 _SEEN_EVERY = timedelta(minutes=1)
 
@@ -203,6 +207,18 @@ def make_link(session: Session, user_id: str, minutes: float) -> str:
     return add_token(session, user_id, "link", timedelta(minutes=minutes))
 
 
+def user_of_link(session: Session, token: str) -> UserRow:
+    """The user whom a sign-in link would sign in. Uses nothing up.
+
+    Raises:
+        Unauthenticated: if the link is unknown, was used, or has expired.
+    """
+    user = accounts.user_of_link(session, hash_of(token), utc_now())
+    if user is None:
+        raise Unauthenticated(_LINK_NOT_VALID)
+    return user
+
+
 def redeem_link(session: Session, token: str, session_days: float) -> tuple[UserRow, str]:
     """Redeems a sign-in link; returns the user and the token of a new browser session.
 
@@ -214,10 +230,7 @@ def redeem_link(session: Session, token: str, session_days: float) -> tuple[User
     user_id = accounts.use_link(session, hash_of(token), now)
     user = None if user_id is None else accounts.user(session, user_id)
     if user is None:
-        raise Unauthenticated(
-            "This sign-in link has been used or has expired; each link works once. Ask whoever runs Accord for a new "
-            "one: `accord user link NAME`, or `accord link` for the admin."
-        )
+        raise Unauthenticated(_LINK_NOT_VALID)
     return user, start_session(session, user, session_days)
 
 

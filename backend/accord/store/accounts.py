@@ -4,7 +4,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import ScalarSelect, bindparam, delete, exists, func, or_, select, update
+from sqlalchemy import ColumnElement, ScalarSelect, bindparam, delete, exists, func, or_, select, update
 from sqlalchemy.orm import Session
 
 from accord.store.tables import (
@@ -193,15 +193,21 @@ def use_link(session: Session, token_hash: str, now: datetime) -> str | None:
     One conditional update, so that of two browsers that open a link at once only one is signed in.
     """
     return session.scalar(
-        update(TokenRow)
-        .where(
-            TokenRow.hash == token_hash,
-            TokenRow.kind == "link",
-            TokenRow.used_at.is_(None),
-            TokenRow.expires_at > now,
-        )
-        .values(used_at=now)
-        .returning(TokenRow.user_id)
+        update(TokenRow).where(*_is_link(token_hash, now)).values(used_at=now).returning(TokenRow.user_id)
+    )
+
+
+def user_of_link(session: Session, token_hash: str, now: datetime) -> UserRow | None:
+    """The user whom a link would sign in; None when there is none, or it is used or expired."""
+    return session.scalar(select(UserRow).join(TokenRow).where(*_is_link(token_hash, now)))
+
+
+def _is_link(token_hash: str, now: datetime) -> tuple[ColumnElement[bool], ...]:
+    return (
+        TokenRow.hash == token_hash,
+        TokenRow.kind == "link",
+        TokenRow.used_at.is_(None),
+        TokenRow.expires_at > now,
     )
 
 

@@ -15,6 +15,10 @@ const JoinPage = lazy(() =>
   import("@/features/session/JoinPage").then(({ JoinPage }) => ({ default: JoinPage })),
 );
 
+const SignInPage = lazy(() =>
+  import("@/features/session/SignInPage").then(({ SignInPage }) => ({ default: SignInPage })),
+);
+
 const SharedPage = lazy(() =>
   import("@/features/experiment/SharedPage").then((module) => ({ default: module.SharedPage })),
 );
@@ -39,9 +43,12 @@ function Session() {
   const me = useQuery({ ...meQuery, refetchInterval: (query) => (query.state.error ? RECONNECT_MS : false) });
   // Any request can be the first to find that the session ended: load the user again, which shows the sign-in page.
   useEffect(() => onSignedOut(() => void cache.invalidateQueries({ queryKey: meQuery.queryKey })), []);
-  const invitation = paths.invitationOf(usePath());
+  const path = usePath();
+  const invitation = paths.invitationOf(path);
+  const link = paths.signInLinkOf(path);
   if (invitation !== null && me.isFetched)
     return <JoinPage token={invitation} me={me.isSuccess ? me.data : null} />;
+  if (link !== null && me.isFetched) return <SignInPage token={link} me={me.isSuccess ? me.data : null} />;
   // Checked before `data`: the cache still holds the user after the session ended.
   if (me.error instanceof ApiError && me.error.status === 401) return <SignedOut previous={me.data} />;
   if (me.data) {

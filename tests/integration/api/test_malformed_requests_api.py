@@ -130,7 +130,7 @@ def test_body_that_cannot_be_parsed_is_refused(api: ApiServer) -> None:
         ("/assets/%ED%A0%80", 404),
         ("/assets/%00", 404),
         ("/api/v1/" + "a" * 5000, 414),
-        ("/sign-in/" + "a" * 5000, 401),
+        ("/sign-in/" + "a" * 5000, 414),
     ],
 )
 def test_path_that_nothing_can_have_is_refused(api: ApiServer, path: str, status: int) -> None:

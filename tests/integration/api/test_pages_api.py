@@ -9,7 +9,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
-from accord.api.pages import Page, link_refused
+from accord.api.pages import Page
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ async def request(
 
 
 @pytest.mark.anyio
-@pytest.mark.parametrize("path", ["/", "/experiments/exp_1", "/label", "/index.html"])
+@pytest.mark.parametrize("path", ["/", "/experiments/exp_1", "/sign-in/abc", "/index.html"])
 async def test_paths_of_the_page_return_index_html(folder: Path, path: str) -> None:
     response = await request(folder, path)
     assert response.status_code == 200
@@ -94,13 +94,6 @@ async def test_page_that_was_not_built_is_a_503_error(tmp_path: Path) -> None:
     response = await request(tmp_path / "nowhere", "/")
     assert response.status_code == 503
     assert "frontend/build_page.py" in response.text
-
-
-def test_sign_in_link_that_is_not_valid_returns_the_page_that_explains_it(folder: Path, tmp_path: Path) -> None:
-    refused = link_refused("used", folder)
-    assert (refused.status_code, refused.media_type, refused.headers["cache-control"]) == (401, "text/html", "no-store")
-    assert bytes(refused.body).decode() == (folder / "index.html").read_text()
-    assert link_refused("used", tmp_path / "nowhere").body == b"used"
 
 
 @pytest.mark.anyio

@@ -91,7 +91,14 @@ ALLOWED: dict[str, frozenset[Role]] = {
     "DELETE /invitations/{invitation_id}": ADMINS,
 }
 #: need no account
-PUBLIC = {"GET /health", "GET /join/{token}", "POST /join/{token}", "GET /shared"}
+PUBLIC = {
+    "GET /health",
+    "GET /join/{token}",
+    "POST /join/{token}",
+    "GET /sign-in/{token}",
+    "POST /sign-in/{token}",
+    "GET /shared",
+}
 #: what an operation needs to be valid
 BODIES: dict[str, dict[str, Any]] = {
     "POST /experiments": {"name": "one", "task": "no such task"},

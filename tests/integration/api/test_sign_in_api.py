@@ -18,11 +18,15 @@ def invite(api: ApiServer, name: str = "Bob") -> dict[str, str]:
 
 @contextmanager
 def browser(api: ApiServer, link: str) -> Generator[httpx.Client]:
-    """A client that opened a sign-in link."""
+    """A client that redeemed a sign-in link."""
     with api.client(None) as client:
-        response = client.get(urlsplit(link).path)
-        assert (response.status_code, response.headers["location"]) == (303, "/")
+        assert client.post(api_path(link)).status_code == 200
         yield client
+
+
+def api_path(link: str) -> str:
+    """Where the page looks at a sign-in link, and redeems it."""
+    return f"/api/v1{urlsplit(link).path}"
 
 
 def test_link_signs_in_one_browser_once(api_per_database: ApiServer) -> None:
@@ -30,23 +34,43 @@ def test_link_signs_in_one_browser_once(api_per_database: ApiServer) -> None:
     assert bob["sign_in_url"].startswith(f"{api_per_database.url}/sign-in/")
     with browser(api_per_database, bob["sign_in_url"]) as first, api_per_database.client(None) as second:
         assert first.get("/api/v1/me").json() == {"id": bob["id"], "name": "Bob", "role": "labeller"}
-        refused = second.get(urlsplit(bob["sign_in_url"]).path)
-        assert refused.status_code == 401
-        assert "set-cookie" not in refused.headers
-        # A signed-in browser that opens the link again is redirected to the page.
-        assert first.get(urlsplit(bob["sign_in_url"]).path).status_code == 303
+        for refused in (second.post(api_path(bob["sign_in_url"])), second.get(api_path(bob["sign_in_url"]))):
+            assert refused.status_code == 401
+            assert "set-cookie" not in refused.headers
 
 
-@pytest.mark.parametrize("token", ["x", "<script>", "%00", "a" * 3000])
+def test_looking_at_a_link_uses_nothing_up(api_per_database: ApiServer) -> None:
+    bob = invite(api_per_database)
+    with api_per_database.client(None) as preview:
+        for _ in range(3):
+            # the page itself, which is not built here, and what it asks
+            preview.get(urlsplit(bob["sign_in_url"]).path)
+            assert preview.get(api_path(bob["sign_in_url"])).json() == {"name": "Bob", "role": "labeller"}
+        assert not preview.cookies
+        assert preview.post(api_path(bob["sign_in_url"])).json()["name"] == "Bob"
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site", "none"])
+def test_a_page_of_another_site_cannot_sign_its_visitor_in(api: ApiServer, site: str) -> None:
+    bob = invite(api)
+    refused = api.anyone.post(api_path(bob["sign_in_url"]), headers={"Sec-Fetch-Site": site})
+    assert refused.status_code == 403
+    invitation = urlsplit(api.admin.post("/api/v1/invitations", json={}).json()["url"]).path
+    headers = {"Sec-Fetch-Site": site}
+    assert api.anyone.post(f"/api/v1{invitation}", json={"name": "x"}, headers=headers).status_code == 403
+    assert api.anyone.post(api_path(bob["sign_in_url"])).status_code == 200
+
+
+@pytest.mark.parametrize("token", ["x", "<script>", "%00", "a" * 200])
 def test_unknown_link_is_refused(api: ApiServer, token: str) -> None:
-    refused = api.anyone.get(f"/sign-in/{token}")
-    assert refused.status_code == 401
-    assert "<script>" not in refused.text
+    for refused in (api.anyone.get(f"/api/v1/sign-in/{token}"), api.anyone.post(f"/api/v1/sign-in/{token}")):
+        assert refused.status_code == 401
+        assert "<script>" not in refused.text
 
 
 def test_cookie_has_its_security_attributes(api: ApiServer) -> None:
     with api.client(None) as client:
-        cookie = client.get(urlsplit(invite(api)["sign_in_url"]).path).headers["set-cookie"]
+        cookie = client.post(api_path(invite(api)["sign_in_url"])).headers["set-cookie"]
     flags = {part.strip().lower() for part in cookie.split(";")[1:]}
     assert {"httponly", "samesite=lax", "path=/"} <= flags
     assert f"max-age={30 * 86_400}" in flags

@@ -4,6 +4,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from datetime import timedelta
 from typing import Any
+from urllib.parse import urlsplit
 
 import httpx
 import pytest
@@ -164,7 +165,7 @@ def test_only_programs_of_others_than_labellers_label_as_a_scripted_teacher(api:
             assert client.put(f"/api/v1/queries/{query}/label", json={"label": 1}).status_code == 201
     made = api.admin.post("/api/v1/users", json={"name": "Rosa", "role": "researcher"}).json()
     with api.client(None) as browser:
-        browser.get(made["sign_in_url"])
+        browser.post(f"/api/v1{urlsplit(made['sign_in_url']).path}")
         batch = {"labels": [{"query_id": sample.query_ids[2]} | body]}
         [outcome] = browser.post(f"{path}/labels", json=batch, headers={"Origin": api.url}).json()["items"]
         assert outcome["code"] == "forbidden"

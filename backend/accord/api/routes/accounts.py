@@ -4,20 +4,18 @@ from contextlib import suppress
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Request
-from fastapi.responses import RedirectResponse, Response
+from fastapi.responses import Response
 
 from accord.api import schemas
-from accord.api.dependencies import COOKIE, AppState, AuthDep, app_state, counting_failures
-from accord.api.pages import FOLDER, link_refused
+from accord.api.dependencies import COOKIE, AppState, AuthDep, app_state, counting_failures, refuse_other_sites
 from accord.domain.enums import Role
 from accord.domain.errors import Unauthenticated, Unavailable
 from accord.services import accounts, experiments, invitations
 
 router = APIRouter(tags=["accounts"])
-#: pages outside the API's prefix, opened in a browser
-pages = APIRouter(include_in_schema=False)
 
 InvitationToken = Annotated[str, Path(max_length=200, description="The last part of the invitation's link.")]
+LinkToken = Annotated[str, Path(max_length=200, description="The last part of the sign-in link.")]
 
 
 @router.get("/me", summary="Get the signed-in user")
@@ -55,6 +53,7 @@ def get_join(token: InvitationToken, request: Request) -> schemas.InvitationView
 @router.post("/join/{token}", status_code=201, summary="Join by an invitation")
 def join(token: InvitationToken, body: schemas.NewMember, request: Request, response: Response) -> schemas.Member:
     """Creates a labeller and signs this browser in. Needs no authentication."""
+    refuse_other_sites(request)
     app = app_state(request)
     with counting_failures(request), app.database.transaction() as session:
         experiment_id = invitations.valid(session, token).experiment_id
@@ -64,20 +63,27 @@ def join(token: InvitationToken, body: schemas.NewMember, request: Request, resp
     return member
 
 
-@pages.get("/sign-in/{link_token}")
-def sign_in(link_token: str, request: Request) -> Response:
-    """Redeems a one-time link: sets the browser's cookie and redirects to the page."""
+@router.get("/sign-in/{token}", summary="Look at a sign-in link")
+def get_sign_in(token: LinkToken, request: Request) -> schemas.SignInView:
+    """Says whom a one-time link signs in. Needs no authentication, and uses nothing up.
+
+    Chat programs open links to preview them: only the button on the page redeems one.
+    """
+    with counting_failures(request), app_state(request).database.reading() as session:
+        user = accounts.user_of_link(session, token)
+        return schemas.SignInView(name=user.name, role=Role(user.role))
+
+
+@router.post("/sign-in/{token}", summary="Sign in by a link")
+def sign_in(token: LinkToken, request: Request, response: Response) -> schemas.Me:
+    """Redeems a one-time link: signs this browser in. Needs no authentication."""
+    refuse_other_sites(request)
     app = app_state(request)
-    try:
-        with counting_failures(request), app.database.transaction() as session:
-            _, token = accounts.redeem_link(session, link_token, app.settings.session_days)
-    except Unauthenticated as error:
-        if _signed_in(request):
-            return RedirectResponse("/", 303)
-        return link_refused(str(error), FOLDER)
-    response = RedirectResponse("/", 303)
-    _set_cookie(response, token, request, app)
-    return response
+    with counting_failures(request), app.database.transaction() as session:
+        user, session_token = accounts.redeem_link(session, token, app.settings.session_days)
+        signed_in = schemas.Me(id=user.id, name=user.name, role=Role(user.role))
+    _set_cookie(response, session_token, request, app)
+    return signed_in
 
 
 def _set_cookie(response: Response, token: str, request: Request, app: AppState) -> None:
@@ -90,16 +96,3 @@ def _set_cookie(response: Response, token: str, request: Request, app: AppState)
         secure=request.url.scheme == "https" or app.settings.public_url.startswith("https:"),
         path="/",
     )
-
-
-def _signed_in(request: Request) -> bool:
-    """Whether the browser has a valid cookie: it may have opened its used link again."""
-    cookie = request.cookies.get(COOKIE)
-    if not cookie:
-        return False
-    with app_state(request).database.reading() as session:
-        try:
-            accounts.authenticate(session, cookie)
-        except Unauthenticated:
-            return False
-        return True

@@ -1,23 +1,28 @@
 import { useState } from "react";
 import type { Me } from "@/shared/api/types";
 import { countStoredLabels } from "@/shared/outbox/store";
-import { paths } from "@/shared/routing/paths";
 import { CopyLine } from "@/shared/ui/CopyLine";
 import { plural } from "@/shared/ui/format";
 import { Message } from "@/shared/ui/Message";
 
 const COMMAND = "accord link";
 
+interface SignedOutProps {
+  previous: Me | undefined;
+  usedLink?: boolean;
+}
+
 /**
  * The sign-in page: why nobody is signed in, what happens to unsent labels, and where one-time links come from.
  *
  * @param previous the user who was signed in on this page until now; undefined if there was none.
+ * @param usedLink whether a link brought them here that is not valid.
  */
-export function SignedOut({ previous }: { previous: Me | undefined }) {
+export function SignedOut({ previous, usedLink = false }: SignedOutProps) {
   const [unsent] = useState(() => countStoredLabels(window.localStorage));
   return (
     <Message title={previous ? "You are signed out" : "Sign in to Accord"}>
-      {paths.isSignInLink(window.location.pathname) && (
+      {usedLink && (
         <p className="alert" role="alert">
           This sign-in link has been used or has expired. Each link works once, and only for a limited time.
         </p>

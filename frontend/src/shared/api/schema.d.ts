@@ -1039,6 +1039,32 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/sign-in/{token}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Look at a sign-in link
+         * @description Says whom a one-time link signs in. Needs no authentication, and uses nothing up.
+         *
+         *     Chat programs open links to preview them: only the button on the page redeems one.
+         */
+        get: operations["get_sign_in"];
+        put?: never;
+        /**
+         * Sign in by a link
+         * @description Redeems a one-time link: signs this browser in. Needs no authentication.
+         */
+        post: operations["sign_in"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/tokens": {
         parameters: {
             query?: never;
@@ -3807,6 +3833,19 @@ export interface components {
             minutes: number;
         };
         /**
+         * SignInView
+         * @description What somebody who opens a sign-in link sees.
+         */
+        SignInView: {
+            /**
+             * Name
+             * @description The user whom it signs in.
+             */
+            name: string;
+            /** @description What the user may do. */
+            role: components["schemas"]["Role"];
+        };
+        /**
          * TaskSchema
          * @description A cooperative multi-agent task.
          */
@@ -6098,6 +6137,70 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Member"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    get_sign_in: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The last part of the sign-in link. */
+                token: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SignInView"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    sign_in: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The last part of the sign-in link. */
+                token: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Me"];
                 };
             };
             /** @description A stable code, a message, and the invalid field. */

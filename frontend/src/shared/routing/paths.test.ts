@@ -17,6 +17,11 @@ test("routeOf inverts paths", () => {
   expect(routeOf(paths.pair("exp_1", "qry_1"))).toEqual({ page: "pair", id: "exp_1", query: "qry_1" });
 });
 
+test("a sign-in link holds its token", () => {
+  expect(paths.signInLinkOf("/sign-in/a-b_c")).toBe("a-b_c");
+  expect(paths.signInLinkOf("/sign-in/")).toBeNull();
+});
+
 test("the link of an invitation holds its token", () => {
   expect(paths.invitationOf("/join/a-b_c")).toBe("a-b_c");
   expect(paths.invitationOf("/join/")).toBeNull();

@@ -20,8 +20,8 @@ export const paths = {
     pathname === "/shared" ? hash.slice(1) : null,
   quality: (id: string) => `/experiments/${encodeURIComponent(id)}/quality`,
   decide: (id: string) => `/experiments/${encodeURIComponent(id)}/decide`,
-  /** Whether the server answered a one-time sign-in link with this page, because the link was not valid. */
-  isSignInLink: (path: string) => path.startsWith("/sign-in/"),
+  /** The token of a one-time sign-in link, if the path is one. */
+  signInLinkOf: (path: string) => /^\/sign-in\/([^/]+)$/.exec(path)?.[1] ?? null,
 };
 
 export type Route =
@@ -47,7 +47,7 @@ export function routeOf(path: string): Route {
   const parts = partsOf(path);
   if (parts === undefined || parts.length > 4) return { page: "missing" };
   const [first, second, third, fourth] = parts;
-  if (first === undefined || paths.isSignInLink(path) || (first === "experiments" && second === undefined))
+  if (first === undefined || (first === "experiments" && second === undefined))
     return { page: "experiments" };
   if (first === "compare" && second !== undefined && third === undefined)
     return { page: "compare", ids: second.split(",") };
