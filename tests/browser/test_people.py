@@ -108,7 +108,7 @@ def _row(page: Page, name: str) -> Locator:
 
 def test_a_researcher_creates_a_token_for_a_program_and_revokes_it(service: Service, sign_in: SignIn) -> None:
     page = sign_in("Rita", "researcher")
-    page.get_by_role("link", name="Rita of").click()
+    page.get_by_role("link", name="Tokens").click()
     page.get_by_role("button", name="Create a token").click()
     page.get_by_label("Name: what it is for").fill("night run")
     page.get_by_label("Role").select_option("teacher")

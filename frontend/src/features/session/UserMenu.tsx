@@ -5,7 +5,7 @@ import type { Me } from "@/shared/api/types";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 
-/** The name and role of the signed-in user, as a link to their tokens, and the sign-out button. */
+/** The name and role of the signed-in user, the link to their tokens, and the sign-out button. */
 export function UserMenu({ me }: { me: Me }) {
   const cache = useQueryClient();
   const signOut = useMutation({
@@ -15,12 +15,11 @@ export function UserMenu({ me }: { me: Me }) {
   });
   return (
     <div className="user">
-      <Link
-        to={paths.account()}
-        className="user-name"
-        title={`Signed in as ${me.name}, ${me.role}: your tokens`}
-      >
+      <span className="user-name" title={`Signed in as ${me.name}, ${me.role}`}>
         {me.name} {me.name !== me.role && <span className="muted">{me.role}</span>}
+      </span>
+      <Link to={paths.account()} className="user-tokens">
+        Tokens
       </Link>
       <button
         type="button"
