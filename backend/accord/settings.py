@@ -18,6 +18,15 @@ class Settings(BaseSettings):
     host: str = Field(default="127.0.0.1", description="Address the server listens on.")
     port: int = Field(default=8000, ge=0, le=65_535, description="Port the server listens on; 0 takes a free one.")
     public_url: str = Field(default="", description="URL of sign-in links when the server is behind a proxy.")
+    allowed_hosts: str = Field(
+        default="",
+        description="Comma-separated host names for which the server answers, besides localhost, ACCORD_HOST and that "
+        "of the public URL; `*` allows all. Requests for others are refused with 421.",
+    )
+    allow_plain_http: bool = Field(
+        default=False,
+        description="Listen beyond this machine without a public URL, although nothing encrypts what is sent.",
+    )
     trusted_proxies: str = Field(
         default="127.0.0.1",
         description="With a public URL: comma-separated addresses or networks of the proxies whose X-Forwarded-For and "

@@ -42,7 +42,16 @@ def test_a_port_in_use_is_refused_and_another_suggested(tmp_path: Path) -> None:
 
 
 def test_an_address_of_another_machine_is_refused(tmp_path: Path) -> None:
-    assert_refused(up(tmp_path, "--host", "203.0.113.7", "--port", "0"), "203.0.113.7", "--host")
+    elsewhere = ("--host", "203.0.113.7", "--port", "0", "--allow-plain-http")
+    assert_refused(up(tmp_path, *elsewhere), "203.0.113.7", "--host")
+
+
+def test_listening_beyond_this_machine_without_encryption_must_be_asked_for(tmp_path: Path) -> None:
+    everywhere = ("--host", "0.0.0.0", "--port", "0")
+    assert_refused(up(tmp_path, *everywhere), "0.0.0.0", "ACCORD_PUBLIC_URL", "--allow-plain-http")
+    for allowed in ({"ACCORD_PUBLIC_URL": "https://accord.example"}, {"ACCORD_ALLOW_PLAIN_HTTP": "true"}):
+        # A second error shows that this one has passed.
+        assert_refused(up(tmp_path, "--host", "203.0.113.7", "--port", "0", **allowed), "does not have the address")
 
 
 def test_a_file_in_place_of_the_blob_folder_is_refused(tmp_path: Path) -> None:

@@ -24,12 +24,19 @@ def assert_stopped(accord: Accord, *, killed: set[str]) -> None:
     assert not (accord.home / "url").exists()
 
 
+def assert_private(accord: Accord) -> None:
+    """Everything that the service has written is for its user only."""
+    assert [path for path in accord.home.rglob("*") if path.stat().st_mode & 0o077] == []
+    assert any(path.suffix == ".safetensors" for path in accord.home.rglob("*"))
+
+
 def test_one_signal_ends_all_processes_and_saves_a_checkpoint(accord: Accord) -> None:
     start_training(accord)
     processes = until(accord.all_ready, "all processes handle signals")
     accord.send_signal(signal.SIGINT)
     assert_stopped(accord, killed=set())
     assert "killed:" not in accord.log.read_text()
+    assert_private(accord)
     until(lambda: not any(alive(process) for process in processes.values()), "all have ended")
 
 

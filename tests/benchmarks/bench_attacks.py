@@ -42,7 +42,7 @@ def slow_clients(port: int, stop: Event) -> None:
         while len(open_sockets) < SLOW_CLIENTS and not stop.is_set():
             with suppress(OSError):
                 connection = socket.create_connection(("127.0.0.1", port), timeout=1)
-                connection.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n")
+                connection.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n")
                 connection.setblocking(False)
                 open_sockets.append(connection)
         time.sleep(0.2)
@@ -74,7 +74,7 @@ def wrong_tokens(port: int, stop: Event) -> None:
 
 
 def large_bodies(port: int, stop: Event) -> None:
-    head = "PUT /api/v1/queries/x/label HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer x\r\n"
+    head = "PUT /api/v1/queries/x/label HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer x\r\n"
     head += f"Content-Length: {BODY_BYTES}\r\n\r\n"
     open_sockets: list[socket.socket] = []
     for _ in range(BODIES):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, ConsoleMessage, Page, expect, sync_playwright
 
 from accord.api.pages import FOLDER
 from browser.fixture_types import NewExperiment, SignIn
@@ -93,12 +93,14 @@ def sign_in(service: Service, browser: Browser, request: pytest.FixtureRequest) 
     """
     contexts = []
     failed_before = request.session.testsfailed
+    refused: list[str] = []
 
     def enter(name: str, role: str = "labeller", **options: Any) -> Page:
         _, link = service.add_user(f"{name} of {request.node.name}"[:100], role)
         context = browser.new_context(viewport={"width": 1280, "height": 800}, **options)
         contexts.append(context)
         assert context.request.post(link.replace("/sign-in/", "/api/v1/sign-in/")).ok
+        context.on("console", lambda message: _note_violation(message, refused))
         page = context.new_page()
         # Most tests open another page at once, and need not wait for this one.
         page.goto(service.url, wait_until="commit")
@@ -109,3 +111,9 @@ def sign_in(service: Service, browser: Browser, request: pytest.FixtureRequest) 
         for page in context.pages if request.session.testsfailed > failed_before else []:
             page.screenshot(path=Path(service.home) / f"{request.node.name}-{number}.png")
         context.close()
+    assert refused == [], "the page does not obey its own content security policy"
+
+
+def _note_violation(message: ConsoleMessage, refused: list[str]) -> None:
+    if "Content Security Policy" in message.text:
+        refused.append(message.text)

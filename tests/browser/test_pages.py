@@ -48,6 +48,20 @@ def test_a_sign_in_link_works_once(service: Service, browser: Browser) -> None:
     assert found == []
 
 
+def test_the_api_is_described_to_those_who_are_signed_in(service: Service, sign_in: SignIn) -> None:
+    page = sign_in("Dora", "researcher")
+    page.goto(f"{service.url}/api/docs")
+    page.get_by_text("PUT /api/v1/queries/{query_id}/label").click()
+    expect(page.get_by_text("Creates or changes the caller's label.")).to_be_visible()
+    page.screenshot(path=service.home / "api.png")
+    found = violations_of(page, "api")
+    page.get_by_role("link", name="NewLabel", exact=True).click()
+    expect(page.get_by_role("heading", name="NewLabel", exact=True)).to_be_in_viewport()
+    page.get_by_role("button", name="Sign out").click()
+    expect(page.get_by_role("heading", name="You are signed out")).to_be_visible()
+    assert found == []
+
+
 def test_everything_works_with_the_keyboard_alone(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:

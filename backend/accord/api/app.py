@@ -4,6 +4,7 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
+from starlette.types import ASGIApp
 
 from accord.api import errors
 from accord.api.body_limit import BodyLimit
@@ -13,6 +14,7 @@ from accord.api.routes import (
     accounts,
     clips,
     credit,
+    documentation,
     events,
     experiments,
     exports,
@@ -27,6 +29,7 @@ from accord.api.routes import (
     shares,
     tokens,
 )
+from accord.api.security import Security
 from accord.api.sign_in_limit import SignInLimit
 from accord.settings import Settings
 from accord.store.blobs import BlobStore
@@ -47,8 +50,9 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         title="Accord",
         version="1",
         description=_DESCRIPTION,
-        openapi_url="/api/openapi.json",
-        docs_url="/api/docs",
+        # `documentation` serves them to those who are signed in.
+        openapi_url=None,
+        docs_url=None,
         redoc_url=None,
         redirect_slashes=False,
         generate_unique_id_function=_operation_id,
@@ -76,6 +80,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         health,
     ):
         app.include_router(module.router, prefix=PREFIX)
+    app.include_router(documentation.router)
     app.router.default = Page()
     errors.install(app)
     app.add_middleware(
@@ -95,6 +100,10 @@ def _operation_id(route: APIRoute) -> str:
 
 
 class _App(FastAPI):
+    def build_middleware_stack(self) -> ASGIApp:
+        """Outside of everything else, also of the response to an unexpected error."""
+        return Security(super().build_middleware_stack(), self.state.accord.settings)
+
     def openapi(self) -> dict[str, Any]:
         """The OpenAPI document with both authentication methods, created when it is first requested."""
         created = self.openapi_schema is None

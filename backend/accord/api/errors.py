@@ -16,7 +16,9 @@ from accord.domain.errors import (
     BodyTooLarge,
     BodyTooSlow,
     DatabaseFull,
+    DatabaseUnreachable,
     Forbidden,
+    HostNotAllowed,
     Invalid,
     LeaseLost,
     NotFound,
@@ -35,6 +37,7 @@ log = logging.getLogger(__name__)
 #: the first matching class determines the status
 STATUS: tuple[tuple[type[AccordError], int], ...] = (
     (Unauthenticated, 401),
+    (HostNotAllowed, 421),
     (Forbidden, 403),
     (NotFound, 404),
     (WrongState, 409),
@@ -51,6 +54,12 @@ _HTTP_MESSAGES = {
     414: ("path_too_long", "The path is too long. The API is described at /api/docs."),
     404: ("not_found", "There is nothing at this path. The API is described at /api/docs."),
     405: ("method_not_allowed", "This path does not support this method. The API is described at /api/docs."),
+}
+#: said instead of an exception's message, which names the database: whoever sent the request may be a stranger
+_PUBLIC_MESSAGES: Mapping[type[AccordError], str] = {
+    DatabaseFull: "There is no space left for the database, so nothing of this request was stored. Whoever runs Accord "
+    "can free some space on its disk; then try again.",
+    DatabaseUnreachable: "The database failed. The server's log says why, for whoever runs Accord. Try again later.",
 }
 #: the error response of every route, for OpenAPI
 RESPONSES: dict[int | str, dict[str, Any]] = {
@@ -89,7 +98,8 @@ def accord_error_response(error: AccordError) -> JSONResponse:
         headers["Retry-After"] = "60"
     field = getattr(error, "field", None)
     details = [] if field is None else [{"field": field, "problem": str(error)}]
-    return error_response(status_of(error), error.code, str(error), details, headers)
+    message = _PUBLIC_MESSAGES.get(type(error), str(error))
+    return error_response(status_of(error), error.code, message, details, headers)
 
 
 def install(app: FastAPI) -> None:

@@ -4,11 +4,27 @@
 """
 
 import errno
+import ipaddress
 import socket
 
-from accord.domain.errors import PortInUse, Unavailable
+from accord.domain.errors import PlainHttpRefused, PortInUse, Unavailable
+from accord.settings import Settings
 
 _BACKLOG = 2048
+
+
+def require_protection(settings: Settings) -> None:
+    """Raises PlainHttpRefused if the server would listen beyond this machine without a proxy and without permission."""
+    if not (is_loopback(settings.host) or settings.public_url or settings.allow_plain_http):
+        raise PlainHttpRefused(settings.host)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only programs on this machine reach an address."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def listen(host: str, port: int) -> socket.socket:

@@ -12,6 +12,8 @@ from starlette.exceptions import HTTPException
 from starlette.types import Receive, Scope, Send
 
 FOLDER = Path(__file__).parent.parent / "static"
+#: the only path below /api that is a page
+DOCUMENTATION = "api/docs"
 _NOT_BUILT = (
     "This installation does not contain the page. Build it with `python frontend/build_page.py`, or reinstall from a "
     "wheel. The API works without it and is described at /api/docs."
@@ -35,7 +37,7 @@ class Page:
         path = scope["path"].lstrip("/")
         if len(path) > _MAX_PATH_CHARACTERS:
             raise HTTPException(414)
-        if path == "api" or path.startswith("api/"):
+        if path == "api" or (path.startswith("api/") and path != DOCUMENTATION):
             raise HTTPException(404)
         if scope["method"] not in {"GET", "HEAD"}:
             raise HTTPException(405, headers={"Allow": "GET, HEAD"})

@@ -20,11 +20,12 @@ from fastapi import FastAPI
 
 from accord.api.app import create_app
 from accord.api.connections import Connections, LimitedHttp
-from accord.api.listener import address_of, listen
+from accord.api.listener import address_of, listen, require_protection
 from accord.domain.errors import AccordError
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from accord.store.home import keep_new_files_private
 from accord.store.migrate import migrate
 from mapt.processes import follow_parent
 
@@ -82,8 +83,11 @@ def main() -> int:
     follow_parent(arguments.parent)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     logging.getLogger("alembic").setLevel(logging.WARNING)
+    keep_new_files_private()
     try:
         settings = Settings()
+        if arguments.fd is None:
+            require_protection(settings)
         listener = listen(settings.host, settings.port) if arguments.fd is None else socket.socket(fileno=arguments.fd)
         with listener:
             serve(listener, settings)

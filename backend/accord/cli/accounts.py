@@ -11,6 +11,7 @@ from accord.domain.enums import Role
 from accord.services import accounts
 from accord.settings import Settings
 from accord.store.database import Database
+from accord.store.home import keep_new_files_private
 from accord.store.migrate import migrate
 from mapt.cli.options import Json
 from mapt.cli.output import out, print_json, print_line
@@ -125,6 +126,7 @@ def migrated(settings: Settings) -> Generator[Database]:
     Raises:
         DatabaseTooNew, DatabaseUnreachable: with what to do about it.
     """
+    keep_new_files_private()
     database = Database.open(settings.resolved_database_url)
     try:
         migrate(database)

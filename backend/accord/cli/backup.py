@@ -13,6 +13,7 @@ from accord.domain.errors import Invalid
 from accord.services.backup import back_up, read_manifest
 from accord.services.backup import restore as restore_backup
 from accord.store.blobs import open_blobs
+from accord.store.home import keep_new_files_private
 from mapt.cli.options import Json
 from mapt.cli.output import ProgressBars, print_json, print_line
 
@@ -28,6 +29,7 @@ def backup(
     The service may keep running: everything that it acknowledged before is in the backup. Verifies the backup, and
     exits with status 1 if a check fails, for example because a blob was missing already.
     """
+    keep_new_files_private()
     settings = load_settings(home)
     with closing(open_existing(settings)) as database, ProgressBars(hidden=as_json) as bars:
         bars.add("blobs", "blobs", 1)
@@ -60,6 +62,7 @@ def restore(
     The home folder must be empty or not exist. Compares every file with its checksum, and verifies the result.
     Experiments that ran continue when `accord up` starts.
     """
+    keep_new_files_private()
     settings = load_settings(home)
     if settings.home.exists() and any(settings.home.iterdir()):
         raise Invalid(

@@ -24,13 +24,19 @@ Experiment = Annotated[str, typer.Option(help="Id of the experiment, exp_...")]
 Port = Annotated[int | None, typer.Option(min=0, max=65535, help="Port; 0 for any free one.  [default: 8000]")]
 
 
-def load_settings(home: Path | None = None, host: str | None = None, port: int | None = None) -> Settings:
+def load_settings(
+    home: Path | None = None,
+    host: str | None = None,
+    port: int | None = None,
+    *,
+    allow_plain_http: bool | None = None,
+) -> Settings:
     """Settings from the environment; arguments that are not None override it.
 
     Raises:
         pydantic.ValidationError: if an ACCORD_* variable is invalid.
     """
-    given = {"home": home, "host": host, "port": port}
+    given = {"home": home, "host": host, "port": port, "allow_plain_http": allow_plain_http}
     return Settings(**{name: value for name, value in given.items() if value is not None})  # pyright: ignore[reportArgumentType]
 
 

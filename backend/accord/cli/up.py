@@ -11,7 +11,7 @@ from typing import Annotated, TextIO
 import typer
 from rich.markup import escape
 
-from accord.api.listener import listen
+from accord.api.listener import listen, require_protection
 from accord.cli.api_watch import ApiWatch
 from accord.cli.checks import print_check
 from accord.cli.options import Home, Port, address_file, load_settings, url_of
@@ -23,6 +23,7 @@ from accord.services.verification import verify_blobs, verify_file, verify_rows
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
+from accord.store.home import keep_new_files_private, make_private
 from accord.store.migrate import is_new, migrate
 from accord.workers.runner import Stop
 from accord.workers.supervisor import ChildSpec, Supervisor
@@ -54,6 +55,14 @@ def up(
     home: Home = None,
     host: Annotated[str | None, typer.Option(help="Address to listen on.  [default: 127.0.0.1]")] = None,
     port: Port = None,
+    allow_plain_http: Annotated[
+        bool,
+        typer.Option(
+            "--allow-plain-http",
+            help="Listen beyond this machine without encryption, on a network that you trust. Behind a proxy with TLS, "
+            "set ACCORD_PUBLIC_URL instead.",
+        ),
+    ] = False,
     example: Annotated[bool, typer.Option(help="Create an example experiment at the first start.")] = True,
     parent: Annotated[int, typer.Option(hidden=True, help="Exit when the process with this id exits; 0 for none.")] = 0,
 ) -> None:
@@ -61,10 +70,11 @@ def up(
 
     Prints a link that signs the admin in. Ctrl-C stops the service; a second Ctrl-C stops it at once.
     """
+    keep_new_files_private()
     stop = Stop()
     stop.install()
     follow_parent(parent)
-    ready = prepare(load_settings(home, host, port))
+    ready = prepare(load_settings(home, host, port, allow_plain_http=True if allow_plain_http else None))
     try:
         announce(ready, example)
         _warn_of_faults(ready)
@@ -198,8 +208,9 @@ def prepare(settings: Settings) -> Ready:
 
     Raises:
         HomeNotWritable, HomeInUse, BlobsNotWritable, DatabaseTooNew, DatabaseUnreachable, DatabaseDamaged,
-        DatabaseEmptied, PortInUse: with what to do about it.
+        DatabaseEmptied, PortInUse, PlainHttpRefused: with what to do about it.
     """
+    require_protection(settings)
     make_home(settings)
     with ExitStack() as opened:
         lock = opened.enter_context(lock_home(settings.home))
@@ -233,6 +244,7 @@ def make_home(settings: Settings) -> None:
     logs = settings.home / "logs"
     try:
         logs.mkdir(parents=True, exist_ok=True)
+        make_private(settings.home)
     except OSError as error:
         raise HomeNotWritable(
             f"The home folder {settings.home} cannot be created: {error.strerror}. Use another --home."

@@ -2,6 +2,7 @@
 
     AccordError
     ├── Unauthenticated               the caller is not signed in
+    ├── HostNotAllowed                the request is for another host
     ├── Forbidden                     the caller's role does not allow it
     │   └── ReturnsHidden, CreditHidden
     ├── NotFound                      the object does not exist
@@ -19,7 +20,7 @@
     ├── TooManyFailedSignIns          the client tried too many wrong tokens or links
     └── Unavailable                   this machine cannot do it now; the message says what to do
         ├── DatabaseTooNew, DatabaseTooOld, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, TaskUnavailable,
-        │   PortInUse, BlobsInUse
+        │   PortInUse, BlobsInUse, PlainHttpRefused
         └── BlobUnreadable
             └── BlobMissing, BlobDamaged
 
@@ -43,6 +44,18 @@ class Unauthenticated(AccordError):
 
     def __init__(self, message: str | None = None) -> None:
         super().__init__(message or type(self).__doc__)
+
+
+class HostNotAllowed(AccordError):
+    """The request names a host that this server is not known by."""
+
+    code = "host_not_allowed"
+
+    def __init__(self, host: str) -> None:
+        super().__init__(
+            f"This server does not answer for the host {host[:100]!r}. Whoever runs Accord can add the name to "
+            "ACCORD_ALLOWED_HOSTS."
+        )
 
 
 class Forbidden(AccordError):
@@ -384,4 +397,15 @@ class PortInUse(Unavailable):
         super().__init__(
             f"{host}:{port} is in use. Stop the program that uses it, or choose another port, for example "
             f"accord up --port {port + 1}."
+        )
+
+
+class PlainHttpRefused(Unavailable):
+    code = "plain_http_refused"
+
+    def __init__(self, host: str) -> None:
+        super().__init__(
+            f"Accord does not listen on {host} without encryption: others could read sign-in links and tokens. Put a "
+            "proxy with TLS in front of it and set ACCORD_PUBLIC_URL to the proxy's https address; or, on a network "
+            "that you trust, add --allow-plain-http (ACCORD_ALLOW_PLAIN_HTTP=true)."
         )

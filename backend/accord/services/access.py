@@ -33,7 +33,7 @@ _PARTS: Mapping[str, tuple[PartRow, type[NotFound]]] = {
     "recording_id": (RecordingRow, RecordingNotFound),
 }
 #: operations outside experiments that a token for one experiment may use
-_OUTSIDE_EXPERIMENTS = frozenset({"me", "sign_out", "list_tasks", "list_experiments"})
+_OUTSIDE_EXPERIMENTS = frozenset({"me", "sign_out", "list_tasks", "list_experiments", "openapi_document"})
 
 
 def sees_all(user: Caller) -> bool:

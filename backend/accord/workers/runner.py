@@ -19,6 +19,7 @@ from accord.domain.errors import AccordError
 from accord.settings import Settings
 from accord.store.blobs import BlobStore, open_blobs
 from accord.store.database import Database
+from accord.store.home import keep_new_files_private
 from accord.workers.heartbeat import Heartbeat
 from mapt.errors import MaptError
 from mapt.processes import follow_parent
@@ -198,6 +199,7 @@ def run_worker(role: WorkerRole, make_worker: Callable[[Context], Worker], argv:
     stop.install()
     follow_parent(arguments.parent)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    keep_new_files_private()
     settings = Settings()
     worker_id = f"{role.value}-{arguments.slot}"
     holder = f"{worker_id}:{os.getpid()}:{secrets.token_hex(4)}"

@@ -11,6 +11,7 @@ const loaders = {
   experiment: () => import("@/features/experiment/ExperimentPage").then(as("ExperimentPage")),
   label: () => import("@/features/labelling/LabelPage").then(as("LabelPage")),
   compare: () => import("@/features/compare/ComparePage").then(as("ComparePage")),
+  "api-docs": () => import("@/features/api-docs/ApiDocsPage").then(as("ApiDocsPage")),
   account: () => import("@/features/account/AccountPage").then(as("AccountPage")),
   people: () => import("@/features/people/PeoplePage").then(as("PeoplePage")),
   labels: () => import("@/features/label-table/LabelTablePage").then(as("LabelTablePage")),
@@ -25,6 +26,7 @@ const NewExperimentPage = lazy(loaders["new-experiment"]);
 const ExperimentPage = lazy(loaders.experiment);
 const LabelPage = lazy(loaders.label);
 const LabelTablePage = lazy(loaders.labels);
+const ApiDocsPage = lazy(loaders["api-docs"]);
 const AccountPage = lazy(loaders.account);
 const PeoplePage = lazy(loaders.people);
 const QualityPage = lazy(loaders.quality);
@@ -69,6 +71,8 @@ function Page({ me }: { me: Me }) {
       return <ComparePage key={route.ids.join()} ids={route.ids} />;
     case "labels":
       return <LabelTablePage key={route.id} id={route.id} me={me} />;
+    case "api-docs":
+      return <ApiDocsPage />;
     case "account":
       return <AccountPage me={me} />;
     case "people":

@@ -141,7 +141,7 @@ def test_path_that_nothing_can_have_is_refused(api: ApiServer, path: str, status
 def test_websocket_handshake_is_refused(api: ApiServer, path: str) -> None:
     address = urlsplit(api.url)
     handshake = (
-        f"GET {path} HTTP/1.1\r\nHost: accord\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+        f"GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
         "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
     )
     with socket.create_connection(cast(Any, (address.hostname, address.port)), PATIENCE_SECONDS) as connection:

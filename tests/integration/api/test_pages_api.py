@@ -39,7 +39,7 @@ async def request(
 
 
 @pytest.mark.anyio
-@pytest.mark.parametrize("path", ["/", "/experiments/exp_1", "/sign-in/abc", "/index.html"])
+@pytest.mark.parametrize("path", ["/", "/experiments/exp_1", "/sign-in/abc", "/api/docs", "/index.html"])
 async def test_paths_of_the_page_return_index_html(folder: Path, path: str) -> None:
     response = await request(folder, path)
     assert response.status_code == 200

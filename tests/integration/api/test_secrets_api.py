@@ -93,7 +93,7 @@ def assert_no_secret(text: str) -> None:
 
 
 def test_no_route_sends_a_true_return_to_a_labeller(api: ApiServer, sample: SampleExperiment) -> None:
-    document = api.anyone.get("/api/openapi.json").json()
+    document = api.labeller.get("/api/openapi.json").json()
     leased = api.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next", params={"count": 4})
     items = leased.json()["items"]
     for side in [item[name] for item in items for name in ("left", "right")]:

@@ -103,7 +103,8 @@ def test_error_for_a_port_in_use_suggests_another(tmp_path: Path) -> None:
 
 
 def test_error_for_an_address_of_another_machine_explains_it(tmp_path: Path) -> None:
-    refused = start_and_fail(tmp_path, ACCORD_HOST="no.such.host.invalid")
+    assert "--allow-plain-http" in start_and_fail(tmp_path, ACCORD_HOST="no.such.host.invalid").stderr
+    refused = start_and_fail(tmp_path, ACCORD_HOST="no.such.host.invalid", ACCORD_ALLOW_PLAIN_HTTP="true")
     assert refused.returncode == 1
     assert "does not have the address" in refused.stderr
 

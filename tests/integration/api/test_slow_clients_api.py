@@ -26,7 +26,7 @@ from support.stores import Stores
 from support.waiting import PATIENCE_SECONDS, until
 
 REQUEST_SECONDS, TRANSFER_SECONDS = 0.5, 1.0
-HALF = b"GET /api/v1/health HTTP/1.1\r\nHost: accord\r\n"
+HALF = b"GET /api/v1/health HTTP/1.1\r\nHost: localhost\r\n"
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def connect(url: str) -> socket.socket:
 def post(token: str | None, length: int, path: str = f"/api/v1/queries/{new_id('qry')}/label") -> bytes:
     """The headers of a request with a body of `length` bytes."""
     authorization = f"Authorization: Bearer {token}\r\n" if token else ""
-    return f"PUT {path} HTTP/1.1\r\nHost: accord\r\n{authorization}Content-Length: {length}\r\n\r\n".encode()
+    return f"PUT {path} HTTP/1.1\r\nHost: localhost\r\n{authorization}Content-Length: {length}\r\n\r\n".encode()
 
 
 def received(connection: socket.socket) -> bytes:
@@ -66,7 +66,7 @@ def test_connection_without_a_whole_request_is_closed(impatient: ApiServer) -> N
             assert received(connection) == b""
 
 
-@pytest.mark.parametrize("before", [b"", b"HEAD /nothing HTTP/1.1\r\nHost: accord\r\n\r\n"])
+@pytest.mark.parametrize("before", [b"", b"HEAD /nothing HTTP/1.1\r\nHost: localhost\r\n\r\n"])
 def test_connection_that_sends_headers_byte_by_byte_is_closed(impatient: ApiServer, before: bytes) -> None:
     with connect(impatient.url) as connection:
         connection.sendall(before + HALF)
@@ -177,7 +177,7 @@ def test_client_that_does_not_read_is_disconnected(impatient: ApiServer) -> None
     stores.blobs.put("clips/large.mp4", bytes(size))
     with connect(impatient.url) as connection:
         connection.sendall(
-            f"GET {path} HTTP/1.1\r\nHost: accord\r\nAuthorization: Bearer {sample.owner_token}\r\n\r\n".encode()
+            f"GET {path} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {sample.owner_token}\r\n\r\n".encode()
         )
         assert connection.recv(1, socket.MSG_PEEK)
         port = connection.getsockname()[1]

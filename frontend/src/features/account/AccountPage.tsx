@@ -4,6 +4,8 @@ import { api, unwrap } from "@/shared/api/client";
 import { errorMessage } from "@/shared/api/errors";
 import { experimentChoicesQuery, tokensQuery } from "@/shared/api/queries";
 import type { Me } from "@/shared/api/types";
+import { paths } from "@/shared/routing/paths";
+import { Link } from "@/shared/routing/router";
 import { Dialog } from "@/shared/ui/Dialog";
 import { formatTime } from "@/shared/ui/format";
 import { Alert } from "@/shared/ui/Message";
@@ -34,7 +36,8 @@ export function AccountPage({ me }: { me: Me }) {
       </div>
       <p className="muted">
         A program that works for you sends a token with every request, as{" "}
-        <code>Authorization: Bearer TOKEN</code>. What it does is recorded under your name.
+        <code>Authorization: Bearer TOKEN</code>. What it does is recorded under your name.{" "}
+        <Link to={paths.apiDocs()}>REST API</Link>
       </p>
       {error && <Alert>{errorMessage(error)}</Alert>}
       {tokens.data?.length === 0 && <p>You have no tokens.</p>}

@@ -1,6 +1,6 @@
 import { infiniteQueryOptions, queryOptions } from "@tanstack/react-query";
 import { api, unwrap } from "./client";
-import { ApiError, isTransient } from "./errors";
+import { ApiError, isTransient, ServerUnreachable, toApiError } from "./errors";
 import type { operations } from "./schema";
 import type { Credit, RecordingCamera, RewardReport } from "./types";
 
@@ -191,6 +191,20 @@ export const usersQuery = queryOptions({
 export const tokensQuery = queryOptions({
   queryKey: ["tokens"],
   queryFn: () => unwrap(api.GET("/api/v1/tokens")),
+});
+
+/** The OpenAPI document, which is not part of the API that it describes. */
+export const openApiQuery = queryOptions({
+  queryKey: ["openapi"],
+  queryFn: async (): Promise<unknown> => {
+    const response = await fetch("/api/openapi.json").catch((cause) => {
+      throw new ServerUnreachable(cause);
+    });
+    const body: unknown = await response.json();
+    if (!response.ok) throw toApiError(response, body);
+    return body;
+  },
+  staleTime: Number.POSITIVE_INFINITY,
 });
 
 export const invitationsQuery = queryOptions({

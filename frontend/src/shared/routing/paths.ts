@@ -13,6 +13,8 @@ export const paths = {
   labels: (id: string) => `/experiments/${encodeURIComponent(id)}/labels`,
   people: () => "/people",
   account: () => "/account",
+  /** The server lets only this path below /api through to the page. */
+  apiDocs: () => "/api/docs",
   /** The token of an invitation, if the path is its link. */
   invitationOf: (path: string) => /^\/join\/([^/]+)$/.exec(path)?.[1] ?? null,
   /** The token of a read-only link, which is in its fragment; null if the address is no such link. */
@@ -33,6 +35,7 @@ export type Route =
   | { page: "labels"; id: string }
   | { page: "people" }
   | { page: "account" }
+  | { page: "api-docs" }
   | { page: "quality"; id: string }
   | { page: "decide"; id: string }
   | { page: "reward"; id: string }
@@ -52,6 +55,7 @@ export function routeOf(path: string): Route {
   if (first === "compare" && second !== undefined && third === undefined)
     return { page: "compare", ids: second.split(",") };
   if (first === "people" && second === undefined) return { page: "people" };
+  if (path === paths.apiDocs()) return { page: "api-docs" };
   if (first === "account" && second === undefined) return { page: "account" };
   if (first !== "experiments" || second === undefined) return { page: "missing" };
   if (second === "new") return third === undefined ? { page: "new-experiment" } : { page: "missing" };
