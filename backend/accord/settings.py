@@ -64,6 +64,12 @@ class Settings(BaseSettings):
         le=86_400,
         description="How long a query is reserved for a labeller who sends neither a label nor a heartbeat.",
     )
+    max_leases: int = Field(
+        default=32,
+        ge=1,
+        le=10_000,
+        description="Most queries that are reserved for one labeller at a time, in all tabs and experiments together.",
+    )
     max_body_bytes: int = Field(default=2_000_000, ge=1000, le=10**9, description="Largest request body.")
     max_import_bytes: int = Field(
         default=4_000_000_000, ge=1000, le=10**13, description="Largest export that can be uploaded to the page."

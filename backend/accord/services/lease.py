@@ -33,6 +33,7 @@ Reason = Literal[
     "experiment_over",
     "paused",
     "labeller_paused",
+    "lease_limit",
     "others",
     "all_decided",
 ]
@@ -63,12 +64,24 @@ class Leased:
 
 
 def next_queries(
-    session: Session, user: Caller, experiment_id: str, count: int, lease_seconds: float, *, tab: str = ""
+    session: Session,
+    user: Caller,
+    experiment_id: str,
+    count: int,
+    lease_seconds: float,
+    *,
+    tab: str = "",
+    max_leases: int | None = None,
 ) -> Leased:
     """Leases up to `count` queries to a user: first those this tab holds already, then free ones, by number.
 
     A query keeps the sides it was first shown with, so that reloading the page changes nothing. Checks of the labeller
     are mixed in at the experiment's shares, as long as there are ordinary queries too.
+
+    Args:
+        tab: the user's tab or process, whose leases are separate.
+        max_leases: queries that a labeller may hold in all tabs and experiments; None for any number. It does not
+            limit other roles.
 
     Raises:
         ExperimentNotFound: if there is no such experiment, or it is hidden from the user.
@@ -84,17 +97,22 @@ def next_queries(
     now, until = now_and_end(lease_seconds)
     ids = queries.leased_ids(session, user.id, experiment_id, now, count, tab=tab)
     left_segments: dict[str, int] = {}
+    limited = False
+    if len(ids) < count and max_leases is not None and Role(user.role) is Role.LABELLER:
+        most = len(ids) + max(0, max_leases - queries.count_leases(session, user.id, now))
+        count, limited = min(count, most), most < count
     if len(ids) < count:
         free = queries.lock_free_ids(session, user.id, experiment_id, now, count - len(ids))
         if free:
             drawn = checks.draw(session, user, experiment_id, state.config, now, count - len(ids))
             left_segments = drawn.left_segments
             ids += (drawn.ids + free)[: count - len(ids)]
-    if not ids:
-        return Leased(task, [], _waiting_reason(session, user, experiment_id))
-    queries.lease(session, ids, user.id, until, tab)
-    items = with_sides(session, user.id, ids, left_segments)
-    return Leased(task, items, "" if len(items) == count else _waiting_reason(session, user, experiment_id))
+    if ids:
+        queries.lease(session, ids, user.id, until, tab)
+    items = with_sides(session, user.id, ids, left_segments) if ids else []
+    if len(items) < count:
+        return Leased(task, items, _waiting_reason(session, user, experiment_id))
+    return Leased(task, items, "lease_limit" if limited else "")
 
 
 def next_disputed(

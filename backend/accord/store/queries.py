@@ -172,6 +172,9 @@ _LEASED = (
     # so that a lease cannot pass to another user between this statement and the update
     .with_for_update()
 )
+_COUNT_LEASES = select(func.count()).where(
+    QueryRow.leased_by == bindparam("user"), QueryRow.leased_until > bindparam("now")
+)
 _FREE = (
     select(QueryRow.id)
     .where(
@@ -311,6 +314,11 @@ def leased_ids(session: Session, user_id: str, experiment_id: str, now: datetime
     """Queries on which a tab of a user holds an unexpired lease, by number."""
     values = {"user": user_id, "tab": tab, "experiment": experiment_id, "now": now, "limit": limit}
     return list(session.connection().scalars(_LEASED, values))
+
+
+def count_leases(session: Session, user_id: str, now: datetime) -> int:
+    """Number of queries on which a user holds an unexpired lease, in all tabs and experiments."""
+    return session.connection().scalar(_COUNT_LEASES, {"user": user_id, "now": now}) or 0
 
 
 def lock_free_ids(session: Session, user_id: str, experiment_id: str, now: datetime, limit: int) -> list[str]:

@@ -37,6 +37,29 @@ def ids(found: Leased) -> list[str]:
     return [item.id for item in found.items]
 
 
+def test_a_labeller_holds_a_limited_number_of_queries_in_all_tabs(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, segments=8, queries=8)
+    other = create_sample(stores.database, stores.blobs, segments=8, queries=8)
+    ada, program = person(stores), person(stores, "program", Role.TEACHER)
+
+    def lease_in(tab: str, count: int, who: UserRow = ada, where: SampleExperiment = sample) -> tuple[int, str]:
+        with stores.database.transaction() as session:
+            found = lease.next_queries(session, who, where.experiment.id, count, 60.0, tab=tab, max_leases=4)
+            return len(found.items), found.reason
+
+    assert lease_in("one", 3) == (3, "")
+    assert lease_in("two", 3) == (1, "lease_limit")
+    assert lease_in("three", 3) == (0, "lease_limit")
+    assert lease_in("three", 1, where=other) == (0, "lease_limit")
+    # What a tab holds already, it gets again.
+    assert lease_in("one", 3) == (3, "")
+    assert lease_in("", 4, who=program, where=other) == (4, "")
+    assert lease_in("x", 4, who=program, where=other) == (4, "")
+    with stores.database.transaction() as session:
+        lease.release(session, ada, sample.query_ids[0], "one")
+    assert lease_in("three", 3) == (1, "lease_limit")
+
+
 def test_queries_are_leased_by_number(stores: Stores) -> None:
     sample = create_sample(stores.database, stores.blobs, queries=4)
     found = lease_next(stores, person(stores), sample, 3)

@@ -59,8 +59,11 @@ def next_queries(  # noqa: PLR0917 (FastAPI passes them by name)
     with auth.writing() as caller:
         if returns:
             require_returns(caller.role)
-        find = lease.next_disputed if disputed else lease.next_queries
-        found = find(caller.session, caller.user, experiment_id, count, lease_seconds, tab=tab)
+        wanted = (caller.session, caller.user, experiment_id, count, lease_seconds)
+        if disputed:
+            found = lease.next_disputed(*wanted, tab=tab)
+        else:
+            found = lease.next_queries(*wanted, tab=tab, max_leases=app.settings.max_leases)
         blobs = app.blobs if returns else None
         items = [responses.query_response(item, found.task, lease_seconds, blobs) for item in found.items]
         return json_response(schemas.Queries(items=items, reason=found.reason))

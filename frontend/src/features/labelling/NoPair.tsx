@@ -67,6 +67,11 @@ function explain(
         title: "Your labelling is paused here",
         text: "A researcher has paused your labelling in this experiment. Your labels are kept. Ask the researcher how to go on.",
       };
+    case "lease_limit":
+      return {
+        title: "Too many pairs are open",
+        text: "Other tabs or programs of yours hold as many pairs as one labeller may. Close some of them; this page then continues within a minute.",
+      };
     case "all_decided":
       return {
         title: "Nothing left to decide",
