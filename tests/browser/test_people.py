@@ -102,6 +102,28 @@ def test_an_admin_adds_promotes_revokes_and_removes_a_user(service: Service, bro
     context.close()
 
 
+def test_an_admin_disables_and_enables_a_user_and_finds_it_in_the_audit_log(service: Service, sign_in: SignIn) -> None:
+    admin, dan = sign_in("Ada", "admin"), sign_in("Dan", "researcher")
+    admin.goto(f"{service.url}/people")
+    row = _row(admin, "Dan of")
+    row.get_by_role("button", name="Disable Dan").click()
+    expect(row).to_contain_text("Disabled")
+    dan.goto(service.url)
+    expect(dan.get_by_role("heading", name="Sign in to Accord")).to_be_visible()
+    row.get_by_role("button", name="Enable Dan").click()
+    expect(row.get_by_role("button", name="Disable Dan")).to_be_visible()
+    dan.goto(service.url)
+    expect(dan.get_by_role("link", name="New experiment")).to_be_visible()
+    admin.get_by_role("link", name="Audit log").click()
+    admin.get_by_label("What").select_option("Changed a user")
+    entry = admin.get_by_role("row").filter(has_text="Dan of").first
+    expect(entry).to_contain_text("disabled: no")
+    found = violations_of(admin, "audit log")
+    admin.get_by_label("What").select_option("Everything")
+    expect(admin.get_by_role("row").filter(has_text="Signed in").first).to_be_visible()
+    assert found == []
+
+
 def _row(page: Page, name: str) -> Locator:
     return page.get_by_role("row").filter(has=page.get_by_role("rowheader", name=name))
 

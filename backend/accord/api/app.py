@@ -12,6 +12,7 @@ from accord.api.dependencies import AppState
 from accord.api.pages import Page
 from accord.api.routes import (
     accounts,
+    audit,
     clips,
     credit,
     documentation,
@@ -77,6 +78,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         accounts,
         tokens,
         people,
+        audit,
         health,
     ):
         app.include_router(module.router, prefix=PREFIX)

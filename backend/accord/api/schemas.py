@@ -6,6 +6,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from accord.domain.enums import (
+    AuditAction,
     ClipCamera,
     ClipStatus,
     CreditStatus,
@@ -87,6 +88,7 @@ class UserAccount(Schema):
     created_at: datetime = Field(description="When they were added.")
     last_seen_at: datetime | None = Field(description="Their last request, to the minute; null if there was none yet.")
     removed_at: datetime | None = Field(description="When they were removed; their labels are kept.")
+    disabled_at: datetime | None = Field(description="Since when they cannot sign in; null if they can.")
 
 
 class UserChanges(Schema):
@@ -95,6 +97,10 @@ class UserChanges(Schema):
     role: Role | None = Field(default=None, description="The new role. It applies to their open browsers at once.")
     access: Access | None = Field(
         default=None, description="Which experiments they may see. Their pairs in other experiments are released."
+    )
+    disabled: bool | None = Field(
+        default=None,
+        description="True keeps them out: their browsers, tokens and links do not work, until false lets them in.",
     )
 
 
@@ -152,6 +158,26 @@ class RemovedUser(Schema):
     deleted: bool = Field(
         description="True if nothing remains. False if labels or experiments are kept under their name."
     )
+
+
+class AuditEntry(Schema):
+    """Something that somebody did."""
+
+    id: str = Field(description="aud_...")
+    action: AuditAction = Field(description="What was done.")
+    actor_id: str | None = Field(description="Who did it, usr_...; null for a command on the server.")
+    actor_name: str | None = Field(description="Their name now; null if they were deleted.")
+    subject_id: str | None = Field(description="The user, experiment, token, invitation or link it was done to.")
+    subject_name: str | None = Field(description="Its name now, of a user or an experiment that exists.")
+    detail: dict[str, Any] = Field(description="More about it, which depends on the action.")
+    created_at: datetime = Field(description="When it was done.")
+
+
+class AuditPage(Schema):
+    """Entries of the audit log, newest first."""
+
+    items: list[AuditEntry] = Field(description="The entries of this page.")
+    next_before: str | None = Field(description="Pass it as `before` to get older ones; null at the end.")
 
 
 class NewInvitation(Schema):
@@ -565,12 +591,14 @@ class Queries(Schema):
         "experiment_over",
         "paused",
         "labeller_paused",
+        "lease_limit",
         "others",
         "all_decided",
     ] = Field(
         default="",
-        description="Why there are fewer than requested. labeller_paused: a researcher has paused the caller. others: "
-        "the open queries that are left want labels of other users. all_decided: with `disputed`, no labels differ.",
+        description="Why there are fewer than requested. labeller_paused: a researcher has paused the caller. "
+        "lease_limit: the caller holds as many queries as a labeller may, in all tabs together. others: the open "
+        "queries that are left want labels of other users. all_decided: with `disputed`, no labels differ.",
     )
 
 

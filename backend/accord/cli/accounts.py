@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from accord.cli.options import Home, load_settings, service_url
-from accord.domain.enums import Role
-from accord.services import accounts
+from accord.domain.enums import AuditAction, Role
+from accord.services import accounts, audit
 from accord.settings import Settings
 from accord.store.database import Database
 from accord.store.home import keep_new_files_private
@@ -33,7 +33,9 @@ def link(home: Home = None) -> None:
     """
     settings = load_settings(home)
     with migrated(settings) as database, database.transaction() as session:
-        token = accounts.make_link(session, accounts.ensure_admin(session).id, settings.link_minutes)
+        admin = accounts.ensure_admin(session)
+        token = accounts.make_link(session, admin.id, settings.link_minutes)
+        audit.record(session, None, AuditAction.LINK_CREATED, admin.id)
     print_line(sign_in_url(settings, token))
 
 
@@ -54,6 +56,7 @@ def add(
     with migrated(settings) as database, database.transaction() as session:
         row, token = accounts.create_user(session, name, role)
         link_token = accounts.make_link(session, row.id, settings.link_minutes)
+        audit.record(session, None, AuditAction.USER_ADDED, row.id, role=role.value)
     # Plain lines: a script reads them.
     out.print(f"token {token}", markup=False)
     out.print(f"link  {sign_in_url(settings, link_token)}", markup=False)
@@ -64,7 +67,9 @@ def user_link(name: Name, home: Home = None) -> None:
     """Print a new sign-in link for a user, for example after they signed out. It works once."""
     settings = load_settings(home)
     with migrated(settings) as database, database.transaction() as session:
-        token = accounts.make_link(session, accounts.by_name(session, name).id, settings.link_minutes)
+        row = accounts.by_name(session, name)
+        token = accounts.make_link(session, row.id, settings.link_minutes)
+        audit.record(session, None, AuditAction.LINK_CREATED, row.id)
     out.print(sign_in_url(settings, token), markup=False)
 
 
@@ -112,7 +117,9 @@ def list_users(*, home: Home = None, as_json: Json = False) -> None:
 def remove(name: Name, home: Home = None) -> None:
     """Revoke a user's access: their browser sessions, tokens and links become invalid. Their labels are kept."""
     with migrated(load_settings(home)) as database, database.transaction() as session:
-        deleted = accounts.remove(session, accounts.by_name(session, name))
+        row = accounts.by_name(session, name)
+        deleted = accounts.remove(session, row)
+        audit.record(session, None, AuditAction.USER_REMOVED, row.id, deleted=deleted, anonymised=False)
     if deleted:
         out.print(f"{name} was deleted.", markup=False)
     else:

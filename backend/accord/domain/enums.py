@@ -98,3 +98,31 @@ class WorkerState(StrEnum):
     #: its process ended; its supervisor starts another one
     RESTARTING = "restarting"
     STOPPED = "stopped"
+
+
+class AuditAction(StrEnum):
+    """What the audit log records."""
+
+    SIGNED_IN = "signed_in"
+    SIGNED_OUT = "signed_out"
+    JOINED = "joined"
+    USER_ADDED = "user_added"
+    USER_CHANGED = "user_changed"
+    USER_REMOVED = "user_removed"
+    #: their browsers, tokens and links became invalid
+    SIGN_INS_REVOKED = "sign_ins_revoked"
+    LINK_CREATED = "link_created"
+    TOKEN_CREATED = "token_created"
+    TOKEN_REVOKED = "token_revoked"
+    INVITATION_CREATED = "invitation_created"
+    INVITATION_WITHDRAWN = "invitation_withdrawn"
+    EXPERIMENT_CREATED = "experiment_created"
+    EXPERIMENT_IMPORTED = "experiment_imported"
+    EXPERIMENT_CHANGED = "experiment_changed"
+    EXPERIMENT_DELETED = "experiment_deleted"
+    EXPERIMENT_EXPORTED = "experiment_exported"
+    EXPERIMENT_SHARED = "experiment_shared"
+    SHARE_REVOKED = "share_revoked"
+    LABELS_EXCLUDED = "labels_excluded"
+    LABELLER_CHANGED = "labeller_changed"
+    GOLD_CHANGED = "gold_changed"

@@ -23,6 +23,8 @@ from accord.store.accounts import User, UserSummary
 from accord.store.tables import TokenRow, UserRow, utc_now
 
 _ADMIN_NAME = "admin"
+#: random digits at the end of an id that tell anonymised users apart
+_ANONYMOUS_DIGITS = 12
 _LINK_NOT_VALID = (
     "This sign-in link has been used or has expired; each link works once. Ask whoever runs Accord for a new one: "
     "`accord user link NAME`, or `accord link` for the admin."
@@ -129,6 +131,19 @@ def revoke(session: Session, user_id: str) -> None:
     accounts.revoke(session, user_id)
 
 
+def set_disabled(session: Session, user: UserRow, disabled: bool) -> None:
+    """Keeps a user out until they are enabled again, and ends their leases. Their sign-ins work again afterwards."""
+    user.disabled_at = (user.disabled_at or utc_now()) if disabled else None
+    session.flush()
+    if disabled:
+        accounts.release_all(session, user.id)
+
+
+def anonymise(session: Session, user: UserRow) -> None:
+    """Replaces a user's name by one that names nobody, wherever it is stored. Their labels stay those of one person."""
+    accounts.rename(session, user, f"Former user {user.id[-_ANONYMOUS_DIGITS:]}")
+
+
 def remove(session: Session, user: UserRow) -> bool:
     """Takes a user's access away: signs their browsers out and makes their tokens and links invalid.
 
@@ -229,7 +244,7 @@ def redeem_link(session: Session, token: str, session_days: float) -> tuple[User
     accounts.delete_expired(session, now - timedelta(days=1))
     user_id = accounts.use_link(session, hash_of(token), now)
     user = None if user_id is None else accounts.user(session, user_id)
-    if user is None:
+    if user is None or user.disabled_at is not None:
         raise Unauthenticated(_LINK_NOT_VALID)
     return user, start_session(session, user, session_days)
 

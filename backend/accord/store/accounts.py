@@ -8,12 +8,16 @@ from sqlalchemy import ColumnElement, ScalarSelect, bindparam, delete, exists, f
 from sqlalchemy.orm import Session
 
 from accord.store.tables import (
+    DeletionRow,
     ExperimentAccessRow,
     ExperimentRow,
+    InstructionRevisionRow,
+    InvitationRow,
     LabellerRow,
     LabelRow,
     PresentationRow,
     QueryRow,
+    ShareRow,
     TokenRow,
     UserRow,
 )
@@ -37,6 +41,7 @@ _SIGNED_IN = (
     .where(
         TokenRow.hash == bindparam("hash"),
         TokenRow.kind != "link",
+        UserRow.disabled_at.is_(None),
         or_(TokenRow.expires_at.is_(None), TokenRow.expires_at > bindparam("now")),
     )
 )
@@ -104,6 +109,8 @@ class UserSummary:
     last_seen_at: datetime | None
     #: None unless they were removed
     removed_at: datetime | None
+    #: since when they cannot sign in; None if they can
+    disabled_at: datetime | None
 
 
 def summaries(session: Session, now: datetime) -> list[UserSummary]:
@@ -131,6 +138,7 @@ def summaries(session: Session, now: datetime) -> list[UserSummary]:
             created_at=row.created_at,
             last_seen_at=row.last_seen_at,
             removed_at=row.removed_at,
+            disabled_at=row.disabled_at,
         )
         for row, n_labels, n_sessions, n_bearers in users
     ]
@@ -158,7 +166,25 @@ def has_history(session: Session, user_id: str) -> bool:
 def revoke(session: Session, user_id: str) -> None:
     """Deletes a user's tokens, browser sessions and links, and ends their leases."""
     session.execute(delete(TokenRow).where(TokenRow.user_id == user_id))
+    release_all(session, user_id)
+
+
+def release_all(session: Session, user_id: str) -> None:
+    """Ends a user's leases in all experiments."""
     session.execute(update(QueryRow).where(QueryRow.leased_by == user_id).values(leased_by=None, leased_until=None))
+
+
+def rename(session: Session, user: UserRow, name: str) -> None:
+    """Changes a user's name, also where it is stored as that of an author."""
+    for table, column in (
+        (InvitationRow, InvitationRow.created_by),
+        (ShareRow, ShareRow.created_by),
+        (DeletionRow, DeletionRow.deleted_by),
+        (InstructionRevisionRow, InstructionRevisionRow.author),
+    ):
+        session.execute(update(table).where(column == user.name).values({column: name}))
+    user.name = name
+    session.flush()
 
 
 def delete_user(session: Session, user_id: str) -> None:
@@ -199,7 +225,8 @@ def use_link(session: Session, token_hash: str, now: datetime) -> str | None:
 
 def user_of_link(session: Session, token_hash: str, now: datetime) -> UserRow | None:
     """The user whom a link would sign in; None when there is none, or it is used or expired."""
-    return session.scalar(select(UserRow).join(TokenRow).where(*_is_link(token_hash, now)))
+    statement = select(UserRow).join(TokenRow).where(*_is_link(token_hash, now), UserRow.disabled_at.is_(None))
+    return session.scalar(statement)
 
 
 def _is_link(token_hash: str, now: datetime) -> tuple[ColumnElement[bool], ...]:

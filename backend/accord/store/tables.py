@@ -78,6 +78,8 @@ class UserRow(Base):
     last_seen_at: Mapped[datetime | None] = mapped_column(default=None)
     #: when an admin removed them; their labels and experiments are kept
     removed_at: Mapped[datetime | None] = mapped_column(default=None)
+    #: since when they cannot sign in, until an admin enables them again
+    disabled_at: Mapped[datetime | None] = mapped_column(default=None)
 
 
 class ExperimentAccessRow(Base):
@@ -181,6 +183,25 @@ class DeletionRow(Base):
     deleted_by: Mapped[str] = mapped_column(String(100))
     #: table -> number of deleted rows, for example {"labels": 500}
     rows: Mapped[dict[str, Any]]
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
+class AuditRow(Base):
+    """Who did what, and when. Rows are never updated nor deleted: triggers of the database refuse it.
+
+    They hold ids instead of the names of people, so that the log of an anonymised user names nobody.
+    """
+
+    __tablename__ = "audit"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    #: an `AuditAction`
+    action: Mapped[str] = mapped_column(String(40), index=True)
+    #: the user who did it; None for a command on the server
+    actor_id: Mapped[str | None] = mapped_column(String(32), index=True)
+    #: what it was done to: a user, experiment, token, invitation or link
+    subject_id: Mapped[str | None] = mapped_column(String(32), index=True)
+    #: for example {"role": ["labeller", "researcher"]}
+    detail: Mapped[dict[str, Any]]
     created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
 
 

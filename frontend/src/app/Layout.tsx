@@ -44,6 +44,9 @@ function AdminTabs({ page }: { page: Route["page"] }) {
       <Link to={paths.people()} aria-current={page === "people" ? "page" : undefined}>
         People
       </Link>
+      <Link to={paths.audit()} aria-current={page === "audit" ? "page" : undefined}>
+        Audit log
+      </Link>
     </nav>
   );
 }

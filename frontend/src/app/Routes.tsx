@@ -12,6 +12,7 @@ const loaders = {
   label: () => import("@/features/labelling/LabelPage").then(as("LabelPage")),
   compare: () => import("@/features/compare/ComparePage").then(as("ComparePage")),
   "api-docs": () => import("@/features/api-docs/ApiDocsPage").then(as("ApiDocsPage")),
+  audit: () => import("@/features/audit/AuditPage").then(as("AuditPage")),
   account: () => import("@/features/account/AccountPage").then(as("AccountPage")),
   people: () => import("@/features/people/PeoplePage").then(as("PeoplePage")),
   labels: () => import("@/features/label-table/LabelTablePage").then(as("LabelTablePage")),
@@ -27,6 +28,7 @@ const ExperimentPage = lazy(loaders.experiment);
 const LabelPage = lazy(loaders.label);
 const LabelTablePage = lazy(loaders.labels);
 const ApiDocsPage = lazy(loaders["api-docs"]);
+const AuditPage = lazy(loaders.audit);
 const AccountPage = lazy(loaders.account);
 const PeoplePage = lazy(loaders.people);
 const QualityPage = lazy(loaders.quality);
@@ -73,6 +75,8 @@ function Page({ me }: { me: Me }) {
       return <LabelTablePage key={route.id} id={route.id} me={me} />;
     case "api-docs":
       return <ApiDocsPage />;
+    case "audit":
+      return <AuditPage me={me} />;
     case "account":
       return <AccountPage me={me} />;
     case "people":

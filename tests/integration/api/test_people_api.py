@@ -54,6 +54,7 @@ def test_the_list_shows_labels_sign_ins_and_when_somebody_was_seen(api_per_datab
             "browsers": 0,
             "bearer_tokens": 1,
             "removed_at": None,
+            "disabled_at": None,
         }
         client.get("/api/v1/me")
         assert account(api, lena["id"])["last_seen_at"] == seen, "recorded at most once a minute"

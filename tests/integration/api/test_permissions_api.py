@@ -86,6 +86,7 @@ ALLOWED: dict[str, frozenset[Role]] = {
     "POST /users/{user_id}/link": ADMINS,
     "POST /users/{user_id}/token": ADMINS,
     "POST /users/{user_id}/revoke": ADMINS,
+    "GET /audit": ADMINS,
     "GET /invitations": ADMINS,
     "POST /invitations": ADMINS,
     "DELETE /invitations/{invitation_id}": ADMINS,

@@ -8,9 +8,9 @@ from fastapi.responses import Response
 
 from accord.api import schemas
 from accord.api.dependencies import COOKIE, AppState, AuthDep, app_state, counting_failures, refuse_other_sites
-from accord.domain.enums import Role
+from accord.domain.enums import AuditAction, Role
 from accord.domain.errors import Unauthenticated, Unavailable
-from accord.services import accounts, experiments, invitations
+from accord.services import accounts, audit, experiments, invitations
 
 router = APIRouter(tags=["accounts"])
 
@@ -36,6 +36,7 @@ def sign_out(auth: AuthDep) -> Response:
     """Ends the browser's session, or deletes the bearer token of the request."""
     with auth.writing() as caller:
         accounts.sign_out(caller.session, auth.token)
+        audit.record(caller.session, caller.user, AuditAction.SIGNED_OUT)
         response = Response(status_code=204)
         response.delete_cookie(COOKIE, path="/")
         return response
@@ -58,6 +59,7 @@ def join(token: InvitationToken, body: schemas.NewMember, request: Request, resp
     with counting_failures(request), app.database.transaction() as session:
         experiment_id = invitations.valid(session, token).experiment_id
         user, session_token = invitations.join(session, token, body.name, app.settings.session_days)
+        audit.record(session, user, AuditAction.JOINED, experiment_id)
         member = schemas.Member(id=user.id, name=user.name, role=Role(user.role), experiment_id=experiment_id)
     _set_cookie(response, session_token, request, app)
     return member
@@ -81,6 +83,7 @@ def sign_in(token: LinkToken, request: Request, response: Response) -> schemas.M
     app = app_state(request)
     with counting_failures(request), app.database.transaction() as session:
         user, session_token = accounts.redeem_link(session, token, app.settings.session_days)
+        audit.record(session, user, AuditAction.SIGNED_IN)
         signed_in = schemas.Me(id=user.id, name=user.name, role=Role(user.role))
     _set_cookie(response, session_token, request, app)
     return signed_in

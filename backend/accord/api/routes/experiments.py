@@ -9,11 +9,11 @@ from sqlalchemy.orm import Session
 
 from accord.api import responses, schemas
 from accord.api.dependencies import Auth, AuthDep, ExperimentId
-from accord.domain.enums import Role
+from accord.domain.enums import AuditAction, Role
 from accord.domain.errors import Forbidden
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_run_experiments, require
-from accord.services import access, costs, deletion, experiments, metrics, publish, workers
+from accord.services import access, audit, costs, deletion, experiments, metrics, publish, workers
 from accord.services.experiment_config import read_config
 from accord.services.validation import check_line
 from accord.store.tables import ExperimentRow
@@ -47,6 +47,7 @@ def create_experiment(body: schemas.NewExperiment, auth: AuthDep) -> schemas.Exp
             body.instructions,
             memory_limit_bytes=auth.app.settings.max_training_bytes,
         )
+        audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_CREATED, row.id, name=row.name)
         return responses.experiment_response(caller.session, row, caller.role)
 
 
@@ -103,6 +104,8 @@ def change_experiment(
     with auth.writing() as caller:
         require(may_run_experiments(caller.role), caller.role, "change experiments")
         row = experiments.edit_instructions(caller.session, experiment_id, body.instructions, caller.user.name)
+        revision = {"instructions_revision": row.instructions_revision}
+        audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_CHANGED, row.id, **revision)
         return responses.experiment_response(caller.session, row, caller.role)
 
 
@@ -143,6 +146,7 @@ def delete_experiment(
         if caller.role is not Role.ADMIN and row.owner_id != caller.user.id:
             raise Forbidden("Only an admin and the researcher who started an experiment may delete it.")
         record, keys = deletion.delete(caller.session, experiment_id, name, caller.user.name)
+        audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_DELETED, experiment_id, name=record.name)
         response = schemas.Deletion.model_validate(record)
     deletion.delete_blobs(auth.app.blobs, keys)
     return response
@@ -204,4 +208,6 @@ def _change_status(
     with auth.writing() as caller:
         require(may_run_experiments(caller.role), caller.role, doing)
         row = change(caller.session, experiment_id)
+        change_made = {"request": doing.partition(" ")[0], "status": row.status}
+        audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_CHANGED, experiment_id, **change_made)
         return responses.experiment_response(caller.session, row, caller.role)

@@ -10,8 +10,9 @@ from fastapi.responses import FileResponse
 from starlette.background import BackgroundTask
 
 from accord.api.dependencies import AuthDep, ExperimentId
+from accord.domain.enums import AuditAction
 from accord.domain.permissions import may_run_experiments, require
-from accord.services import export
+from accord.services import audit, export
 
 router = APIRouter(tags=["experiments"])
 _MEDIA_TYPE = "application/zip"
@@ -28,6 +29,8 @@ def export_experiment(experiment_id: ExperimentId, auth: AuthDep) -> FileRespons
     with auth.reading() as caller:
         require(may_run_experiments(caller.role), caller.role, "export experiments")
         found = export.contents(caller.session, experiment_id)
+    with auth.writing() as caller:
+        audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_EXPORTED, experiment_id, what="tables")
     folder = Path(tempfile.mkdtemp(prefix="accord-export-"))
     try:
         export.write(auth.app.blobs, found, folder / experiment_id)

@@ -12,9 +12,10 @@ from starlette.requests import ClientDisconnect
 
 from accord.api import responses, schemas
 from accord.api.dependencies import Auth, AuthDep
+from accord.domain.enums import AuditAction
 from accord.domain.errors import BodyTooLarge, Invalid
 from accord.domain.permissions import may_run_experiments, require
-from accord.services import experiments, importing
+from accord.services import audit, experiments, importing
 from mapt.errors import PreferenceError
 from mapt.preferences.formats.tables import PreferenceTables
 
@@ -68,6 +69,7 @@ def _import(auth: Auth, archive: Path, name: str) -> schemas.Experiment:
             require(may_run_experiments(caller.role), caller.role, "import experiments")
             importing.create(caller.session, caller.user.id, name, found, settings.max_training_bytes)
             row = experiments.get(caller.session, found.experiment_id)
+            audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_IMPORTED, row.id, name=row.name)
             return responses.experiment_response(caller.session, row, caller.role)
     except PreferenceError as error:
         # The person knows the name of the table, not this server's temporary folder.

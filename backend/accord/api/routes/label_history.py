@@ -6,11 +6,11 @@ from fastapi import APIRouter, Depends, Query
 from fastapi.responses import Response
 
 from accord.api import responses, schemas
-from accord.api.dependencies import AuthDep, ExperimentId
-from accord.domain.enums import QueryStatus
+from accord.api.dependencies import Auth, AuthDep, ExperimentId
+from accord.domain.enums import AuditAction, QueryStatus
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_run_experiments, require
-from accord.services import label_downloads, label_history
+from accord.services import audit, label_downloads, label_history
 from accord.store.label_history import Filters
 
 router = APIRouter(tags=["labelling"])
@@ -87,6 +87,7 @@ def download_queries(experiment_id: ExperimentId, auth: AuthDep, filters: Filter
     with auth.reading() as caller:
         require(may_run_experiments(caller.role), caller.role, _READING)
         text = label_downloads.as_csv(caller.session, experiment_id, filters)
+    _record_download(auth, experiment_id)
     return Response(text, headers=_headers(f"labels-{experiment_id}.csv"), media_type="text/csv")
 
 
@@ -101,7 +102,13 @@ def download_queries_as_parquet(experiment_id: ExperimentId, auth: AuthDep, filt
     with auth.reading() as caller:
         require(may_run_experiments(caller.role), caller.role, _READING)
         content = label_downloads.as_parquet(caller.session, experiment_id, filters)
+    _record_download(auth, experiment_id)
     return Response(content, headers=_headers(f"labels-{experiment_id}.parquet"), media_type=_PARQUET)
+
+
+def _record_download(auth: Auth, experiment_id: str) -> None:
+    with auth.writing() as caller:
+        audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_EXPORTED, experiment_id, what="labels")
 
 
 def _headers(filename: str) -> dict[str, str]:

@@ -2,17 +2,18 @@
 
 from collections.abc import Generator
 from contextlib import contextmanager
+from typing import Annotated
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 from sqlalchemy.orm import Session
 
 from accord.api import schemas
 from accord.api.dependencies import Auth, AuthDep, CallerSession, InvitationId, UserId
-from accord.domain.enums import Role
+from accord.domain.enums import AuditAction, Role
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_manage_users, require
-from accord.services import access, accounts, invitations
+from accord.services import access, accounts, audit, invitations
 from accord.store.accounts import UserSummary
 from accord.store.tables import InvitationRow, UserRow
 
@@ -35,6 +36,7 @@ def create_user(body: schemas.NewUser, request: Request, auth: AuthDep) -> schem
         if body.access is not None:
             _limit(caller.session, user, body.access)
         link = accounts.make_link(caller.session, user.id, auth.app.settings.link_minutes)
+        audit.record(caller.session, caller.user, AuditAction.USER_ADDED, user.id, role=body.role.value)
         return schemas.CreatedUser(
             id=user.id,
             name=user.name,
@@ -46,14 +48,23 @@ def create_user(body: schemas.NewUser, request: Request, auth: AuthDep) -> schem
 
 @router.patch("/users/{user_id}", summary="Change a user")
 def change_user(user_id: UserId, body: schemas.UserChanges, auth: AuthDep) -> schemas.UserAccount:
-    """Changes the role of a user, or the experiments that they may see. For admins; not their own account."""
+    """Changes a user's role, disables or enables them, or changes which experiments they may see. For admins; not
+    their own account.
+    """
     with _managing(auth, "change users") as caller:
         user = accounts.require_other(caller.session, caller.user, user_id)
+        changes: dict[str, object] = {}
         if body.role is not None:
+            changes["role"] = [user.role, body.role.value]
             user.role = body.role.value
+        if body.disabled is not None:
+            changes["disabled"] = body.disabled
+            accounts.set_disabled(caller.session, user, body.disabled)
         if body.access is not None:
+            changes["access"] = body.access.model_dump()
             _limit(caller.session, user, body.access)
         caller.session.flush()
+        audit.record(caller.session, caller.user, AuditAction.USER_CHANGED, user_id, **changes)
         return next(_account(each) for each in accounts.summaries(caller.session) if each.id == user_id)
 
 
@@ -63,6 +74,7 @@ def create_link(user_id: UserId, request: Request, auth: AuthDep) -> schemas.Sig
     minutes = auth.app.settings.link_minutes
     with _managing(auth, "create sign-in links") as caller:
         link = accounts.make_link(caller.session, user_id, minutes)
+        audit.record(caller.session, caller.user, AuditAction.LINK_CREATED, user_id)
         return schemas.SignInLink(sign_in_url=f"{_base_url(auth, request)}/sign-in/{link}", minutes=minutes)
 
 
@@ -71,7 +83,9 @@ def create_token(user_id: UserId, auth: AuthDep) -> schemas.BearerToken:
     """Another bearer token for a user. Earlier ones stay valid until they are revoked. For admins."""
     with _managing(auth, "create tokens") as caller:
         name = f"Created by {caller.user.name}"
-        return schemas.BearerToken(token=accounts.new_bearer(caller.session, user_id, name[:100]))
+        token = accounts.new_bearer(caller.session, user_id, name[:100])
+        audit.record(caller.session, caller.user, AuditAction.TOKEN_CREATED, user_id)
+        return schemas.BearerToken(token=token)
 
 
 @router.post("/users/{user_id}/revoke", status_code=204, summary="Revoke a user's sign-ins")
@@ -79,15 +93,30 @@ def revoke_user(user_id: UserId, auth: AuthDep) -> Response:
     """Signs their browsers out, and makes their tokens and links invalid. For admins; not their own account."""
     with _managing(auth, "revoke sign-ins") as caller:
         accounts.revoke(caller.session, accounts.require_other(caller.session, caller.user, user_id).id)
+        audit.record(caller.session, caller.user, AuditAction.SIGN_INS_REVOKED, user_id)
         return Response(status_code=204)
 
 
 @router.delete("/users/{user_id}", summary="Remove a user")
-def remove_user(user_id: UserId, auth: AuthDep) -> schemas.RemovedUser:
-    """Revokes their sign-ins and removes them. Their labels and experiments are kept. For admins; not themselves."""
+def remove_user(
+    user_id: UserId,
+    auth: AuthDep,
+    anonymise: Annotated[
+        bool, Query(description="Replace their name, wherever it is stored, by one that names nobody.")
+    ] = False,
+) -> schemas.RemovedUser:
+    """Revokes their sign-ins and removes them. Their labels and experiments are kept. For admins; not themselves.
+
+    A user who was removed before can still be anonymised.
+    """
     with _managing(auth, "remove users") as caller:
         user = accounts.require_other(caller.session, caller.user, user_id)
-        return schemas.RemovedUser(deleted=accounts.remove(caller.session, user))
+        deleted = accounts.remove(caller.session, user)
+        if anonymise and not deleted:
+            accounts.anonymise(caller.session, user)
+        detail = {"deleted": deleted, "anonymised": anonymise}
+        audit.record(caller.session, caller.user, AuditAction.USER_REMOVED, user_id, **detail)
+        return schemas.RemovedUser(deleted=deleted)
 
 
 @router.get("/invitations", summary="List the invitations")
@@ -112,6 +141,8 @@ def create_invitation(body: schemas.NewInvitation, request: Request, auth: AuthD
             days=body.days,
         )
         link = {"url": f"{_base_url(auth, request)}/join/{token}"}
+        detail = body.model_dump(mode="json")
+        audit.record(caller.session, caller.user, AuditAction.INVITATION_CREATED, row.id, **detail)
         return schemas.CreatedInvitation.model_validate(_invitation(row) | link)
 
 
@@ -120,6 +151,7 @@ def withdraw_invitation(invitation_id: InvitationId, auth: AuthDep) -> Response:
     """Nobody can join by it any more. Those who have joined stay. For admins."""
     with _managing(auth, "withdraw invitations") as caller:
         invitations.withdraw(caller.session, invitation_id)
+        audit.record(caller.session, caller.user, AuditAction.INVITATION_WITHDRAWN, invitation_id)
         return Response(status_code=204)
 
 
@@ -153,6 +185,7 @@ def _account(user: UserSummary) -> schemas.UserAccount:
         created_at=user.created_at,
         last_seen_at=user.last_seen_at,
         removed_at=user.removed_at,
+        disabled_at=user.disabled_at,
     )
 
 

@@ -7,9 +7,10 @@ from pydantic import AfterValidator
 
 from accord.api import responses, schemas
 from accord.api.dependencies import AuthDep, CallerSession, ExperimentId, QueryId
+from accord.domain.enums import AuditAction
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_run_experiments, require
-from accord.services import checks, exclusion, experiments, publish, quality
+from accord.services import audit, checks, exclusion, experiments, publish, quality
 from accord.store.tables import QueryRow
 
 router = APIRouter(tags=["quality"])
@@ -42,6 +43,8 @@ def change_labeller(
         row = exclusion.change_labeller(
             caller.session, experiment_id, user_id, paused=body.paused, excluded=body.excluded
         )
+        detail = body.model_dump(exclude_none=True) | {"experiment_id": experiment_id}
+        audit.record(caller.session, caller.user, AuditAction.LABELLER_CHANGED, user_id, **detail)
         return schemas.LabellerState(user_id=user_id, paused_at=row.paused_at, excluded_at=row.excluded_at)
 
 
@@ -70,6 +73,8 @@ def exclude_labels(experiment_id: ExperimentId, body: schemas.LabelExclusion, au
     with auth.writing() as caller:
         _require(caller)
         changed = exclusion.exclude_labels(caller.session, experiment_id, body.label_ids, body.excluded)
+        detail = {"excluded": body.excluded, "label_ids": body.label_ids, "changed": changed}
+        audit.record(caller.session, caller.user, AuditAction.LABELS_EXCLUDED, experiment_id, **detail)
         return schemas.ExclusionResult(changed=changed)
 
 
@@ -82,9 +87,12 @@ def set_gold(query_id: QueryId, body: schemas.GoldAnswer, auth: AuthDep) -> sche
     """
     with auth.writing() as caller:
         _require(caller)
-        return _gold(
-            checks.set_gold(caller.session, query_id, body.label, practice=body.practice, explanation=body.explanation)
+        row = checks.set_gold(
+            caller.session, query_id, body.label, practice=body.practice, explanation=body.explanation
         )
+        detail = {"query_id": query_id, "gold": body.label, "practice": body.practice}
+        audit.record(caller.session, caller.user, AuditAction.GOLD_CHANGED, row.experiment_id, **detail)
+        return _gold(row)
 
 
 @router.delete("/queries/{query_id}/gold", summary="Make a gold query ordinary")
@@ -92,7 +100,10 @@ def unset_gold(query_id: QueryId, auth: AuthDep) -> schemas.GoldQuery:
     """Takes the known answer back; the labels of the query count again. For researchers and admins."""
     with auth.writing() as caller:
         _require(caller)
-        return _gold(checks.set_gold(caller.session, query_id, None))
+        row = checks.set_gold(caller.session, query_id, None)
+        detail = {"query_id": query_id, "gold": None}
+        audit.record(caller.session, caller.user, AuditAction.GOLD_CHANGED, row.experiment_id, **detail)
+        return _gold(row)
 
 
 def _require(caller: CallerSession) -> None:

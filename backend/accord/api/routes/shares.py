@@ -5,10 +5,10 @@ from fastapi.responses import Response
 
 from accord.api import responses, schemas
 from accord.api.dependencies import AuthDep, ExperimentId, ShareId, app_state, counting_failures
-from accord.domain.enums import Role
+from accord.domain.enums import AuditAction, Role
 from accord.domain.errors import Unauthenticated
 from accord.domain.permissions import may_run_experiments, require
-from accord.services import experiments, metrics, publish, shares
+from accord.services import audit, experiments, metrics, publish, shares
 
 router = APIRouter(tags=["experiments"])
 #: whose view of the curves a link shows: its creator decides who gets it
@@ -23,6 +23,7 @@ def share_experiment(
     with auth.writing() as caller:
         require(may_run_experiments(caller.role), caller.role, "share experiments")
         row, token = shares.create(caller.session, experiment_id, caller.user.name, body.days)
+        audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_SHARED, experiment_id, share_id=row.id)
         base = (auth.app.settings.public_url or str(request.base_url)).rstrip("/")
         share = schemas.ReadOnlyLink.model_validate(row)
         return schemas.CreatedReadOnlyLink(**share.model_dump(), url=f"{base}/shared#{token}")
@@ -42,6 +43,7 @@ def revoke_share(experiment_id: ExperimentId, share_id: ShareId, auth: AuthDep) 
     with auth.writing() as caller:
         require(may_run_experiments(caller.role), caller.role, "revoke links to experiments")
         shares.revoke(caller.session, experiment_id, share_id)
+        audit.record(caller.session, caller.user, AuditAction.SHARE_REVOKED, experiment_id, share_id=share_id)
         return Response(status_code=204)
 
 

@@ -5,9 +5,9 @@ from fastapi.responses import Response
 
 from accord.api import schemas
 from accord.api.dependencies import AuthDep, CallerSession, TokenId
-from accord.domain.enums import Role
+from accord.domain.enums import AuditAction, Role
 from accord.domain.ids import check_id
-from accord.services import tokens
+from accord.services import audit, tokens
 from accord.store.tables import TokenRow
 
 router = APIRouter(tags=["accounts"])
@@ -32,6 +32,8 @@ def create_own_token(body: schemas.NewToken, auth: AuthDep) -> schemas.CreatedTo
         row, secret = tokens.create(
             caller.session, caller.user, body.name, role=body.role, experiment_id=body.experiment_id, days=body.days
         )
+        detail = body.model_dump(mode="json")
+        audit.record(caller.session, caller.user, AuditAction.TOKEN_CREATED, tokens.id_of(row), **detail)
         return schemas.CreatedToken(**_token(caller, row).model_dump(), token=secret)
 
 
@@ -39,7 +41,8 @@ def create_own_token(body: schemas.NewToken, auth: AuthDep) -> schemas.CreatedTo
 def revoke_token(token_id: TokenId, auth: AuthDep) -> Response:
     """The token stops working at once."""
     with auth.writing() as caller:
-        tokens.revoke(caller.session, caller.user, token_id)
+        revoked = tokens.revoke(caller.session, caller.user, token_id)
+        audit.record(caller.session, caller.user, AuditAction.TOKEN_REVOKED, token_id, name=revoked.name)
         return Response(status_code=204)
 
 

@@ -1,3 +1,4 @@
+import { useState } from "react";
 import type { UserAccount } from "@/shared/api/types";
 import { Dialog } from "@/shared/ui/Dialog";
 import { plural } from "@/shared/ui/format";
@@ -25,15 +26,42 @@ export function RevokeUser({ user, onConfirm, onClose }: ConfirmProps) {
   );
 }
 
-export function RemoveUser({ user, onConfirm, onClose }: ConfirmProps) {
+interface RemoveProps {
+  user: UserAccount;
+  onConfirm: (anonymise: boolean) => void;
+  onClose: () => void;
+}
+
+/** Removes a user, or anonymises one who was removed before. */
+export function RemoveUser({ user, onConfirm, onClose }: RemoveProps) {
+  const removed = user.removed_at !== null;
+  const [anonymise, setAnonymise] = useState(removed);
   return (
-    <Dialog title={`Remove ${user.name}?`} confirm="Remove" danger onConfirm={onConfirm} onClose={onClose}>
+    <Dialog
+      title={removed ? `Anonymise ${user.name}?` : `Remove ${user.name}?`}
+      confirm={removed ? "Anonymise" : "Remove"}
+      danger
+      onConfirm={() => onConfirm(anonymise)}
+      onClose={onClose}
+    >
       <p>
-        {user.name} can no longer sign in.{" "}
+        {!removed && `${user.name} can no longer sign in. `}
         {user.labels > 0
-          ? `Their ${plural(user.labels, "label")} and this name are kept.`
-          : "Their experiments, if they started any, are kept under this name."}
+          ? `Their ${plural(user.labels, "label")} are kept.`
+          : "Their experiments, if they started any, are kept."}
       </p>
+      {removed ? (
+        <p>Their name is replaced everywhere by one that names nobody. This cannot be undone.</p>
+      ) : (
+        <label className="check">
+          <input
+            type="checkbox"
+            checked={anonymise}
+            onChange={(event) => setAnonymise(event.target.checked)}
+          />
+          Replace their name everywhere by one that names nobody. This cannot be undone.
+        </label>
+      )}
     </Dialog>
   );
 }

@@ -39,6 +39,7 @@ export function UserTable({ users, me }: { users: readonly UserAccount[]; me: Me
                   {user.name}
                   {user.id === me.id && <span className="cell-note muted">You</span>}
                   {user.removed_at && <span className="cell-note muted">Removed</span>}
+                  {user.disabled_at && <span className="cell-note muted">Disabled</span>}
                 </th>
                 <td>
                   {user.id === me.id || user.removed_at ? (
@@ -108,6 +109,14 @@ export function UserTable({ users, me }: { users: readonly UserAccount[]; me: Me
                         </button>
                         <button
                           type="button"
+                          className="button small"
+                          aria-label={`${user.disabled_at ? "Enable" : "Disable"} ${user.name}`}
+                          onClick={() => actions.change(user.id, { disabled: user.disabled_at === null })}
+                        >
+                          {user.disabled_at ? "Enable" : "Disable"}
+                        </button>
+                        <button
+                          type="button"
                           className="button small danger"
                           aria-label={`Remove ${user.name}`}
                           onClick={() => setOpen({ kind: "remove", user })}
@@ -115,6 +124,16 @@ export function UserTable({ users, me }: { users: readonly UserAccount[]; me: Me
                           Remove
                         </button>
                       </>
+                    )}
+                    {user.removed_at && (
+                      <button
+                        type="button"
+                        className="button small"
+                        aria-label={`Anonymise ${user.name}`}
+                        onClick={() => setOpen({ kind: "remove", user })}
+                      >
+                        Anonymise
+                      </button>
                     )}
                   </div>
                 </td>
@@ -134,7 +153,11 @@ export function UserTable({ users, me }: { users: readonly UserAccount[]; me: Me
         <RevokeUser user={open.user} onConfirm={() => actions.revoke(open.user.id)} onClose={close} />
       )}
       {open?.kind === "remove" && (
-        <RemoveUser user={open.user} onConfirm={() => actions.remove(open.user.id)} onClose={close} />
+        <RemoveUser
+          user={open.user}
+          onConfirm={(anonymise) => actions.remove(open.user.id, anonymise)}
+          onClose={close}
+        />
       )}
       {actions.secret && <SecretDialog secret={actions.secret} onClose={actions.closeSecret} />}
     </>

@@ -8,6 +8,7 @@ import type { Secret } from "./SecretDialog";
 interface Changes {
   role?: UserAccount["role"];
   access?: Access;
+  disabled?: boolean;
 }
 
 const byId = (id: string) => ({ params: { path: { user_id: id } } });
@@ -28,7 +29,12 @@ export function useUserActions() {
     change: (id: string, changes: Changes) =>
       mutate(() => unwrap(api.PATCH("/api/v1/users/{user_id}", { ...byId(id), body: changes }))),
     revoke: (id: string) => mutate(() => unwrap(api.POST("/api/v1/users/{user_id}/revoke", byId(id)))),
-    remove: (id: string) => mutate(() => unwrap(api.DELETE("/api/v1/users/{user_id}", byId(id)))),
+    remove: (id: string, anonymise: boolean) =>
+      mutate(() =>
+        unwrap(
+          api.DELETE("/api/v1/users/{user_id}", { params: { path: { user_id: id }, query: { anonymise } } }),
+        ),
+      ),
     createLink: ({ id, name }: UserAccount) =>
       mutate(async () => {
         const link = await unwrap(api.POST("/api/v1/users/{user_id}/link", byId(id)));

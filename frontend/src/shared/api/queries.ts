@@ -193,6 +193,21 @@ export const tokensQuery = queryOptions({
   queryFn: () => unwrap(api.GET("/api/v1/tokens")),
 });
 
+/** Which entries of the audit log to list; null does not filter. */
+export type AuditFilters = Pick<
+  NonNullable<operations["list_audit"]["parameters"]["query"]>,
+  "action" | "actor_id" | "subject_id"
+>;
+
+export const auditQuery = (filters: AuditFilters) =>
+  infiniteQueryOptions({
+    queryKey: ["audit", filters],
+    queryFn: ({ pageParam: before }) =>
+      unwrap(api.GET("/api/v1/audit", { params: { query: { ...filters, before } } })),
+    initialPageParam: null as string | null,
+    getNextPageParam: (page) => page.next_before,
+  });
+
 /** The OpenAPI document, which is not part of the API that it describes. */
 export const openApiQuery = queryOptions({
   queryKey: ["openapi"],

@@ -1148,13 +1148,16 @@ export interface paths {
         /**
          * Remove a user
          * @description Revokes their sign-ins and removes them. Their labels and experiments are kept. For admins; not themselves.
+         *
+         *     A user who was removed before can still be anonymised.
          */
         delete: operations["remove_user"];
         options?: never;
         head?: never;
         /**
          * Change a user
-         * @description Changes the role of a user, or the experiments that they may see. For admins; not their own account.
+         * @description Changes a user's role, disables or enables them, or changes which experiments they may see. For admins; not
+         *     their own account.
          */
         patch: operations["change_user"];
         trace?: never;
@@ -1263,6 +1266,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/audit": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List the audit log
+         * @description Who did what, and when, newest first. Entries are never changed nor deleted. For admins.
+         */
+        get: operations["list_audit"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/health": {
         parameters: {
             query?: never;
@@ -1272,7 +1295,7 @@ export interface paths {
         };
         /**
          * Check the service
-         * @description Queries the database. Needs no authentication. Returns 503 if the database does not respond.
+         * @description Checks whether the service works. Needs no authentication. Returns 503 if the service cannot work.
          */
         get: operations["health"];
         put?: never;
@@ -1302,6 +1325,74 @@ export interface components {
              * @description Otherwise only these, exp_...
              */
             experiment_ids?: string[];
+        };
+        /**
+         * AuditAction
+         * @description What the audit log records.
+         * @enum {string}
+         */
+        AuditAction: "signed_in" | "signed_out" | "joined" | "user_added" | "user_changed" | "user_removed" | "sign_ins_revoked" | "link_created" | "token_created" | "token_revoked" | "invitation_created" | "invitation_withdrawn" | "experiment_created" | "experiment_imported" | "experiment_changed" | "experiment_deleted" | "experiment_exported" | "experiment_shared" | "share_revoked" | "labels_excluded" | "labeller_changed" | "gold_changed";
+        /**
+         * AuditEntry
+         * @description Something that somebody did.
+         */
+        AuditEntry: {
+            /**
+             * Id
+             * @description aud_...
+             */
+            id: string;
+            /** @description What was done. */
+            action: components["schemas"]["AuditAction"];
+            /**
+             * Actor Id
+             * @description Who did it, usr_...; null for a command on the server.
+             */
+            actor_id: string | null;
+            /**
+             * Actor Name
+             * @description Their name now; null if they were deleted.
+             */
+            actor_name: string | null;
+            /**
+             * Subject Id
+             * @description The user, experiment, token, invitation or link it was done to.
+             */
+            subject_id: string | null;
+            /**
+             * Subject Name
+             * @description Its name now, of a user or an experiment that exists.
+             */
+            subject_name: string | null;
+            /**
+             * Detail
+             * @description More about it, which depends on the action.
+             */
+            detail: {
+                [key: string]: unknown;
+            };
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was done.
+             */
+            created_at: string;
+        };
+        /**
+         * AuditPage
+         * @description Entries of the audit log, newest first.
+         */
+        AuditPage: {
+            /**
+             * Items
+             * @description The entries of this page.
+             */
+            items: components["schemas"]["AuditEntry"][];
+            /**
+             * Next Before
+             * @description Pass it as `before` to get older ones; null at the end.
+             */
+            next_before: string | null;
         };
         /**
          * BatchLabel
@@ -3250,11 +3341,11 @@ export interface components {
             items: components["schemas"]["Query"][];
             /**
              * Reason
-             * @description Why there are fewer than requested. labeller_paused: a researcher has paused the caller. others: the open queries that are left want labels of other users. all_decided: with `disputed`, no labels differ.
+             * @description Why there are fewer than requested. labeller_paused: a researcher has paused the caller. lease_limit: the caller holds as many queries as a labeller may, in all tabs together. others: the open queries that are left want labels of other users. all_decided: with `disputed`, no labels differ.
              * @default
              * @enum {string}
              */
-            reason: "" | "rendering" | "policy_training" | "all_labelled" | "experiment_over" | "paused" | "labeller_paused" | "others" | "all_decided";
+            reason: "" | "rendering" | "policy_training" | "all_labelled" | "experiment_over" | "paused" | "labeller_paused" | "lease_limit" | "others" | "all_decided";
         };
         /**
          * Query
@@ -3995,6 +4086,11 @@ export interface components {
              * @description When they were removed; their labels are kept.
              */
             removed_at: string | null;
+            /**
+             * Disabled At
+             * @description Since when they cannot sign in; null if they can.
+             */
+            disabled_at: string | null;
         };
         /**
          * UserChanges
@@ -4005,6 +4101,11 @@ export interface components {
             role?: components["schemas"]["Role"] | null;
             /** @description Which experiments they may see. Their pairs in other experiments are released. */
             access?: components["schemas"]["Access"] | null;
+            /**
+             * Disabled
+             * @description True keeps them out: their browsers, tokens and links do not work, until false lets them in.
+             */
+            disabled?: boolean | null;
         };
         /**
          * VersionReport
@@ -6370,7 +6471,10 @@ export interface operations {
     };
     remove_user: {
         parameters: {
-            query?: never;
+            query?: {
+                /** @description Replace their name, wherever it is stored, by one that names nobody. */
+                anonymise?: boolean;
+            };
             header?: never;
             path: {
                 /** @description The user, usr_... */
@@ -6610,6 +6714,50 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content?: never;
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    list_audit: {
+        parameters: {
+            query?: {
+                /** @description Only entries of this kind. */
+                action?: components["schemas"]["AuditAction"] | null;
+                /** @description Only what this user did, usr_... */
+                actor_id?: string | null;
+                /** @description Only what was done to this user, experiment, token, invitation or link. */
+                subject_id?: string | null;
+                /** @description Only entries from this time on. */
+                since?: string | null;
+                /** @description Only entries before this time. */
+                until?: string | null;
+                /** @description Most entries to return. */
+                limit?: number;
+                /** @description `next_before` of the previous page. */
+                before?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AuditPage"];
+                };
             };
             /** @description A stable code, a message, and the invalid field. */
             default: {

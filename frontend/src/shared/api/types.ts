@@ -36,6 +36,8 @@ export type Quality = Schemas["Quality"];
 export type Share = Schemas["Share"];
 export type SegmentView = Schemas["SegmentView"];
 export type Task = Schemas["TaskSchema"];
+export type AuditEntry = Schemas["AuditEntry"];
+export type AuditAction = Schemas["AuditAction"];
 export type UserAccount = Schemas["UserAccount"];
 export type Worker = Schemas["Worker"];
 

@@ -8,6 +8,7 @@ test("routeOf inverts paths", () => {
   expect(routeOf(paths.compare(["exp_1", "exp_2"]))).toEqual({ page: "compare", ids: ["exp_1", "exp_2"] });
   expect(routeOf(paths.label("exp_1"))).toEqual({ page: "label", id: "exp_1" });
   expect(routeOf(paths.apiDocs())).toEqual({ page: "api-docs" });
+  expect(routeOf(paths.audit())).toEqual({ page: "audit" });
   expect(routeOf(paths.account())).toEqual({ page: "account" });
   expect(routeOf(paths.people())).toEqual({ page: "people" });
   expect(routeOf(paths.labels("exp_1"))).toEqual({ page: "labels", id: "exp_1" });

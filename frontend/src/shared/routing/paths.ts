@@ -12,6 +12,7 @@ export const paths = {
   policies: (id: string) => `/experiments/${encodeURIComponent(id)}/policies`,
   labels: (id: string) => `/experiments/${encodeURIComponent(id)}/labels`,
   people: () => "/people",
+  audit: () => "/audit",
   account: () => "/account",
   /** The server lets only this path below /api through to the page. */
   apiDocs: () => "/api/docs",
@@ -34,6 +35,7 @@ export type Route =
   | { page: "compare"; ids: string[] }
   | { page: "labels"; id: string }
   | { page: "people" }
+  | { page: "audit" }
   | { page: "account" }
   | { page: "api-docs" }
   | { page: "quality"; id: string }
@@ -56,6 +58,7 @@ export function routeOf(path: string): Route {
     return { page: "compare", ids: second.split(",") };
   if (first === "people" && second === undefined) return { page: "people" };
   if (path === paths.apiDocs()) return { page: "api-docs" };
+  if (first === "audit" && second === undefined) return { page: "audit" };
   if (first === "account" && second === undefined) return { page: "account" };
   if (first !== "experiments" || second === undefined) return { page: "missing" };
   if (second === "new") return third === undefined ? { page: "new-experiment" } : { page: "missing" };
