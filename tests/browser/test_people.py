@@ -115,11 +115,11 @@ def test_an_admin_disables_and_enables_a_user_and_finds_it_in_the_audit_log(serv
     dan.goto(service.url)
     expect(dan.get_by_role("link", name="New experiment")).to_be_visible()
     admin.get_by_role("link", name="Audit log").click()
-    admin.get_by_label("What").select_option("Changed a user")
+    admin.get_by_label("What", exact=True).select_option("Changed a user")
     entry = admin.get_by_role("row").filter(has_text="Dan of").first
     expect(entry).to_contain_text("disabled: no")
     found = violations_of(admin, "audit log")
-    admin.get_by_label("What").select_option("Everything")
+    admin.get_by_label("What", exact=True).select_option("Everything")
     expect(admin.get_by_role("row").filter(has_text="Signed in").first).to_be_visible()
     assert found == []
 
