@@ -4,12 +4,14 @@ import re
 import threading
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
-from sqlalchemy import JSON, column, inspect, select, text
+from alembic.script import ScriptDirectory
+from sqlalchemy import JSON, Column, Connection, MetaData, Table, column, insert, inspect, select, text
 
 from accord import store
 from accord.domain.enums import Role
@@ -19,7 +21,7 @@ from accord.services import accounts, checks, experiments, label, practice, publ
 from accord.store.database import Database
 from accord.store.migrate import alembic_config, migrate
 from accord.store.tables import Base, QueryRow, RewardVersionRow
-from support.sample_experiments import SampleExperiment, create_sample
+from support.sample_experiments import SampleExperiment, config, create_sample
 from support.stores import Stores
 
 
@@ -44,6 +46,66 @@ def test_migrations_can_be_reverted_and_repeated(stores: Stores) -> None:
     migrate(stores.database)
     with stores.database.reading() as session:
         assert compare_metadata(MigrationContext.configure(session.connection()), Base.metadata) == []
+
+
+#: values for which an arbitrary one is not enough, by (table, column)
+MEANINGFUL: dict[tuple[str, str], Any] = {
+    ("experiments", "config"): config(query_selection="disagreement").to_dict(),
+    ("queries", "selector"): "disagreement",
+    ("users", "role"): "labeller",
+}
+ARBITRARY: dict[type, Any] = {
+    str: "text",
+    int: 1,
+    float: 0.5,
+    bool: False,
+    dict: {},
+    datetime: datetime(2026, 1, 1, tzinfo=UTC),
+}
+
+
+def test_rows_of_every_revision_survive_the_later_migrations(stores: Stores) -> None:
+    with stores.database.connection() as connection:
+        scripts = ScriptDirectory.from_config(alembic_config(connection))
+        command.downgrade(alembic_config(connection), "base")
+    stored: dict[str, list[dict[str, Any]]] = {}
+    for revision in reversed([script.revision for script in scripts.walk_revisions()]):
+        with stores.database.connection() as connection:
+            command.upgrade(alembic_config(connection), revision)
+            tables = reflect(connection)
+            migrated = read_rows(connection, tables)
+            for name, rows in stored.items():
+                # A migration may add columns.
+                assert rows == [{each: row[each] for each in rows[0]} for row in migrated[name]], (revision, name)
+            for table in tables:
+                if not migrated[table.name]:
+                    values = {each.name: value_for(connection, each) for each in table.c}
+                    connection.execute(insert(table).values(values))
+            stored = read_rows(connection, tables)
+    with stores.database.reading() as session:
+        for mapper in Base.registry.mappers:
+            assert session.scalars(select(mapper)).all(), mapper
+
+
+def reflect(connection: Connection) -> list[Table]:
+    """The tables as they are in the database; those that others refer to come first."""
+    metadata = MetaData()
+    metadata.reflect(connection)
+    return [table for table in metadata.sorted_tables if table.name != "alembic_version"]
+
+
+def read_rows(connection: Connection, tables: list[Table]) -> dict[str, list[dict[str, Any]]]:
+    """Table -> its rows, by column."""
+    return {table.name: [dict(row) for row in connection.execute(select(table)).mappings()] for table in tables}
+
+
+def value_for(connection: Connection, column: Column[Any]) -> Any:
+    """A value for a reflected column: the id of the row it refers to, one with a meaning, or an arbitrary one."""
+    for key in column.foreign_keys:
+        return None if key.column.table is column.table else connection.scalar(select(key.column))
+    if (column.table.name, column.name) in MEANINGFUL:
+        return MEANINGFUL[column.table.name, column.name]
+    return ARBITRARY[dict if isinstance(column.type, JSON) else column.type.python_type]
 
 
 def test_uniform_of_revision_1_is_named_recent_after_the_first_reward_version(stores: Stores) -> None:
