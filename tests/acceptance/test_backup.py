@@ -59,7 +59,8 @@ def test_a_restored_experiment_keeps_its_labels_and_trains_on(accord: Accord, tm
             return experiment["status"] == "finished"
 
         until(finished, "the restored experiment finishes")
-        verified = other.run("verify")
-        assert verified.returncode == 0, verified.stdout + verified.stderr
+        for command in (["prune", "--delete"], ["verify"]):
+            done = other.run(*command)
+            assert done.returncode == 0, done.stdout + done.stderr
     finally:
         other.kill_everything()

@@ -24,6 +24,7 @@ app = make_app(
         "verify": LazyCommand("accord.cli.verify", "verify", "Check that the database and the blobs are complete."),
         "backup": LazyCommand("accord.cli.backup", "backup", "Write a backup of the database and the blobs."),
         "restore": LazyCommand("accord.cli.backup", "restore", "Restore a backup into a new home folder."),
+        "prune": LazyCommand("accord.cli.prune", "prune", "Show or delete what nothing needs any more."),
         "doctor": LazyCommand("accord.cli.doctor", "doctor", "Check that this machine can run Accord."),
     },
 )

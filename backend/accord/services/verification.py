@@ -83,7 +83,13 @@ def verify_blobs(
     unnamed = stored.keys() - {blob.key for blob in required} - inventory.optional_keys(required)
     return [
         _blob_check(faults, required),
-        Check("unused blobs", True, f"{len(unnamed)} ({sum(stored[key] for key in unnamed) / 1e6:.1f} MB)"),
+        Check(
+            "unused blobs",
+            True,
+            f"{len(unnamed)} ({sum(stored[key] for key in unnamed) / 1e6:.1f} MB); see `accord prune`"
+            if unnamed
+            else "none",
+        ),
     ]
 
 

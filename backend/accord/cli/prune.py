@@ -1,0 +1,54 @@
+"""The subcommand `accord prune`."""
+
+from contextlib import closing
+from typing import Annotated
+
+import typer
+
+from accord.cli.options import Home, load_settings, open_existing
+from accord.services import pruning
+from accord.store.blobs import open_blobs
+from accord.store.migrate import require_current
+from mapt.cli.options import Json
+from mapt.cli.output import ProgressBars, print_json, print_line
+
+
+def prune(
+    *,
+    home: Home = None,
+    delete: Annotated[bool, typer.Option(help="Delete it, instead of only showing its size.")] = False,
+    hours: Annotated[
+        float,
+        typer.Option(min=1, help="Keep blobs without a row, and experiments that ended, for this long."),
+    ] = 24.0,
+    as_json: Json = False,
+) -> None:
+    """Show or delete what nothing needs any more.
+
+    That is: blobs that no row names, and of finished and cancelled experiments the segments without a pair, all
+    checkpoints but the last, and videos that are rendered again on request. Labels, and everything that they need, are
+    kept. The service may keep running.
+    """
+    settings = load_settings(home)
+    blobs = open_blobs(settings.resolved_blob_url)
+    with closing(open_existing(settings)) as database, ProgressBars(hidden=as_json) as bars:
+        require_current(database)
+        if delete:
+            bars.add("blobs", "blobs", 1)
+            found = pruning.delete(
+                database, blobs, hours, lambda done, total: bars.update("blobs", done / total, f"{done}/{total}")
+            )
+        else:
+            found = pruning.find(database, blobs, hours)
+    total_bytes = sum(group.size_bytes for group in found)
+    if as_json:
+        groups = [{"what": each.what, "blobs": len(each.blobs), "bytes": each.size_bytes} for each in found]
+        print_json({"deleted": delete, "bytes": total_bytes, "groups": groups})
+        return
+    for group in found:
+        print_line(f"{group.size_bytes / 1e6:10.1f} MB  {len(group.blobs):7} {group.what}")
+    print_line(
+        f"{total_bytes / 1e6:10.1f} MB deleted."
+        if delete
+        else f"{total_bytes / 1e6:10.1f} MB could be deleted. Nothing was: use --delete."
+    )
