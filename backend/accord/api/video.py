@@ -1,13 +1,20 @@
 """Responses with videos. They support HTTP range requests, so that a browser can seek."""
 
+import logging
 import re
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from fastapi import Request
 from fastapi.responses import Response
+from sqlalchemy.orm import Session
 
-from accord.domain.errors import BlobDamaged
+from accord.api.dependencies import Auth
+from accord.domain.errors import BlobDamaged, BlobUnreadable
 from accord.store.blobs import BlobStore
+
+log = logging.getLogger(__name__)
 
 _RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
 
@@ -18,6 +25,22 @@ class ByteRange:
 
     start: int
     stop: int
+
+
+@contextmanager
+def repairing(auth: Auth, render_again: Callable[[Session], None]) -> Generator[None]:
+    """If a video is missing or damaged, has it rendered again for the next request. This one fails nevertheless.
+
+    Args:
+        render_again: changes the row of the video in a transaction.
+    """
+    try:
+        yield
+    except BlobUnreadable as error:
+        log.warning("%s It is rendered again.", error)
+        with auth.app.database.transaction() as session:
+            render_again(session)
+        raise
 
 
 def video_response(request: Request, blobs: BlobStore, key: str, size: int, etag: str) -> Response:

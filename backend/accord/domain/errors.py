@@ -378,7 +378,7 @@ class BlobDamaged(BlobUnreadable):
     code = "blob_damaged"
 
     def __init__(self, key: str, reason: str) -> None:
-        super().__init__(key, f"The blob {key!r} is damaged ({reason}). Restore it from a backup.")
+        super().__init__(key, f"The blob {key!r} is damaged ({reason}). Copy it from a backup.")
 
 
 class TaskUnavailable(Unavailable):

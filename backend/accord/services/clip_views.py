@@ -32,6 +32,8 @@ class ViewJob:
     states_blob_key: str
     #: prefix of the video's blob key
     folder: str
+    #: blob of an earlier rendering, which is missing or damaged
+    replaces: str | None
 
 
 def request(session: Session, clip_id: str, camera: ClipCamera) -> ClipViewRow:
@@ -102,6 +104,19 @@ def claim_pending(session: Session, holder: str, lease_seconds: float) -> ViewJo
     return None
 
 
+def render_again(
+    session: Session, table: type[ClipViewRow] | type[RecordingViewRow], shown_id: str, camera: str
+) -> None:
+    """Has a view rendered again whose blob is missing or damaged. Does nothing unless it is ready.
+
+    Args:
+        shown_id: of the clip or the recording.
+    """
+    row = clip_views.lock(session, table, shown_id, camera)
+    if row is not None and row.status == ClipStatus.READY:
+        row.status, row.attempts = ClipStatus.PENDING.value, 0
+
+
 def heartbeat(session: Session, job: ViewJob, holder: str, lease_seconds: float) -> bool:
     """Renews a claim. Returns False if another worker holds it."""
     row = clip_views.lock(session, job.table, job.shown_id, job.camera)
@@ -147,8 +162,9 @@ def _job(session: Session, row: ViewRow) -> ViewJob:
     if isinstance(row, ClipViewRow):
         segment = session.get_one(SegmentRow, clips.get(session, row.clip_id).segment_id)
         camera, folder = ClipCamera(row.camera), clips_folder(row.experiment_id)
-        return ViewJob(ClipViewRow, row.clip_id, camera, task, segment.blob_key, folder)
+        return ViewJob(ClipViewRow, row.clip_id, camera, task, segment.blob_key, folder, row.blob_key)
     recording = session.get_one(RecordingRow, row.recording_id)
     # Not shared between recordings: deleting one of them must not delete the video of an equal one.
     folder = recording.blob_key.removesuffix(".safetensors")
-    return ViewJob(RecordingViewRow, recording.id, RecordingCamera(row.camera), task, recording.blob_key, folder)
+    camera = RecordingCamera(row.camera)
+    return ViewJob(RecordingViewRow, recording.id, camera, task, recording.blob_key, folder, row.blob_key)

@@ -26,6 +26,8 @@ class ClipJob:
     segment_blob_key: str
     #: 1 at the first attempt
     attempts: int
+    #: blob of an earlier rendering, which is missing or damaged
+    replaces: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +65,15 @@ def claim_pending(session: Session, holder: str, lease_seconds: float) -> ClipJo
             row.claimed_by = holder
             row.claimed_until = until
             session.flush()
-            return ClipJob(row.id, row.experiment_id, row.segment_id, found.task, found.segment_blob_key, row.attempts)
+            return ClipJob(
+                row.id,
+                row.experiment_id,
+                row.segment_id,
+                found.task,
+                found.segment_blob_key,
+                row.attempts,
+                replaces=row.blob_key,
+            )
         _give_up(session, row, row.detail or f"{MAX_ATTEMPTS} workers died while rendering it.")
         session.flush()
     return None
@@ -86,7 +96,7 @@ def finish(session: Session, clip_id: str, made: StoredClip) -> None:
     row.claimed_by = row.claimed_until = None
     row.detail = ""
     session.flush()
-    waiting = queries.lock_rendering_with(session, row.segment_id)
+    waiting = queries.lock_with(session, row.segment_id, [QueryStatus.RENDERING])
     others = clips.of_segments(
         session, [each for query in waiting for each in (query.segment_0_id, query.segment_1_id)]
     )
@@ -109,6 +119,16 @@ def fail(session: Session, clip_id: str, detail: str, retry: bool) -> None:
         row.detail = detail
     else:
         _give_up(session, row, detail)
+
+
+def render_again(session: Session, clip_id: str) -> None:
+    """Has a clip rendered again whose blob is missing or damaged. Does nothing unless it is ready.
+
+    Its queries stay as they are: whoever has one can try again soon, or skip it.
+    """
+    row = clips.lock(session, clip_id)
+    if row is not None and row.status == ClipStatus.READY:
+        row.status, row.attempts = ClipStatus.PENDING.value, 0
 
 
 def heartbeat(session: Session, clip_id: str, holder: str, lease_seconds: float) -> bool:
@@ -152,5 +172,6 @@ def _give_up(session: Session, row: ClipRow, detail: str) -> None:
     row.detail = detail
     row.claimed_by = row.claimed_until = None
     session.flush()
-    for query in queries.lock_rendering_with(session, row.segment_id):
+    # Open ones had a clip that was damaged later.
+    for query in queries.lock_with(session, row.segment_id, [QueryStatus.RENDERING, QueryStatus.OPEN]):
         query.status = QueryStatus.FAILED.value

@@ -19,7 +19,7 @@ from accord.store.named_blobs import NamedBlob
 #: faults that a check names; it counts the others
 _NAMED_FAULTS = 5
 _RESTORE = "restore a backup into a new home folder: accord restore"
-_COPY = "copy them from the folder `blobs` of a backup"
+_COPY = "videos are rendered again when somebody asks for them; copy others from the folder `blobs` of a backup"
 
 
 def verify(

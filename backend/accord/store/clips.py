@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import exists, func, or_, select, union_all
+from sqlalchemy import and_, exists, func, or_, select, union_all
 from sqlalchemy.orm import Session
 
 from accord.store.tables import ClipRow, ExperimentRow, QueryRow, SegmentRow
@@ -36,7 +36,9 @@ def of_segments(session: Session, segment_ids: Sequence[str]) -> dict[str, ClipR
 def lock_pending(session: Session, now: datetime) -> PendingClip | None:
     """Locks the next unclaimed clip; concurrent callers get different clips.
 
-    First come those that a query waits for, by its number, then those of imported pairs, which nobody waits for.
+    First come those that were rendered before and are damaged, because somebody looked at them, also after the end of
+    their experiment; then those that a query waits for, by its number; then those of imported pairs, which nobody waits
+    for.
     """
     waiting = union_all(
         select(QueryRow.segment_0_id.label("segment_id"), QueryRow.number).where(QueryRow.status == "rendering"),
@@ -58,11 +60,13 @@ def lock_pending(session: Session, now: datetime) -> PendingClip | None:
         .join(ExperimentRow, ExperimentRow.id == ClipRow.experiment_id)
         .where(
             ClipRow.status == "pending",
-            ExperimentRow.status.in_(("running", "paused")),
             or_(ClipRow.claimed_until.is_(None), ClipRow.claimed_until <= now),
-            or_(soonest.c.number.is_not(None), labelled),
+            or_(
+                ClipRow.blob_key.is_not(None),
+                and_(ExperimentRow.status.in_(("running", "paused")), or_(soonest.c.number.is_not(None), labelled)),
+            ),
         )
-        .order_by(soonest.c.number.is_(None), soonest.c.number, ClipRow.id)
+        .order_by(ClipRow.blob_key.is_(None), soonest.c.number.is_(None), soonest.c.number, ClipRow.id)
         .limit(1)
         .with_for_update(of=ClipRow, skip_locked=True)
         .execution_options(populate_existing=True)

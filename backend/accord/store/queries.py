@@ -538,15 +538,15 @@ def count_rendering(session: Session, experiment_id: str) -> int:
     return session.scalar(statement) or 0
 
 
-def lock_rendering_with(session: Session, segment_id: str) -> list[QueryRow]:
-    """Locks and returns the queries that wait for the clip of a segment."""
+def lock_with(session: Session, segment_id: str, statuses: Sequence[str]) -> list[QueryRow]:
+    """Locks and returns the queries in these states that show the clip of a segment."""
     return list(
         session.scalars(
             select(QueryRow)
             .join(SegmentRow, SegmentRow.experiment_id == QueryRow.experiment_id)
             .where(
                 SegmentRow.id == segment_id,
-                QueryRow.status == "rendering",
+                QueryRow.status.in_(statuses),
                 or_(QueryRow.segment_0_id == segment_id, QueryRow.segment_1_id == segment_id),
             )
             .order_by(QueryRow.number)

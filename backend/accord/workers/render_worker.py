@@ -111,7 +111,7 @@ class RenderWorker:
                 if task_spec(job.task).nq == 0:
                     raise RenderFailed(f"{job.task} renders itself, from one direction.")
                 _, _, blob_key = self._render_states(
-                    process, job.task, job.states_blob_key, job.folder, camera=job.camera.value
+                    process, job.task, job.states_blob_key, job.folder, job.replaces, camera=job.camera.value
                 )
             except RenderFailed as error:
                 log.warning("%s from the camera %s: %s", job.shown_id, job.camera, error)
@@ -127,7 +127,7 @@ class RenderWorker:
         if task_spec(job.task).nq == 0:
             return self._replayed_clip(job)
         key, clip, blob_key = self._render_states(
-            process, job.task, job.segment_blob_key, clips_folder(job.experiment_id)
+            process, job.task, job.segment_blob_key, clips_folder(job.experiment_id), job.replaces
         )
         return StoredClip(
             cache_key=key,
@@ -141,7 +141,14 @@ class RenderWorker:
         )
 
     def _render_states(
-        self, process: RenderProcess, task_name: str, states_blob_key: str, folder: str, *, camera: Camera = "follow"
+        self,
+        process: RenderProcess,
+        task_name: str,
+        states_blob_key: str,
+        folder: str,
+        replaces: str | None,
+        *,
+        camera: Camera = "follow",
     ) -> tuple[str, ClipFile, str]:
         """Render states and store the clip; return its cache key, its properties, and the key of its blob."""
         try:
@@ -159,6 +166,8 @@ class RenderWorker:
             content = path.read_bytes()
         finally:
             path.unlink()
+        if replaces is not None:
+            self._context.blobs.delete(replaces)  # a key keeps its blob, also a damaged one
         self._context.blobs.put(blob_key, content)
         return key, clip, blob_key
 

@@ -1,6 +1,7 @@
 """Clips over HTTP: whole, in ranges, and from the browser's cache."""
 
 import pytest
+from sqlalchemy import text
 
 from accord.api.video import ByteRange, parse_range
 from accord.domain.enums import ClipCamera
@@ -58,11 +59,38 @@ def test_clips_require_sign_in(api: ApiServer, clip: str) -> None:
     assert api.anyone.get(clip).status_code == 401
 
 
-def test_clip_without_its_file_is_a_503_error(api: ApiServer, clip: str) -> None:
-    clip_id = clip.rpartition("/")[2]
-    api.stores.blobs.delete(f"clips/{clip_id}")
+def test_clip_without_its_file_is_a_503_error_and_rendered_again(api: ApiServer, clip: str) -> None:
+    key = f"clips/{clip.rpartition('/')[2]}"
+    api.stores.blobs.delete(key)
     response = api.labeller.get(clip)
     assert (response.status_code, response.json()["error"]["code"]) == (503, "blob_missing")
+    with api.stores.database.transaction() as session:
+        job = clips.claim_pending(session, "tests", 60.0)
+    assert job is not None
+    assert job.replaces == key
+    api.stores.blobs.put(key, CLIP_BYTES[:-1])
+    with api.stores.database.transaction() as session:
+        clips.finish(session, job.clip_id, clips.StoredClip("0" * 64, key, SIZE - 1, 5, 0.25, 320, 240))
+    assert api.labeller.get(clip, headers={"If-None-Match": f'"{job.clip_id}-{SIZE}"'}).content == CLIP_BYTES[:-1]
+
+
+@pytest.mark.parametrize("experiment_is_over", [False, True])
+def test_a_view_without_its_file_is_rendered_again(api: ApiServer, clip: str, experiment_is_over: bool) -> None:
+    clip_id = clip.rpartition("/")[2].removesuffix(".mp4")
+    view = f"/api/v1/clips/{clip_id}/views/side"
+    assert api.labeller.put(view).json()["status"] == "pending"
+    with api.stores.database.transaction() as session:
+        job = clip_views.claim_pending(session, "tests", 60.0)
+        assert job is not None
+        clip_views.finish(session, job, "clips/missing.mp4", 10)
+        if experiment_is_over:
+            session.execute(text("UPDATE experiments SET status = 'finished'"))
+    assert api.labeller.get(f"{view}.mp4").json()["error"]["code"] == "blob_missing"
+    assert api.labeller.put(view).json()["status"] == "pending"
+    with api.stores.database.transaction() as session:
+        again = clip_views.claim_pending(session, "tests", 60.0)
+    assert again is not None
+    assert (again.replaces, again.shown_id) == ("clips/missing.mp4", clip_id)
 
 
 @pytest.mark.parametrize("headers", [{}, {"Range": "bytes=0-"}, {"Range": "bytes=-100"}])
@@ -70,9 +98,16 @@ def test_clip_of_the_wrong_size_is_a_503_error(api: ApiServer, clip: str, header
     key = f"clips/{clip.rpartition('/')[2]}"
     api.stores.blobs.delete(key)
     api.stores.blobs.put(key, CLIP_BYTES[:2])
-    for url in (clip, clip.replace(".mp4", ".jpg")):
-        response = api.labeller.get(url, headers=headers)
-        assert (response.status_code, response.json()["error"]["code"]) == (503, "blob_damaged")
+    response = api.labeller.get(clip, headers=headers)
+    assert (response.status_code, response.json()["error"]["code"]) == (503, "blob_damaged")
+
+
+def test_still_of_a_clip_of_the_wrong_size_is_a_503_error(api: ApiServer, clip: str) -> None:
+    key = f"clips/{clip.rpartition('/')[2]}"
+    api.stores.blobs.delete(key)
+    api.stores.blobs.put(key, CLIP_BYTES[:2])
+    response = api.labeller.get(clip.replace(".mp4", ".jpg"))
+    assert (response.status_code, response.json()["error"]["code"]) == (503, "blob_damaged")
 
 
 @pytest.mark.parametrize(

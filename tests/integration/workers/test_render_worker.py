@@ -6,9 +6,10 @@ import av
 import numpy as np
 import pytest
 from safetensors.numpy import load, save
+from sqlalchemy import text
 
 from accord.domain.enums import ClipCamera, WorkerRole
-from accord.services import clip_views, deletion, experiments
+from accord.services import clip_views, clips, deletion, experiments
 from accord.workers.render_worker import RenderWorker
 from integration.workers.worker_harness import SingleThreadedRewardWorker, WorkerHarness, open_harness
 
@@ -36,9 +37,9 @@ def test_every_query_opens_once_both_clips_are_ready(waiting_for_clips):
     assert harness.rows("SELECT DISTINCT status FROM queries") == [("rendering",)]
     work_until_idle(worker)
     assert harness.rows("SELECT DISTINCT status FROM queries") == [("open",)]
-    clips = harness.rows("SELECT blob_key, frames, seconds, size_bytes, width, height FROM clips")
-    assert len(clips) == len(harness.rows("SELECT id FROM segments"))
-    for blob_key, frames, seconds, size_bytes, width, height in clips:
+    rendered = harness.rows("SELECT blob_key, frames, seconds, size_bytes, width, height FROM clips")
+    assert len(rendered) == len(harness.rows("SELECT id FROM segments"))
+    for blob_key, frames, seconds, size_bytes, width, height in rendered:
         content = harness.context.blobs.read(blob_key)
         assert len(content) == size_bytes
         with av.open(io.BytesIO(content)) as container:
@@ -46,6 +47,37 @@ def test_every_query_opens_once_both_clips_are_ready(waiting_for_clips):
         assert len(shown) == frames == 10
         assert shown[0].shape == (height, width, 3)
         assert seconds == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("status", ["running", "finished"])
+def test_a_damaged_clip_is_rendered_again(waiting_for_clips, status):
+    harness, worker = waiting_for_clips
+    work_until_idle(worker)
+    [(id, key, size)] = harness.rows("SELECT id, blob_key, size_bytes FROM clips ORDER BY id LIMIT 1")
+    path = harness.home / "blobs" / key
+    path.write_bytes(path.read_bytes()[:100])
+    with harness.context.database.transaction() as session:
+        session.execute(text("UPDATE experiments SET status = :status"), {"status": status})
+        clips.render_again(session, id)
+    work_until_idle(worker)
+    assert harness.rows("SELECT status, size_bytes FROM clips WHERE id = ?", id) == [("ready", path.stat().st_size)]
+    assert path.stat().st_size == pytest.approx(size, rel=0.1)
+    assert harness.rows("SELECT DISTINCT status FROM queries") == [("open",)]
+
+
+def test_a_damaged_clip_without_its_segment_fails_its_queries(waiting_for_clips):
+    harness, worker = waiting_for_clips
+    work_until_idle(worker)
+    [(id, segment_id, key)] = harness.rows(
+        "SELECT clips.id, segment_id, segments.blob_key FROM clips JOIN segments ON segments.id = segment_id LIMIT 1"
+    )
+    harness.context.blobs.delete(key)
+    with harness.context.database.transaction() as session:
+        clips.render_again(session, id)
+    work_until_idle(worker)
+    assert harness.rows("SELECT status FROM clips WHERE id = ?", id) == [("failed",)]
+    has_segment = "? IN (segment_0_id, segment_1_id)"
+    assert harness.rows(f"SELECT DISTINCT status FROM queries WHERE {has_segment}", segment_id) == [("failed",)]
 
 
 def test_the_clips_of_the_first_query_are_rendered_first(waiting_for_clips):

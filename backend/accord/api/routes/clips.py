@@ -9,11 +9,11 @@ from fastapi.responses import Response
 
 from accord.api import responses, schemas
 from accord.api.dependencies import Auth, AuthDep, CallerSession, ClipId
-from accord.api.video import video_response, whole_video
+from accord.api.video import repairing, video_response, whole_video
 from accord.domain.enums import ClipCamera
 from accord.domain.errors import ClipNotFound
 from accord.services import access, clip_views, clips
-from accord.store.tables import ClipRow
+from accord.store.tables import ClipRow, ClipViewRow
 from mapt.errors import ClipNotRead
 from mapt.rendering.stills import animation, thumbnail
 
@@ -39,7 +39,8 @@ def get_clip(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
         row = _visible(caller, clip_id)
         key, size = row.blob_key, row.size_bytes
     assert key is not None  # a ready clip has a blob
-    return video_response(request, auth.app.blobs, key, size, f'"{clip_id}"')
+    with repairing(auth, lambda session: clips.render_again(session, clip_id)):
+        return video_response(request, auth.app.blobs, key, size, f'"{clip_id}-{size}"')
 
 
 @router.put("/clips/{clip_id}/views/{camera}", summary="Request a clip from another camera")
@@ -66,7 +67,8 @@ def get_view(clip_id: ClipId, camera: CameraPath, request: Request, auth: AuthDe
         row = clip_views.get(caller.session, clip_id, camera)
         key, size = row.blob_key, row.size_bytes
     assert key is not None  # a ready view has a blob
-    return video_response(request, auth.app.blobs, key, size, f'"{clip_id}-{camera}"')
+    with repairing(auth, lambda session: clip_views.render_again(session, ClipViewRow, clip_id, camera)):
+        return video_response(request, auth.app.blobs, key, size, f'"{clip_id}-{camera}-{size}"')
 
 
 @router.get(
@@ -106,8 +108,10 @@ def _image(clip_id: str, request: Request, auth: Auth, make: Callable[[bytes], b
     headers = {"ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
     if etag in request.headers.get("if-none-match", ""):
         return Response(status_code=304, headers=headers)
+    with repairing(auth, lambda session: clips.render_again(session, clip_id)):
+        content = whole_video(auth.app.blobs, key, size)
     try:
-        image = make(whole_video(auth.app.blobs, key, size))
+        image = make(content)
     except ClipNotRead as error:
         log.warning("%s: %s", clip_id, error)
         raise ClipNotFound(clip_id) from error

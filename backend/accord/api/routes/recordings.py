@@ -7,10 +7,11 @@ from fastapi.responses import Response
 
 from accord.api import responses, schemas
 from accord.api.dependencies import AuthDep, CallerSession, ExperimentId, RecordingId
-from accord.api.video import video_response
+from accord.api.video import repairing, video_response
 from accord.domain.enums import RecordingCamera
 from accord.domain.permissions import may_run_experiments, require
 from accord.services import clip_views, experiments
+from accord.store.tables import RecordingViewRow
 
 router = APIRouter(tags=["recordings"])
 CameraPath = Annotated[RecordingCamera, Path(description="Where the camera is: follow, as for clips, side or top.")]
@@ -52,7 +53,8 @@ def get_recording(recording_id: RecordingId, camera: CameraPath, request: Reques
         row = clip_views.get_recording(caller.session, recording_id, camera)
         key, size = row.blob_key, row.size_bytes
     assert key is not None  # a ready view has a blob
-    return video_response(request, auth.app.blobs, key, size, f'"{recording_id}-{camera}"')
+    with repairing(auth, lambda session: clip_views.render_again(session, RecordingViewRow, recording_id, camera)):
+        return video_response(request, auth.app.blobs, key, size, f'"{recording_id}-{camera}-{size}"')
 
 
 def _require_researcher(caller: CallerSession) -> None:
