@@ -11,7 +11,7 @@ from fastapi.responses import Response
 from sqlalchemy.orm import Session
 
 from accord.api.dependencies import Auth
-from accord.domain.errors import BlobDamaged, BlobUnreadable
+from accord.domain.errors import BlobDamaged, BlobMissing, BlobUnreadable
 from accord.store.blobs import BlobStore
 
 log = logging.getLogger(__name__)
@@ -47,7 +47,7 @@ def video_response(request: Request, blobs: BlobStore, key: str, size: int, etag
     """A stored video that never changes, or the requested range of it.
 
     Args:
-        size: in bytes.
+        size: in bytes; 0 if it was deleted.
         etag: with quotation marks.
 
     Raises:
@@ -56,6 +56,8 @@ def video_response(request: Request, blobs: BlobStore, key: str, size: int, etag
     headers = {"Accept-Ranges": "bytes", "ETag": etag, "Cache-Control": "private, max-age=31536000, immutable"}
     if etag in request.headers.get("if-none-match", ""):
         return Response(status_code=304, headers=headers)
+    if size == 0:
+        raise BlobMissing(key)
     wanted = parse_range(request.headers.get("range", ""), size)
     if request.headers.get("if-range", etag) != etag:
         wanted = None

@@ -21,6 +21,10 @@ def prune(
         float,
         typer.Option(min=1, help="Keep blobs without a row, and experiments that ended, for this long."),
     ] = 24.0,
+    clips: Annotated[
+        bool,
+        typer.Option(help="Also the clips of experiments that are over; they are rendered again on request."),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Show or delete what nothing needs any more.
@@ -36,10 +40,14 @@ def prune(
         if delete:
             bars.add("blobs", "blobs", 1)
             found = pruning.delete(
-                database, blobs, hours, lambda done, total: bars.update("blobs", done / total, f"{done}/{total}")
+                database,
+                blobs,
+                hours,
+                lambda done, total: bars.update("blobs", done / total, f"{done}/{total}"),
+                clips=clips,
             )
         else:
-            found = pruning.find(database, blobs, hours)
+            found = pruning.find(database, blobs, hours, clips=clips)
     total_bytes = sum(group.size_bytes for group in found)
     if as_json:
         groups = [{"what": each.what, "blobs": len(each.blobs), "bytes": each.size_bytes} for each in found]

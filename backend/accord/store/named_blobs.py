@@ -54,7 +54,11 @@ def named_blobs(session: Session) -> list[NamedBlob]:
     for what, (rows, id_column) in _TABLES.items():
         if rows.__tablename__ in existing:
             columns = rows.__table__.c
-            size = columns.size_bytes if "size_bytes" in columns else null()
-            statement = select(columns.blob_key, columns[id_column], size).where(columns.blob_key.is_not(None))
+            statement = select(columns.blob_key, columns[id_column]).where(columns.blob_key.is_not(None))
+            if "size_bytes" in columns:
+                # The blob of a video of 0 bytes was deleted, to be rendered again when somebody asks for it.
+                statement = statement.add_columns(columns.size_bytes).where(columns.size_bytes > 0)
+            else:
+                statement = statement.add_columns(null())
             found += [NamedBlob(key, what, id, size_bytes) for key, id, size_bytes in session.execute(statement)]
     return found

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import ColumnElement, and_, delete, exists, inspect, or_, select, tuple_
+from sqlalchemy import ColumnElement, and_, delete, exists, inspect, or_, select, tuple_, update
 from sqlalchemy.orm import Session, aliased
 
 from accord.store.tables import (
@@ -52,6 +52,22 @@ def earlier_checkpoints(session: Session, before: datetime) -> list[Unneeded]:
 def requested_videos(session: Session, table: type[ClipViewRow | RecordingViewRow], before: datetime) -> list[Unneeded]:
     """Videos that are rendered again when somebody asks for them, of experiments that ended before a time."""
     return _found(session, table, before, table.status == "ready")
+
+
+def rendered_clips(session: Session, before: datetime) -> list[Unneeded]:
+    """Clips that can be rendered again, of experiments that ended before a time.
+
+    Those of tasks that render themselves are stored with their segments, and cannot.
+    """
+    stored = (ClipRow.size_bytes > 0) & ClipRow.blob_key.startswith("clips/", autoescape=True)
+    return _found(session, ClipRow, before, (ClipRow.status == "ready") & stored)
+
+
+def mark_deleted(session: Session, clip_ids: Sequence[tuple[str, ...]]) -> None:
+    """Records that the blobs of clips are deleted."""
+    for first in range(0, len(clip_ids), _MAX_IDS):
+        part = [id for (id,) in clip_ids[first : first + _MAX_IDS]]
+        session.execute(update(ClipRow).where(ClipRow.id.in_(part)).values(size_bytes=0))
 
 
 def delete_segments(session: Session, ids: Sequence[tuple[str, ...]]) -> None:

@@ -268,6 +268,7 @@ class ClipRow(Base):
     attempts: Mapped[int] = mapped_column(default=0)
     #: why it failed
     detail: Mapped[str] = mapped_column(default="")
+    #: 0 once the blob of a ready clip was deleted to save space; it is rendered again when somebody asks for it
     size_bytes: Mapped[int] = mapped_column(default=0)
     frames: Mapped[int] = mapped_column(default=0)
     seconds: Mapped[float] = mapped_column(default=0.0)

@@ -74,6 +74,16 @@ def test_clip_without_its_file_is_a_503_error_and_rendered_again(api: ApiServer,
     assert api.labeller.get(clip, headers={"If-None-Match": f'"{job.clip_id}-{SIZE}"'}).content == CLIP_BYTES[:-1]
 
 
+def test_a_pruned_clip_is_rendered_again(api: ApiServer, clip: str) -> None:
+    with api.stores.database.transaction() as session:
+        session.execute(text("UPDATE experiments SET status = 'finished'"))
+        session.execute(text("UPDATE clips SET size_bytes = 0"))
+    response = api.labeller.get(clip, headers={"Range": "bytes=0-"})
+    assert (response.status_code, response.json()["error"]["code"]) == (503, "blob_missing")
+    with api.stores.database.transaction() as session:
+        assert clips.claim_pending(session, "tests", 60.0) is not None
+
+
 @pytest.mark.parametrize("experiment_is_over", [False, True])
 def test_a_view_without_its_file_is_rendered_again(api: ApiServer, clip: str, experiment_is_over: bool) -> None:
     clip_id = clip.rpartition("/")[2].removesuffix(".mp4")

@@ -9,7 +9,7 @@ from sqlalchemy import func, select, update
 
 from accord.domain.enums import ClipCamera, Role
 from accord.domain.errors import BlobsInUse
-from accord.services import blob_deletion, checkpoints, clip_views, experiments, label, pruning
+from accord.services import blob_deletion, checkpoints, clip_views, clips, experiments, label, pruning
 from accord.services.pruning import Group
 from accord.services.verification import verify
 from accord.store.tables import ClipRow, ClipViewRow, ExperimentRow, SegmentRow, utc_now
@@ -57,7 +57,7 @@ def test_only_what_nothing_needs_is_deleted(stores: Stores) -> None:
     end(stores, over, hours_ago=30)
     before = keys(stores)
     unpaired = over.segment_ids[-1]
-    expected = [[], [f"{unpaired}.safetensors"], ["first"], ["side"]]
+    expected = [[], [f"{unpaired}.safetensors"], ["first"], ["side"], []]
     assert names(pruning.find(stores.database, stores.blobs, 24.0)) == expected
     assert keys(stores) == before
     done: list[tuple[int, int]] = []
@@ -72,7 +72,7 @@ def test_only_what_nothing_needs_is_deleted(stores: Stores) -> None:
         assert session.scalar(select(func.count()).select_from(ClipViewRow)) == 2
         assert [row.steps for row in checkpoints.kept(session, over.experiment.id)] == [200]
         assert len(checkpoints.kept(session, running.experiment.id)) == 2
-    assert names(pruning.delete(stores.database, stores.blobs, 24.0)) == [[], [], [], []]
+    assert names(pruning.delete(stores.database, stores.blobs, 24.0)) == [[], [], [], [], []]
 
 
 def test_blobs_without_a_row_are_deleted_once_they_are_old(sqlite: Stores, tmp_path: Path) -> None:
@@ -86,6 +86,32 @@ def test_blobs_without_a_row_are_deleted_once_they_are_old(sqlite: Stores, tmp_p
     assert names(pruning.delete(sqlite.database, sqlite.blobs, 24.0))[0] == ["old"]
     assert "segments/new" in keys(sqlite)
     assert all(each.ok for each in verify(sqlite.database, sqlite.blobs, read_blobs=True))
+
+
+def test_clips_of_ended_experiments_are_deleted_on_request_and_rendered_again(stores: Stores) -> None:
+    running, over = filled(stores), filled(stores)
+    end(stores, over, hours_ago=30)
+    with stores.database.transaction() as session:
+        # Earlier versions stored equal clips of two experiments once.
+        shared, other = (
+            session.scalars(select(ClipRow).where(ClipRow.segment_id == each.segment_ids[0])).one()
+            for each in (over, running)
+        )
+        other.blob_key = shared.blob_key
+        shared_key = shared.blob_key
+    deleted = pruning.delete(stores.database, stores.blobs, 24.0, clips=True)
+    # four segments are in pairs
+    assert len(deleted[-1].blobs) == 3
+    assert shared_key in keys(stores)
+    assert all(each.ok for each in verify(stores.database, stores.blobs, read_blobs=False))
+    assert pruning.find(stores.database, stores.blobs, 24.0, clips=True)[-1].blobs == []
+    with stores.database.transaction() as session:
+        clip = session.scalars(select(ClipRow).where(ClipRow.segment_id == over.segment_ids[1])).one()
+        clips.render_again(session, clip.id)
+    with stores.database.transaction() as session:
+        job = clips.claim_pending(session, "tests", 60.0)
+    assert job is not None
+    assert (job.clip_id, job.replaces) == (clip.id, clip.blob_key)
 
 
 def test_nothing_is_deleted_while_a_backup_runs(sqlite: Stores) -> None:
