@@ -123,6 +123,13 @@ class Settings(BaseSettings):
         le=1024,
         description="Threads of torch in each reward and policy worker; more than 1 helps only where cores are idle.",
     )
+    log_format: Literal["text", "json"] = Field(
+        default="text", description="text: logs are lines for people. json: every line is a JSON object."
+    )
+    log_requests: bool = Field(
+        default=False,
+        description="Log every request, not only those that fail with 500 or above, or take longer than a second.",
+    )
     session_days: float = Field(default=30.0, gt=0, le=3650, description="How long a browser stays signed in.")
     link_minutes: float = Field(
         default=60.0, gt=0, le=525_600, description="How long a one-time sign-in link is valid."

@@ -84,6 +84,10 @@ class Accord:
     def url(self) -> str:
         return (self.home / "url").read_text().strip()
 
+    def logs(self) -> list[Path]:
+        """The logs of the API and of the workers."""
+        return sorted((self.home / "logs").glob("*.log"))
+
     def processes(self) -> dict[str, psutil.Process]:
         """The service's processes by role: api, policy, reward, render, and child, the render process."""
         running: dict[str, psutil.Process] = {}

@@ -1,6 +1,7 @@
 """Kill each process of the service in turn during an experiment, which continues without loss."""
 
 import io
+import json
 
 import av
 
@@ -13,7 +14,7 @@ VICTIMS = {"render": 2, "reward": 10, "policy": 16, "api": 20, "child": 24, "sup
 
 
 def test_an_experiment_finishes_although_each_process_is_killed_once(accord: Accord) -> None:
-    accord.start()
+    accord.start({"ACCORD_LOG_FORMAT": "json"})
     client = Client(accord, accord.token("ada", "researcher"))
     id = client.create_experiment()
     acknowledged: dict[str, float] = {}
@@ -47,6 +48,19 @@ def test_an_experiment_finishes_although_each_process_is_killed_once(accord: Acc
     assert_training_continued(accord, id, steps)
     assert_clips_complete(accord)
     assert_policy_recorded(accord, id)
+    assert_logged(accord, id)
+
+
+def assert_logged(accord: Accord, id: str) -> None:
+    """Every line of every process is JSON with its worker, those about the experiment with its id."""
+    logs = {file.stem: [json.loads(line) for line in file.read_text().splitlines()] for file in accord.logs()}
+    assert set(logs) == {"api", "policy-0", "render-0", "reward-0"}
+    for name, lines in logs.items():
+        assert {line["worker_id"] for line in lines} == {name}
+    assert id in {line.get("experiment_id") for line in logs["policy-0"]}
+    printed = [json.loads(line) for line in accord.log.read_text().splitlines() if line.startswith("{")]
+    killed = {line["worker_id"] for line in printed if "killed by SIGKILL" in line["event"]}
+    assert killed == {"api", "policy-0", "render-0", "reward-0"}
 
 
 def assert_restarts_are_reset(accord: Accord) -> None:
@@ -72,7 +86,7 @@ def kill_supervisor(accord: Accord) -> None:
     accord.supervisor.kill()
     accord.supervisor.wait(PATIENCE_SECONDS)
     until(lambda: not any(alive(process) for process in processes), "all processes end with the supervisor")
-    accord.start()
+    accord.start({"ACCORD_LOG_FORMAT": "json"})
 
 
 def assert_labels_kept(accord: Accord, id: str, acknowledged: dict[str, float]) -> None:

@@ -1,6 +1,7 @@
 """The real server as a child process on a free port."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -63,10 +64,8 @@ def _address(process: subprocess.Popen[bytes], log: Path) -> str:
     """The address that the server logs; it chooses the port itself."""
     deadline = time.monotonic() + PATIENCE_SECONDS
     while time.monotonic() < deadline:
-        # the last match: the log may contain an earlier server's line
-        lines = [line for line in log.read_text().splitlines() if f"Process {process.pid} serves " in line]
-        if lines:
-            return lines[-1].rpartition(" ")[2]
+        if found := re.search(rf"Process {process.pid} serves (http://[^\s\"]+)", log.read_text()):
+            return found[1]
         if process.poll() is not None:
             break
         time.sleep(0.01)

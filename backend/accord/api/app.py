@@ -10,6 +10,7 @@ from accord.api import errors
 from accord.api.body_limit import BodyLimit
 from accord.api.dependencies import AppState
 from accord.api.pages import Page
+from accord.api.requests import Requests
 from accord.api.routes import (
     accounts,
     audit,
@@ -104,7 +105,8 @@ def _operation_id(route: APIRoute) -> str:
 class _App(FastAPI):
     def build_middleware_stack(self) -> ASGIApp:
         """Outside of everything else, also of the response to an unexpected error."""
-        return Security(super().build_middleware_stack(), self.state.accord.settings)
+        settings: Settings = self.state.accord.settings
+        return Requests(Security(super().build_middleware_stack(), settings), log_all=settings.log_requests)
 
     def openapi(self) -> dict[str, Any]:
         """The OpenAPI document with both authentication methods, created when it is first requested."""

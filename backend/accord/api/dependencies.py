@@ -16,6 +16,7 @@ from fastapi import Depends, Path, Request
 from fastapi.responses import Response
 from pydantic import AfterValidator, BaseModel
 from sqlalchemy.orm import Session
+from structlog.contextvars import bind_contextvars
 
 from accord.api.sign_in_limit import SignInLimit
 from accord.domain.enums import Role
@@ -153,6 +154,7 @@ def _auth(request: Request, token: str) -> Auth:
     route = request.scope.get("route")
     operation = None if route is None else str(route.name)
     auth = Auth(app_state(request), token, address_of_client(request), operation, request.path_params)
+    bind_contextvars(**{name: value for name, value in request.path_params.items() if name.endswith("_id")})
     auth.app.sign_in_limit.check(auth.address, token)
     return auth
 

@@ -10,6 +10,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
+from accord.api.requests import route_of
 from accord.api.schemas import ErrorBody, ErrorResponse
 from accord.domain.errors import (
     AccordError,
@@ -29,7 +30,6 @@ from accord.domain.errors import (
     Unavailable,
     WrongState,
 )
-from accord.domain.ids import new_id
 from mapt.errors import TaskError
 
 log = logging.getLogger(__name__)
@@ -136,8 +136,8 @@ def install(app: FastAPI) -> None:
         return error_response(error.status_code, code, message, headers=error.headers)
 
     async def on_any_error(request: Request, error: Exception) -> JSONResponse:
-        id = new_id("err")
-        log.error("%s %s failed as %s", request.method, request.url.path, id, exc_info=error)
+        id = request.state.request_id
+        log.error("%s %s failed as %s", request.method, route_of(request.scope), id, exc_info=error)
         return error_response(
             500, "internal", f"The server failed unexpectedly. Its log describes the error under {id}.", [{"id": id}]
         )

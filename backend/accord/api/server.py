@@ -12,12 +12,14 @@ import signal
 import socket
 import sys
 from functools import partial
+from pathlib import Path
 from types import FrameType
 from typing import cast
 
 import uvicorn
 from fastapi import FastAPI
 
+from accord import logs
 from accord.api.app import create_app
 from accord.api.connections import Connections, LimitedHttp
 from accord.api.listener import address_of, listen, require_protection
@@ -77,15 +79,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m accord.api.server", description=__doc__)
     parser.add_argument("--fd", type=int, help="descriptor of a listening socket to serve on")
     parser.add_argument("--parent", type=int, default=0, help="exit when the process with this id exits; 0 for none")
+    parser.add_argument("--log", type=Path, help="file that standard output and error go to")
     arguments = parser.parse_args()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, end_by_exception)
     follow_parent(arguments.parent)
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
-    logging.getLogger("alembic").setLevel(logging.WARNING)
     keep_new_files_private()
+    settings = Settings()
+    logs.configure(settings.log_format, "api", arguments.log)
     try:
-        settings = Settings()
         if arguments.fd is None:
             require_protection(settings)
         listener = listen(settings.host, settings.port) if arguments.fd is None else socket.socket(fileno=arguments.fd)

@@ -1,6 +1,7 @@
 """The subcommand `accord up`: a parent process that keeps the API and the workers running."""
 
 import fcntl
+import logging
 import os
 import socket
 from contextlib import ExitStack, closing
@@ -11,11 +12,12 @@ from typing import Annotated, TextIO
 import typer
 from rich.markup import escape
 
+from accord import logs
 from accord.api.listener import listen, require_protection
 from accord.cli.api_watch import ApiWatch
 from accord.cli.checks import print_check
 from accord.cli.options import Home, Port, address_file, load_settings, url_of
-from accord.cli.worker_status import WorkerStatus
+from accord.cli.worker_status import SUPERVISOR, LogLine, WorkerStatus
 from accord.domain.errors import NameTaken, Unavailable
 from accord.services import accounts, experiments
 from accord.services.experiment_config import ExperimentConfig
@@ -30,6 +32,8 @@ from accord.workers.supervisor import ChildSpec, Supervisor
 from mapt.cli.output import log_line, on_terminal, out, print_line
 from mapt.io import atomic_write
 from mapt.processes import SHARED_CORES_ENVIRONMENT, follow_parent
+
+log = logging.getLogger(__name__)
 
 #: Time between two checks of the child processes.
 _TICK_SECONDS = 0.2
@@ -110,7 +114,9 @@ def _warn_of_faults(ready: Ready) -> None:
 
 
 def _serve(ready: Ready, stop: Stop) -> None:
-    status, specs = WorkerStatus(ready.database, ready.settings.worker_lease_seconds), child_specs(ready)
+    log_line = _log_lines(ready.settings)
+    status = WorkerStatus(ready.database, ready.settings.worker_lease_seconds, log_line)
+    specs = child_specs(ready)
     status.reset(specs)
     supervisor = Supervisor(specs, ready.settings.home / "logs", status.record_death)
     api = ApiWatch(url_of(ready.settings.host, ready.settings.port), ready.settings.api_timeout_seconds)
@@ -132,9 +138,17 @@ def _serve(ready: Ready, stop: Stop) -> None:
     finally:
         if spinner:
             spinner.stop()
-        log_line("stopping; press Ctrl-C again to kill the remaining processes", "accord")
+        log_line("stopping; press Ctrl-C again to kill the remaining processes", SUPERVISOR)
         killed = supervisor.shutdown(stop)
-        log_line(f"stopped; killed: {', '.join(killed)}" if killed else "stopped", "accord")
+        log_line(f"stopped; killed: {', '.join(killed)}" if killed else "stopped", SUPERVISOR)
+
+
+def _log_lines(settings: Settings) -> LogLine:
+    """Prints lines about the processes, or logs them as JSON."""
+    if settings.log_format == "text":
+        return log_line
+    logs.configure(settings.log_format, SUPERVISOR)
+    return lambda text, name: log.warning("%s", text, extra={"worker_id": name})
 
 
 def child_specs(ready: Ready) -> list[ChildSpec]:

@@ -1,7 +1,7 @@
 """The workers' rows as `accord up` sees them: a line of states, failures to print, and workers that hang."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from datetime import datetime
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -13,8 +13,11 @@ from accord.store.database import Database
 from accord.store.tables import utc_now
 from accord.workers.runner import RETRY_TEXT
 from accord.workers.supervisor import ChildSpec, Death
-from mapt.cli.output import log_line
 
+#: writes a line about a process: the line, and the process's name
+LogLine = Callable[[str, str], None]
+#: the name of the process of `accord up` in its own lines
+SUPERVISOR = "accord"
 _POLL_SECONDS = 1.0
 #: leases without a heartbeat, of which there are four in each, after which a worker hangs
 _HANGING_LEASES = 2.0
@@ -27,8 +30,9 @@ _SHOWN_BY_DETAIL = frozenset({WorkerState.WORKING, WorkerState.WAITING})
 class WorkerStatus:
     """Reads the workers' rows once a second, and prints each failure once."""
 
-    def __init__(self, database: Database, lease_seconds: float) -> None:
+    def __init__(self, database: Database, lease_seconds: float, log: LogLine) -> None:
         self._database = database
+        self._log = log
         self._lease_seconds = lease_seconds
         self._next_look = 0.0
         #: (name, pid, time of the heartbeat) of workers that were silent at the last look
@@ -45,7 +49,7 @@ class WorkerStatus:
 
     def record_death(self, death: Death) -> None:
         """Print that a process died, and write it to the worker's row, which the page shows."""
-        log_line(death.description, death.name)
+        self._log(death.description, death.name)
         self._printed.pop(death.name, None)
         if not death.role:
             return
@@ -61,7 +65,7 @@ class WorkerStatus:
                     restarts=death.restarts,
                 )
         except (AccordError, SQLAlchemyError) as error:
-            log_line(f"The restart of {death.name} could not be recorded: {error}", "accord")
+            self._log(f"The restart of {death.name} could not be recorded: {error}", SUPERVISOR)
 
     def poll(self) -> str | None:
         """One line about all workers, once a second; None in between. Prints new failures."""
@@ -116,4 +120,4 @@ class WorkerStatus:
         failure = detail.partition(RETRY_TEXT)[0].strip()
         if failure and self._printed.get(id) != failure:
             self._printed[id] = failure
-            log_line(failure, id)
+            self._log(failure, id)

@@ -23,6 +23,7 @@ class ViewJob:
     """A view to render."""
 
     table: type[ClipViewRow] | type[RecordingViewRow]
+    experiment_id: str
     #: of the clip or the recording
     shown_id: str
     camera: ClipCamera | RecordingCamera
@@ -162,9 +163,13 @@ def _job(session: Session, row: ViewRow) -> ViewJob:
     if isinstance(row, ClipViewRow):
         segment = session.get_one(SegmentRow, clips.get(session, row.clip_id).segment_id)
         camera, folder = ClipCamera(row.camera), clips_folder(row.experiment_id)
-        return ViewJob(ClipViewRow, row.clip_id, camera, task, segment.blob_key, folder, row.blob_key)
+        return ViewJob(
+            ClipViewRow, row.experiment_id, row.clip_id, camera, task, segment.blob_key, folder, row.blob_key
+        )
     recording = session.get_one(RecordingRow, row.recording_id)
     # Not shared between recordings: deleting one of them must not delete the video of an equal one.
     folder = recording.blob_key.removesuffix(".safetensors")
     camera = RecordingCamera(row.camera)
-    return ViewJob(RecordingViewRow, recording.id, camera, task, recording.blob_key, folder, row.blob_key)
+    return ViewJob(
+        RecordingViewRow, row.experiment_id, recording.id, camera, task, recording.blob_key, folder, row.blob_key
+    )

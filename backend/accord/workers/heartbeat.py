@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
+from structlog.contextvars import bound_contextvars
 
 from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import AccordError
@@ -164,15 +165,22 @@ class Heartbeat:
 
     @contextmanager
     def claim(self, subject: str) -> Iterator[Claim | None]:
-        """Claim `subject` for the block, then release it. Yields None if another worker holds the claim."""
+        """Claim `subject` for the block, then release it. Yields None if another worker holds the claim.
+
+        Args:
+            subject: a job on an experiment, for example policy:exp_...; the lines logged in the block have the id.
+        """
         with self._database.transaction() as session:
             taken = workers.claim(session, subject, self._holder, self._lease_seconds)
         if not taken:
             yield None
             return
-        with self.renewing(
-            subject, lambda session: workers.heartbeat(session, subject, self._holder, self._lease_seconds)
-        ) as claim:
+        with (
+            bound_contextvars(experiment_id=subject.partition(":")[2]),
+            self.renewing(
+                subject, lambda session: workers.heartbeat(session, subject, self._holder, self._lease_seconds)
+            ) as claim,
+        ):
             try:
                 yield claim
             finally:

@@ -12,6 +12,7 @@ import av
 import numpy as np
 from av.error import FFmpegError
 from mujoco import MjModel  # pyright: ignore[reportAttributeAccessIssue]  (compiled, without stubs)
+from structlog.contextvars import bound_contextvars
 
 from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import BlobMissing, BlobUnreadable
@@ -65,13 +66,17 @@ class RenderWorker:
             view = clip_views.claim_pending(session, context.holder, lease)
             job = None if view else clips.claim_pending(session, context.holder, lease)
         if view is not None:
-            self._render_view(process, view, lease)
+            with bound_contextvars(experiment_id=view.experiment_id):
+                self._render_view(process, view, lease)
             return True
         if job is None:
             return False
         context.heartbeat.set_state(WorkerState.WORKING, f"Rendering a clip of {job.task}.")
-        with context.heartbeat.renewing(
-            job.clip_id, lambda session: clips.heartbeat(session, job.clip_id, context.holder, lease)
+        with (
+            bound_contextvars(experiment_id=job.experiment_id),
+            context.heartbeat.renewing(
+                job.clip_id, lambda session: clips.heartbeat(session, job.clip_id, context.holder, lease)
+            ),
         ):
             self._render(process, job)
         return True
@@ -93,6 +98,7 @@ class RenderWorker:
             made = self._render_and_store(process, job)
         except RenderFailed as error:
             # The segment is probably the cause, so other clips are rendered before it is retried.
+            log.warning("Clip %s, attempt %d: %s", job.clip_id, job.attempts, error)
             with self._context.database.transaction() as session:
                 clips.fail(session, job.clip_id, str(error), retry=True)
             return

@@ -7,13 +7,14 @@ import random
 import secrets
 import select
 import signal
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 from typing import Protocol
 
+from accord import logs
 from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import AccordError
 from accord.settings import Settings
@@ -198,10 +199,10 @@ def run_worker(role: WorkerRole, make_worker: Callable[[Context], Worker], argv:
     stop = Stop()
     stop.install()
     follow_parent(arguments.parent)
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     keep_new_files_private()
     settings = Settings()
     worker_id = f"{role.value}-{arguments.slot}"
+    logs.configure(settings.log_format, worker_id, arguments.log)
     holder = f"{worker_id}:{os.getpid()}:{secrets.token_hex(4)}"
     database = Database.open(settings.resolved_database_url)
     heartbeat = Heartbeat(
@@ -241,4 +242,5 @@ def _parser(role: WorkerRole) -> argparse.ArgumentParser:
     )
     parser.add_argument("--slot", type=int, default=0, help="number among the workers of this role")
     parser.add_argument("--parent", type=int, default=0, help="process id to end with; 0 for none")
+    parser.add_argument("--log", type=Path, help="file that standard output and error go to")
     return parser

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import random
-import shutil
 import signal
 import subprocess
 import sys
@@ -43,12 +42,12 @@ class Child:
     """One child process, running or ended."""
 
     def __init__(self, spec: ChildSpec, log_folder: Path) -> None:
-        """Start it. Its standard output and error go to `<name>.log`."""
+        """Start it. Its standard output and error go to `<name>.log`, which it opens again when it was renamed."""
         self.spec = spec
         self.log_path = log_folder / f"{spec.name}.log"
         with self.log_path.open("ab") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", *spec.arguments, "--parent", str(os.getpid())],
+                [sys.executable, "-m", *spec.arguments, "--parent", str(os.getpid()), "--log", str(self.log_path)],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
@@ -90,21 +89,25 @@ class Child:
 
     def last_log_line(self) -> str:
         """The last line of its log; empty if there is none."""
-        with self.log_path.open("rb") as log:
+        # It may have ended before it opened a new log.
+        path = self.log_path if self.log_path.exists() else _older(self.log_path)
+        with path.open("rb") as log:
             log.seek(max(0, log.seek(0, os.SEEK_END) - 4096))
             lines = log.read().decode(errors="replace").strip().splitlines()
         return lines[-1].strip() if lines else ""
 
 
 def rotate(log: Path, limit_bytes: int) -> None:
-    """Move the content of a log above the limit to `.log.1`, while its process may be writing.
+    """Rename a log above the limit to `.log.1`, while its process may be writing.
 
-    The process keeps its descriptor, which appends, so the file is copied and emptied. A line written between the two
-    is lost.
+    The process goes on writing to the renamed file until it notices (`accord.logs`), so that no line is lost.
     """
     if log.exists() and log.stat().st_size > limit_bytes:
-        shutil.copyfile(log, log.with_suffix(".log.1"))
-        os.truncate(log, 0)
+        log.rename(_older(log))
+
+
+def _older(log: Path) -> Path:
+    return log.with_suffix(".log.1")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,3 +1,4 @@
+import json
 import os
 import random
 import signal
@@ -71,16 +72,25 @@ def test_a_child_that_fails_restarts_and_its_last_log_line_is_reported(make, dea
     assert deaths[0].description.endswith("simulated failure")
 
 
-def test_log_of_a_running_child_stays_small(make, tmp_path):
+def test_logs_are_rotated_without_losing_a_line(make, tmp_path):
     supervisor, log, older = make("log"), tmp_path / "log-0.log", tmp_path / "log-0.log.1"
-    tick_until(supervisor, older.exists)
-    first = older.read_text().splitlines()
-    assert first[:2] == ["line 0", "line 1"]
-    # The same process goes on at the beginning of the emptied file.
-    tick_until(supervisor, lambda: older.read_text().splitlines()[0] != "line 0")
+    kept: list[Path] = []
+
+    def rotated_twice() -> bool:
+        if not older.exists():
+            supervisor.tick()
+        elif log.exists():  # the process has left the older file, which the next rotation would replace
+            kept.append(older.rename(tmp_path / f"kept-{len(kept)}"))
+        return len(kept) == 2
+
+    until(rotated_twice)
+    (tmp_path / "stop").touch()
+    until((tmp_path / "stopped").exists)
     assert len(starts(tmp_path)) == 1
-    assert older.stat().st_size > LOG_BYTES
-    assert b"\0" not in older.read_bytes() + log.read_bytes()
+    assert all(file.stat().st_size > LOG_BYTES for file in kept)
+    lines = [json.loads(line) for file in [*kept, log] for line in file.read_text().splitlines()]
+    assert [line["number"] for line in lines] == list(range(len(lines)))
+    assert {line["worker_id"] for line in lines} == {"log-0"}
 
 
 def test_shutdown_ends_children_that_handle_sigterm(make, tmp_path):

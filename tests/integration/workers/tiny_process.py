@@ -1,11 +1,12 @@
 """A child process with one of several behaviours, started by the tests of the supervisor.
 
-`python -m tiny_process BEHAVIOUR FOLDER --parent PID`. Every start appends a line with the pid to FOLDER/starts.
+`python -m tiny_process BEHAVIOUR FOLDER --parent PID --log FILE`. Every start appends its pid to FOLDER/starts.
 
 Behaviours: `sleep` ends at SIGTERM, `ignore-sigterm` does not, `fail` exits with status 3, `spawn` starts a process of
-its own, and `log` prints numbered lines. All but `fail` run for ten minutes.
+its own, and `log` logs numbered lines until FOLDER/stop exists. All but `fail` run for ten minutes.
 """
 
+import logging
 import os
 import signal
 import subprocess
@@ -13,7 +14,10 @@ import sys
 import time
 from pathlib import Path
 
+from accord import logs
 from mapt.processes import follow_parent
+
+log = logging.getLogger(__name__)
 
 
 def main() -> None:
@@ -30,9 +34,12 @@ def main() -> None:
         print("simulated failure", file=sys.stderr)
         sys.exit(3)
     if behaviour == "log":
+        logs.configure("json", "log-0", Path(sys.argv[6]))
         for number in range(600_000):
-            print(f"line {number}", flush=True)
-            time.sleep(0.001)
+            if (folder / "stop").exists():
+                (folder / "stopped").touch()
+                break
+            log.info("line", extra={"number": number})
     time.sleep(600)
 
 
