@@ -5,7 +5,7 @@ import { Chart } from "@/shared/charts/Chart";
 import type { Marker, Reference } from "@/shared/charts/chartProps";
 import { type Curve, curveOf, curvePerVersion, newestOf, withSmoothing } from "@/shared/charts/curves";
 import { Smoothing } from "@/shared/charts/Smoothing";
-import { formatCompact, formatPercent, formatReturn, formatValue } from "@/shared/ui/format";
+import { formatCompact, formatDecimals, formatPercent, formatReturn, formatValue } from "@/shared/ui/format";
 import { heldOutAccuracy, heldOutText } from "@/shared/ui/heldOut";
 
 interface CurvesProps {
@@ -55,7 +55,7 @@ export function Curves({ experiment, metrics, versions, showReturns }: CurvesPro
             note="Pearson’s, over the steps of each rollout. At 1, the learned reward is the true one but for its scale."
             curves={curves.correlation}
             references={[{ y: 0, name: "" }]}
-            format={(value) => value.toFixed(2)}
+            format={(value) => formatDecimals(value, 2)}
             yMax={1}
           />
         )}

@@ -1,7 +1,7 @@
 import type { Experiment, Quality } from "@/shared/api/types";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
-import { formatPercent, plural } from "@/shared/ui/format";
+import { formatDecimals, formatPercent, plural } from "@/shared/ui/format";
 
 interface AgreementProps {
   id: string;
@@ -22,9 +22,9 @@ export function Agreement({ id, quality, experiment }: AgreementProps) {
           <dd data-testid="alpha">
             {alpha ? (
               <>
-                {alpha.value.toFixed(2)}{" "}
+                {formatDecimals(alpha.value, 2)}{" "}
                 <span className="muted interval">
-                  {alpha.low.toFixed(2)} to {alpha.high.toFixed(2)}
+                  {formatDecimals(alpha.low, 2)} to {formatDecimals(alpha.high, 2)}
                 </span>
               </>
             ) : (

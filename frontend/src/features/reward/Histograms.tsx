@@ -1,6 +1,6 @@
 import type { Task, VersionReport } from "@/shared/api/types";
 import { AgentSwatch } from "@/shared/ui/AgentSwatch";
-import { formatCount } from "@/shared/ui/format";
+import { formatCount, formatDecimals } from "@/shared/ui/format";
 
 /** The distribution of each agent's learned rewards, with that of the true team reward as an outline. */
 export function Histograms({ report, task }: { report: VersionReport; task: Task }) {
@@ -8,8 +8,8 @@ export function Histograms({ report, task }: { report: VersionReport; task: Task
   const steps = Math.max(1, report.steps);
   const highest = Math.max(...learned.flat(), ...truth, 1) / steps;
   const shares = (counts: readonly number[]) => counts.map((count) => count / steps / highest);
-  const from = formatDeviations(edges[0] ?? 0);
-  const to = formatDeviations(edges.at(-1) ?? 0);
+  const from = formatCount(edges[0] ?? 0);
+  const to = formatCount(edges.at(-1) ?? 0);
   return (
     <section className="card" aria-label="Rewards of each agent">
       <h2>Rewards of each agent against the truth</h2>
@@ -57,9 +57,5 @@ function outline(shares: readonly number[]): string {
 }
 
 function correlationText(value: number | null): string {
-  return value === null ? "undefined" : value.toFixed(2).replace("-", "−");
-}
-
-function formatDeviations(value: number): string {
-  return String(value).replace("-", "−");
+  return value === null ? "undefined" : formatDecimals(value, 2);
 }

@@ -3,6 +3,7 @@ import type { Task } from "@/shared/api/types";
 import { frameAt } from "@/shared/media/pairPlayer";
 import type { PairPlayback } from "@/shared/media/usePairPlayer";
 import { AgentSwatch } from "@/shared/ui/AgentSwatch";
+import { formatDecimals } from "@/shared/ui/format";
 import { barsPath, relativeWeights, type StripScale, type StripSide } from "./strips";
 import "./credit.css";
 
@@ -166,5 +167,5 @@ function stepOfKey(key: string, now: number, count: number): number | null {
 }
 
 function formatReward(value: number | undefined): string {
-  return value === undefined ? "" : value.toFixed(2).replace("-", "−");
+  return value === undefined ? "" : formatDecimals(value, 2);
 }

@@ -1,24 +1,31 @@
 const count = new Intl.NumberFormat("en-GB");
 const compact = new Intl.NumberFormat("en-US", { notation: "compact", maximumFractionDigits: 1 });
 
-export const formatCount = (value: number): string => count.format(value);
-export const formatCompact = (value: number): string => compact.format(value);
+export const formatCount = (value: number): string => withMinus(count.format(value));
+export const formatCompact = (value: number): string => withMinus(compact.format(value));
+/** A number with a fixed number of decimals. */
+export const formatDecimals = (value: number, decimals: number): string => withMinus(value.toFixed(decimals));
 /** A time of the API in the browser's time zone and language, without seconds. */
 export const formatTime = (iso: string): string =>
   new Date(iso).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" });
 export const formatPercent = (fraction: number): string => `${Math.round(100 * fraction)}%`;
 
+/** A number with a minus sign, which is as wide as a digit, in place of the hyphen. */
+function withMinus(text: string): string {
+  return text.replace("-", "−");
+}
+
 /** A value of a curve, with about three significant digits. */
 export function formatValue(value: number): string {
   const size = Math.abs(value);
   if (size === 0) return "0";
-  if (size >= 10_000) return compact.format(value);
-  return value.toFixed(size >= 100 ? 0 : size >= 10 ? 1 : 3);
+  if (size >= 10_000) return formatCompact(value);
+  return formatDecimals(value, size >= 100 ? 0 : size >= 10 ? 1 : 3);
 }
 
 /** A return, with no more digits than its size allows to tell apart. */
 export function formatReturn(value: number): string {
-  return Math.abs(value) < 10 ? value.toFixed(2) : formatValue(value);
+  return Math.abs(value) < 10 ? formatDecimals(value, 2) : formatValue(value);
 }
 
 /** A duration with about one significant unit: "5 s", "3.3 min", "1.5 h". */

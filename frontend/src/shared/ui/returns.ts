@@ -3,7 +3,7 @@ import { formatReturn } from "./format";
 
 type Returns = NonNullable<Experiment["returns"]>;
 
-/** True return of the untrained and the trained policy: "-205 → 375 ± 20". */
+/** True return of the untrained and the trained policy: "−205 → 375 ± 20". */
 export function returnsText({ untrained, final }: Returns): string {
   const before = untrained ? formatReturn(untrained.mean) : "?";
   if (!final) return untrained ? before : "Not measured yet";
