@@ -5,7 +5,7 @@ import time
 from playwright.sync_api import expect
 
 from browser.fixture_types import NewExperiment, SignIn
-from browser.labeller import PATIENCE_MS, Labeller, Pair
+from browser.labeller import PATIENCE_MS, Labeller
 from browser.service import Service
 from support.waiting import PATIENCE_SECONDS
 
@@ -14,10 +14,10 @@ LEFT_PREFERRED = {"ArrowLeft": 1.0, "ArrowRight": 0.0, "ArrowUp": 0.5}
 KEYS = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowLeft", "ArrowRight"]
 
 
-def test_labels_with_an_undo_and_a_skip_train_a_reward_version_and_the_policy(
+def test_labels_with_undos_and_a_skip_train_reward_versions_and_the_policy(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
-    experiment = new_experiment("Ten labels", initial_labels=10)
+    experiment = new_experiment("Ten labels", initial_labels=10, labels_per_version=5)
     page = sign_in("Lena")
     labeller = Labeller(page)
     labeller.open(service.url, experiment)
@@ -37,13 +37,42 @@ def test_labels_with_an_undo_and_a_skip_train_a_reward_version_and_the_policy(
     assert {query: _stored_label(service, query) for query in chosen} == {
         q: LEFT_PREFERRED[key] for q, key in chosen.items()
     }
-    assert _states(service, skipped) == ["skip"]
-    assert _states(service, undone) == ["label", "undone", "label"]
+    assert _states(service, skipped.query) == ["skip"]
+    assert _states(service, undone.query) == ["label", "undone", "label"]
+
+    # Two labels of this version are undone. It stays as it is, and the next one is trained without them.
+    first = _versions(service, experiment)
+    kept, changed, removed = list(chosen)[:-2], *list(chosen)[-2:]
+    for query in (removed, changed):
+        page.keyboard.press("z")
+        expect(labeller.pair_view).to_have_attribute("data-query", query)
+        expect(page.get_by_test_id("version-notice")).to_contain_text("Reward version 1 was trained before")
+    expect(page.get_by_test_id("own-labels")).to_have_text("8")
+    new_key = "ArrowLeft" if chosen[changed] == "ArrowRight" else "ArrowRight"
+    assert labeller.press(new_key).query == changed
+    expect(page.get_by_test_id("version-notice")).not_to_contain_text("trained before")
+    assert labeller.press("ArrowDown").query == removed
+    assert _versions(service, experiment) == first
 
     # Pairs from later segments appear automatically, possibly after a notice that there is none.
-    for key in KEYS:
-        labeller.press(key)
+    later = {labeller.press(key).query: key for key in [*KEYS, "ArrowLeft"]}
     expect(page.get_by_role("progressbar", name="All labels")).to_have_attribute("aria-valuenow", "15")
+    expect(page.get_by_test_id("reward-version")).to_contain_text("Reward version 2", timeout=PATIENCE_MS)
+    trained = {query: chosen[query] for query in kept} | {changed: new_key} | later
+    assert {query: _stored_label(service, query) for query in trained} == {
+        query: LEFT_PREFERRED[key] for query, key in trained.items()
+    }
+    assert _states(service, removed) == ["label", "undone", "skip"]
+    stored, (_, number, parent, label_count, watermark) = _versions(service, experiment)
+    assert [stored] == first
+    assert (number, parent) == (2, stored[0])
+    used = service.rows(
+        "select query_id from labels where experiment_id = ? and state = 'label' and revision <= ?",
+        experiment,
+        watermark,
+    )
+    assert {*kept, changed} < {query for (query,) in used} <= set(trained)
+    assert label_count == len(used)
     deadline = time.monotonic() + PATIENCE_SECONDS
     while not (trained := _steps_with_a_version(service, experiment)) and time.monotonic() < deadline:
         page.wait_for_timeout(250)
@@ -70,11 +99,20 @@ def _stored_label(service: Service, query: str) -> float:
     return value if left_segment == 0 else 1.0 - value
 
 
-def _states(service: Service, pair: Pair) -> list[str]:
+def _states(service: Service, query: str) -> list[str]:
     """The states of all revisions of the label of a pair, oldest first."""
     rows = service.rows(
         "select r.state from label_revisions r join labels l on l.id = r.label_id where l.query_id = ? "
         "order by r.revision",
-        pair.query,
+        query,
     )
     return [state for (state,) in rows]
+
+
+def _versions(service: Service, experiment: str) -> list[tuple[str, int, str | None, int, int]]:
+    """Id, number, parent, number of labels and watermark of every reward version."""
+    return service.rows(
+        "select id, number, parent_id, label_count, label_watermark from reward_versions"
+        " where experiment_id = ? order by number",
+        experiment,
+    )

@@ -16,9 +16,9 @@ interface StatusLineProps {
   onUndo: () => void;
 }
 
-/** A line with the last choice and a notice of a new reward version. It keeps its height while it is empty. */
+/** A line with the last choice and a notice about the reward version. It keeps its height while it is empty. */
 export function StatusLine({ view, experiment, names, onUndo }: StatusLineProps) {
-  const versionNotice = useVersionNotice(experiment);
+  const versionNotice = useVersionNotice(experiment, view.undone);
   const last = view.history.at(-1);
   return (
     <div className="status-line">
@@ -48,8 +48,13 @@ export function StatusLine({ view, experiment, names, onUndo }: StatusLineProps)
   );
 }
 
-/** A sentence about a new reward version, for a few seconds after it appears; otherwise empty. */
-function useVersionNotice(experiment: Experiment): string {
+/**
+ * A sentence about a new reward version, for a few seconds after it appears, or about one that was trained before the
+ * last label was undone; otherwise empty.
+ *
+ * @param undone revision of the label that was undone
+ */
+function useVersionNotice(experiment: Experiment, undone: number | null): string {
   const current = experiment.reward_version;
   const previous = useRef(current);
   const [announced, setAnnounced] = useState<number | null>(null);
@@ -61,6 +66,9 @@ function useVersionNotice(experiment: Experiment): string {
     const timer = setTimeout(() => setAnnounced(null), NOTICE_SECONDS * 1000);
     return () => clearTimeout(timer);
   }, [current]);
+  const newest = data?.items.find(({ number }) => number === current);
+  if (undone && newest && undone <= newest.label_watermark)
+    return `Reward version ${current} was trained before. The next one counts only your new answer.`;
   if (announced === null) return "";
   const version = data?.items.find(({ number }) => number === announced);
   const accuracy = heldOutAccuracy(version);

@@ -103,7 +103,7 @@ export class LabellingSession {
     this.#history.changed();
     outbox.add({ kind: "label", experimentId, queryId: query.id, body });
     this.#chosenAgent = agent;
-    this.#store.publish({ chosen: choice, notice: null });
+    this.#store.publish({ chosen: choice, notice: null, undone: null });
     this.#highlightTimer = setTimeout(() => this.#advance(choice), HIGHLIGHT_SECONDS * 1000);
   }
 
@@ -149,7 +149,7 @@ export class LabellingSession {
     this.#history.changed();
     this.#queue = undoLast(this.#queue);
     const labelCount = this.view().labelCount - countOf(last.choice);
-    this.#show({ notice: "Undone. Label this pair again.", labelCount });
+    this.#show({ notice: "Undone. Label this pair again.", undone: last.revision, labelCount });
   }
 
   /** The user moved the mouse or pressed a key. */

@@ -22,6 +22,8 @@ export interface SessionView {
   error: string | null;
   /** a message about the last action; null for none */
   notice: string | null;
+  /** revision of the label that was undone last; null after the next answer */
+  undone: number | null;
   /** the user's labels in this experiment, without skips; incomplete until `historyLoaded` */
   labelCount: number;
   /** increases with every pair displayed, also after undo */
@@ -39,6 +41,7 @@ export const INITIAL_VIEW: SessionView = {
   reason: null,
   error: null,
   notice: null,
+  undone: null,
   labelCount: 0,
   displayCount: 0,
 };
