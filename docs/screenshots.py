@@ -112,14 +112,16 @@ def _playing(page: Page) -> None:
     if start.is_visible():
         start.click()
     playing.wait_for()
-    page.wait_for_function("Number(document.querySelector('canvas').dataset.frame) >= 20")
+    page.wait_for_function("() => Number(document.querySelector('canvas').dataset.frame) >= 20")
 
 
 def _with_history(page: Page) -> None:
     _playing(page)
     page.keyboard.press("h")
     page.locator(".history-item img").first.wait_for()
-    page.wait_for_function("[...document.querySelectorAll('.history-item img')].slice(0, 4).every((i) => i.complete)")
+    page.wait_for_function(
+        "() => [...document.querySelectorAll('.history-item img')].slice(0, 4).every((i) => i.complete)"
+    )
 
 
 def _first_visit(page: Page) -> None:
