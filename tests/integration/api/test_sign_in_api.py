@@ -43,7 +43,7 @@ def test_looking_at_a_link_uses_nothing_up(api_per_database: ApiServer) -> None:
     bob = invite(api_per_database)
     with api_per_database.client(None) as preview:
         for _ in range(3):
-            # the page itself, which is not built here, and what it asks
+            # First the page itself, which these tests do not build; then the request that the page makes.
             preview.get(urlsplit(bob["sign_in_url"]).path)
             assert preview.get(api_path(bob["sign_in_url"])).json() == {"name": "Bob", "role": "labeller"}
         assert not preview.cookies

@@ -2,20 +2,22 @@ import { useMutation, useQuery, useQueryClient } from "@tanstack/react-query";
 import { useState } from "react";
 import { api, unwrap } from "@/shared/api/client";
 import { errorMessage } from "@/shared/api/errors";
-import { experimentChoicesQuery, tokensQuery } from "@/shared/api/queries";
+import { tokensQuery } from "@/shared/api/queries";
 import type { Me } from "@/shared/api/types";
+import { useExperimentName } from "@/shared/api/useExperimentName";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { Dialog } from "@/shared/ui/Dialog";
 import { formatTime } from "@/shared/ui/format";
 import { Alert } from "@/shared/ui/Message";
+import { ScrollingTable } from "@/shared/ui/ScrollingTable";
 import { NewToken } from "./NewToken";
 
 /** The bearer tokens of the signed-in user: for whoever connects a program under their own name. */
 export function AccountPage({ me }: { me: Me }) {
   const cache = useQueryClient();
   const tokens = useQuery(tokensQuery);
-  const experiments = useQuery(experimentChoicesQuery);
+  const nameOf = useExperimentName();
   const [creating, setCreating] = useState(false);
   const [revoking, setRevoking] = useState<{ id: string; name: string } | null>(null);
   const revoke = useMutation({
@@ -24,8 +26,6 @@ export function AccountPage({ me }: { me: Me }) {
     onSettled: () => cache.invalidateQueries({ queryKey: tokensQuery.queryKey }),
   });
   const error = tokens.error ?? revoke.error;
-  const nameOf = (id: string) =>
-    experiments.data?.items.find((each) => each.id === id)?.name ?? "One experiment";
   return (
     <main className="page" id="content">
       <div className="page-head">
@@ -42,7 +42,7 @@ export function AccountPage({ me }: { me: Me }) {
       {error && <Alert>{errorMessage(error)}</Alert>}
       {tokens.data?.length === 0 && <p>You have no tokens.</p>}
       {tokens.data && tokens.data.length > 0 && (
-        <section className="table-scroll" aria-label="Tokens">
+        <ScrollingTable label="Tokens">
           <table className="table">
             <thead>
               <tr>
@@ -79,7 +79,7 @@ export function AccountPage({ me }: { me: Me }) {
               ))}
             </tbody>
           </table>
-        </section>
+        </ScrollingTable>
       )}
       {creating && <NewToken me={me} onClose={() => setCreating(false)} />}
       {revoking && (

@@ -1,5 +1,5 @@
 import { useInfiniteQuery, useQuery } from "@tanstack/react-query";
-import { useId, useState } from "react";
+import { useState } from "react";
 import { errorMessage } from "@/shared/api/errors";
 import { auditQuery, usersQuery } from "@/shared/api/queries";
 import { type AuditAction, type AuditEntry, canManageUsers, type Me } from "@/shared/api/types";
@@ -7,12 +7,13 @@ import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { formatTime } from "@/shared/ui/format";
 import { Alert, Message } from "@/shared/ui/Message";
+import { OlderButton } from "@/shared/ui/OlderButton";
+import { ScrollingTable } from "@/shared/ui/ScrollingTable";
 import { ACTIONS, actionText, detailText } from "./actions";
 import "./audit.css";
 
 /** The audit log, for admins: who did what, and when. */
 export function AuditPage({ me }: { me: Me }) {
-  const id = useId();
   const allowed = canManageUsers(me);
   const [action, setAction] = useState<AuditAction | "">("");
   const [actor, setActor] = useState("");
@@ -35,37 +36,35 @@ export function AuditPage({ me }: { me: Me }) {
     <main className="page" id="content">
       <div className="page-head">
         <h1>Audit log</h1>
-        <div className="row audit-filters">
-          <label htmlFor={`${id}-action`}>What</label>
-          <select
-            id={`${id}-action`}
-            value={action}
-            onChange={(event) => setAction(event.target.value as AuditAction | "")}
-          >
-            <option value="">Everything</option>
-            {ACTIONS.map((each) => (
-              <option key={each} value={each}>
-                {actionText(each)}
-              </option>
-            ))}
-          </select>
-          <label htmlFor={`${id}-actor`}>Who</label>
-          <select id={`${id}-actor`} value={actor} onChange={(event) => setActor(event.target.value)}>
-            <option value="">Everybody</option>
-            {users.data?.map((each) => (
-              <option key={each.id} value={each.id}>
-                {each.name}
-              </option>
-            ))}
-          </select>
+        <div className="row">
+          <label className="filter">
+            What
+            <select value={action} onChange={(event) => setAction(event.target.value as AuditAction | "")}>
+              <option value="">Everything</option>
+              {ACTIONS.map((each) => (
+                <option key={each} value={each}>
+                  {actionText(each)}
+                </option>
+              ))}
+            </select>
+          </label>
+          <label className="filter">
+            Who
+            <select value={actor} onChange={(event) => setActor(event.target.value)}>
+              <option value="">Everybody</option>
+              {users.data?.map((each) => (
+                <option key={each.id} value={each.id}>
+                  {each.name}
+                </option>
+              ))}
+            </select>
+          </label>
         </div>
       </div>
       {log.error && <Alert>{errorMessage(log.error)}</Alert>}
       {entries?.length === 0 && <p>There are no such entries.</p>}
       {entries && entries.length > 0 && (
-        // A region that scrolls must be reachable by keyboard.
-        // biome-ignore lint/a11y/noNoninteractiveTabindex: see above
-        <section className="table-scroll" aria-label="Entries" tabIndex={0}>
+        <ScrollingTable label="Entries">
           <table className="table audit-table">
             <thead>
               <tr>
@@ -88,18 +87,9 @@ export function AuditPage({ me }: { me: Me }) {
               ))}
             </tbody>
           </table>
-        </section>
+        </ScrollingTable>
       )}
-      {log.hasNextPage && (
-        <button
-          type="button"
-          className="button"
-          disabled={log.isFetchingNextPage}
-          onClick={() => void log.fetchNextPage()}
-        >
-          Older entries
-        </button>
-      )}
+      <OlderButton list={log} what="entries" />
     </main>
   );
 }

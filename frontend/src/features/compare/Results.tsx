@@ -4,6 +4,7 @@ import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { formatCount, formatDuration, formatSteps } from "@/shared/ui/format";
 import { returnsText } from "@/shared/ui/returns";
+import { ScrollingTable } from "@/shared/ui/ScrollingTable";
 import { phaseText } from "@/shared/ui/status";
 import type { Run } from "./runs";
 
@@ -20,8 +21,7 @@ export function Results({ runs }: { runs: readonly Run[] }) {
         True return of whole episodes without exploration: untrained → final policy, mean ± standard deviation
         over episodes.
       </p>
-      {/* biome-ignore lint/a11y/noNoninteractiveTabindex: a table that scrolls must be reachable by keyboard */}
-      <section className="table-scroll" tabIndex={0} aria-label="Results of each experiment">
+      <ScrollingTable label="Results of each experiment">
         <table className="table">
           <thead>
             <tr>
@@ -55,7 +55,7 @@ export function Results({ runs }: { runs: readonly Run[] }) {
             })}
           </tbody>
         </table>
-      </section>
+      </ScrollingTable>
     </section>
   );
 }

@@ -1,7 +1,8 @@
 import { versionMetric } from "@/shared/api/metrics";
 import type { RewardVersion } from "@/shared/api/types";
-import { formatCompact, formatCount, formatTime } from "@/shared/ui/format";
+import { formatCompact, formatCount, formatDecimals, formatTime } from "@/shared/ui/format";
 import { heldOutAccuracy, heldOutDetail, heldOutText } from "@/shared/ui/heldOut";
+import { ScrollingTable } from "@/shared/ui/ScrollingTable";
 
 /** A table of all reward versions, newest first, with their metrics on held-out labels. */
 export function Versions({ versions }: { versions: readonly RewardVersion[] }) {
@@ -11,8 +12,7 @@ export function Versions({ versions }: { versions: readonly RewardVersion[] }) {
       {versions.length === 0 ? (
         <p className="muted">None yet. The first version is trained on the initial labels.</p>
       ) : (
-        // biome-ignore lint/a11y/noNoninteractiveTabindex: a table that scrolls must be reachable by keyboard
-        <section className="table-scroll" tabIndex={0} aria-label="Metrics of each reward version">
+        <ScrollingTable label="Metrics of each reward version">
           <table className="table" data-testid="versions">
             <thead>
               <tr>
@@ -34,7 +34,7 @@ export function Versions({ versions }: { versions: readonly RewardVersion[] }) {
                 ))}
             </tbody>
           </table>
-        </section>
+        </ScrollingTable>
       )}
     </section>
   );
@@ -54,7 +54,7 @@ function trialText(version: RewardVersion): string {
   const pairs = versionMetric(version, "attention_gain_pairs");
   const labels = versionMetric(version, "attention_trial_labels");
   if (gain === null || error === null || pairs === null || labels === null) return "";
-  const change = `${gain < 0 ? "−" : "+"}${Math.abs(gain).toFixed(3)} ± ${error.toFixed(3)}`;
+  const change = `${gain < 0 ? "" : "+"}${formatDecimals(gain, 3)} ± ${formatDecimals(error, 3)}`;
   return `gain ${change} nats on ${formatCount(pairs)} pairs, tried at ${formatCount(labels)} labels`;
 }
 
@@ -74,8 +74,8 @@ function Row({ version }: { version: RewardVersion }) {
           <span className="muted cell-note">measured before these labels were used for training too</span>
         )}
       </td>
-      <td>{loss === null ? "–" : loss.toFixed(3)}</td>
-      <td>{ece === null ? "–" : ece.toFixed(3)}</td>
+      <td>{loss === null ? "–" : formatDecimals(loss, 3)}</td>
+      <td>{ece === null ? "–" : formatDecimals(ece, 3)}</td>
       <td>
         {attentionText(version)}
         <span className="muted cell-note">{trialText(version)}</span>

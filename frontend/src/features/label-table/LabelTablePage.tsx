@@ -6,6 +6,8 @@ import { canManageExperiments, type Me } from "@/shared/api/types";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { Alert, Message } from "@/shared/ui/Message";
+import { OlderButton } from "@/shared/ui/OlderButton";
+import { ScrollingTable } from "@/shared/ui/ScrollingTable";
 import { Filters } from "./Filters";
 import { QueryRows } from "./QueryRows";
 import "./label-table.css";
@@ -52,7 +54,7 @@ export function LabelTablePage({ id, me }: { id: string; me: Me }) {
       {queries.error && <Alert>{errorMessage(queries.error)}</Alert>}
       {queries.data && items.length === 0 && <p className="muted">No pair passes these filters.</p>}
       {items.length > 0 && (
-        <section className="table-scroll" aria-label="Pairs and their labels">
+        <ScrollingTable label="Pairs and their labels">
           <table className="table label-table">
             <thead>
               <tr>
@@ -75,18 +77,9 @@ export function LabelTablePage({ id, me }: { id: string; me: Me }) {
               />
             ))}
           </table>
-        </section>
+        </ScrollingTable>
       )}
-      {queries.hasNextPage && (
-        <button
-          type="button"
-          className="button"
-          disabled={queries.isFetchingNextPage}
-          onClick={() => void queries.fetchNextPage()}
-        >
-          Older pairs
-        </button>
-      )}
+      <OlderButton list={queries} what="pairs" />
     </main>
   );
 }

@@ -1,5 +1,6 @@
 import type { SegmentCredit, Task } from "@/shared/api/types";
 import { AgentSwatch } from "@/shared/ui/AgentSwatch";
+import { ScrollingTable } from "@/shared/ui/ScrollingTable";
 
 /** Part of the accent colour at an attention of 1: text on it stays readable. */
 const STRONGEST = 45;
@@ -18,8 +19,7 @@ export function AgentAttention({ name, credit, task }: AgentAttentionProps) {
   return (
     <section className="card" aria-label={`Attention in the ${name.toLowerCase()} clip`}>
       <h2>Attention between agents, {name.toLowerCase()} clip</h2>
-      {/* biome-ignore lint/a11y/noNoninteractiveTabindex: a table that scrolls must be reachable by keyboard */}
-      <section className="table-scroll" tabIndex={0} aria-label={`Matrix of the ${name.toLowerCase()} clip`}>
+      <ScrollingTable label={`Matrix of the ${name.toLowerCase()} clip`}>
         <table className="attention">
           <thead>
             <tr>
@@ -52,7 +52,7 @@ export function AgentAttention({ name, credit, task }: AgentAttentionProps) {
             ))}
           </tbody>
         </table>
-      </section>
+      </ScrollingTable>
       <p className="muted">Each row sums to 1: on which agents its reward depends, mean over the steps.</p>
     </section>
   );

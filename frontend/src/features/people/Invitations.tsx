@@ -1,69 +1,71 @@
 import { useMutation, useQuery, useQueryClient } from "@tanstack/react-query";
 import { api, unwrap } from "@/shared/api/client";
 import { errorMessage } from "@/shared/api/errors";
-import { experimentChoicesQuery, invitationsQuery } from "@/shared/api/queries";
+import { invitationsQuery } from "@/shared/api/queries";
 import type { Invitation } from "@/shared/api/types";
+import { useExperimentName } from "@/shared/api/useExperimentName";
 import { formatTime } from "@/shared/ui/format";
 import { Alert } from "@/shared/ui/Message";
+import { ScrollingTable } from "@/shared/ui/ScrollingTable";
 
 /** The invitations, newest first. Nothing is shown while there are none. */
 export function Invitations() {
   const cache = useQueryClient();
   const invitations = useQuery(invitationsQuery);
-  const experiments = useQuery(experimentChoicesQuery);
+  const nameOf = useExperimentName();
   const withdraw = useMutation({
     mutationFn: (id: string) =>
       unwrap(api.DELETE("/api/v1/invitations/{invitation_id}", { params: { path: { invitation_id: id } } })),
     onSettled: () => cache.invalidateQueries({ queryKey: invitationsQuery.queryKey }),
   });
   const error = invitations.error ?? withdraw.error;
-  const nameOf = (id: string) =>
-    experiments.data?.items.find((each) => each.id === id)?.name ?? "One experiment";
   return (
     <>
       {error && <Alert>{errorMessage(error)}</Alert>}
       {invitations.data && invitations.data.length > 0 && (
-        <section className="table-scroll" aria-labelledby="invitations-title">
+        <section aria-labelledby="invitations-title">
           <h2 id="invitations-title">Invitations</h2>
-          <table className="table people-table">
-            <thead>
-              <tr>
-                <th scope="col">For</th>
-                <th scope="col">Joined</th>
-                <th scope="col">Valid</th>
-                <th scope="col">Created</th>
-                <th scope="col">Link</th>
-              </tr>
-            </thead>
-            <tbody>
-              {invitations.data.map((each) => (
-                <tr key={each.id}>
-                  <th scope="row">
-                    {each.experiment_id === null ? "All experiments" : nameOf(each.experiment_id)}
-                  </th>
-                  <td>
-                    {each.uses} of {each.max_uses}
-                  </td>
-                  <td>{validText(each)}</td>
-                  <td>
-                    {formatTime(each.created_at)}
-                    <span className="cell-note muted">by {each.created_by}</span>
-                  </td>
-                  <td>
-                    <button
-                      type="button"
-                      className="button small danger"
-                      aria-label={`Withdraw the invitation of ${formatTime(each.created_at)}`}
-                      disabled={withdraw.isPending}
-                      onClick={() => withdraw.mutate(each.id)}
-                    >
-                      Withdraw
-                    </button>
-                  </td>
+          <ScrollingTable label="Table of invitations">
+            <table className="table people-table">
+              <thead>
+                <tr>
+                  <th scope="col">For</th>
+                  <th scope="col">Joined</th>
+                  <th scope="col">Valid</th>
+                  <th scope="col">Created</th>
+                  <th scope="col">Link</th>
                 </tr>
-              ))}
-            </tbody>
-          </table>
+              </thead>
+              <tbody>
+                {invitations.data.map((each) => (
+                  <tr key={each.id}>
+                    <th scope="row">
+                      {each.experiment_id === null ? "All experiments" : nameOf(each.experiment_id)}
+                    </th>
+                    <td>
+                      {each.uses} of {each.max_uses}
+                    </td>
+                    <td>{validText(each)}</td>
+                    <td>
+                      {formatTime(each.created_at)}
+                      <span className="cell-note muted">by {each.created_by}</span>
+                    </td>
+                    <td>
+                      <button
+                        type="button"
+                        className="button small danger"
+                        aria-label={`Withdraw the invitation of ${formatTime(each.created_at)}`}
+                        disabled={withdraw.isPending}
+                        onClick={() => withdraw.mutate(each.id)}
+                      >
+                        Withdraw
+                      </button>
+                    </td>
+                  </tr>
+                ))}
+              </tbody>
+            </table>
+          </ScrollingTable>
         </section>
       )}
     </>

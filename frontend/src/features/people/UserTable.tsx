@@ -3,6 +3,7 @@ import { errorMessage } from "@/shared/api/errors";
 import type { Me, UserAccount } from "@/shared/api/types";
 import { formatCount, formatTime, plural } from "@/shared/ui/format";
 import { Alert } from "@/shared/ui/Message";
+import { ScrollingTable } from "@/shared/ui/ScrollingTable";
 import { AccessDialog } from "./AccessDialog";
 import { RemoveUser, RevokeUser } from "./ConfirmDialogs";
 import { canBeLimited, ROLES } from "./roles";
@@ -19,7 +20,7 @@ export function UserTable({ users, me }: { users: readonly UserAccount[]; me: Me
   return (
     <>
       {actions.error && <Alert>{errorMessage(actions.error)}</Alert>}
-      <section className="table-scroll" aria-label="Users">
+      <ScrollingTable label="Users">
         <table className="table people-table">
           <thead>
             <tr>
@@ -46,6 +47,7 @@ export function UserTable({ users, me }: { users: readonly UserAccount[]; me: Me
                     user.role
                   ) : (
                     <select
+                      className="select"
                       aria-label={`Role of ${user.name}`}
                       value={user.role}
                       onChange={(event) =>
@@ -141,7 +143,7 @@ export function UserTable({ users, me }: { users: readonly UserAccount[]; me: Me
             ))}
           </tbody>
         </table>
-      </section>
+      </ScrollingTable>
       {open?.kind === "access" && (
         <AccessDialog
           user={open.user}

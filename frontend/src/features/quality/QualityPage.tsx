@@ -8,6 +8,7 @@ import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { Dialog } from "@/shared/ui/Dialog";
 import { Alert, Message } from "@/shared/ui/Message";
+import { ScrollingTable } from "@/shared/ui/ScrollingTable";
 import { Agreement } from "./Agreement";
 import { type LabellerChange, LabellerRow } from "./LabellerRow";
 import "./quality.css";
@@ -70,9 +71,7 @@ function Labellers({ id, labellers }: { id: string; labellers: readonly Labeller
           ` Weights are those of reward version ${reliability.reward_version}: 1 counts fully, 0 not at all.`}
       </p>
       {change.error && <Alert>{errorMessage(change.error)}</Alert>}
-      {/* A region that scrolls must be reachable by keyboard. */}
-      {/* biome-ignore lint/a11y/noNoninteractiveTabindex: see above */}
-      <section className="table-scroll" aria-label="Table of labellers" tabIndex={0}>
+      <ScrollingTable label="Table of labellers">
         <table className="table quality-table">
           <thead>
             <tr>
@@ -99,7 +98,7 @@ function Labellers({ id, labellers }: { id: string; labellers: readonly Labeller
             />
           ))}
         </table>
-      </section>
+      </ScrollingTable>
       {excluding && (
         <Dialog
           title={`Exclude the labels of ${excluded?.name}?`}
