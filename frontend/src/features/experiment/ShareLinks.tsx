@@ -49,7 +49,7 @@ export function ShareLinks({ experimentId }: { experimentId: string }) {
       <div className="share-new">
         <label>
           Valid for{" "}
-          <select value={days} onChange={(event) => setDays(Number(event.target.value))}>
+          <select className="select" value={days} onChange={(event) => setDays(Number(event.target.value))}>
             {LIFETIMES.map((each) => (
               <option key={each.days} value={each.days}>
                 {each.text}

@@ -69,20 +69,20 @@ export function drawReferences(
   const ratio = devicePixelRatio;
   ctx.save();
   dashed(ctx, style);
-  let previous = Number.NEGATIVE_INFINITY;
+  ctx.textAlign = "right";
+  let previous = { pixel: Number.NEGATIVE_INFINITY, left: 0 };
   for (const { y, name } of references) {
     const pixel = Math.round(plot.valToPos(y, "y", true));
-    // A name that would overlap the previous one is moved to the left.
-    const aside = Math.abs(pixel - previous) < 14 * ratio;
-    previous = pixel;
+    // A name that would overlap the previous one is moved to the left of it.
+    const aside = Math.abs(pixel - previous.pixel) < 14 * ratio;
+    const right = aside ? previous.left - 10 * ratio : bbox.left + bbox.width - 4 * ratio;
+    previous = { pixel, left: right - ctx.measureText(name).width };
     ctx.beginPath();
     ctx.moveTo(bbox.left, pixel);
     ctx.lineTo(bbox.left + bbox.width, pixel);
     ctx.stroke();
     // Below the line where there is no space above it.
     const below = pixel - bbox.top < 16 * ratio;
-    ctx.textAlign = aside ? "center" : "right";
-    const right = bbox.left + (aside ? bbox.width / 2 : bbox.width - 4 * ratio);
     drawName(ctx, style, name, right, pixel + (below ? 12 : -4) * ratio);
   }
   ctx.restore();
