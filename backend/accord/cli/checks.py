@@ -1,13 +1,27 @@
-"""How commands print checks, and end."""
+"""How the commands about stored data show their progress, print checks, and end."""
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 
 import typer
 from rich.markup import escape
 
 from accord.domain.checks import Check
-from mapt.cli.output import print_json, print_line
+from accord.store.blobs import OnBlobs
+from mapt.cli.output import ProgressBars, print_json, print_line
+
+
+@contextmanager
+def blob_progress(*, hidden: bool) -> Generator[OnBlobs]:
+    """A progress bar, shown until the block ends. Yields the function that sets it.
+
+    Args:
+        hidden: draw and log nothing.
+    """
+    with ProgressBars(hidden=hidden) as bars:
+        bars.add("blobs", "blobs", 1)
+        yield lambda done, total: bars.update("blobs", done / total, f"{done}/{total}")
 
 
 def finish(checks: Sequence[Check], *, as_json: bool) -> None:

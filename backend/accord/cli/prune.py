@@ -5,12 +5,13 @@ from typing import Annotated
 
 import typer
 
+from accord.cli.checks import blob_progress
 from accord.cli.options import Home, load_settings, open_existing
 from accord.services import pruning
 from accord.store.blobs import open_blobs
 from accord.store.migrate import require_current
 from mapt.cli.options import Json
-from mapt.cli.output import ProgressBars, print_json, print_line
+from mapt.cli.output import print_json, print_line
 
 
 def prune(
@@ -35,17 +36,11 @@ def prune(
     """
     settings = load_settings(home)
     blobs = open_blobs(settings.resolved_blob_url)
-    with closing(open_existing(settings)) as database, ProgressBars(hidden=as_json) as bars:
+    with closing(open_existing(settings)) as database:
         require_current(database)
         if delete:
-            bars.add("blobs", "blobs", 1)
-            found = pruning.delete(
-                database,
-                blobs,
-                hours,
-                lambda done, total: bars.update("blobs", done / total, f"{done}/{total}"),
-                clips=clips,
-            )
+            with blob_progress(hidden=as_json) as on_blobs:
+                found = pruning.delete(database, blobs, hours, on_blobs, clips=clips)
         else:
             found = pruning.find(database, blobs, hours, clips=clips)
     total_bytes = sum(group.size_bytes for group in found)

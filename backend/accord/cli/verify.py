@@ -5,13 +5,12 @@ from typing import Annotated
 
 import typer
 
-from accord.cli.checks import finish
+from accord.cli.checks import blob_progress, finish
 from accord.cli.options import Home, load_settings, open_existing
 from accord.services.verification import verify as verify_stores
 from accord.store.blobs import open_blobs
 from accord.store.migrate import require_current
 from mapt.cli.options import Json
-from mapt.cli.output import ProgressBars
 
 
 def verify(
@@ -27,13 +26,8 @@ def verify(
     with status 1 if a check fails.
     """
     settings = load_settings(home)
-    with closing(open_existing(settings)) as database, ProgressBars(hidden=as_json) as bars:
+    with closing(open_existing(settings)) as database, blob_progress(hidden=as_json) as on_blobs:
         require_current(database)
-        bars.add("blobs", "blobs", 1)
-        checks = verify_stores(
-            database,
-            open_blobs(settings.resolved_blob_url),
-            read_blobs=not quick,
-            on_blobs=lambda done, total: bars.update("blobs", done / total, f"{done}/{total}"),
-        )
+        blobs = open_blobs(settings.resolved_blob_url)
+        checks = verify_stores(database, blobs, read_blobs=not quick, on_blobs=on_blobs)
     finish(checks, as_json=as_json)

@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -20,7 +20,7 @@ from accord.domain.errors import BlobMissing, Invalid, Unavailable
 from accord.services import blob_deletion, inventory
 from accord.services.verification import verify_blobs, verify_copies, verify_file, verify_rows
 from accord.store import database_copy
-from accord.store.blobs import BlobStore, FolderBlobs, open_blobs
+from accord.store.blobs import BlobStore, FolderBlobs, OnBlobs, open_blobs
 from accord.store.database import Database, sqlite_file
 from accord.store.migrate import is_current, require_known, revision
 from accord.store.tables import utc_now
@@ -30,8 +30,6 @@ FORMAT: Final = 1
 _MANIFEST: Final = "backup.json"
 _CHECKSUMS: Final = "checksums.sha256"
 _BLOBS: Final = "blobs"
-#: called with the number of blobs done so far, and of all
-OnBlobs = Callable[[int, int], None]
 
 
 class BackupDamaged(Unavailable):
@@ -193,7 +191,8 @@ def restore(
     copy = folder / manifest.database
     if _sha256(copy) != checksums.pop(manifest.database, None):
         raise BackupDamaged(copy, "does not have its checksum")
-    _put_blobs(folder, checksums, blobs, on_blobs)
+    # The database comes last, so that an interrupted restore has none, and is not taken for a complete one.
+    blobs.put_many(_contents(folder, checksums, on_blobs))
     try:
         database_copy.restore(copy, database_url)
     except OSError as error:
@@ -205,7 +204,8 @@ def restore(
         return checks + verify_blobs(database, blobs, read_blobs=False)
 
 
-def _put_blobs(folder: Path, checksums: Mapping[str, str], blobs: BlobStore, on_blobs: OnBlobs) -> None:
+def _contents(folder: Path, checksums: Mapping[str, str], on_blobs: OnBlobs) -> Iterator[tuple[str, bytes]]:
+    """Key and content of the blobs of a backup. Raises BackupDamaged."""
     copies = FolderBlobs(folder / _BLOBS)
     for done, (name, checksum) in enumerate(checksums.items(), 1):
         key = name.removeprefix(f"{_BLOBS}/")
@@ -215,7 +215,7 @@ def _put_blobs(folder: Path, checksums: Mapping[str, str], blobs: BlobStore, on_
             raise BackupDamaged(folder / name, "is missing") from error
         if hashlib.sha256(content).hexdigest() != checksum:
             raise BackupDamaged(folder / name, "does not have its checksum")
-        blobs.put(key, content)
+        yield key, content
         on_blobs(done, len(checksums))
 
 

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from accord.services import blob_deletion, inventory
 from accord.services.collect import replayed_clip_key
 from accord.store import pruning
-from accord.store.blobs import BlobStore, StoredBlob
+from accord.store.blobs import BlobStore, OnBlobs, StoredBlob
 from accord.store.database import Database
 from accord.store.pruning import Unneeded
 from accord.store.tables import ClipViewRow, PolicyCheckpointRow, RecordingViewRow, utc_now
@@ -94,7 +94,7 @@ def delete(
     database: Database,
     blobs: BlobStore,
     hours: float,
-    on_blobs: Callable[[int, int], None] = lambda _done, _total: None,
+    on_blobs: OnBlobs = lambda _done, _total: None,
     *,
     clips: bool = False,
 ) -> list[Group]:

@@ -1,7 +1,7 @@
 """Verification: whether the blobs exist that rows name, and whether labels, their history and reward versions agree."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from safetensors import SafetensorError
 from safetensors.numpy import load
@@ -11,7 +11,7 @@ from accord.domain.checks import Check
 from accord.domain.errors import BlobMissing
 from accord.services import inventory
 from accord.store import integrity
-from accord.store.blobs import BlobStore
+from accord.store.blobs import BlobStore, OnBlobs
 from accord.store.database import Database
 from accord.store.integrity import Contradiction
 from accord.store.named_blobs import NamedBlob
@@ -27,7 +27,7 @@ def verify(
     blobs: BlobStore,
     *,
     read_blobs: bool,
-    on_blobs: Callable[[int, int], None] = lambda _done, _total: None,
+    on_blobs: OnBlobs = lambda _done, _total: None,
 ) -> list[Check]:
     """Checks the database and the blobs. Changes nothing; the service may keep running.
 
@@ -67,7 +67,7 @@ def verify_blobs(
     blobs: BlobStore,
     *,
     read_blobs: bool,
-    on_blobs: Callable[[int, int], None] = lambda _done, _total: None,
+    on_blobs: OnBlobs = lambda _done, _total: None,
 ) -> list[Check]:
     """The part of `verify` about blobs. The database may be of an earlier version."""
     # Listed before the rows are read, so that a blob without a row was there before its row could be deleted.
@@ -105,7 +105,7 @@ def _faults(
     required: Sequence[NamedBlob],
     *,
     read: bool,
-    on_blobs: Callable[[int, int], None] = lambda _done, _total: None,
+    on_blobs: OnBlobs = lambda _done, _total: None,
 ) -> dict[str, str]:
     """Key -> what is wrong with the blob.
 

@@ -4,7 +4,7 @@ import errno
 import os
 import re
 import secrets
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,10 +13,12 @@ from typing import Any, Protocol, cast
 from fsspec.core import url_to_fs  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
 from accord.domain.errors import BlobMissing, BlobsNotWritable
-from mapt.io import atomic_write, sync_folder
+from mapt.io import atomic_path, atomic_write, sync_folder
 
 _KEY = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*")
 _PROBE = "probe"
+#: called with the number of blobs done so far, and of all
+OnBlobs = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,14 @@ class BlobStore(Protocol):
 
         Raises:
             BlobsNotWritable: if the store is read-only or full.
+        """
+        ...
+
+    def put_many(self, blobs: Iterable[tuple[str, bytes]]) -> None:
+        """Like `put` for each key and content, but in a folder they become durable together, which takes less time.
+
+        Raises:
+            BlobsNotWritable: as `put`. Some are stored then, and a crash may damage them.
         """
         ...
 
@@ -115,6 +125,19 @@ class FolderBlobs:
         except OSError as error:
             raise _not_writable(str(self._root), error) from error
 
+    def put_many(self, blobs: Iterable[tuple[str, bytes]]) -> None:
+        for key, content in blobs:
+            path = self._path(key)
+            if path.exists():
+                continue
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                with atomic_path(path, durable=False) as temporary:
+                    temporary.write_bytes(content)
+            except OSError as error:
+                raise _not_writable(str(self._root), error) from error
+        os.sync()
+
     def read(self, key: str) -> bytes:
         try:
             return self._path(key).read_bytes()
@@ -187,6 +210,10 @@ class RemoteBlobs:
             self._filesystem.pipe_file(self._path(key), content)
         except OSError as error:
             raise _not_writable(self._root, error) from error
+
+    def put_many(self, blobs: Iterable[tuple[str, bytes]]) -> None:
+        for key, content in blobs:
+            self.put(key, content)
 
     def read(self, key: str) -> bytes:
         try:

@@ -15,6 +15,7 @@ from sqlalchemy.orm import Session
 from accord.domain.errors import Unavailable
 from accord.store.database import Database, sqlite_file
 from accord.store.tables import ClaimRow
+from mapt.io import atomic_path
 
 
 class DatabaseNotEmpty(Unavailable):
@@ -89,10 +90,17 @@ def restore(copy: Path, url: str) -> None:
     file = sqlite_file(url)
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(copy, file)
+        # The file has its name once it is complete.
+        with atomic_path(file) as temporary:
+            shutil.copyfile(copy, temporary)
+            _delete_claims(f"sqlite:///{temporary}")
     else:
         arguments = ["--single-transaction", "--exit-on-error", "--no-owner", "--no-privileges", str(copy)]
         _run("pg_restore", arguments, make_url(url))
+        _delete_claims(url)
+
+
+def _delete_claims(url: str) -> None:
     with closing(Database.open(url)) as database, database.transaction() as session:
         session.execute(delete(ClaimRow))
 

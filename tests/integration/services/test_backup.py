@@ -125,6 +125,23 @@ def test_a_backup_that_fails_leaves_nothing(stores: Stores, sample: SampleExperi
         back_up(stores.database, stores.blobs, tmp_path / "backups")
 
 
+def test_an_interrupted_restore_has_no_database(sqlite: Stores, tmp_path: Path) -> None:
+    create_sample(sqlite.database, sqlite.blobs)
+    made = back_up(sqlite.database, sqlite.blobs, tmp_path / "backup")
+    home = tmp_path / "restored"
+
+    def interrupt(done: int, total: int) -> None:
+        if done == total:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        restore(tmp_path / "backup", f"sqlite:///{home / 'accord.db'}", blob_url(tmp_path), interrupt)
+    assert len(contents(open_blobs(blob_url(tmp_path)))) == made.manifest.blobs
+    assert [path.name for path in home.iterdir()] == ["blobs"]
+    with pytest.raises(Invalid):
+        restore(tmp_path / "backup", f"sqlite:///{home / 'accord.db'}", blob_url(tmp_path))
+
+
 def test_a_missing_blob_fails_a_check_but_not_the_backup(sqlite: Stores, tmp_path: Path) -> None:
     sample = create_sample(sqlite.database, sqlite.blobs)
     key = next(blob.key for blob in sqlite.blobs.stored() if sample.segment_ids[0] in blob.key)

@@ -43,6 +43,12 @@ def test_second_write_does_not_change_a_blob(blobs: BlobStore) -> None:
     assert blobs.read("key") == b"first"
 
 
+def test_many_blobs_are_stored_and_existing_ones_kept(blobs: BlobStore) -> None:
+    blobs.put("folder/0", b"first")
+    blobs.put_many((f"folder/{number}", b"second") for number in range(3))
+    assert [blobs.read(f"folder/{number}") for number in range(3)] == [b"first", b"second", b"second"]
+
+
 def test_missing_blob_is_refused(blobs: BlobStore) -> None:
     assert not blobs.exists("no/such")
     for read in (
