@@ -4,6 +4,7 @@ import fcntl
 import logging
 import os
 import socket
+import threading
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,13 +19,13 @@ from accord.cli.api_watch import ApiWatch
 from accord.cli.checks import print_check
 from accord.cli.options import Home, Port, address_file, load_settings, url_of
 from accord.cli.worker_status import SUPERVISOR, LogLine, WorkerStatus
-from accord.domain.errors import NameTaken, Unavailable
+from accord.domain.errors import AccordError, NameTaken, Unavailable
 from accord.services import accounts, experiments
 from accord.services.experiment_config import ExperimentConfig
-from accord.services.verification import verify_blobs, verify_file, verify_rows
+from accord.services.verification import verify, verify_file
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
-from accord.store.database import Database
+from accord.store.database import Database, sqlite_file
 from accord.store.home import keep_new_files_private, make_private
 from accord.store.migrate import is_new, migrate
 from accord.workers.runner import Stop
@@ -37,6 +38,8 @@ log = logging.getLogger(__name__)
 
 #: Time between two checks of the child processes.
 _TICK_SECONDS = 0.2
+#: Larger databases are checked after the start, which reads the whole file.
+_CHECKED_AT_START_BYTES = 256_000_000
 #: Rendering may be late; labels and policy updates should not.
 _RENDER_NICE = 5
 
@@ -81,7 +84,8 @@ def up(
     ready = prepare(load_settings(home, host, port, allow_plain_http=True if allow_plain_http else None))
     try:
         announce(ready, example)
-        _warn_of_faults(ready)
+        # Beside the service, because it takes longer the more is stored. It only reads, so nobody waits for its end.
+        threading.Thread(target=_warn_of_faults, args=(ready,), daemon=True).start()
         _serve(ready, stop)
     finally:
         address_file(ready.settings).unlink(missing_ok=True)
@@ -104,10 +108,12 @@ def announce(ready: Ready, example: bool) -> None:
 
 
 def _warn_of_faults(ready: Ready) -> None:
-    """Print what is wrong with labels, reward versions and blobs. The service runs nevertheless."""
-    with ready.database.reading() as session:
-        checks = verify_rows(session)
-    checks += verify_blobs(ready.database, open_blobs(ready.settings.resolved_blob_url), read_blobs=False)
+    """Print what is wrong with the stored data. The service runs nevertheless."""
+    try:
+        checks = verify(ready.database, open_blobs(ready.settings.resolved_blob_url), read_blobs=False)
+    except AccordError as error:
+        _log_lines(ready.settings)(f"what is stored could not be checked: {error}", SUPERVISOR)
+        return
     for check in checks:
         if not check.ok:
             print_check(check)
@@ -232,13 +238,7 @@ def prepare(settings: Settings) -> Ready:
         blobs.check_writable()
         listener = opened.enter_context(listen(settings.host, settings.port))
         database = opened.enter_context(closing(Database.open(settings.resolved_database_url)))
-        with database.reading() as session:
-            file = verify_file(session)
-        if not file.ok:
-            raise DatabaseDamaged(
-                f"The database {database.name} is damaged: {file.detail}. Restore a backup into a new home folder with "
-                "`accord restore`."
-            )
+        _require_intact(database, settings.resolved_database_url)
         if is_new(database) and not blobs.is_empty():
             raise DatabaseEmptied(
                 f"The database {database.name} is empty, but {settings.resolved_blob_url} holds blobs. Restore the "
@@ -247,6 +247,20 @@ def prepare(settings: Settings) -> Ready:
         migrate(database)
         opened.pop_all()
     return Ready(settings.model_copy(update={"port": listener.getsockname()[1]}), database, listener, lock)
+
+
+def _require_intact(database: Database, url: str) -> None:
+    """Raises DatabaseDamaged, unless the file is so large that it is checked after the start."""
+    file = sqlite_file(url)
+    if file is not None and file.exists() and file.stat().st_size > _CHECKED_AT_START_BYTES:
+        return
+    with database.reading() as session:
+        found = verify_file(session)
+    if not found.ok:
+        raise DatabaseDamaged(
+            f"The database {database.name} is damaged: {found.detail}. Restore a backup into a new home folder with "
+            "`accord restore`."
+        )
 
 
 def make_home(settings: Settings) -> None:
