@@ -21,10 +21,16 @@ def require_protection(settings: Settings) -> None:
 
 def is_loopback(host: str) -> bool:
     """Whether only programs on this machine reach an address."""
+    address = as_address(host)
+    return host == "localhost" or (address is not None and address.is_loopback)
+
+
+def as_address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """None if the host is a name."""
     try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+        return ipaddress.ip_address(host)
     except ValueError:
-        return False
+        return None
 
 
 def listen(host: str, port: int) -> socket.socket:

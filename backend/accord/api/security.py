@@ -1,6 +1,5 @@
 """Headers that restrict what browsers do with responses, and the hosts for which the server answers."""
 
-import ipaddress
 import socket
 from urllib.parse import urlsplit
 
@@ -8,6 +7,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from accord.api.errors import accord_error_response
+from accord.api.listener import as_address, is_loopback
 from accord.domain.errors import HostNotAllowed
 from accord.settings import Settings
 
@@ -33,7 +33,6 @@ _HEADERS = {
     # Addresses of sign-in links and invitations contain their tokens.
     "Referrer-Policy": "same-origin",
 }
-_LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 _WILDCARDS = frozenset({"0.0.0.0", "::"})
 
 
@@ -77,7 +76,7 @@ class AllowedHosts:
         self._all = "*" in named
         self._any_address = settings.host in _WILDCARDS
         public = urlsplit(settings.public_url).hostname
-        self._names = _LOOPBACK | named | {settings.host.lower(), public or ""}
+        self._names = named | {settings.host.lower(), public or ""}
         if self._any_address:
             self._names |= {socket.gethostname().lower()}
         self._names -= {""}
@@ -88,12 +87,5 @@ class AllowedHosts:
             name = urlsplit(f"//{host}").hostname or ""
         except ValueError:
             return False
-        return self._all or name in self._names or (self._any_address and _is_address(name))
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
+        any_address = self._any_address and as_address(name) is not None
+        return self._all or name in self._names or is_loopback(name) or any_address

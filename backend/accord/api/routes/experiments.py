@@ -81,19 +81,19 @@ def get_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experi
 @router.post("/experiments/{experiment_id}/pause", summary="Pause an experiment")
 def pause_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
     """Workers stop after their current step, and no queries are leased. Pausing twice changes nothing."""
-    return _change_status(auth, experiment_id, experiments.pause, "pause experiments")
+    return _change_status(auth, experiment_id, experiments.pause, "pause")
 
 
 @router.post("/experiments/{experiment_id}/resume", summary="Resume an experiment")
 def resume_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
     """Resumes from the newest checkpoint after a pause or a failure. A running experiment is not changed."""
-    return _change_status(auth, experiment_id, experiments.resume, "resume experiments")
+    return _change_status(auth, experiment_id, experiments.resume, "resume")
 
 
 @router.post("/experiments/{experiment_id}/cancel", summary="Cancel an experiment")
 def cancel_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
     """Ends it for good. Its labels, segments and metrics are kept."""
-    return _change_status(auth, experiment_id, experiments.cancel, "cancel experiments")
+    return _change_status(auth, experiment_id, experiments.cancel, "cancel")
 
 
 @router.patch("/experiments/{experiment_id}", summary="Change an experiment")
@@ -121,13 +121,13 @@ def list_instructions(experiment_id: ExperimentId, auth: AuthDep) -> list[schema
 @router.post("/experiments/{experiment_id}/archive", summary="Archive an experiment")
 def archive_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
     """Moves an experiment that is not running out of the list of experiments. Everything is kept."""
-    return _change_status(auth, experiment_id, experiments.archive, "archive experiments")
+    return _change_status(auth, experiment_id, experiments.archive, "archive")
 
 
 @router.post("/experiments/{experiment_id}/restore", summary="Restore an experiment from the archive")
 def restore_experiment(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Experiment:
     """Moves an archived experiment back into the list. Its status does not change."""
-    return _change_status(auth, experiment_id, experiments.restore, "restore experiments")
+    return _change_status(auth, experiment_id, experiments.restore, "restore")
 
 
 @router.delete("/experiments/{experiment_id}", summary="Delete an experiment")
@@ -203,11 +203,11 @@ def list_workers(auth: AuthDep) -> list[schemas.Worker]:
 
 
 def _change_status(
-    auth: Auth, experiment_id: str, change: Callable[[Session, str], ExperimentRow], doing: str
+    auth: Auth, experiment_id: str, change: Callable[[Session, str], ExperimentRow], request: str
 ) -> schemas.Experiment:
     with auth.writing() as caller:
-        require(may_run_experiments(caller.role), caller.role, doing)
+        require(may_run_experiments(caller.role), caller.role, f"{request} experiments")
         row = change(caller.session, experiment_id)
-        change_made = {"request": doing.partition(" ")[0], "status": row.status}
-        audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_CHANGED, experiment_id, **change_made)
+        made = {"request": request, "status": row.status}
+        audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_CHANGED, experiment_id, **made)
         return responses.experiment_response(caller.session, row, caller.role)
