@@ -2,6 +2,8 @@
 
 from collections.abc import Generator
 from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -10,6 +12,7 @@ from accord.cli.options import Home, load_settings, service_url
 from accord.domain.enums import AuditAction, Role
 from accord.services import accounts, audit
 from accord.settings import Settings
+from accord.store.accounts import UserSummary
 from accord.store.database import Database
 from accord.store.home import keep_new_files_private
 from accord.store.migrate import migrate
@@ -89,6 +92,7 @@ def list_users(*, home: Home = None, as_json: Json = False) -> None:
                     "tokens": each.bearer_tokens,
                     "created_at": each.created_at.isoformat(),
                     "last_seen_at": each.last_seen_at and each.last_seen_at.isoformat(),
+                    "disabled_at": each.disabled_at and each.disabled_at.isoformat(),
                     "removed_at": each.removed_at and each.removed_at.isoformat(),
                 }
                 for each in found
@@ -104,7 +108,7 @@ def list_users(*, home: Home = None, as_json: Json = False) -> None:
             str(each.browsers),
             str(each.bearer_tokens),
             f"{each.created_at:%Y-%m-%d}",
-            "removed" if each.removed_at else f"{each.last_seen_at:%Y-%m-%d}" if each.last_seen_at else "never",
+            _last_seen(each),
         )
         for each in found
     ]
@@ -113,17 +117,60 @@ def list_users(*, home: Home = None, as_json: Json = False) -> None:
         out.print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip(), markup=False)
 
 
+def _last_seen(user: UserSummary) -> str:
+    if user.removed_at:
+        return "removed"
+    if user.disabled_at:
+        return "disabled"
+    return f"{user.last_seen_at:%Y-%m-%d}" if user.last_seen_at else "never"
+
+
 @user.command("remove")
-def remove(name: Name, home: Home = None) -> None:
-    """Revoke a user's access: their browser sessions, tokens and links become invalid. Their labels are kept."""
+def remove(
+    name: Name,
+    *,
+    anonymise: Annotated[
+        bool,
+        typer.Option(
+            "--anonymise", help="Replace their name, wherever it is stored, by one that names nobody; cannot be undone."
+        ),
+    ] = False,
+    home: Home = None,
+) -> None:
+    """Revoke a user's access: their browser sessions, tokens and links become invalid. Their labels are kept.
+
+    A user who was removed before can still be anonymised.
+    """
     with migrated(load_settings(home)) as database, database.transaction() as session:
         row = accounts.by_name(session, name)
-        deleted = accounts.remove(session, row)
-        audit.record(session, None, AuditAction.USER_REMOVED, row.id, deleted=deleted, anonymised=False)
-    if deleted:
+        user_id = row.id
+        done = accounts.remove(session, row, anonymise=anonymise)
+        audit.record(session, None, AuditAction.USER_REMOVED, user_id, **asdict(done))
+        kept_as = "" if done.deleted else row.name
+    if done.deleted:
         out.print(f"{name} was deleted.", markup=False)
     else:
-        out.print(f"{name} can no longer sign in. Their labels and experiments are kept under this name.", markup=False)
+        out.print(f"{name} can no longer sign in. Their labels and experiments are kept as {kept_as!r}.", markup=False)
+
+
+@user.command("disable")
+def disable(name: Name, home: Home = None) -> None:
+    """Keep a user out until `accord user enable`. Their browser sessions and tokens work again afterwards."""
+    _set_disabled(name, home, disabled=True)
+
+
+@user.command("enable")
+def enable(name: Name, home: Home = None) -> None:
+    """Let a disabled user in again."""
+    _set_disabled(name, home, disabled=False)
+
+
+def _set_disabled(name: str, home: Path | None, *, disabled: bool) -> None:
+    with migrated(load_settings(home)) as database, database.transaction() as session:
+        row = accounts.by_name(session, name)
+        if accounts.set_disabled(session, row, disabled):
+            audit.record(session, None, AuditAction.USER_CHANGED, row.id, disabled=disabled)
+    out.print(f"{name} is {'disabled' if disabled else 'enabled'}.", markup=False)
 
 
 @contextmanager

@@ -7,7 +7,7 @@ Only the SHA-256 of a token is stored; a plain hash is enough for 256 random bit
 import hashlib
 import secrets
 import shlex
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import Protocol
 
@@ -31,6 +31,16 @@ _LINK_NOT_VALID = (
 )
 #: the time of the last request is recorded no more often
 _SEEN_EVERY = timedelta(minutes=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Removal:
+    """What became of a user who was removed."""
+
+    #: they had no labels and experiments
+    deleted: bool
+    #: their name was replaced
+    anonymised: bool
 
 
 class Caller(Protocol):
@@ -131,33 +141,42 @@ def revoke(session: Session, user_id: str) -> None:
     accounts.revoke(session, user_id)
 
 
-def set_disabled(session: Session, user: UserRow, disabled: bool) -> None:
-    """Keeps a user out until they are enabled again, and ends their leases. Their sign-ins work again afterwards."""
-    user.disabled_at = (user.disabled_at or utc_now()) if disabled else None
+def set_disabled(session: Session, user: UserRow, disabled: bool) -> bool:
+    """Keeps a user out until they are enabled again, and ends their leases. Their sign-ins work again afterwards.
+
+    Returns:
+        Whether that changed anything.
+    """
+    if disabled == (user.disabled_at is not None):
+        return False
+    user.disabled_at = utc_now() if disabled else None
     session.flush()
     if disabled:
         accounts.release_all(session, user.id)
+    return True
 
 
-def anonymise(session: Session, user: UserRow) -> None:
-    """Replaces a user's name by one that names nobody, wherever it is stored. Their labels stay those of one person."""
-    accounts.rename(session, user, f"Former user {user.id[-_ANONYMOUS_DIGITS:]}")
-
-
-def remove(session: Session, user: UserRow) -> bool:
+def remove(session: Session, user: UserRow, *, anonymise: bool = False) -> Removal:
     """Takes a user's access away: signs their browsers out and makes their tokens and links invalid.
 
-    Returns:
-        Whether the user was deleted too. One with labels or experiments stays on record as their author; a new link
-        lets them in again.
+    A user with labels or experiments stays on record as their author; a new link lets them in again. Others are
+    deleted.
+
+    Args:
+        anonymise: replace the name of a user who stays on record by one that names nobody, wherever it is stored. Their
+            labels stay those of one person.
     """
     revoke(session, user.id)
-    if accounts.has_history(session, user.id):
-        user.removed_at = user.removed_at or utc_now()
-        session.flush()
-        return False
-    accounts.delete_user(session, user.id)
-    return True
+    if not accounts.has_history(session, user.id):
+        accounts.delete_user(session, user.id)
+        return Removal(deleted=True, anonymised=False)
+    user.removed_at = user.removed_at or utc_now()
+    session.flush()
+    name = f"Former user {user.id[-_ANONYMOUS_DIGITS:]}"
+    if not anonymise or user.name == name:
+        return Removal(deleted=False, anonymised=False)
+    accounts.rename(session, user, name)
+    return Removal(deleted=False, anonymised=True)
 
 
 def new_bearer(session: Session, user_id: str, name: str = "") -> str:

@@ -91,6 +91,24 @@ def test_what_is_done_to_an_experiment_is_recorded_and_outlives_it(api_per_datab
     assert deleted["detail"] == {"name": sample.experiment.name}
 
 
+def test_only_what_happened_to_a_user_is_recorded(api_per_database: ApiServer) -> None:
+    api = api_per_database
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    lena, otto = add(api, "Lena", "teacher"), add(api, "Otto")
+    for changes in ({"role": "teacher"}, {"disabled": False}, {}):
+        assert api.admin.patch(f"/api/v1/users/{lena['id']}", json=changes).status_code == 200
+    assert actions(api) == ["user_added", "user_added"]
+    with api.client(lena["token"]) as client:
+        client.put(f"/api/v1/queries/{sample.query_ids[0]}/label", json={"label": 1})
+    for user in (lena, lena, otto):
+        api.admin.delete(f"/api/v1/users/{user['id']}", params={"anonymise": True})
+    assert [each["detail"] for each in reversed(entries(api, action="user_removed"))] == [
+        {"deleted": False, "anonymised": True},
+        {"deleted": False, "anonymised": False},
+        {"deleted": True, "anonymised": False},
+    ]
+
+
 def test_a_refused_request_leaves_no_entry(api: ApiServer) -> None:
     add(api, "Lena")
     assert api.admin.post("/api/v1/users", json={"name": "Lena", "role": "labeller"}).status_code == 409

@@ -130,7 +130,7 @@ def test_removed_user_without_labels_is_deleted_and_cannot_sign_in(stores: Store
         _, browser = accounts.redeem_link(session, accounts.make_link(session, ada.id, 5), 30)
         link = accounts.make_link(session, ada.id, 5)
     with stores.database.transaction() as session:
-        assert accounts.remove(session, accounts.by_name(session, "Ada"))
+        assert accounts.remove(session, accounts.by_name(session, "Ada")).deleted
     with stores.database.transaction() as session:
         for token in (bearer, browser):
             with pytest.raises(Unauthenticated):
@@ -150,7 +150,7 @@ def test_removed_user_with_labels_is_kept_and_can_sign_in_with_a_new_link(stores
         label.put_label(session, ada, first.id, 1.0)
         assert accounts.by_name(session, "Ada").id == ada.id
     with stores.database.transaction() as session:
-        assert not accounts.remove(session, accounts.by_name(session, "Ada"))
+        assert not accounts.remove(session, accounts.by_name(session, "Ada")).deleted
     with stores.database.transaction() as session:
         with pytest.raises(Unauthenticated):
             accounts.authenticate(session, bearer)

@@ -3,14 +3,18 @@
 import json
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from sqlalchemy import select
 
 from accord.cli.main import main
-from accord.services import accounts
+from accord.services import accounts, experiments
 from accord.store.database import Database
+from accord.store.tables import AuditRow
+from support.sample_experiments import config
 
 Accord = Callable[..., "Result"]
 
@@ -46,6 +50,12 @@ def user_of_link(link: str, home: Path) -> tuple[str, str]:
         name_and_role = (user.name, user.role)
     database.close()
     return name_and_role
+
+
+def audited(home: Path) -> list[tuple[str, dict[str, object]]]:
+    """Action and detail of each entry of the audit log, oldest first."""
+    with closing(Database.open(f"sqlite:///{home / 'accord.db'}")) as database, database.reading() as session:
+        return [(row.action, row.detail) for row in session.scalars(select(AuditRow).order_by(AuditRow.id))]
 
 
 def test_a_link_without_a_name_signs_in_the_admin(accord: Accord, tmp_path: Path) -> None:
@@ -91,7 +101,28 @@ def test_a_removed_user_is_not_listed(accord: Accord) -> None:
     assert accord("user", "link", "Lena").status == 2
 
 
-@pytest.mark.parametrize("command", ["link", "remove"])
+def test_a_disabled_user_is_listed_and_can_be_enabled_again(accord: Accord, tmp_path: Path) -> None:
+    accord("user", "add", "Lena")
+    for command, shown in (("disable", "disabled"), ("disable", "disabled"), ("enable", "never")):
+        assert accord("user", command, "Lena").status == 0
+        assert accord("user", "list").lines[1].split()[-1] == shown
+    assert audited(tmp_path) == [
+        ("user_added", {"role": "labeller"}),
+        *(("user_changed", {"disabled": each}) for each in (True, False)),
+    ]
+
+
+def test_a_user_with_history_is_anonymised(accord: Accord, tmp_path: Path) -> None:
+    accord("user", "add", "Lena", "--role", "researcher")
+    with closing(Database.open(f"sqlite:///{tmp_path / 'accord.db'}")) as database, database.transaction() as session:
+        experiments.create(session, accounts.by_name(session, "Lena").id, "one", config(), None)
+    assert "Lena" in accord("user", "remove", "Lena").lines[0].rpartition("kept")[2]
+    assert "Former user" in accord("user", "remove", "Lena", "--anonymise").lines[0]
+    assert accord("user", "list").lines[1].startswith("Former user ")
+    assert audited(tmp_path)[1:] == [("user_removed", {"deleted": False, "anonymised": each}) for each in (False, True)]
+
+
+@pytest.mark.parametrize("command", ["link", "remove", "disable", "enable"])
 def test_an_unknown_user_is_named_in_the_error(accord: Accord, command: str) -> None:
     ended = accord("user", command, "Nobody")
     assert ended.status == 2

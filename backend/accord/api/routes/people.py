@@ -2,6 +2,7 @@
 
 from collections.abc import Generator
 from contextlib import contextmanager
+from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
@@ -54,17 +55,17 @@ def change_user(user_id: UserId, body: schemas.UserChanges, auth: AuthDep) -> sc
     with _managing(auth, "change users") as caller:
         user = accounts.require_other(caller.session, caller.user, user_id)
         changes: dict[str, object] = {}
-        if body.role is not None:
+        if body.role is not None and body.role != user.role:
             changes["role"] = [user.role, body.role.value]
             user.role = body.role.value
-        if body.disabled is not None:
+        if body.disabled is not None and accounts.set_disabled(caller.session, user, body.disabled):
             changes["disabled"] = body.disabled
-            accounts.set_disabled(caller.session, user, body.disabled)
         if body.access is not None:
             changes["access"] = body.access.model_dump()
             _limit(caller.session, user, body.access)
         caller.session.flush()
-        audit.record(caller.session, caller.user, AuditAction.USER_CHANGED, user_id, **changes)
+        if changes:
+            audit.record(caller.session, caller.user, AuditAction.USER_CHANGED, user_id, **changes)
         return next(_account(each) for each in accounts.summaries(caller.session) if each.id == user_id)
 
 
@@ -111,12 +112,9 @@ def remove_user(
     """
     with _managing(auth, "remove users") as caller:
         user = accounts.require_other(caller.session, caller.user, user_id)
-        deleted = accounts.remove(caller.session, user)
-        if anonymise and not deleted:
-            accounts.anonymise(caller.session, user)
-        detail = {"deleted": deleted, "anonymised": anonymise}
-        audit.record(caller.session, caller.user, AuditAction.USER_REMOVED, user_id, **detail)
-        return schemas.RemovedUser(deleted=deleted)
+        done = accounts.remove(caller.session, user, anonymise=anonymise)
+        audit.record(caller.session, caller.user, AuditAction.USER_REMOVED, user_id, **asdict(done))
+        return schemas.RemovedUser(deleted=done.deleted)
 
 
 @router.get("/invitations", summary="List the invitations")
