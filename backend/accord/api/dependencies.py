@@ -7,7 +7,7 @@ waits for the lock while its holder waits for a thread.
 """
 
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Annotated, cast
 from urllib.parse import urlsplit
@@ -18,11 +18,11 @@ from pydantic import AfterValidator, BaseModel
 from sqlalchemy.orm import Session
 from structlog.contextvars import bind_contextvars
 
-from accord.api.sign_in_limit import SignInLimit
-from accord.domain.enums import Role
+from accord.api.sign_in_limit import SignInLimit, customer_of
+from accord.domain.enums import AuditAction, Role
 from accord.domain.errors import Forbidden, InvitationNotValid, Unauthenticated, Unavailable
 from accord.domain.ids import check_id
-from accord.services import access, accounts
+from accord.services import access, accounts, audit
 from accord.settings import Settings
 from accord.store.accounts import User
 from accord.store.blobs import BlobStore
@@ -67,7 +67,7 @@ class Auth:
     @contextmanager
     def writing(self) -> Generator[CallerSession]:
         """A transaction that may write, committed at the end of the block. Raises Unauthenticated."""
-        with self.app.database.transaction() as session:
+        with self._counting_failures(), self.app.database.transaction() as session:
             caller = self._authenticated(session)
             accounts.note_seen(session, caller.user)
             yield caller
@@ -78,7 +78,7 @@ class Auth:
 
         The first use of a bearer token in a minute is recorded afterwards.
         """
-        with self.app.database.reading() as session:
+        with self._counting_failures(), self.app.database.reading() as session:
             caller = self._authenticated(session)
             yield caller
         if not accounts.use_is_recorded(caller.user):
@@ -86,14 +86,12 @@ class Auth:
             with suppress(Unavailable, Unauthenticated), self.writing():
                 pass
 
+    def _counting_failures(self) -> AbstractContextManager[None]:
+        return _failures_counted(self.app, self.address, self.token, "token")
+
     def _authenticated(self, session: Session) -> CallerSession:
-        limit = self.app.sign_in_limit
-        try:
-            user = accounts.authenticate(session, self.token)
-        except Unauthenticated:
-            limit.failed(self.address, self.token)
-            raise
-        limit.succeeded(self.token)
+        user = accounts.authenticate(session, self.token)
+        self.app.sign_in_limit.succeeded(self.token)
         if self.operation is not None:
             access.require_in_scope(session, user, self.operation, self.path)
         return CallerSession(session, user, Role(user.role))
@@ -110,18 +108,32 @@ def address_of_client(request: Request) -> str:
 
 
 @contextmanager
-def counting_failures(request: Request) -> Generator[None]:
+def counting_failures(request: Request, secret: str, kind: str) -> Generator[None]:
     """For a secret that is no user's token: Unauthenticated and InvitationNotValid in the block count as failures.
+
+    Args:
+        kind: of the secret, for the audit log.
 
     Raises:
         TooManyFailedSignIns: before the block, if the client reached the limit.
     """
-    limit, address = app_state(request).sign_in_limit, address_of_client(request)
-    limit.check(address)
+    app, address = app_state(request), address_of_client(request)
+    app.sign_in_limit.check(address)
+    with _failures_counted(app, address, secret, kind):
+        yield
+
+
+@contextmanager
+def _failures_counted(app: AppState, address: str, secret: str, kind: str) -> Generator[None]:
     try:
         yield
     except (Unauthenticated, InvitationNotValid):
-        limit.failed(address)
+        failures = app.sign_in_limit.failed(address, secret)
+        if failures:
+            customer, action = customer_of(address), AuditAction.SIGN_IN_FAILED
+            # A full disk must not change the response.
+            with suppress(Unavailable), app.database.transaction() as session:
+                audit.record(session, None, action, address=customer, kind=kind, failures=failures)
         raise
 
 

@@ -165,7 +165,9 @@ class AuditEntry(Schema):
 
     id: str = Field(description="aud_...")
     action: AuditAction = Field(description="What was done.")
-    actor_id: str | None = Field(description="Who did it, usr_...; null for a command on the server.")
+    actor_id: str | None = Field(
+        description="Who did it, usr_...; null for a command on the server, and for a failed sign-in."
+    )
     actor_name: str | None = Field(description="Their name now; null if they were deleted.")
     subject_id: str | None = Field(description="The user, experiment, token, invitation or link it was done to.")
     subject_name: str | None = Field(description="Its name now, of a user or an experiment that exists.")

@@ -1,4 +1,4 @@
-"""Limits how often one address may try tokens, sign-in links and invitations that are not valid."""
+"""Limits how often one address may try tokens, sign-in links and invitations that are not valid, and counts them."""
 
 import hashlib
 import ipaddress
@@ -12,6 +12,13 @@ from accord.domain.errors import TooManyFailedSignIns
 
 #: tokens that were valid, kept so that their users are let in from an address that has reached the limit
 _MAX_KNOWN_TOKENS = 10_000
+#: A browser whose session has ended repeats its token every few seconds: that counts as a part of another guess.
+_GUESS_COST, _REPEAT_COST = 10, 1
+_MINUTE_SECONDS, _DAY_SECONDS = 60, 86_400
+#: guesses of one address in a day at which the audit log gets an entry
+_RECORDED_AT = frozenset(10**power for power in range(10))
+#: most entries in a day, so that nobody can fill the disk
+MAX_ENTRIES_PER_DAY = 200
 #: a provider gives each customer at least this many bits of IPv6 addresses
 _IPV6_CUSTOMER_BITS = 64
 
@@ -24,19 +31,33 @@ class SignInLimit:
     """
 
     def __init__(self, failures_per_minute: int) -> None:
-        self._limit = RateLimitItemPerMinute(failures_per_minute)
-        self._failures = FixedWindowRateLimiter(MemoryStorage())
+        self._limit = RateLimitItemPerMinute(failures_per_minute * _GUESS_COST)
+        self._counts = MemoryStorage()
+        self._failures = FixedWindowRateLimiter(self._counts)
         self._known: OrderedDict[bytes, None] = OrderedDict()
 
     def check(self, address: str, token: str = "") -> None:
         """Raises TooManyFailedSignIns if the address reached its limit, unless the token was valid before."""
-        if not self._failures.test(self._limit, _customer(address)) and _digest(token) not in self._known:
+        if not self._failures.test(self._limit, customer_of(address)) and _digest(token) not in self._known:
             raise TooManyFailedSignIns
 
-    def failed(self, address: str, token: str = "") -> None:
-        """Count a token, link or invitation that is not valid."""
-        self._known.pop(_digest(token), None)
-        self._failures.hit(self._limit, _customer(address))
+    def failed(self, address: str, token: str) -> int:
+        """Count a token, link or invitation that is not valid.
+
+        Returns:
+            How many different ones the address has tried within a day, if the audit log should say so; otherwise 0. It
+            should at powers of ten, so that it shows attacks, and cannot be filled by them.
+        """
+        customer, digest = customer_of(address), _digest(token)
+        self._known.pop(digest, None)
+        if self._counts.incr(f"token {customer} {digest.hex()}", _MINUTE_SECONDS) > 1:
+            self._failures.hit(self._limit, customer, cost=_REPEAT_COST)
+            return 0
+        self._failures.hit(self._limit, customer, cost=_GUESS_COST)
+        guesses = self._counts.incr(f"guesses {customer}", _DAY_SECONDS)
+        if guesses not in _RECORDED_AT or self._counts.incr("entries", _DAY_SECONDS) > MAX_ENTRIES_PER_DAY:
+            return 0
+        return guesses
 
     def succeeded(self, token: str) -> None:
         """Remember a valid token."""
@@ -47,7 +68,7 @@ class SignInLimit:
                 self._known.popitem(last=False)
 
 
-def _customer(address: str) -> str:
+def customer_of(address: str) -> str:
     """What one client can have many of counts as one address."""
     try:
         parsed = ipaddress.ip_address(address)

@@ -104,6 +104,8 @@ class AuditAction(StrEnum):
     """What the audit log records."""
 
     SIGNED_IN = "signed_in"
+    #: by a token, link or invitation that is not valid; the log has only some of them
+    SIGN_IN_FAILED = "sign_in_failed"
     SIGNED_OUT = "signed_out"
     JOINED = "joined"
     USER_ADDED = "user_added"

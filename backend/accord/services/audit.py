@@ -16,7 +16,7 @@ def record(
     """Adds an entry.
 
     Args:
-        actor: who did it; None for a command on the server.
+        actor: who did it; None for a command on the server, and for somebody who was not signed in.
         subject_id: what it was done to.
         detail: JSON values, without secrets and names of people.
     """

@@ -28,7 +28,7 @@ class AuditEntry:
     id: str
     action: str
     actor_id: str | None
-    #: None for a command on the server, and for a user who was deleted
+    #: None for a command on the server, for somebody who was not signed in, and for a user who was deleted
     actor_name: str | None
     subject_id: str | None
     #: of a user or an experiment that still exists

@@ -196,7 +196,7 @@ class AuditRow(Base):
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     #: an `AuditAction`
     action: Mapped[str] = mapped_column(String(40), index=True)
-    #: the user who did it; None for a command on the server
+    #: the user who did it; None for a command on the server, and for somebody who was not signed in
     actor_id: Mapped[str | None] = mapped_column(String(32), index=True)
     #: what it was done to: a user, experiment, token, invitation or link
     subject_id: Mapped[str | None] = mapped_column(String(32), index=True)

@@ -45,7 +45,7 @@ def sign_out(auth: AuthDep) -> Response:
 @router.get("/join/{token}", summary="Look at an invitation")
 def get_join(token: InvitationToken, request: Request) -> schemas.InvitationView:
     """Says what an invitation is for. Needs no authentication, and uses nothing up."""
-    with counting_failures(request), app_state(request).database.reading() as session:
+    with counting_failures(request, token, "invitation"), app_state(request).database.reading() as session:
         row = invitations.valid(session, token)
         experiment = None if row.experiment_id is None else experiments.get(session, row.experiment_id).name
         return schemas.InvitationView(experiment=experiment, invited_by=row.created_by)
@@ -56,7 +56,7 @@ def join(token: InvitationToken, body: schemas.NewMember, request: Request, resp
     """Creates a labeller and signs this browser in. Needs no authentication."""
     refuse_other_sites(request)
     app = app_state(request)
-    with counting_failures(request), app.database.transaction() as session:
+    with counting_failures(request, token, "invitation"), app.database.transaction() as session:
         experiment_id = invitations.valid(session, token).experiment_id
         user, session_token = invitations.join(session, token, body.name, app.settings.session_days)
         audit.record(session, user, AuditAction.JOINED, experiment_id)
@@ -71,7 +71,7 @@ def get_sign_in(token: LinkToken, request: Request) -> schemas.SignInView:
 
     Chat programs open links to preview them: only the button on the page redeems one.
     """
-    with counting_failures(request), app_state(request).database.reading() as session:
+    with counting_failures(request, token, "sign-in link"), app_state(request).database.reading() as session:
         user = accounts.user_of_link(session, token)
         return schemas.SignInView(name=user.name, role=Role(user.role))
 
@@ -81,7 +81,7 @@ def sign_in(token: LinkToken, request: Request, response: Response) -> schemas.M
     """Redeems a one-time link: signs this browser in. Needs no authentication."""
     refuse_other_sites(request)
     app = app_state(request)
-    with counting_failures(request), app.database.transaction() as session:
+    with counting_failures(request, token, "sign-in link"), app.database.transaction() as session:
         user, session_token = accounts.redeem_link(session, token, app.settings.session_days)
         audit.record(session, user, AuditAction.SIGNED_IN)
         signed_in = schemas.Me(id=user.id, name=user.name, role=Role(user.role))

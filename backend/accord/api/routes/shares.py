@@ -56,7 +56,7 @@ def get_shared(request: Request) -> schemas.SharedExperiment:
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
     if scheme.lower() != "bearer" or not token.strip():
         raise Unauthenticated("Send the token of the link, the part after #, as `Authorization: Bearer <token>`.")
-    with counting_failures(request), app_state(request).database.reading() as session:
+    with counting_failures(request, token, "read-only link"), app_state(request).database.reading() as session:
         share = shares.valid(session, token.strip())
         row = experiments.get(session, share.experiment_id)
         experiment = responses.experiment_response(session, row, _SEEN_AS)

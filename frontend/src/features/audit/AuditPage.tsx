@@ -94,7 +94,8 @@ export function AuditPage({ me }: { me: Me }) {
   );
 }
 
-function actorText({ actor_id, actor_name }: AuditEntry): string {
+function actorText({ action, actor_id, actor_name }: AuditEntry): string {
+  if (action === "sign_in_failed") return "Somebody not signed in";
   if (actor_id === null) return "A command on the server";
   return actor_name ?? `A deleted user (${actor_id})`;
 }

@@ -3,6 +3,7 @@ import type { AuditAction } from "@/shared/api/types";
 /** What each action is called. */
 const TEXTS: Record<AuditAction, string> = {
   signed_in: "Signed in",
+  sign_in_failed: "Failed to sign in",
   signed_out: "Signed out",
   joined: "Joined by an invitation",
   user_added: "Added a user",

@@ -1331,7 +1331,7 @@ export interface components {
          * @description What the audit log records.
          * @enum {string}
          */
-        AuditAction: "signed_in" | "signed_out" | "joined" | "user_added" | "user_changed" | "user_removed" | "sign_ins_revoked" | "link_created" | "token_created" | "token_revoked" | "invitation_created" | "invitation_withdrawn" | "experiment_created" | "experiment_imported" | "experiment_changed" | "experiment_deleted" | "experiment_exported" | "experiment_shared" | "share_revoked" | "labels_excluded" | "labeller_changed" | "gold_changed";
+        AuditAction: "signed_in" | "sign_in_failed" | "signed_out" | "joined" | "user_added" | "user_changed" | "user_removed" | "sign_ins_revoked" | "link_created" | "token_created" | "token_revoked" | "invitation_created" | "invitation_withdrawn" | "experiment_created" | "experiment_imported" | "experiment_changed" | "experiment_deleted" | "experiment_exported" | "experiment_shared" | "share_revoked" | "labels_excluded" | "labeller_changed" | "gold_changed";
         /**
          * AuditEntry
          * @description Something that somebody did.
@@ -1346,7 +1346,7 @@ export interface components {
             action: components["schemas"]["AuditAction"];
             /**
              * Actor Id
-             * @description Who did it, usr_...; null for a command on the server.
+             * @description Who did it, usr_...; null for a command on the server, and for a failed sign-in.
              */
             actor_id: string | null;
             /**
