@@ -250,6 +250,17 @@ class TrainConfig(Settings):
         "auto"
     )
 
+    def check(self) -> None:
+        """See `Settings.check`."""
+        for lr, decay in (("lr", "weight_decay"), ("markov_lr", "markov_weight_decay")):
+            product = getattr(self, lr) * getattr(self, decay)
+            if product >= 1:
+                raise InvalidConfig(
+                    f"{lr} times {decay} is {product:g}; it must be less than 1: every step multiplies the weights by "
+                    "1 minus this.",
+                    decay,
+                )
+
     @classmethod
     def preset(cls, name: PresetName) -> "TrainConfig":
         """The training of a preset.

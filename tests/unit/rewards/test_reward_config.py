@@ -80,3 +80,11 @@ def test_invalid_training_setting_is_refused(name, value):
     with pytest.raises(InvalidConfig) as error:
         TrainConfig.from_dict({name: value})
     assert error.value.field == name
+
+
+@pytest.mark.parametrize("path", ["", "markov_"])
+def test_weight_decay_that_would_reverse_weights_is_refused(path):
+    with pytest.raises(InvalidConfig) as error:
+        TrainConfig.from_dict({f"{path}lr": 0.5, f"{path}weight_decay": 2.0})
+    assert error.value.field == f"{path}weight_decay"
+    TrainConfig.from_dict({f"{path}lr": 0.5, f"{path}weight_decay": 1.9})
