@@ -117,6 +117,14 @@ class Settings(BaseSettings):
         description="smooth: clips with anti-aliasing. fast: without, in 0.6 of the time. pretty: with shadows, in "
         "twice the time.",
     )
+    clip_width: int = Field(
+        default=640,
+        ge=128,
+        le=1920,
+        multiple_of=64,
+        description="Width of clips in pixels, a multiple of 64; the height is three quarters of it. Time and size "
+        "grow with the area.",
+    )
     torch_threads: int = Field(
         default=1,
         ge=1,

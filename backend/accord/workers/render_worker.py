@@ -203,8 +203,12 @@ class RenderWorker:
 
     def _task(self, name: str) -> _TaskRendering:
         if name not in self._tasks:
+            service = self._context.settings
             settings = RenderSettings(
-                frame_rate_hz=1.0 / task_spec(name).step_seconds, quality=self._context.settings.clip_quality
+                width=service.clip_width,
+                height=service.clip_width * 3 // 4,
+                frame_rate_hz=1.0 / task_spec(name).step_seconds,
+                quality=service.clip_quality,
             )
             self._tasks[name] = _TaskRendering(settings, load_model(name), agent_geoms(name))
         return self._tasks[name]

@@ -45,7 +45,7 @@ def test_every_query_opens_once_both_clips_are_ready(waiting_for_clips):
         with av.open(io.BytesIO(content)) as container:
             shown = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
         assert len(shown) == frames == 10
-        assert shown[0].shape == (height, width, 3)
+        assert shown[0].shape == (height, width, 3) == (240, 320, 3)
         assert seconds == pytest.approx(0.5)
 
 

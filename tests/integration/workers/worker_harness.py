@@ -128,7 +128,7 @@ class WorkerHarness:
 @contextmanager
 def open_harness(home: Path, role: WorkerRole = WorkerRole.POLICY) -> Iterator[WorkerHarness]:
     """A harness with a new home folder, closed at the end of the block."""
-    settings = Settings(home=home, torch_threads=1, poll_seconds=0.01, worker_lease_seconds=30.0)
+    settings = Settings(home=home, torch_threads=1, poll_seconds=0.01, worker_lease_seconds=30.0, clip_width=320)
     database = Database.open(settings.resolved_database_url)
     migrate(database)
     with database.transaction() as session:
