@@ -20,8 +20,10 @@ from support import short_tasks
 from support.plain_http import PLAIN_HTTP
 from support.waiting import PATIENCE_SECONDS, until
 
-#: short episodes, frequent polling and short leases
+#: short episodes, small clips, frequent polling and short leases
 ENVIRONMENT = short_tasks.ENVIRONMENT | {
+    "ACCORD_CLIP_QUALITY": "fast",
+    "ACCORD_CLIP_WIDTH": "128",
     "OMP_NUM_THREADS": "1",
     "ACCORD_TORCH_THREADS": "1",
     "ACCORD_POLL_SECONDS": "0.05",
