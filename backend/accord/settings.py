@@ -131,6 +131,10 @@ class Settings(BaseSettings):
         le=1024,
         description="Threads of torch in each reward and policy worker; more than 1 helps only where cores are idle.",
     )
+    metrics_token: str = Field(
+        default="",
+        description="Bearer token that reads /metrics and nothing else, for Prometheus. Empty: only admins read them.",
+    )
     log_format: Literal["text", "json"] = Field(
         default="text", description="text: logs are lines for people. json: every line is a JSON object."
     )

@@ -9,6 +9,7 @@ from starlette.types import ASGIApp
 from accord.api import errors
 from accord.api.body_limit import BodyLimit
 from accord.api.dependencies import AppState
+from accord.api.monitoring import Monitoring
 from accord.api.pages import Page
 from accord.api.requests import Requests
 from accord.api.routes import (
@@ -24,6 +25,7 @@ from accord.api.routes import (
     imports,
     label_history,
     labelling,
+    monitoring,
     people,
     quality,
     recordings,
@@ -39,7 +41,7 @@ from accord.store.database import Database
 
 PREFIX = "/api/v1"
 #: need no sign-in
-_PUBLIC = ("/health", "/join/{token}", "/sign-in/{token}")
+_PUBLIC = ("/health", "/ready", "/join/{token}", "/sign-in/{token}")
 _DESCRIPTION = """Preference-based reward learning for cooperative multi-agent reinforcement learning.
 
 Sign in with `Authorization: Bearer <token>`. Every error has the same body: a stable `code`, a `message`, and
@@ -62,6 +64,8 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
     )
     app.state.accord = AppState(settings, database, blobs, SignInLimit(settings.failed_sign_ins_per_minute))
     app.state.streams = events.Streams()
+    app.state.monitoring = Monitoring(settings, database)
+    app.state.readiness = health.Readiness(database, blobs)
     # Routes are matched in this order, so the busiest come first.
     for module in (
         labelling,
@@ -84,6 +88,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
     ):
         app.include_router(module.router, prefix=PREFIX)
     app.include_router(documentation.router)
+    app.include_router(monitoring.router)
     app.router.default = Page()
     errors.install(app)
     app.add_middleware(
@@ -106,7 +111,9 @@ class _App(FastAPI):
     def build_middleware_stack(self) -> ASGIApp:
         """Outside of everything else, also of the response to an unexpected error."""
         settings: Settings = self.state.accord.settings
-        return Requests(Security(super().build_middleware_stack(), settings), log_all=settings.log_requests)
+        metrics: Monitoring = self.state.monitoring
+        secured = Security(super().build_middleware_stack(), settings)
+        return Requests(secured, metrics.observe_request, log_all=settings.log_requests)
 
     def openapi(self) -> dict[str, Any]:
         """The OpenAPI document with both authentication methods, created when it is first requested."""

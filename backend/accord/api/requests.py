@@ -3,6 +3,7 @@
 import logging
 import re
 import time
+from collections.abc import Callable
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -18,16 +19,19 @@ _HEADER = "X-Request-ID"
 _CLIENT_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 #: slower requests are logged
 _SLOW_SECONDS = 1.0
+#: called with the method, route, status and seconds of a request
+Observe = Callable[[str, str, int, float], None]
 
 
 class Requests:
-    """ASGI middleware: gives every request an id, and logs it when its response begins.
+    """ASGI middleware: gives every request an id, and logs and reports it when its response begins.
 
     The time of a request ends there, so that neither slow clients nor event streams, which last for hours, count.
     """
 
-    def __init__(self, app: ASGIApp, *, log_all: bool) -> None:
+    def __init__(self, app: ASGIApp, observe: Observe, *, log_all: bool) -> None:
         self.app = app
+        self._observe = observe
         self._log_all = log_all
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -49,6 +53,7 @@ class Requests:
 
     def _report(self, scope: Scope, status: int, seconds: float) -> None:
         method, route = scope["method"], route_of(scope)
+        self._observe(method, route, status, seconds)
         if self._log_all or status >= 500 or seconds > _SLOW_SECONDS:
             fields = {"method": method, "route": route, "status": status, "seconds": round(seconds, 4)}
             log.log(logging.WARNING if status >= 500 else logging.INFO, "Request", extra=fields)

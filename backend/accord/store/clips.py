@@ -7,7 +7,7 @@ from datetime import datetime
 from sqlalchemy import and_, exists, func, or_, select, union_all
 from sqlalchemy.orm import Session
 
-from accord.store.tables import ClipRow, ExperimentRow, QueryRow, SegmentRow
+from accord.store.tables import ClipRow, ClipViewRow, ExperimentRow, QueryRow, RecordingViewRow, SegmentRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +31,18 @@ def of_segments(session: Session, segment_ids: Sequence[str]) -> dict[str, ClipR
     """Segment id -> its clip, if it has one."""
     rows = session.scalars(select(ClipRow).where(ClipRow.segment_id.in_(segment_ids)))
     return {row.segment_id: row for row in rows}
+
+
+def pending_counts(session: Session) -> dict[str, int]:
+    """Experiment id -> number of clips, clips from other cameras and recordings that are not rendered."""
+    pending = union_all(
+        *(
+            select(table.experiment_id.label("experiment_id")).where(table.status == "pending")
+            for table in (ClipRow, ClipViewRow, RecordingViewRow)
+        )
+    ).subquery()
+    id = pending.c.experiment_id
+    return dict(session.execute(select(id, func.count()).group_by(id)).all())
 
 
 def lock_pending(session: Session, now: datetime) -> PendingClip | None:

@@ -100,6 +100,11 @@ def with_status(session: Session, status: str) -> list[ExperimentRow]:
     return list(session.scalars(select(ExperimentRow).where(ExperimentRow.status == status).order_by(ExperimentRow.id)))
 
 
+def status_counts(session: Session) -> dict[str, int]:
+    """Experiment status -> number of experiments."""
+    return dict(session.execute(select(ExperimentRow.status, func.count()).group_by(ExperimentRow.status)).all())
+
+
 def query_counts(
     session: Session, experiment_ids: Sequence[str], statuses: Sequence[str]
 ) -> dict[tuple[str, str], int]:

@@ -40,12 +40,13 @@ def is_new(database: Database) -> bool:
 
 
 def is_current(database: Database) -> bool:
-    """Whether no migration is missing. Takes the write lock for a moment, but changes nothing.
+    """Whether no migration is missing.
 
     Raises:
         DatabaseTooNew, DatabaseUnreachable: as `migrate`.
     """
-    with database.connection() as connection:
+    with database.reading() as session:
+        connection = session.connection()
         return _is_current(connection, ScriptDirectory.from_config(alembic_config(connection)))
 
 

@@ -76,11 +76,11 @@ def test_operation_ids_are_unique_and_short(api_document: dict[str, Any]) -> Non
     assert all(name.isidentifier() and len(name) < 30 for name in names)
 
 
-def test_only_health_invitations_and_links_need_no_sign_in(api_document: dict[str, Any]) -> None:
+def test_only_health_checks_invitations_and_links_need_no_sign_in(api_document: dict[str, Any]) -> None:
     assert api_document["security"]
     public = [address for address, operation in operations(api_document) if operation.get("security") == []]
     links = [f"{method} /api/v1/{path}/{{token}}" for method in ("get", "post") for path in ("join", "sign-in")]
-    assert sorted(public) == sorted(["get /api/v1/health", *links])
+    assert sorted(public) == sorted(["get /api/v1/health", "get /api/v1/ready", *links])
 
 
 def test_document_is_deterministic(tmp_path: Path) -> None:

@@ -94,6 +94,7 @@ ALLOWED: dict[str, frozenset[Role]] = {
 #: need no account
 PUBLIC = {
     "GET /health",
+    "GET /ready",
     "GET /join/{token}",
     "POST /join/{token}",
     "GET /sign-in/{token}",

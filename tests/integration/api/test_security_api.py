@@ -80,9 +80,9 @@ def test_strangers_learn_nothing_of_the_database(api: ApiServer) -> None:
     path.write_bytes(b"not a database" * 1000)
     for companion in (f"{path}-wal", f"{path}-shm"):
         Path(companion).unlink(missing_ok=True)
-    health, me = api.anyone.get("/api/v1/health"), api.anyone.get("/api/v1/me", headers={"Authorization": "Bearer x"})
-    assert (health.status_code, health.json()["error"]["code"]) == (503, "unavailable")
+    ready, me = api.anyone.get("/api/v1/ready"), api.anyone.get("/api/v1/me", headers={"Authorization": "Bearer x"})
+    assert (ready.status_code, ready.json()["error"]["code"]) == (503, "unavailable")
     assert (me.status_code, me.json()["error"]["code"]) == (503, "database_unreachable")
-    assert "database" not in health.text
+    assert "database" not in ready.text
     assert path.name not in me.text
     assert "sqlite" not in me.text

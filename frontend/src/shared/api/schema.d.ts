@@ -1294,10 +1294,32 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Check the service
-         * @description Checks whether the service works. Needs no authentication. Returns 503 if the service cannot work.
+         * Check that the server answers
+         * @description Whether the server's process answers (liveness). Says nothing about the database. Needs no authentication.
          */
         get: operations["health"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/ready": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Check that the service can work
+         * @description Whether the database is reachable and migrated, and blobs can be written; otherwise 503.
+         *
+         *     Needs no authentication. The server's log says what fails. The check is repeated at most every two seconds.
+         */
+        get: operations["ready"];
         put?: never;
         post?: never;
         delete?: never;
@@ -6771,6 +6793,35 @@ export interface operations {
         };
     };
     health: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Health"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    ready: {
         parameters: {
             query?: never;
             header?: never;
