@@ -31,6 +31,13 @@ def has(session: Session, experiment_id: str, policy_steps: int, reward_version_
     )
 
 
+def has_version(session: Session, experiment_id: str, reward_version_id: str) -> bool:
+    """Whether there is a recording of the policy that was last updated with this reward version."""
+    return any(
+        each.row.reward_version_id == reward_version_id for each in recordings.of_experiment(session, experiment_id)
+    )
+
+
 def store_states(
     blobs: BlobStore, experiment_id: str, qpos: NDArray[np.float64], qvel: NDArray[np.float64]
 ) -> tuple[str, str]:
@@ -49,18 +56,24 @@ def add(session: Session, recording: RecordingRow) -> list[str]:
     """Adds a recording whose states are stored.
 
     Deletes recordings at the same or later steps: they are of a run that was killed and resumed from an earlier
-    checkpoint. Of more than `KEPT`, it deletes those that leave the smallest gaps.
+    checkpoint. Deletes an earlier one of the same reward version, from which the policy has learned more since. Of more
+    than `KEPT`, it deletes those that leave the smallest gaps.
 
     Returns:
         Keys of the blobs to delete after the transaction is committed: a crash may then leave an orphan blob, but no
         row without its blob.
     """
     earlier = [each.row for each in recordings.of_experiment(session, recording.experiment_id)]
-    repeated = [each.id for each in earlier if each.policy_steps >= recording.policy_steps]
-    keys = recordings.delete_rows(session, repeated)
+    replaced = {
+        each.id
+        for each in earlier
+        if each.policy_steps >= recording.policy_steps
+        or (recording.reward_version_id is not None and each.reward_version_id == recording.reward_version_id)
+    }
+    keys = recordings.delete_rows(session, list(replaced))
     session.add(recording)
     session.flush()
-    kept = [each for each in earlier if each.policy_steps < recording.policy_steps] + [recording]
+    kept = [each for each in earlier if each.id not in replaced] + [recording]
     surplus = most_crowded([each.policy_steps for each in kept], KEPT)
     keys += recordings.delete_rows(session, [kept[index].id for index in surplus])
     return blob_deletion.to_delete(session, keys)

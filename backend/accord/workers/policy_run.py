@@ -346,6 +346,7 @@ class PolicyRun:
         for old in deleted:
             context.blobs.delete(old)
         self._saved_at, self._saved_iteration = time.monotonic(), trainer.iteration
+        self._record_newest_version()
 
     def _has_metric(self, name: str) -> bool:
         with self._context.database.reading() as session:
@@ -385,6 +386,16 @@ class PolicyRun:
             deleted = recordings.add(session, row)
         for old in deleted:
             context.blobs.delete(old)
+
+    def _record_newest_version(self) -> None:
+        """Show what the policy learned from a reward version before the version is replaced, which can take hours."""
+        version = self._trainer.source.version
+        if version is None:
+            return
+        with self._context.database.reading() as session:
+            recorded = recordings.has_version(session, self._id, version)
+        if not recorded:
+            self._record_start(version)
 
     def _finish(self) -> None:
         self._show_progress()

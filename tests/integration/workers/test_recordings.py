@@ -11,7 +11,7 @@ import torch
 from safetensors.numpy import load
 
 from accord.domain.enums import RecordingCamera
-from accord.services import clip_views, recordings
+from accord.services import clip_views, publish, recordings
 from accord.store.tables import RecordingRow
 from accord.workers.recording import MAX_STEPS, play_start
 from accord.workers.render_worker import RenderWorker
@@ -63,6 +63,31 @@ def test_the_policy_is_recorded_untrained_after_each_version_and_at_the_end(harn
         assert np.array_equal(each["qvel"][0], states[0]["qvel"][0])
     assert not np.array_equal(states[0]["qpos"][-1], states[2]["qpos"][-1])
     assert len({row[3] for row in rows}) == 3
+
+
+def test_the_newest_version_is_recorded_when_the_policy_waits_and_again_when_it_has_learned_more(
+    harness: WorkerHarness,
+):
+    id = harness.create_experiment()
+    train_first_version(harness, id)
+    with harness.training(id) as run:
+        while run.step():
+            pass
+        assert [row[:2] for row in harness.rows(ROWS, id)] == [(0, None), (run.steps, 1)]
+        blob_key = harness.rows(ROWS, id)[-1][4]
+        with harness.database.transaction() as session:
+            [version] = publish.versions(session, id)
+            later = RecordingRow(
+                id="rec_later",
+                experiment_id=id,
+                policy_steps=run.steps + 1,
+                reward_version_id=version.id,
+                length_steps=1,
+                true_return=0.0,
+                blob_key="recordings/later.safetensors",
+            )
+            assert recordings.add(session, later) == [blob_key]
+        assert [row[:2] for row in harness.rows(ROWS, id)] == [(0, None), (run.steps + 1, 1)]
 
 
 def test_a_policy_on_the_true_reward_is_recorded_before_and_after_training(harness: WorkerHarness):

@@ -19,9 +19,11 @@ CameraPath = Annotated[RecordingCamera, Path(description="Where the camera is: f
 
 @router.get("/experiments/{experiment_id}/recordings", summary="List recordings of the policy")
 def list_recordings(experiment_id: ExperimentId, auth: AuthDep) -> schemas.Recordings:
-    """Returns a recording of the untrained policy, one when each reward version is replaced, and one at the end.
+    """Returns a recording of the untrained policy, one of each reward version that it learned from, and one at the end.
 
-    All begin in the same state. Of many, about 50 are kept. For researchers and admins.
+    That of the newest version is made at the policy's next checkpoint, at the latest when the policy waits for labels,
+    and again when the version is replaced. All begin in the same state.
+    Of many, about 50 are kept. For researchers and admins.
     """
     with auth.reading() as caller:
         _require_researcher(caller)

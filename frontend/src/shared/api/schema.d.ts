@@ -789,9 +789,11 @@ export interface paths {
         };
         /**
          * List recordings of the policy
-         * @description Returns a recording of the untrained policy, one when each reward version is replaced, and one at the end.
+         * @description Returns a recording of the untrained policy, one of each reward version that it learned from, and one at the end.
          *
-         *     All begin in the same state. Of many, about 50 are kept. For researchers and admins.
+         *     That of the newest version is made at the policy's next checkpoint, at the latest when the policy waits for labels,
+         *     and again when the version is replaced. All begin in the same state.
+         *     Of many, about 50 are kept. For researchers and admins.
          */
         get: operations["list_recordings"];
         put?: never;
