@@ -149,6 +149,10 @@ def _with_correlation(page: Page) -> None:
     page.get_by_label("Curve").select_option(label="Correlation of learned and true reward")
 
 
+def _with_rows(page: Page) -> None:
+    page.get_by_role("row").nth(3).wait_for()
+
+
 def _with_import(page: Page) -> None:
     page.get_by_role("button", name="Import").click()
     page.get_by_label("Name of the new experiment").fill("Cheetah of last week")
@@ -249,6 +253,10 @@ PAGES = (
         lambda s: "/account",
     ),
     Picture("people", "People", "Users, their access, sign-in links and invitations.", lambda s: "/people"),
+    Picture(
+        "audit", "Audit log", "Who did what, and when. Only admins read it.", lambda s: "/audit", prepare=_with_rows
+    ),
+    Picture("api", "REST API", "Every route with its parameters and answers.", lambda s: "/api/docs"),
     Picture("shared", "Read-only link", "What somebody without an account sees.", lambda s: s.shared, "nobody"),
     Picture("signed-out", "Signed out", "How to get in.", lambda s: "/", "nobody"),
 )
