@@ -309,6 +309,8 @@ def test_a_label_is_changed_in_the_history_and_researchers_see_its_revisions(
     current = labeller.pair()
     items.last.get_by_role("button").click()
     expect(labeller.pair_view).to_have_attribute("data-query", first.query)
+    gif = page.get_by_role("link", name="Left as GIF").get_attribute("href")
+    assert page.request.get(f"{service.url}{gif}").headers["content-type"] == "image/gif"
     assert labeller.press("ArrowRight") == first
     assert labeller.pair() == current, "the pair that was on screen before"
     _assert_label(service, first.query, left_preferred=0.0)

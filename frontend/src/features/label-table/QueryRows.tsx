@@ -1,4 +1,5 @@
 import type { LabelRevision, RecordedLabel, RecordedQuery } from "@/shared/api/types";
+import { gifUrl } from "@/shared/media/clip";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { formatReturn, formatTime, plural } from "@/shared/ui/format";
@@ -76,7 +77,19 @@ function Segments({ query }: { query: RecordedQuery }) {
               />
             </a>
           )}
-          <figcaption>true return {formatReturn(true_return)}</figcaption>
+          <figcaption>
+            true return {formatReturn(true_return)}
+            {clip_url && (
+              <a
+                className="block"
+                href={gifUrl(clip_url)}
+                download
+                aria-label={`${index === 0 ? "First" : "Second"} clip of pair ${query.number} as GIF`}
+              >
+                GIF
+              </a>
+            )}
+          </figcaption>
         </figure>
       ))}
     </div>

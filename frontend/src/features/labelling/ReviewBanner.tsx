@@ -1,6 +1,7 @@
 import { useQuery } from "@tanstack/react-query";
 import { meQuery } from "@/shared/api/queries";
 import { canManageExperiments, type Experiment } from "@/shared/api/types";
+import { gifUrl } from "@/shared/media/clip";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
 import { Key } from "@/shared/ui/Key";
@@ -31,6 +32,16 @@ export function ReviewBanner({ experiment, pair, names, onRules, onClose }: Revi
           What was learned
         </Link>
       )}
+      {(["left", "right"] as const).map((side) => {
+        const url = pair.query[side].clip_url;
+        return (
+          url && (
+            <a key={side} className="button small for-keys" href={gifUrl(url)} download>
+              {names[side]} as GIF
+            </a>
+          )
+        );
+      })}
       <RulesButton onOpen={onRules} />
       <button type="button" className="button small" onClick={onClose}>
         <Key name="Esc" /> Keep it

@@ -12,7 +12,7 @@ import {
 import { CreditStrips } from "@/shared/credit/CreditStrips";
 import { labelsText } from "@/shared/credit/labelsText";
 import { scaleOf, sidesOf } from "@/shared/credit/strips";
-import type { ClipSource } from "@/shared/media/clip";
+import { type ClipSource, gifUrl } from "@/shared/media/clip";
 import { PairStage } from "@/shared/media/PairStage";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
@@ -106,7 +106,7 @@ function Pair({ experiment, credit }: { experiment: Experiment; credit: Credit }
                 <span>True return {formatReturn(query[side].true_return)}</span>
               )}
               {query[side].clip_url !== null && (
-                <a href={query[side].clip_url.replace(/\.mp4$/, ".gif")} download>
+                <a href={gifUrl(query[side].clip_url)} download>
                   {names[side]} clip as GIF
                 </a>
               )}

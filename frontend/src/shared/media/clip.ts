@@ -13,6 +13,11 @@ export interface ClipSource {
   seconds: number;
 }
 
+/** Where a clip is as an animated GIF, for messages and pages that play no video. */
+export function gifUrl(clipUrl: string): string {
+  return clipUrl.replace(/\.mp4$/, ".gif");
+}
+
 /** Clips have a constant frame rate. */
 export function frameSecondsOf(source: ClipSource): number {
   return source.seconds / source.frames;
