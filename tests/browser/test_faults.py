@@ -51,11 +51,27 @@ def test_leaving_releases_the_pairs_for_the_next_labeller(
     assert berta.open(service.url, experiment).query == pair.query
 
 
-def test_a_paused_experiment_is_shown_as_paused_and_resumes_automatically(
+#: notes the notifications that the page shows, and lets a test say that the user looks at another page
+_NOTIFICATIONS = """
+  globalThis.shownNotifications = [];
+  const Shown = globalThis.Notification;
+  globalThis.Notification = class extends Shown {
+    constructor(title, options) {
+      super(title, options);
+      globalThis.shownNotifications.push(`${title}: ${options.body}`);
+    }
+  };
+  globalThis.isAway = false;
+  Object.defineProperty(document, "hidden", { get: () => globalThis.isAway });
+"""
+
+
+def test_a_paused_experiment_is_shown_as_paused_resumes_automatically_and_notifies_who_asked_for_it(
     service: Service, researcher: str, new_experiment: NewExperiment, sign_in: SignIn
 ) -> None:
     experiment = new_experiment("Paused")
-    labeller = Labeller(sign_in("Rita"))
+    labeller = Labeller(sign_in("Rita", permissions=["notifications"]))
+    labeller.page.add_init_script(_NOTIFICATIONS)
     labeller.open(service.url, experiment)
     with service.api(researcher) as api:
         api.post(f"/experiments/{experiment}/pause").raise_for_status()
@@ -65,8 +81,11 @@ def test_a_paused_experiment_is_shown_as_paused_and_resumes_automatically(
             labeller.press("ArrowUp")  # pairs that are already loaded can still be labelled
         expect(no_pair).to_have_attribute("data-reason", "paused", timeout=PATIENCE_MS)
         expect(no_pair).to_contain_text("paused")
+        labeller.page.get_by_label("Notify me when pairs are ready").check()
+        labeller.page.evaluate("globalThis.isAway = true")
         api.post(f"/experiments/{experiment}/resume").raise_for_status()
     labeller.pair()
+    assert labeller.page.evaluate("globalThis.shownNotifications") == ["Pairs are ready to label: Paused"]
 
 
 def test_a_pair_leaves_the_screen_when_its_experiment_is_cancelled(

@@ -8,6 +8,7 @@ from browser.accessibility import violations_of
 from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import Labeller, Pair
 from browser.service import Service
+from support.waiting import until
 
 
 def prefer(labeller: Labeller, segment: str) -> Pair:
@@ -88,3 +89,26 @@ def test_a_researcher_marks_a_pair_as_gold_and_excludes_a_label(
     expect(researcher.get_by_label(f"Known answer of pair {numbers[gold.query]}", exact=True)).to_have_value("1")
     assert service.rows("select label_count from experiments where id = ?", experiment) == [(0,)]
     assert violations_of(researcher, "labels") == []
+
+
+def test_equal_answers_without_watching_are_mentioned_to_the_researcher(
+    service: Service, researcher: str, new_experiment: NewExperiment, sign_in: SignIn
+) -> None:
+    answers = 32
+    experiment = new_experiment(
+        "Hasty", render_clips=False, initial_labels=40, lookahead_queries=answers, repeat_share=0.0
+    )
+    with service.api(researcher) as api:
+
+        def is_labelled() -> bool:
+            found = api.get(f"/experiments/{experiment}/queries", params={"status": "open"}).json()["items"]
+            labels = [{"query_id": query["id"], "label": 0.5, "response_seconds": 0.76} for query in found]
+            if labels:
+                api.post(f"/experiments/{experiment}/labels", json={"labels": labels}).raise_for_status()
+            return api.get(f"/experiments/{experiment}").json()["labels"]["labels"] >= answers
+
+        until(is_labelled)
+    page = sign_in("Rosa", "researcher")
+    page.goto(f"{service.url}/experiments/{experiment}/quality")
+    expect(page.locator("[data-flag=fast]")).to_contain_text("0.8 s")
+    assert violations_of(page, "quality with a note") == []

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from playwright.sync_api import Browser, expect
 
+from browser.accessibility import violations_of
 from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS, Labeller
 from browser.service import Service
@@ -29,6 +30,7 @@ def test_a_read_only_link_works_without_an_account_until_it_is_revoked(
     expect(visitor.get_by_role("region", name="Curves")).to_be_visible()
     expect(visitor.get_by_role("button", name="Pause")).to_have_count(0)
     expect(visitor.get_by_role("link", name="Label", exact=True)).to_have_count(0)
+    assert violations_of(visitor, "shared") == []
     token = link.partition("#")[2]
     assert not any(token in url.partition("#")[0] for url in requested), "the token must not be sent in an address"
     assert {url.rpartition("/")[2] for url in requested if "/api/" in url} == {"shared"}
