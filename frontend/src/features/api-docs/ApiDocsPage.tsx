@@ -25,7 +25,9 @@ export function ApiDocsPage() {
 function Reference({ document }: { document: OpenApi }) {
   return (
     <>
-      <p>{document.info.description}</p>
+      <p>
+        <WithCode text={document.info.description} />
+      </p>
       {routesByTag(document).map(([tag, routes]) => (
         <section key={tag} aria-labelledby={`tag-${tag}`}>
           <h2 id={`tag-${tag}`}>{tag}</h2>
@@ -39,7 +41,11 @@ function Reference({ document }: { document: OpenApi }) {
         {Object.entries(document.components.schemas).map(([name, schema]) => (
           <div key={name} id={`schema-${name}`}>
             <h3>{name}</h3>
-            {schema.description && <p>{schema.description}</p>}
+            {schema.description && (
+              <p>
+                <WithCode text={schema.description} />
+              </p>
+            )}
             {schema.enum && <p>{typeText(schema)}</p>}
             {schema.properties && <Fields of={schema} />}
           </div>
@@ -60,7 +66,11 @@ function Endpoint({ route }: { route: Route }) {
         {route.summary}
       </summary>
       <div className="api-endpoint">
-        {route.description && <p>{route.description}</p>}
+        {route.description && (
+          <p>
+            <WithCode text={route.description} />
+          </p>
+        )}
         {route.security?.length === 0 && <p>Needs no sign-in.</p>}
         {route.parameters && (
           <Table
@@ -89,7 +99,7 @@ function Endpoint({ route }: { route: Route }) {
                   <code key={type}>{type}</code>
                 ),
               )}{" "}
-              {response.description}
+              <WithCode text={response.description ?? ""} />
             </li>
           ))}
         </ul>
@@ -144,7 +154,9 @@ function Table({ title, rows }: { title: string; rows: readonly Row[] }) {
             <td>
               <TypeLinks schema={schema} />
             </td>
-            <td>{description}</td>
+            <td>
+              <WithCode text={description ?? ""} />
+            </td>
           </tr>
         ))}
       </tbody>
@@ -166,5 +178,13 @@ function TypeLinks({ schema }: { schema: Schema | undefined }) {
         </span>
       ))}
     </>
+  );
+}
+
+/** A text with code between backticks. */
+function WithCode({ text }: { text: string }) {
+  return text.split("`").map((part, index) =>
+    // biome-ignore lint/suspicious/noArrayIndexKey: the parts of a text never change their order
+    index % 2 ? <code key={index}>{part}</code> : part,
   );
 }

@@ -1,6 +1,7 @@
 import { useQuery } from "@tanstack/react-query";
 import { ApiError, errorMessage } from "@/shared/api/errors";
 import { sharedQuery } from "@/shared/api/queries";
+import { summaryOf } from "@/shared/markdown/summary";
 import { formatTime } from "@/shared/ui/format";
 import { Message } from "@/shared/ui/Message";
 import { Curves } from "./Curves";
@@ -35,7 +36,7 @@ export function SharedPage({ token }: { token: string }) {
         <div className="page-head">
           <div>
             <h1>{experiment.name}</h1>
-            <p className="muted instructions-text">{experiment.instructions}</p>
+            <p className="muted">{summaryOf(experiment.instructions)}</p>
           </div>
         </div>
         <Overview experiment={experiment} versions={reward_versions} connected={!error} />
