@@ -27,7 +27,7 @@ export function UserMenu({ me }: { me: Me }) {
       <button
         type="button"
         className="button user-button"
-        aria-label={`Your account: ${me.name}, ${me.role}`}
+        aria-label="Your account"
         popoverTarget="user-items"
       >
         <svg viewBox="0 0 20 20" width="20" height="20" aria-hidden="true">
