@@ -131,6 +131,10 @@ class Settings(BaseSettings):
         le=1024,
         description="Threads of torch in each reward and policy worker; more than 1 helps only where cores are idle.",
     )
+    webhook_private_addresses: bool = Field(
+        default=False,
+        description="Webhooks may lead to this machine and to private networks, and may use http instead of https.",
+    )
     metrics_token: str = Field(
         default="",
         description="Bearer token that reads /metrics and nothing else, for Prometheus. Empty: only admins read them.",

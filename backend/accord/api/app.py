@@ -32,6 +32,7 @@ from accord.api.routes import (
     segments,
     shares,
     tokens,
+    webhooks,
 )
 from accord.api.security import Security
 from accord.api.sign_in_limit import SignInLimit
@@ -84,6 +85,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         tokens,
         people,
         audit,
+        webhooks,
         health,
     ):
         app.include_router(module.router, prefix=PREFIX)

@@ -231,6 +231,10 @@ def _token_id(id: str) -> str:
     return check_id(id, "tok")
 
 
+def _webhook_id(id: str) -> str:
+    return check_id(id, "whk")
+
+
 def _share_id(id: str) -> str:
     return check_id(id, "shr")
 
@@ -243,6 +247,7 @@ SegmentId = Annotated[str, AfterValidator(_segment_id), Path(description="The se
 ShareId = Annotated[str, AfterValidator(_share_id), Path(description="The link, shr_...")]
 
 UserId = Annotated[str, AfterValidator(_user_id), Path(description="The user, usr_...")]
+WebhookId = Annotated[str, AfterValidator(_webhook_id), Path(description="The webhook, whk_...")]
 TokenId = Annotated[str, AfterValidator(_token_id), Path(description="The token, tok_...")]
 InvitationId = Annotated[str, AfterValidator(_invitation_id), Path(description="The invitation, inv_...")]
 

@@ -14,7 +14,7 @@ from prometheus_client import CollectorRegistry, Gauge, Histogram, ProcessCollec
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from accord.domain.enums import ExperimentStatus, WorkerState
+from accord.domain.enums import DeliveryStatus, ExperimentStatus, WorkerState
 from accord.domain.errors import DatabaseUnreachable
 from accord.services import monitoring
 from accord.services.monitoring import Monitored
@@ -88,6 +88,7 @@ class _Rows(Collector):
         if found is not None:
             yield from _experiments(found)
             yield from _workers(found)
+            yield _deliveries(found)
 
 
 def _experiments(found: Monitored) -> Iterator[Metric]:
@@ -152,6 +153,14 @@ def _workers(found: Monitored) -> Iterator[Metric]:
         if row.state != WorkerState.STOPPED:
             heartbeat.add_metric((row.id, row.role), row.heartbeat_at.timestamp())
     yield from (state, heartbeat, restarts)
+
+
+def _deliveries(found: Monitored) -> Metric:
+    text = "Deliveries of webhooks that are pending, and those of the last 30 days."
+    deliveries = GaugeMetricFamily("accord_webhook_deliveries", text, labels=("status",))
+    for status in DeliveryStatus:
+        deliveries.add_metric((status.value,), found.deliveries.get(status.value, 0))
+    return deliveries
 
 
 class _Disk(Collector):

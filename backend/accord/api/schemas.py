@@ -10,11 +10,13 @@ from accord.domain.enums import (
     ClipCamera,
     ClipStatus,
     CreditStatus,
+    DeliveryStatus,
     ExperimentStatus,
     Phase,
     QueryStatus,
     RecordingCamera,
     Role,
+    WebhookEvent,
     WorkerRole,
     WorkerState,
 )
@@ -180,6 +182,42 @@ class AuditPage(Schema):
 
     items: list[AuditEntry] = Field(description="The entries of this page.")
     next_before: str | None = Field(description="Pass it as `before` to get older ones; null at the end.")
+
+
+class NewWebhook(Schema):
+    """A webhook to create."""
+
+    url: str = Field(max_length=2000, description="Where to send events, https://...")
+    events: list[WebhookEvent] = Field(min_length=1, max_length=10, description="The events to send.")
+
+
+class Webhook(Schema):
+    """An address that is told about events."""
+
+    id: str = Field(description="whk_...")
+    url: str = Field(description="Where events are sent.")
+    events: list[WebhookEvent] = Field(description="The events that are sent.")
+    created_at: datetime = Field(description="When it was created.")
+
+
+class CreatedWebhook(Webhook):
+    """A new webhook with its secret."""
+
+    secret: str = Field(description="whsec_..., which signs every delivery. It cannot be shown again.")
+
+
+class WebhookDelivery(Schema):
+    """An event for a webhook."""
+
+    id: str = Field(description="evt_..., also sent as the header webhook-id.")
+    event: WebhookEvent = Field(description="What happened.")
+    status: DeliveryStatus = Field(description="Whether it arrived.")
+    attempts: int = Field(description="Attempts so far.")
+    next_attempt_at: datetime = Field(description="When a pending delivery is attempted again.")
+    response_status: int | None = Field(description="HTTP status of the last response; null if there was none.")
+    failure: str = Field(description="Why the last attempt failed; empty if it did not.")
+    created_at: datetime = Field(description="When it happened.")
+    ended_at: datetime | None = Field(description="When it arrived or was given up.")
 
 
 class NewInvitation(Schema):

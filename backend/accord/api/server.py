@@ -24,6 +24,7 @@ from accord.api.app import create_app
 from accord.api.connections import Connections, LimitedHttp
 from accord.api.listener import address_of, listen, require_protection
 from accord.domain.errors import AccordError
+from accord.services.webhook_delivery import WebhookSender
 from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database
@@ -50,7 +51,12 @@ def serve(listener: socket.socket, settings: Settings) -> None:
         blobs.check_writable()
         config = server_config(create_app(settings, database, blobs), settings)
         log.info("Process %d serves %s", os.getpid(), address_of(listener))
-        uvicorn.Server(config).run([listener])
+        sender = WebhookSender(database, private_addresses=settings.webhook_private_addresses)
+        sender.start()
+        try:
+            uvicorn.Server(config).run([listener])
+        finally:
+            sender.close()
     finally:
         database.close()
 

@@ -128,3 +128,26 @@ class AuditAction(StrEnum):
     LABELS_EXCLUDED = "labels_excluded"
     LABELLER_CHANGED = "labeller_changed"
     GOLD_CHANGED = "gold_changed"
+    WEBHOOK_CREATED = "webhook_created"
+    WEBHOOK_DELETED = "webhook_deleted"
+
+
+class WebhookEvent(StrEnum):
+    """What webhooks are told."""
+
+    REWARD_VERSION_PUBLISHED = "reward_version.published"
+    #: it finished, failed or was cancelled
+    EXPERIMENT_FINISHED = "experiment.finished"
+    #: the policy waits for labels
+    LABELS_DUE = "labels.due"
+    #: on request of an admin only
+    TEST = "test"
+
+
+class DeliveryStatus(StrEnum):
+    """State of an event for a webhook."""
+
+    PENDING = "pending"
+    DELIVERED = "delivered"
+    #: given up after the last attempt
+    FAILED = "failed"

@@ -8,7 +8,7 @@
     ├── NotFound                      the object does not exist
     │   └── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound, UserNotFound,
     │       CreditNotFound, RewardVersionNotFound, InvitationNotFound, InvitationNotValid, ShareNotFound,
-    │       RecordingNotFound, TokenNotFound
+    │       RecordingNotFound, TokenNotFound, WebhookNotFound
     ├── WrongState                    the object is in a state that does not allow it
     │   └── ExperimentNotActive, ExperimentInUse, QueryClosed, LabelConflict, LabelChanged, NameTaken, OwnAccount
     ├── LeaseLost                     the caller holds no lease on the query
@@ -143,6 +143,11 @@ class RewardVersionNotFound(NotFound):
 class ShareNotFound(NotFound):
     code = "share_not_found"
     thing = "read-only link"
+
+
+class WebhookNotFound(NotFound):
+    code = "webhook_not_found"
+    thing = "webhook"
 
 
 class UserNotFound(NotFound):

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 from sqlalchemy.orm import Session
 
-from accord.domain.enums import ExperimentStatus, Phase, QueryStatus
+from accord.domain.enums import ExperimentStatus, Phase, QueryStatus, WebhookEvent
 from accord.domain.errors import ExperimentNotActive, ExperimentNotFound, InvalidExperiment, NameTaken, UnknownTask
 from accord.domain.ids import new_id
+from accord.services import webhooks
 from accord.services.experiment_config import ExperimentConfig
 from accord.services.training_memory import require_fits
 from accord.services.validation import check_line, check_lines
@@ -199,6 +200,7 @@ def cancel(session: Session, experiment_id: str) -> ExperimentRow:
         session, experiment_id, ExperimentStatus.CANCELLED, (ExperimentStatus.RUNNING, ExperimentStatus.PAUSED)
     )
     row.ended_at = row.ended_at or utc_now()
+    _announce_end(session, row, "")
     return row
 
 
@@ -261,6 +263,8 @@ def report(
         row.steps = steps
     if steps_per_second is not None:
         row.steps_per_second = steps_per_second
+    if phase is Phase.WAITING_FOR_LABELS:
+        _announce_labels_due(session, row)
     return True
 
 
@@ -306,4 +310,19 @@ def _end(session: Session, experiment_id: str, status: ExperimentStatus, detail:
     row.phase = Phase.DONE.value
     row.phase_detail = detail
     row.ended_at = utc_now()
+    _announce_end(session, row, detail)
     return True
+
+
+def _announce_end(session: Session, row: ExperimentRow, reason: str) -> None:
+    details = {"status": row.status, "reason": reason}
+    webhooks.announce(session, WebhookEvent.EXPERIMENT_FINISHED, row, details)
+
+
+def _announce_labels_due(session: Session, row: ExperimentRow) -> None:
+    """Once for each number of labels that is due: the policy may begin to wait for them more than once."""
+    due = labels_due(row)
+    if row.label_count < due and row.labels_announced < due:
+        row.labels_announced = due
+        details = {"labels": row.label_count, "labels_due": due}
+        webhooks.announce(session, WebhookEvent.LABELS_DUE, row, details)

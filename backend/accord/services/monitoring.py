@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 from accord.domain.enums import ExperimentStatus
 from accord.services import experiments, workers
 from accord.services.experiments import LabelCounts
-from accord.store import clips
+from accord.store import clips, webhooks
 from accord.store import experiments as experiment_rows
 from accord.store.tables import ExperimentRow, WorkerRow
 
@@ -36,6 +36,8 @@ class Monitored:
     statuses: dict[str, int]
     experiments: list[MonitoredExperiment]
     workers: list[WorkerRow]
+    #: delivery status -> number of deliveries of webhooks
+    deliveries: dict[str, int]
 
 
 def read(session: Session) -> Monitored:
@@ -57,4 +59,5 @@ def read(session: Session) -> Monitored:
             for row in rows
         ],
         workers.all(session),
+        webhooks.status_counts(session),
     )

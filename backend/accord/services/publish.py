@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 from sqlalchemy.orm import Session
 
+from accord.domain.enums import WebhookEvent
 from accord.domain.errors import ExperimentNotFound
 from accord.domain.ids import new_id
 from accord.services import experiments as experiment_service
+from accord.services import webhooks
 from accord.store import experiments, labels, rewards
 from accord.store.labels import GoldLabel, LabelledPair
 from accord.store.rewards import NamedReliability
@@ -86,7 +88,8 @@ def publish(
     Raises:
         ExperimentNotFound: if there is no such experiment.
     """
-    if experiments.lock(session, experiment_id) is None:
+    experiment = experiments.lock(session, experiment_id)
+    if experiment is None:
         raise ExperimentNotFound(experiment_id)
     parent = rewards.newest_version(session, experiment_id)
     row = RewardVersionRow(
@@ -118,6 +121,8 @@ def publish(
         for each in reliabilities
     )
     session.flush()
+    version = {"id": row.id, "number": row.number, "label_count": row.label_count}
+    webhooks.announce(session, WebhookEvent.REWARD_VERSION_PUBLISHED, experiment, {"reward_version": version})
     return row
 
 

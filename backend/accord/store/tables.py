@@ -154,6 +154,8 @@ class ExperimentRow(Base):
     archived_at: Mapped[datetime | None] = mapped_column(default=None)
     #: number of the newest row of `instruction_revisions`, which holds the same text as `instructions`
     instructions_revision: Mapped[int] = mapped_column(default=1, server_default="1")
+    #: labels that were due when webhooks were last told that labels are due
+    labels_announced: Mapped[int] = mapped_column(default=0, server_default="0")
 
 
 class InstructionRevisionRow(Base):
@@ -565,6 +567,45 @@ class WorkerRow(Base):
     restarts: Mapped[int] = mapped_column(default=0)
     started_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
     heartbeat_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
+class WebhookRow(Base):
+    """An address that is told about events. The secret is stored as it is, because it signs every delivery."""
+
+    __tablename__ = "webhooks"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    url: Mapped[str] = mapped_column(String(2000))
+    #: `WebhookEvent`s
+    events: Mapped[list[str]] = mapped_column(JSON)
+    #: whsec_ and the key in base64
+    secret: Mapped[str] = mapped_column(String(100))
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
+class WebhookDeliveryRow(Base):
+    """An event for one webhook, written in the transaction of what happened and delivered afterwards."""
+
+    __tablename__ = "webhook_deliveries"
+    #: also sent as webhook-id: the same in every attempt
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    webhook_id: Mapped[str] = mapped_column(ForeignKey("webhooks.id"), index=True)
+    #: a `WebhookEvent`
+    event: Mapped[str] = mapped_column(String(40))
+    #: JSON, exactly as it is sent
+    body: Mapped[str]
+    #: a `DeliveryStatus`
+    status: Mapped[str] = mapped_column(String(10), default="pending")
+    attempts: Mapped[int] = mapped_column(default=0)
+    #: While an attempt is under way, when it counts as failed: its process may have been killed.
+    next_attempt_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    #: of the last response; None if there was none
+    response_status: Mapped[int | None] = mapped_column(default=None)
+    #: why the last attempt failed
+    failure: Mapped[str] = mapped_column(default="")
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+    #: when it was delivered or given up
+    ended_at: Mapped[datetime | None] = mapped_column(default=None)
+    __table_args__ = (Index("ix_webhook_deliveries_due", "status", "next_attempt_at"),)
 
 
 class AttemptRow(Base):

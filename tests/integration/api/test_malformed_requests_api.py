@@ -68,6 +68,7 @@ def test_extreme_values_in_any_field_are_no_failure_of_the_server(
         "invitation_id": "x",
         "recording_id": "x",
         "share_id": "x",
+        "webhook_id": "x",
     }
 
     def send(method: str, path: str, **options: Any) -> None:

@@ -87,6 +87,11 @@ ALLOWED: dict[str, frozenset[Role]] = {
     "POST /users/{user_id}/token": ADMINS,
     "POST /users/{user_id}/revoke": ADMINS,
     "GET /audit": ADMINS,
+    "GET /webhooks": ADMINS,
+    "POST /webhooks": ADMINS,
+    "DELETE /webhooks/{webhook_id}": ADMINS,
+    "POST /webhooks/{webhook_id}/test": ADMINS,
+    "GET /webhooks/{webhook_id}/deliveries": ADMINS,
     "GET /invitations": ADMINS,
     "POST /invitations": ADMINS,
     "DELETE /invitations/{invitation_id}": ADMINS,
@@ -116,6 +121,7 @@ BODIES: dict[str, dict[str, Any]] = {
     "POST /experiments/{experiment_id}/shares": {"days": 1},
     "POST /invitations": {"experiment_id": new_id("exp")},
     "POST /tokens": {"name": "mine"},
+    "POST /webhooks": {"url": "https://example.com/", "events": ["labels.due"]},
 }
 PARAMETERS = {"DELETE /experiments/{experiment_id}": {"name": "one"}, "POST /experiments/import": {"name": "one"}}
 #: refused as invalid after the role is checked
@@ -125,7 +131,7 @@ INVALID = {"POST /experiments", "POST /experiments/import"}
 def request(client: httpx.Client, operation: str, **ids: str) -> httpx.Response:
     """Send a valid request; objects that `ids` does not name do not exist."""
     absent = {"experiment_id": "exp", "query_id": "qry", "clip_id": "clp", "segment_id": "seg", "user_id": "usr"}
-    absent |= {"invitation_id": "inv", "share_id": "shr", "recording_id": "rec", "token_id": "tok"}
+    absent |= {"invitation_id": "inv", "share_id": "shr", "recording_id": "rec", "token_id": "tok", "webhook_id": "whk"}
     method, path = operation.split()
     filled = f"/api/v1{path}".format(
         number=1, camera="top", **{name: new_id(kind) for name, kind in absent.items()} | ids

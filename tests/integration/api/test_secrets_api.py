@@ -69,6 +69,7 @@ def fill_path(path: str, sample: SampleExperiment, clip_id: str) -> str:
         token_id=new_id("tok"),
         number="1",
         share_id=new_id("shr"),
+        webhook_id=new_id("whk"),
         recording_id=RECORDING,
     )
 

@@ -25,6 +25,8 @@ const TEXTS: Record<AuditAction, string> = {
   labels_excluded: "Excluded or included labels",
   labeller_changed: "Paused or excluded a labeller",
   gold_changed: "Changed a gold pair",
+  webhook_created: "Created a webhook",
+  webhook_deleted: "Deleted a webhook",
 };
 
 export const ACTIONS = Object.keys(TEXTS) as AuditAction[];

@@ -1288,6 +1288,92 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/webhooks": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List the webhooks
+         * @description Lists the webhooks, newest first, without their secrets. For admins.
+         */
+        get: operations["list_webhooks"];
+        put?: never;
+        /**
+         * Create a webhook
+         * @description Creates a webhook. Its secret, which signs every delivery, is shown once. For admins.
+         *
+         *     The URL needs https and a public address, unless ACCORD_WEBHOOK_PRIVATE_ADDRESSES allows others.
+         */
+        post: operations["create_webhook"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/webhooks/{webhook_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /**
+         * Delete a webhook
+         * @description Deletes a webhook with its deliveries; those that have not arrived are not sent any more. For admins.
+         */
+        delete: operations["delete_webhook"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/webhooks/{webhook_id}/test": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Send a test event
+         * @description Sends the event `test` within a second or two. The list of deliveries shows what came of it. For admins.
+         */
+        post: operations["send_test_event"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/webhooks/{webhook_id}/deliveries": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List the deliveries of a webhook
+         * @description Lists deliveries, newest first. Those that arrived or were given up are kept for 30 days. For admins.
+         */
+        get: operations["list_deliveries"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/health": {
         parameters: {
             query?: never;
@@ -1355,7 +1441,7 @@ export interface components {
          * @description What the audit log records.
          * @enum {string}
          */
-        AuditAction: "signed_in" | "sign_in_failed" | "signed_out" | "joined" | "user_added" | "user_changed" | "user_removed" | "sign_ins_revoked" | "link_created" | "token_created" | "token_revoked" | "invitation_created" | "invitation_withdrawn" | "experiment_created" | "experiment_imported" | "experiment_changed" | "experiment_deleted" | "experiment_exported" | "experiment_shared" | "share_revoked" | "labels_excluded" | "labeller_changed" | "gold_changed";
+        AuditAction: "signed_in" | "sign_in_failed" | "signed_out" | "joined" | "user_added" | "user_changed" | "user_removed" | "sign_ins_revoked" | "link_created" | "token_created" | "token_revoked" | "invitation_created" | "invitation_withdrawn" | "experiment_created" | "experiment_imported" | "experiment_changed" | "experiment_deleted" | "experiment_exported" | "experiment_shared" | "share_revoked" | "labels_excluded" | "labeller_changed" | "gold_changed" | "webhook_created" | "webhook_deleted";
         /**
          * AuditEntry
          * @description Something that somebody did.
@@ -1768,6 +1854,38 @@ export interface components {
             sign_in_url: string;
         };
         /**
+         * CreatedWebhook
+         * @description A new webhook with its secret.
+         */
+        CreatedWebhook: {
+            /**
+             * Id
+             * @description whk_...
+             */
+            id: string;
+            /**
+             * Url
+             * @description Where events are sent.
+             */
+            url: string;
+            /**
+             * Events
+             * @description The events that are sent.
+             */
+            events: components["schemas"]["WebhookEvent"][];
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was created.
+             */
+            created_at: string;
+            /**
+             * Secret
+             * @description whsec_..., which signs every delivery. It cannot be shown again.
+             */
+            secret: string;
+        };
+        /**
          * Credit
          * @description The answer to a request, and the query that it is about.
          */
@@ -1846,6 +1964,12 @@ export interface components {
              */
             created_at: string;
         };
+        /**
+         * DeliveryStatus
+         * @description State of an event for a webhook.
+         * @enum {string}
+         */
+        DeliveryStatus: "pending" | "delivered" | "failed";
         /**
          * ErrorBody
          * @description Description of an error.
@@ -3122,6 +3246,22 @@ export interface components {
             access?: components["schemas"]["Access"] | null;
         };
         /**
+         * NewWebhook
+         * @description A webhook to create.
+         */
+        NewWebhook: {
+            /**
+             * Url
+             * @description Where to send events, https://...
+             */
+            url: string;
+            /**
+             * Events
+             * @description The events to send.
+             */
+            events: components["schemas"]["WebhookEvent"][];
+        };
+        /**
          * OwnLabel
          * @description A label or skip of the caller, with the query on the sides that the caller saw.
          */
@@ -4170,6 +4310,86 @@ export interface components {
              */
             lacks_ensemble: boolean;
         };
+        /**
+         * Webhook
+         * @description An address that is told about events.
+         */
+        Webhook: {
+            /**
+             * Id
+             * @description whk_...
+             */
+            id: string;
+            /**
+             * Url
+             * @description Where events are sent.
+             */
+            url: string;
+            /**
+             * Events
+             * @description The events that are sent.
+             */
+            events: components["schemas"]["WebhookEvent"][];
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it was created.
+             */
+            created_at: string;
+        };
+        /**
+         * WebhookDelivery
+         * @description An event for a webhook.
+         */
+        WebhookDelivery: {
+            /**
+             * Id
+             * @description evt_..., also sent as the header webhook-id.
+             */
+            id: string;
+            /** @description What happened. */
+            event: components["schemas"]["WebhookEvent"];
+            /** @description Whether it arrived. */
+            status: components["schemas"]["DeliveryStatus"];
+            /**
+             * Attempts
+             * @description Attempts so far.
+             */
+            attempts: number;
+            /**
+             * Next Attempt At
+             * Format: date-time
+             * @description When a pending delivery is attempted again.
+             */
+            next_attempt_at: string;
+            /**
+             * Response Status
+             * @description HTTP status of the last response; null if there was none.
+             */
+            response_status: number | null;
+            /**
+             * Failure
+             * @description Why the last attempt failed; empty if it did not.
+             */
+            failure: string;
+            /**
+             * Created At
+             * Format: date-time
+             * @description When it happened.
+             */
+            created_at: string;
+            /**
+             * Ended At
+             * @description When it arrived or was given up.
+             */
+            ended_at: string | null;
+        };
+        /**
+         * WebhookEvent
+         * @description What webhooks are told.
+         * @enum {string}
+         */
+        WebhookEvent: "reward_version.published" | "experiment.finished" | "labels.due" | "test";
         /**
          * Worker
          * @description A worker process.
@@ -6781,6 +7001,165 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["AuditPage"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    list_webhooks: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Webhook"][];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    create_webhook: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewWebhook"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CreatedWebhook"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    delete_webhook: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The webhook, whk_... */
+                webhook_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    send_test_event: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The webhook, whk_... */
+                webhook_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["WebhookDelivery"];
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    list_deliveries: {
+        parameters: {
+            query?: {
+                /** @description Most deliveries to return. */
+                limit?: number;
+            };
+            header?: never;
+            path: {
+                /** @description The webhook, whk_... */
+                webhook_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["WebhookDelivery"][];
                 };
             };
             /** @description A stable code, a message, and the invalid field. */
