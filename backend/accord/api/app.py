@@ -4,7 +4,7 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Scope
 
 from accord.api import errors
 from accord.api.body_limit import BodyLimit
@@ -61,6 +61,8 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         redoc_url=None,
         redirect_slashes=False,
         generate_unique_id_function=_operation_id,
+        # Exports nothing unless OTEL_EXPORTER_OTLP_ENDPOINT is set, and needs the extra `otel`.
+        telemetry={"auto_configure": True, "exclude": _has_token},
         responses=errors.RESPONSES,
     )
     app.state.accord = AppState(settings, database, blobs, SignInLimit(settings.failed_sign_ins_per_minute))
@@ -102,6 +104,12 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         public=(f"{PREFIX}/join/", f"{PREFIX}/sign-in/"),
     )
     return app
+
+
+def _has_token(scope: Scope) -> bool:
+    """Whether the path of a request contains the token of a link; traces contain paths."""
+    path: str = scope.get("path", "")
+    return "/sign-in/" in path or "/join/" in path
 
 
 def _operation_id(route: APIRoute) -> str:
