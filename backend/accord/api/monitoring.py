@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from anyio import CapacityLimiter
 from prometheus_client import CollectorRegistry, Gauge, Histogram, ProcessCollector, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
@@ -31,6 +32,8 @@ class Monitoring:
     """The metrics of one application."""
 
     def __init__(self, settings: Settings, database: Database) -> None:
+        #: threads of their own, so that metrics can be read when those of other requests are all blocked
+        self.threads = CapacityLimiter(2)
         self._registry = CollectorRegistry()
         self._requests = Histogram(
             "accord_http_request_duration_seconds",

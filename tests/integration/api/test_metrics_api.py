@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import promql_parser
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from sqlalchemy import event, update
+from sqlalchemy import event, text, update
 
 from accord.domain.enums import Phase, WorkerRole, WorkerState
 from accord.services import experiments, publish, workers
@@ -19,6 +20,7 @@ from accord.store.tables import ClipRow
 from support.api_in_thread import ApiServer, client, run_api_server
 from support.sample_experiments import SampleExperiment, create_sample
 from support.stores import Stores
+from support.waiting import until
 
 DEPLOYMENT = Path(__file__).parents[3] / "docs" / "deploy"
 TOKEN = "a-token-for-metrics"
@@ -145,6 +147,28 @@ def test_only_admins_and_the_metrics_token_read_metrics(sqlite: Stores, tmp_path
         assert prometheus.get("/metrics").status_code == 401
 
 
+def test_metrics_are_read_while_every_thread_is_blocked(sqlite: Stores, tmp_path: Path) -> None:
+    with run_api_server(sqlite, tmp_path, metrics_token=TOKEN) as api, api.client(TOKEN) as prometheus:
+        sample = create_sample(sqlite.database, sqlite.blobs)
+        path = f"/api/v1/experiments/{sample.experiment.id}/queries/next"
+
+        def busy() -> float:
+            found = prometheus.get("/metrics").text
+            most = re.search(r"^accord_server_threads_max (.+)$", found, re.M)
+            now = re.search(r"^accord_server_threads_busy (.+)$", found, re.M)
+            assert most is not None
+            assert now is not None
+            return float(now[1]) / float(most[1])
+
+        with ThreadPoolExecutor(50) as clients:
+            with sqlite.database.connection() as connection:  # the write lock
+                connection.execute(text("SELECT 1"))
+                requests = [clients.submit(api.labeller.post, path) for _ in range(50)]
+                until(lambda: busy() == 1.0, "every thread waits for the database")
+            assert {each.result().status_code for each in requests} == {200}
+        until(lambda: busy() < 1.0)
+
+
 def test_metrics_say_that_the_database_is_unreachable(sqlite: Stores, tmp_path: Path) -> None:
     with run_api_server(sqlite, tmp_path, metrics_token=TOKEN) as api, api.client(TOKEN) as prometheus:
         sqlite.database.close()
@@ -192,15 +216,15 @@ def test_the_dashboard_and_the_alerts_use_metrics_and_labels_that_exist(api: Api
     samples = scrape(api)
     labels = {name: {label for key in keys for label, _ in key} for name, keys in samples.items()} | SCRAPE_METRICS
     used: set[str] = set()
-    for place, text in expressions().items():
+    for place, expression in expressions().items():
         # Grafana replaces the variable before Prometheus sees the expression.
         names: set[str] = set()
-        for part in parts(promql_parser.parse(text.replace("$experiment", ".*"))):
+        for part in parts(promql_parser.parse(expression.replace("$experiment", ".*"))):
             if isinstance(part, promql_parser.VectorSelector):
                 assert part.name in labels, (place, part.name)
                 names |= {part.name}
                 assert {each.name for each in part.matchers.matchers} <= labels[part.name], (place, part.name)
-        for label in re.findall(r"(?:by|on) \((.*?)\)", text):
+        for label in re.findall(r"(?:by|on) \((.*?)\)", expression):
             assert all(set(label.split(", ")) <= labels[name] for name in names), (place, label)
         used |= names
     assert {name for name in samples if name.startswith("accord_label")} <= used | {"accord_label_budget"}

@@ -10,7 +10,6 @@ from prometheus_client import CONTENT_TYPE_LATEST
 
 from accord.api.dependencies import Auth, AuthDep
 from accord.api.monitoring import Monitoring
-from accord.api.routes.events import Streams
 from accord.domain.permissions import may_manage_users, require
 
 router = APIRouter(include_in_schema=False)
@@ -19,12 +18,12 @@ router = APIRouter(include_in_schema=False)
 @router.get("/metrics")
 async def metrics(request: Request, auth: AuthDep) -> Response:
     """Every metric, for admins and for the bearer of ACCORD_METRICS_TOKEN."""
-    if not _is_metrics_token(auth):
-        await run_sync(_require_admin, auth)
-    threads = current_default_thread_limiter()
     monitoring = cast(Monitoring, request.app.state.monitoring)
-    streams = cast(Streams, request.app.state.streams)
-    text = await run_sync(monitoring.text, streams.opened.total(), threads.borrowed_tokens, threads.total_tokens)
+    if not _is_metrics_token(auth):
+        await run_sync(_require_admin, auth, limiter=monitoring.threads)
+    threads = current_default_thread_limiter()
+    values = request.app.state.streams.opened.total(), threads.borrowed_tokens, threads.total_tokens
+    text = await run_sync(monitoring.text, *values, limiter=monitoring.threads)
     return Response(text, media_type=CONTENT_TYPE_LATEST)
 
 
