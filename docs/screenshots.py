@@ -153,6 +153,10 @@ def _with_rows(page: Page) -> None:
     page.get_by_role("row").nth(3).wait_for()
 
 
+def _with_routes(page: Page) -> None:
+    page.get_by_text("Label or skip a query").wait_for()
+
+
 def _with_import(page: Page) -> None:
     page.get_by_role("button", name="Import").click()
     page.get_by_label("Name of the new experiment").fill("Cheetah of last week")
@@ -256,7 +260,9 @@ PAGES = (
     Picture(
         "audit", "Audit log", "Who did what, and when. Only admins read it.", lambda s: "/audit", prepare=_with_rows
     ),
-    Picture("api", "REST API", "Every route with its parameters and answers.", lambda s: "/api/docs"),
+    Picture(
+        "api", "REST API", "Every route with its parameters and answers.", lambda s: "/api/docs", prepare=_with_routes
+    ),
     Picture("shared", "Read-only link", "What somebody without an account sees.", lambda s: s.shared, "nobody"),
     Picture("signed-out", "Signed out", "How to get in.", lambda s: "/", "nobody"),
 )
