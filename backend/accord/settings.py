@@ -2,9 +2,13 @@
 
 from pathlib import Path
 from typing import Literal
+from urllib.parse import urlsplit
 
-from pydantic import Field
+from pydantic import Field, SecretStr, ValidationInfo, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from accord.domain.addresses import is_loopback
+from accord.domain.enums import Role
 
 
 class Settings(BaseSettings):
@@ -57,6 +61,33 @@ class Settings(BaseSettings):
         ge=1,
         le=10**6,
         description="Wrong tokens, sign-in links and invitations that one address may try; more are refused with 429.",
+    )
+    oidc_issuer: str = Field(
+        default="",
+        max_length=500,
+        description="URL of an OpenID Connect provider with which people sign in; empty for none. It must use https, "
+        "except on this machine.",
+    )
+    oidc_client_id: str = Field(
+        default="",
+        validate_default=True,
+        description="Id of the client that is registered there, with the redirect URI "
+        "ACCORD_PUBLIC_URL/api/v1/oidc/callback.",
+    )
+    oidc_client_secret: SecretStr = Field(
+        default=SecretStr(""), description="Its secret; empty for a client without one."
+    )
+    oidc_name: str = Field(default="your organisation", description="Name of the provider on the sign-in page.")
+    oidc_scope: str = Field(default="openid profile email", description="Scopes that are requested.")
+    oidc_role: Literal["labeller", "researcher", "admin", "teacher", ""] = Field(
+        default="labeller",
+        description="Role of people in no group of ACCORD_OIDC_ROLES: labeller, researcher or admin; empty refuses "
+        "them.",
+    )
+    oidc_groups_claim: str = Field(default="groups", description="Claim with a person's groups at the provider.")
+    oidc_roles: str = Field(
+        default="",
+        description="Comma-separated GROUP=ROLE. If set, each sign-in gives people the highest role of their groups.",
     )
     lease_seconds: float = Field(
         default=60.0,
@@ -151,6 +182,33 @@ class Settings(BaseSettings):
         default=60.0, gt=0, le=525_600, description="How long a one-time sign-in link is valid."
     )
 
+    @field_validator("oidc_issuer")
+    @classmethod
+    def _check_issuer(cls, value: str) -> str:
+        url = urlsplit(value)
+        encrypted = url.scheme == "https" or (url.scheme == "http" and is_loopback(url.hostname or ""))
+        if value and not (encrypted and url.hostname):
+            raise ValueError("must be an https URL, or one of this machine")
+        return value
+
+    @field_validator("oidc_client_id")
+    @classmethod
+    def _check_client_id(cls, value: str, info: ValidationInfo) -> str:
+        if info.data.get("oidc_issuer") and not value:
+            raise ValueError("must be set, because ACCORD_OIDC_ISSUER is")
+        return value
+
+    @field_validator("oidc_roles")
+    @classmethod
+    def _check_roles(cls, value: str) -> str:
+        _parsed_roles(value)
+        return value
+
+    @property
+    def oidc_group_roles(self) -> dict[str, Role]:
+        """Group at the provider -> role."""
+        return _parsed_roles(self.oidc_roles)
+
     @property
     def resolved_database_url(self) -> str:
         """`database_url`, or SQLite in the home folder."""
@@ -160,3 +218,14 @@ class Settings(BaseSettings):
     def resolved_blob_url(self) -> str:
         """`blob_url`, or a folder in the home folder."""
         return self.blob_url or f"file://{(self.home / 'blobs').resolve()}"
+
+
+def _parsed_roles(text: str) -> dict[str, Role]:
+    """Raises ValueError."""
+    found: dict[str, Role] = {}
+    for each in filter(None, (part.strip() for part in text.split(","))):
+        group, separator, role = each.rpartition("=")
+        if not separator or role not in set(Role):
+            raise ValueError(f"{each!r} is not GROUP=ROLE with one of the roles {', '.join(Role)}")
+        found[group.strip()] = Role(role)
+    return found

@@ -10,6 +10,7 @@ from accord.api import errors
 from accord.api.body_limit import BodyLimit
 from accord.api.dependencies import AppState
 from accord.api.monitoring import Monitoring
+from accord.api.oidc import Provider
 from accord.api.pages import Page
 from accord.api.requests import Requests
 from accord.api.routes import (
@@ -26,6 +27,7 @@ from accord.api.routes import (
     label_history,
     labelling,
     monitoring,
+    oidc,
     people,
     quality,
     recordings,
@@ -42,7 +44,16 @@ from accord.store.database import Database
 
 PREFIX = "/api/v1"
 #: need no sign-in
-_PUBLIC = ("/health", "/ready", "/join/{token}", "/sign-in/{token}")
+_PUBLIC = (
+    "/health",
+    "/ready",
+    "/join/{token}",
+    "/sign-in/{token}",
+    "/oidc",
+    "/oidc/start",
+    "/oidc/callback",
+    "/oidc/sign-out",
+)
 _DESCRIPTION = """Preference-based reward learning for cooperative multi-agent reinforcement learning.
 
 Sign in with `Authorization: Bearer <token>`. Every error has the same body: a stable `code`, a `message`, and
@@ -65,7 +76,13 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         telemetry={"auto_configure": True, "exclude": _has_token},
         responses=errors.RESPONSES,
     )
-    app.state.accord = AppState(settings, database, blobs, SignInLimit(settings.failed_sign_ins_per_minute))
+    app.state.accord = AppState(
+        settings,
+        database,
+        blobs,
+        SignInLimit(settings.failed_sign_ins_per_minute),
+        Provider(settings) if settings.oidc_issuer else None,
+    )
     app.state.streams = events.Streams()
     app.state.monitoring = Monitoring(settings, database)
     app.state.readiness = health.Readiness(database, blobs)
@@ -84,6 +101,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
         shares,
         events,
         accounts,
+        oidc,
         tokens,
         people,
         audit,

@@ -18,6 +18,7 @@ from pydantic import AfterValidator, BaseModel
 from sqlalchemy.orm import Session
 from structlog.contextvars import bind_contextvars
 
+from accord.api.oidc import Provider
 from accord.api.sign_in_limit import SignInLimit, customer_of
 from accord.domain.enums import AuditAction, Role
 from accord.domain.errors import Forbidden, InvitationNotValid, Unauthenticated, Unavailable
@@ -40,6 +41,8 @@ class AppState:
     database: Database
     blobs: BlobStore
     sign_in_limit: SignInLimit
+    #: through which people sign in; None if there is none
+    provider: Provider | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,6 +253,25 @@ UserId = Annotated[str, AfterValidator(_user_id), Path(description="The user, us
 WebhookId = Annotated[str, AfterValidator(_webhook_id), Path(description="The webhook, whk_...")]
 TokenId = Annotated[str, AfterValidator(_token_id), Path(description="The token, tok_...")]
 InvitationId = Annotated[str, AfterValidator(_invitation_id), Path(description="The invitation, inv_...")]
+
+
+def base_url(request: Request) -> str:
+    """How browsers reach this server, without a slash at the end."""
+    return (app_state(request).settings.public_url or str(request.base_url)).rstrip("/")
+
+
+def set_session_cookie(response: Response, token: str, request: Request) -> None:
+    """Signs the browser in."""
+    settings = app_state(request).settings
+    response.set_cookie(
+        COOKIE,
+        token,
+        max_age=round(settings.session_days * 86_400),
+        httponly=True,
+        samesite="lax",
+        secure=request.url.scheme == "https" or settings.public_url.startswith("https:"),
+        path="/",
+    )
 
 
 def json_response(model: BaseModel, status: int = 200) -> Response:

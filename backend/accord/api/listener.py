@@ -4,9 +4,9 @@
 """
 
 import errno
-import ipaddress
 import socket
 
+from accord.domain.addresses import is_loopback
 from accord.domain.errors import PlainHttpRefused, PortInUse, Unavailable
 from accord.settings import Settings
 
@@ -17,20 +17,6 @@ def require_protection(settings: Settings) -> None:
     """Raises PlainHttpRefused if the server would listen beyond this machine without a proxy and without permission."""
     if not (is_loopback(settings.host) or settings.public_url or settings.allow_plain_http):
         raise PlainHttpRefused(settings.host)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only programs on this machine reach an address."""
-    address = as_address(host)
-    return host == "localhost" or (address is not None and address.is_loopback)
-
-
-def as_address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """None if the host is a name."""
-    try:
-        return ipaddress.ip_address(host)
-    except ValueError:
-        return None
 
 
 def listen(host: str, port: int) -> socket.socket:

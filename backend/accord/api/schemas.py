@@ -40,6 +40,12 @@ class Me(Schema):
     role: Role = Field(description="What the user may do.")
 
 
+class IdentityProvider(BaseModel):
+    """A provider through which people sign in."""
+
+    name: str | None = Field(description="For people; null if there is no provider.")
+
+
 class SignInView(Schema):
     """What somebody who opens a sign-in link sees."""
 

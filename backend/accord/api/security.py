@@ -7,7 +7,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from accord.api.errors import accord_error_response
-from accord.api.listener import as_address, is_loopback
+from accord.domain.addresses import as_address, is_loopback
 from accord.domain.errors import HostNotAllowed
 from accord.settings import Settings
 

@@ -185,6 +185,7 @@ def child_specs(ready: Ready) -> list[ChildSpec]:
 def environment_of(settings: Settings) -> dict[str, str]:
     """The settings as environment variables for a child process; the home folder is absolute."""
     values = settings.model_dump() | {"home": settings.home.resolve()}
+    values["oidc_client_secret"] = settings.oidc_client_secret.get_secret_value()
     return {f"ACCORD_{name.upper()}": str(value) for name, value in values.items()}
 
 

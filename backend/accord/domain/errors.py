@@ -2,9 +2,10 @@
 
     AccordError
     ├── Unauthenticated               the caller is not signed in
+    │   └── SignInInvalid
     ├── HostNotAllowed                the request is for another host
     ├── Forbidden                     the caller's role does not allow it
-    │   └── ReturnsHidden, CreditHidden
+    │   └── ReturnsHidden, CreditHidden, SignInRefused
     ├── NotFound                      the object does not exist
     │   └── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound, UserNotFound,
     │       CreditNotFound, RewardVersionNotFound, InvitationNotFound, InvitationNotValid, ShareNotFound,
@@ -20,7 +21,7 @@
     ├── TooManyFailedSignIns          the client tried too many wrong tokens or links
     └── Unavailable                   this machine cannot do it now; the message says what to do
         ├── DatabaseTooNew, DatabaseTooOld, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, TaskUnavailable,
-        │   PortInUse, BlobsInUse, PlainHttpRefused
+        │   PortInUse, BlobsInUse, PlainHttpRefused, ProviderUnreachable
         └── BlobUnreadable
             └── BlobMissing, BlobDamaged
 
@@ -44,6 +45,12 @@ class Unauthenticated(AccordError):
 
     def __init__(self, message: str | None = None) -> None:
         super().__init__(message or type(self).__doc__)
+
+
+class SignInInvalid(Unauthenticated):
+    """What the identity provider or the browser sent is no valid sign-in. Begin again on the sign-in page."""
+
+    code = "sign_in_invalid"
 
 
 class HostNotAllowed(AccordError):
@@ -77,6 +84,15 @@ class CreditHidden(Forbidden):
     """Labellers see what the reward model learned about a pair after they labelled it, if the experiment allows it."""
 
     code = "credit_hidden"
+
+    def __init__(self) -> None:
+        super().__init__(type(self).__doc__)
+
+
+class SignInRefused(Forbidden):
+    """The identity provider knows this person, but they have no access here. Ask an admin of Accord for it."""
+
+    code = "sign_in_refused"
 
     def __init__(self) -> None:
         super().__init__(type(self).__doc__)
@@ -384,6 +400,15 @@ class BlobDamaged(BlobUnreadable):
 
     def __init__(self, key: str, reason: str) -> None:
         super().__init__(key, f"The blob {key!r} is damaged ({reason}). Copy it from a backup.")
+
+
+class ProviderUnreachable(Unavailable):
+    """The identity provider does not answer. Try again later, or use a sign-in link."""
+
+    code = "provider_unreachable"
+
+    def __init__(self) -> None:
+        super().__init__(type(self).__doc__)
 
 
 class TaskUnavailable(Unavailable):

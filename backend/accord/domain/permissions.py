@@ -1,14 +1,18 @@
 """What each role may do."""
 
+from collections.abc import Iterable
+
 from accord.domain.enums import Role
 from accord.domain.errors import Forbidden, ReturnsHidden
 
 _SEES_RETURNS = frozenset({Role.TEACHER, Role.RESEARCHER, Role.ADMIN})
 _RUNS_EXPERIMENTS = frozenset({Role.RESEARCHER, Role.ADMIN})
 _LABELS_IN_BATCHES = frozenset({Role.TEACHER, Role.RESEARCHER, Role.ADMIN})
+#: roles that include all later ones
+_HIGHEST_FIRST = (Role.ADMIN, Role.RESEARCHER, Role.TEACHER, Role.LABELLER)
 #: role -> the roles that a bearer token of its users can have, the strongest first
 _TOKEN_ROLES = {
-    Role.ADMIN: (Role.ADMIN, Role.RESEARCHER, Role.TEACHER, Role.LABELLER),
+    Role.ADMIN: _HIGHEST_FIRST,
     Role.RESEARCHER: (Role.RESEARCHER, Role.TEACHER, Role.LABELLER),
     Role.TEACHER: (Role.TEACHER,),
     Role.LABELLER: (Role.LABELLER,),
@@ -38,6 +42,11 @@ def may_describe_teacher(role: Role, *, program: bool) -> bool:
 def may_have_token(role: Role, token_role: Role) -> bool:
     """Whether a bearer token of a user with `role` can have `token_role`, which may do no more."""
     return token_role in _TOKEN_ROLES[role]
+
+
+def highest(roles: Iterable[Role]) -> Role | None:
+    """The role that may do most; None of none."""
+    return min(roles, key=_HIGHEST_FIRST.index, default=None)
 
 
 def may_manage_users(role: Role) -> bool:

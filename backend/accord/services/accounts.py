@@ -37,7 +37,7 @@ _SEEN_EVERY = timedelta(minutes=1)
 class Removal:
     """What became of a user who was removed."""
 
-    #: they had no labels and experiments
+    #: nothing of theirs had to be kept
     deleted: bool
     #: their name was replaced
     anonymised: bool
@@ -159,15 +159,15 @@ def set_disabled(session: Session, user: UserRow, disabled: bool) -> bool:
 def remove(session: Session, user: UserRow, *, anonymise: bool = False) -> Removal:
     """Takes a user's access away: signs their browsers out and makes their tokens and links invalid.
 
-    A user with labels or experiments stays on record as their author; a new link lets them in again. Others are
-    deleted.
+    A user with labels or experiments stays on record as their author, and one whom a provider signs in, so that it no
+    longer does; a new link lets them in again. Others are deleted.
 
     Args:
-        anonymise: replace the name of a user who stays on record by one that names nobody, wherever it is stored. Their
-            labels stay those of one person.
+        anonymise: replace the name of a user who stays on record by one that names nobody, wherever it is stored, and
+            forget whom a provider signs in as them. Their labels stay those of one person.
     """
     revoke(session, user.id)
-    if not accounts.has_history(session, user.id):
+    if not accounts.must_be_kept(session, user.id):
         accounts.delete_user(session, user.id)
         return Removal(deleted=True, anonymised=False)
     user.removed_at = user.removed_at or utc_now()
@@ -175,7 +175,7 @@ def remove(session: Session, user: UserRow, *, anonymise: bool = False) -> Remov
     name = f"Former user {user.id[-_ANONYMOUS_DIGITS:]}"
     if not anonymise or user.name == name:
         return Removal(deleted=False, anonymised=False)
-    accounts.rename(session, user, name)
+    accounts.forget(session, user, name)
     return Removal(deleted=False, anonymised=True)
 
 

@@ -11,6 +11,7 @@ from accord.store.tables import (
     DeletionRow,
     ExperimentAccessRow,
     ExperimentRow,
+    IdentityRow,
     InstructionRevisionRow,
     InvitationRow,
     LabellerRow,
@@ -157,10 +158,11 @@ def _experiments_of_users(session: Session) -> dict[str, list[str]]:
     return found
 
 
-def has_history(session: Session, user_id: str) -> bool:
-    """Whether a label or an experiment names this user as its author."""
+def must_be_kept(session: Session, user_id: str) -> bool:
+    """Whether a label or an experiment names this user as its author, or a provider would sign them in as a new one."""
     label, experiment = exists().where(LabelRow.user_id == user_id), exists().where(ExperimentRow.owner_id == user_id)
-    return bool(session.scalar(select(or_(label, experiment))))
+    identity = exists().where(IdentityRow.user_id == user_id)
+    return bool(session.scalar(select(or_(label, experiment, identity))))
 
 
 def revoke(session: Session, user_id: str) -> None:
@@ -174,8 +176,9 @@ def release_all(session: Session, user_id: str) -> None:
     session.execute(update(QueryRow).where(QueryRow.leased_by == user_id).values(leased_by=None, leased_until=None))
 
 
-def rename(session: Session, user: UserRow, name: str) -> None:
-    """Changes a user's name, also where it is stored as that of an author."""
+def forget(session: Session, user: UserRow, name: str) -> None:
+    """Changes a user's name, also where it is stored as that of an author, and deletes their identities."""
+    session.execute(delete(IdentityRow).where(IdentityRow.user_id == user.id))
     for table, column in (
         (InvitationRow, InvitationRow.created_by),
         (ShareRow, ShareRow.created_by),

@@ -82,6 +82,16 @@ class UserRow(Base):
     disabled_at: Mapped[datetime | None] = mapped_column(default=None)
 
 
+class IdentityRow(Base):
+    """Whom an OpenID Connect provider signs in as a user. Subjects are never reassigned, names and addresses may be."""
+
+    __tablename__ = "identities"
+    issuer: Mapped[str] = mapped_column(String(500), primary_key=True)
+    subject: Mapped[str] = mapped_column(String(255), primary_key=True)
+    user_id: Mapped[str] = mapped_column(ForeignKey("users.id"), index=True)
+    created_at: Mapped[datetime] = mapped_column(default_factory=utc_now)
+
+
 class ExperimentAccessRow(Base):
     """An experiment that a user without access to all experiments may see and label."""
 

@@ -65,7 +65,7 @@ def test_settings_of_a_new_experiment_have_ranges_and_defaults(api_document: dic
 def test_every_response_has_a_schema(api_document: dict[str, Any]) -> None:
     for address, operation in operations(api_document):
         for status, response in operation["responses"].items():
-            if status in {"204", "304", "416"}:
+            if status in {"204", "303", "304", "416"}:
                 continue
             assert response.get("content"), (address, status)
 
@@ -76,11 +76,12 @@ def test_operation_ids_are_unique_and_short(api_document: dict[str, Any]) -> Non
     assert all(name.isidentifier() and len(name) < 30 for name in names)
 
 
-def test_only_health_checks_invitations_and_links_need_no_sign_in(api_document: dict[str, Any]) -> None:
+def test_only_health_and_ways_to_sign_in_need_no_sign_in(api_document: dict[str, Any]) -> None:
     assert api_document["security"]
     public = [address for address, operation in operations(api_document) if operation.get("security") == []]
     links = [f"{method} /api/v1/{path}/{{token}}" for method in ("get", "post") for path in ("join", "sign-in")]
-    assert sorted(public) == sorted(["get /api/v1/health", "get /api/v1/ready", *links])
+    oidc = [f"get /api/v1/oidc{path}" for path in ("", "/start", "/callback", "/sign-out")]
+    assert sorted(public) == sorted(["get /api/v1/health", "get /api/v1/ready", *links, *oidc])
 
 
 def test_document_is_deterministic(tmp_path: Path) -> None:

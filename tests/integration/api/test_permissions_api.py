@@ -105,6 +105,10 @@ PUBLIC = {
     "GET /sign-in/{token}",
     "POST /sign-in/{token}",
     "GET /shared",
+    "GET /oidc",
+    "GET /oidc/start",
+    "GET /oidc/callback",
+    "GET /oidc/sign-out",
 }
 #: what an operation needs to be valid
 BODIES: dict[str, dict[str, Any]] = {

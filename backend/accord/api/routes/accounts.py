@@ -7,7 +7,14 @@ from fastapi import APIRouter, Path, Request
 from fastapi.responses import Response
 
 from accord.api import schemas
-from accord.api.dependencies import COOKIE, AppState, AuthDep, app_state, counting_failures, refuse_other_sites
+from accord.api.dependencies import (
+    COOKIE,
+    AuthDep,
+    app_state,
+    counting_failures,
+    refuse_other_sites,
+    set_session_cookie,
+)
 from accord.domain.enums import AuditAction, Role
 from accord.domain.errors import Unauthenticated, Unavailable
 from accord.services import accounts, audit, experiments, invitations
@@ -61,7 +68,7 @@ def join(token: InvitationToken, body: schemas.NewMember, request: Request, resp
         user, session_token = invitations.join(session, token, body.name, app.settings.session_days)
         audit.record(session, user, AuditAction.JOINED, experiment_id)
         member = schemas.Member(id=user.id, name=user.name, role=Role(user.role), experiment_id=experiment_id)
-    _set_cookie(response, session_token, request, app)
+    set_session_cookie(response, session_token, request)
     return member
 
 
@@ -85,17 +92,5 @@ def sign_in(token: LinkToken, request: Request, response: Response) -> schemas.M
         user, session_token = accounts.redeem_link(session, token, app.settings.session_days)
         audit.record(session, user, AuditAction.SIGNED_IN)
         signed_in = schemas.Me(id=user.id, name=user.name, role=Role(user.role))
-    _set_cookie(response, session_token, request, app)
+    set_session_cookie(response, session_token, request)
     return signed_in
-
-
-def _set_cookie(response: Response, token: str, request: Request, app: AppState) -> None:
-    response.set_cookie(
-        COOKIE,
-        token,
-        max_age=round(app.settings.session_days * 86_400),
-        httponly=True,
-        samesite="lax",
-        secure=request.url.scheme == "https" or app.settings.public_url.startswith("https:"),
-        path="/",
-    )

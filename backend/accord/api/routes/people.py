@@ -10,7 +10,7 @@ from fastapi.responses import Response
 from sqlalchemy.orm import Session
 
 from accord.api import schemas
-from accord.api.dependencies import Auth, AuthDep, CallerSession, InvitationId, UserId
+from accord.api.dependencies import Auth, AuthDep, CallerSession, InvitationId, UserId, base_url
 from accord.domain.enums import AuditAction, Role
 from accord.domain.ids import check_id
 from accord.domain.permissions import may_manage_users, require
@@ -43,7 +43,7 @@ def create_user(body: schemas.NewUser, request: Request, auth: AuthDep) -> schem
             name=user.name,
             role=Role(user.role),
             token=token,
-            sign_in_url=f"{_base_url(auth, request)}/sign-in/{link}",
+            sign_in_url=f"{base_url(request)}/sign-in/{link}",
         )
 
 
@@ -76,7 +76,7 @@ def create_link(user_id: UserId, request: Request, auth: AuthDep) -> schemas.Sig
     with _managing(auth, "create sign-in links") as caller:
         link = accounts.make_link(caller.session, user_id, minutes)
         audit.record(caller.session, caller.user, AuditAction.LINK_CREATED, user_id)
-        return schemas.SignInLink(sign_in_url=f"{_base_url(auth, request)}/sign-in/{link}", minutes=minutes)
+        return schemas.SignInLink(sign_in_url=f"{base_url(request)}/sign-in/{link}", minutes=minutes)
 
 
 @router.post("/users/{user_id}/token", status_code=201, summary="Create a bearer token")
@@ -138,7 +138,7 @@ def create_invitation(body: schemas.NewInvitation, request: Request, auth: AuthD
             max_uses=body.max_uses,
             days=body.days,
         )
-        link = {"url": f"{_base_url(auth, request)}/join/{token}"}
+        link = {"url": f"{base_url(request)}/join/{token}"}
         detail = body.model_dump(mode="json")
         audit.record(caller.session, caller.user, AuditAction.INVITATION_CREATED, row.id, **detail)
         return schemas.CreatedInvitation.model_validate(_invitation(row) | link)
@@ -165,10 +165,6 @@ def _limit(session: Session, user: UserRow, wanted: schemas.Access) -> None:
     for experiment_id in wanted.experiment_ids:
         check_id(experiment_id, "exp")
     access.limit(session, user, all_experiments=wanted.all_experiments, experiment_ids=wanted.experiment_ids)
-
-
-def _base_url(auth: Auth, request: Request) -> str:
-    return (auth.app.settings.public_url or str(request.base_url)).rstrip("/")
 
 
 def _account(user: UserSummary) -> schemas.UserAccount:

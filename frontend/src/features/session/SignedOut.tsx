@@ -4,6 +4,7 @@ import { countStoredLabels } from "@/shared/outbox/store";
 import { CopyLine } from "@/shared/ui/CopyLine";
 import { plural } from "@/shared/ui/format";
 import { Message } from "@/shared/ui/Message";
+import { ProviderSignIn } from "./ProviderSignIn";
 
 const COMMAND = "accord link";
 
@@ -41,6 +42,7 @@ export function SignedOut({ previous, usedLink = false }: SignedOutProps) {
           before.
         </p>
       )}
+      <ProviderSignIn wasSignedIn={previous !== undefined} />
       <p>
         Accord has no passwords. You sign in with a one-time link, and this browser stays signed in. Open the
         link in this browser, in any tab: this page then continues by itself.

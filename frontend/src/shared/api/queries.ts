@@ -13,6 +13,12 @@ export const meQuery = queryOptions({
   staleTime: 60_000,
 });
 
+export const providerQuery = queryOptions({
+  queryKey: ["oidc"],
+  queryFn: () => unwrap(api.GET("/api/v1/oidc")),
+  staleTime: Number.POSITIVE_INFINITY,
+});
+
 export const tasksQuery = queryOptions({
   queryKey: ["tasks"],
   queryFn: () => unwrap(api.GET("/api/v1/tasks")),
