@@ -125,9 +125,9 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
 
 
 def _has_token(scope: Scope) -> bool:
-    """Whether the path of a request contains the token of a link; traces contain paths."""
+    """Whether the address of a request contains the token of a link or the code of a provider; traces contain it."""
     path: str = scope.get("path", "")
-    return "/sign-in/" in path or "/join/" in path
+    return "/sign-in/" in path or "/join/" in path or "/oidc/" in path
 
 
 def _operation_id(route: APIRoute) -> str:

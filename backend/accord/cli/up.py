@@ -40,6 +40,8 @@ log = logging.getLogger(__name__)
 _TICK_SECONDS = 0.2
 #: Larger databases are checked after the start, which reads the whole file.
 _CHECKED_AT_START_BYTES = 256_000_000
+#: Time that the processes have to start, before the stored data are checked beside them.
+_CHECK_AFTER_SECONDS = 10.0
 #: Rendering may be late; labels and policy updates should not.
 _RENDER_NICE = 5
 
@@ -85,7 +87,7 @@ def up(
     try:
         announce(ready, example)
         # Beside the service, because it takes longer the more is stored. It only reads, so nobody waits for its end.
-        threading.Thread(target=_warn_of_faults, args=(ready,), daemon=True).start()
+        threading.Thread(target=_warn_of_faults, args=(ready, stop), daemon=True).start()
         _serve(ready, stop)
     finally:
         address_file(ready.settings).unlink(missing_ok=True)
@@ -107,8 +109,10 @@ def announce(ready: Ready, example: bool) -> None:
     print_line("[dim]The link works once; `accord link` prints a new one. Ctrl-C stops Accord.[/dim]")
 
 
-def _warn_of_faults(ready: Ready) -> None:
-    """Print what is wrong with the stored data. The service runs nevertheless."""
+def _warn_of_faults(ready: Ready, stop: Stop) -> None:
+    """Print what is wrong with the stored data, once the processes have started. The service runs nevertheless."""
+    if stop.wait(_CHECK_AFTER_SECONDS):
+        return
     try:
         checks = verify(ready.database, open_blobs(ready.settings.resolved_blob_url), read_blobs=False)
     except AccordError as error:

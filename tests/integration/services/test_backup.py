@@ -1,6 +1,7 @@
 """Backups of a database and its blobs, and their restoration."""
 
 import json
+import secrets
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -123,6 +124,21 @@ def test_a_backup_that_fails_leaves_nothing(stores: Stores, sample: SampleExperi
     assert list((tmp_path / "backups").iterdir()) == []
     with pytest.raises(Invalid):
         back_up(stores.database, stores.blobs, tmp_path / "backups")
+
+
+def test_blobs_of_an_object_store_are_restored_into_another(sqlite: Stores, tmp_path: Path) -> None:
+    urls = [f"memory://{secrets.token_hex(8)}/accord" for _ in range(2)]
+    source, target = map(open_blobs, urls)
+    create_sample(sqlite.database, source)
+    source.put("unused", b"no row names it")
+    back_up(sqlite.database, source, tmp_path / "backup")
+    checks = restore(tmp_path / "backup", f"sqlite:///{tmp_path / 'restored.db'}", urls[1])
+    assert [check.name for check in checks if not check.ok] == []
+    expected = contents(source)
+    assert expected.pop("unused")
+    assert contents(target) == expected
+    with pytest.raises(Invalid):
+        restore(tmp_path / "backup", f"sqlite:///{tmp_path / 'other.db'}", urls[1])
 
 
 def test_an_interrupted_restore_has_no_database(sqlite: Stores, tmp_path: Path) -> None:
