@@ -38,3 +38,12 @@ export class ClipUnplayable extends Error {}
 
 /** The clip could not be loaded because the server does not respond; a later attempt may succeed. */
 export class ClipUnreachable extends ClipUnplayable {}
+
+/** The browser cannot decode H.264, the format of all clips. */
+export class DecoderMissing extends ClipUnplayable {
+  constructor() {
+    super(
+      "This browser cannot decode H.264 video. On Linux, install ffmpeg and restart the browser; elsewhere, use another one.",
+    );
+  }
+}

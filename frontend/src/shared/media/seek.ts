@@ -1,7 +1,9 @@
-import { type Clip, type ClipSource, ClipUnplayable, frameSecondsOf } from "./clip";
+import { type Clip, type ClipSource, ClipUnplayable, DecoderMissing, frameSecondsOf } from "./clip";
 
 /** The longest wait for a seeked frame to be presented; it usually takes one or two repaints. */
 const LONGEST_PRESENTATION_MS = 500;
+/** H.264, high profile. */
+const CLIP_TYPE = 'video/mp4; codecs="avc1.64001f"';
 
 /**
  * Decodes every frame of a clip by seeking a hidden video element: slower than WebCodecs, but works in any browser.
@@ -9,8 +11,9 @@ const LONGEST_PRESENTATION_MS = 500;
  * @throws ClipUnplayable
  */
 export async function decodeBySeeking(blob: Blob, source: ClipSource): Promise<Clip> {
-  const address = URL.createObjectURL(blob);
   const video = document.createElement("video");
+  if (!video.canPlayType(CLIP_TYPE)) throw new DecoderMissing();
+  const address = URL.createObjectURL(blob);
   video.muted = true;
   video.preload = "auto";
   try {

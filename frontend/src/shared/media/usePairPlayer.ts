@@ -1,5 +1,5 @@
 import { type RefObject, useCallback, useLayoutEffect, useRef, useState } from "react";
-import { type Clip, type ClipSource, ClipUnreachable } from "./clip";
+import { type Clip, type ClipSource, ClipUnreachable, DecoderMissing } from "./clip";
 import type { ClipCache } from "./clipCache";
 import { defaultSpeed, PairPlayer } from "./pairPlayer";
 
@@ -101,9 +101,8 @@ export function usePairPlayer(
       if (unmounted) return;
       // The messages of decoders are for programmers.
       if (!(reason instanceof ClipUnreachable)) console.warn("A clip cannot be played.", reason);
-      setError(
-        reason instanceof ClipUnreachable ? reason.message : "One of its clips is missing or damaged.",
-      );
+      const isKnown = reason instanceof ClipUnreachable || reason instanceof DecoderMissing;
+      setError(isKnown ? reason.message : "One of its clips is missing or damaged.");
       setState("failed");
       if (reason instanceof ClipUnreachable) retryTimer = setTimeout(load, RETRY_SECONDS * 1000);
     };
