@@ -1,7 +1,11 @@
 """Shutdown of `accord up`: no process is left."""
 
 import signal
+import sqlite3
 from collections.abc import Collection
+from contextlib import closing
+
+import psutil
 
 from acceptance.accord_service import Accord, Client, alive
 from support.waiting import PATIENCE_SECONDS, until
@@ -24,6 +28,18 @@ def assert_stopped(accord: Accord, *, killed: set[str]) -> None:
     assert not (accord.home / "url").exists()
 
 
+def suspended(accord: Accord, process: psutil.Process) -> bool:
+    """Suspend a process unless it holds SQLite's lock, for which the others would wait. Returns whether it is."""
+    process.suspend()
+    with closing(sqlite3.connect(accord.home / "accord.db", timeout=2.0)) as connection:
+        try:
+            connection.execute("BEGIN IMMEDIATE")
+        except sqlite3.OperationalError:
+            process.resume()
+            return False
+    return True
+
+
 def assert_private(accord: Accord) -> None:
     """Everything that the service has written is for its user only."""
     assert [path for path in accord.home.rglob("*") if path.stat().st_mode & 0o077] == []
@@ -43,7 +59,7 @@ def test_one_signal_ends_all_processes_and_saves_a_checkpoint(accord: Accord) ->
 def test_a_worker_that_does_not_respond_is_killed_and_the_others_save_their_work(accord: Accord) -> None:
     start_training(accord, without=["reward"])
     processes = until(accord.all_ready, "all processes handle signals")
-    processes["render"].suspend()
+    until(lambda: suspended(accord, processes["render"]), "the render worker is suspended outside a transaction")
     accord.send_signal(signal.SIGTERM)
     assert_stopped(accord, killed={"render-0"})
     assert "killed: render-0\n" in accord.log.read_text()
