@@ -63,7 +63,7 @@ def test_labels_with_undos_and_a_skip_train_reward_versions_and_the_policy(
         query: LEFT_PREFERRED[key] for query, key in trained.items()
     }
     assert _states(service, removed) == ["label", "undone", "skip"]
-    stored, (_, number, parent, label_count, watermark) = _versions(service, experiment)
+    stored, (_, number, parent, label_count, watermark), *_ = _versions(service, experiment)
     assert [stored] == first
     assert (number, parent) == (2, stored[0])
     used = service.rows(

@@ -261,7 +261,7 @@ def test_warm_start_keeps_warm_share_of_the_markov_path():
 
 def test_significantly_worse_markov_path_does_not_replace_the_initial_model():
     first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2))
-    divergent = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1.0, warm_share=0.0)
+    divergent = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1.0, markov_weight_decay=0.0, warm_share=0.0)
     second = train_reward_model(preferences(80), CONFIG, divergent, initial=first.model)
     assert second.metrics["holdout_loss"] == pytest.approx(first.metrics["holdout_loss"], rel=1e-3)
 
@@ -404,7 +404,16 @@ def test_attention_in_use_is_trained_further_without_a_trial(monkeypatch):
 @pytest.mark.parametrize("labels_of_restart", [20, 80])
 def test_attention_in_use_is_never_replaced_by_a_worse_version(monkeypatch, labels_of_restart):
     first = accepted(monkeypatch)
-    divergent = replace(QUICK, lr=1.0, markov_lr=1.0, warm_share=0.0, warm_markov_epochs=1, warm_epochs=1)
+    divergent = replace(
+        QUICK,
+        lr=1.0,
+        weight_decay=0.0,
+        markov_lr=1.0,
+        markov_weight_decay=0.0,
+        warm_share=0.0,
+        warm_markov_epochs=1,
+        warm_epochs=1,
+    )
     metrics = first.metrics | {"attention_restart_labels": labels_of_restart}
     second = train_reward_model(preferences(80), CONFIG, divergent, initial=first.model, initial_metrics=metrics)
     assert second.metrics["holdout_loss"] == pytest.approx(first.metrics["holdout_loss"], rel=1e-3)
