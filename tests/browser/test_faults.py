@@ -81,7 +81,10 @@ def test_a_paused_experiment_is_shown_as_paused_resumes_automatically_and_notifi
             labeller.press("ArrowUp")  # pairs that are already loaded can still be labelled
         expect(no_pair).to_have_attribute("data-reason", "paused", timeout=PATIENCE_MS)
         expect(no_pair).to_contain_text("paused")
-        labeller.page.get_by_label("Notify me when pairs are ready").check()
+        notify = labeller.page.get_by_label("Notify me when pairs are ready")
+        # It is checked once the browser has allowed notifications.
+        notify.click()
+        expect(notify).to_be_checked()
         labeller.page.evaluate("globalThis.isAway = true")
         api.post(f"/experiments/{experiment}/resume").raise_for_status()
     labeller.pair()

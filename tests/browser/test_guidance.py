@@ -6,6 +6,7 @@ from browser.accessibility import violations_of
 from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import Labeller
 from browser.service import Service
+from support.waiting import until
 
 RULES = """# Goal
 
@@ -66,11 +67,11 @@ def test_a_first_visit_begins_with_the_rules_and_labels_name_their_revision(
     page.wait_for_function("() => document.querySelector('video').readyState >= 2")
     found += violations_of(page, "changed rules")
     second = labeller.press("ArrowLeft")
-    given = [
-        service.rows("select instructions_revision from labels where query_id = ?", each.query)
-        for each in (first, second)
-    ]
-    assert given == [[(1,)], [(2,)]]
+    revisions = "select instructions_revision from labels where query_id = ?"
+    until(
+        lambda: [service.rows(revisions, each.query) for each in (first, second)] == [[(1,)], [(2,)]],
+        "each label has the revision of the rules that was shown",
+    )
     assert page.evaluate("window.hacked") is None
     assert found == []
 

@@ -10,7 +10,7 @@ from browser.accessibility import violations_of
 from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS, Labeller
 from browser.service import SMALL, Service
-from support.waiting import PATIENCE_SECONDS
+from support.waiting import PATIENCE_SECONDS, until
 
 
 def test_the_signed_out_page_explains_sign_in_links(service: Service, browser: Browser) -> None:
@@ -80,9 +80,14 @@ def test_everything_works_with_the_keyboard_alone(
     equal, worse = labeller.press(" "), labeller.press("ArrowDown")
     labeller.undo(worse)
     assert labeller.press("ArrowRight") == worse
-    rows = service.rows("select query_id, value, left_segment from labels where experiment_id = ?", experiment)
-    stored = {query: value if left == 0 else 1.0 - value for query, value, left in rows}
-    assert stored == {better.query: 1.0, equal.query: 0.5, worse.query: 0.0}
+
+    def stored() -> dict[str, float]:
+        rows = service.rows(
+            "select query_id, value, left_segment from labels where experiment_id = ? and state = 'label'", experiment
+        )
+        return {query: value if left == 0 else 1.0 - value for query, value, left in rows}
+
+    until(lambda: stored() == {better.query: 1.0, equal.query: 0.5, worse.query: 0.0}, "the labels are sent")
 
 
 def test_a_labeller_never_receives_true_returns(
