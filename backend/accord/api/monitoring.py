@@ -79,12 +79,9 @@ class _Rows(Collector):
 
     def collect(self) -> Iterator[Metric]:
         found = None
-        try:
-            with self._database.reading() as session:
-                found = monitoring.read(session)
-        except DatabaseUnreachable:
-            # Prometheus would take a failed response for a server that is down.
-            pass
+        # Prometheus would take a failed response for a server that is down.
+        with suppress(DatabaseUnreachable), self._database.reading() as session:
+            found = monitoring.read(session)
         reachable = GaugeMetricFamily("accord_database_up", "1 if the database can be read.")
         reachable.add_metric((), found is not None)
         yield reachable
