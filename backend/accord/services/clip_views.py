@@ -15,7 +15,7 @@ from accord.services.clips import MAX_ATTEMPTS, clips_folder
 from accord.services.lease import now_and_end
 from accord.store import clip_views
 from accord.store.clip_views import Row, ViewRow
-from accord.store.tables import ClipViewRow, ExperimentRow, RecordingRow, RecordingViewRow, SegmentRow
+from accord.store.tables import ClipViewRow, ExperimentRow, RecordingRow, RecordingViewRow, SegmentRow, utc_now
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +89,11 @@ def get_recording(session: Session, recording_id: str, camera: RecordingCamera) 
     if row is None or row.status != ClipStatus.READY:
         raise RecordingNotFound(recording_id)
     return row
+
+
+def is_pending(session: Session) -> bool:
+    """Whether there is a view to claim. Only reads, so that a worker that polls blocks nobody who writes."""
+    return clip_views.is_pending(session, utc_now())
 
 
 def claim_pending(session: Session, holder: str, lease_seconds: float) -> ViewJob | None:

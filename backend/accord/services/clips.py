@@ -8,7 +8,7 @@ from accord.domain.enums import ClipStatus, QueryStatus
 from accord.domain.errors import ClipNotFound
 from accord.services.lease import now_and_end
 from accord.store import clips, queries
-from accord.store.tables import ClipRow
+from accord.store.tables import ClipRow, utc_now
 
 MAX_ATTEMPTS = 3
 
@@ -50,6 +50,11 @@ def clips_folder(experiment_id: str) -> str:
     Clips are not shared between experiments: deleting one must not delete a clip that another is about to use.
     """
     return f"clips/{experiment_id}"
+
+
+def is_pending(session: Session) -> bool:
+    """Whether there is a clip to claim. Only reads, so that a worker that polls blocks nobody who writes."""
+    return clips.is_pending(session, utc_now())
 
 
 def claim_pending(session: Session, holder: str, lease_seconds: float) -> ClipJob | None:

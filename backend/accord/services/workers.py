@@ -48,6 +48,11 @@ def claim(session: Session, subject: str, holder: str, lease_seconds: float) -> 
     return workers.take_claim(session, subject, holder, until, now)
 
 
+def is_free(session: Session, subject: str) -> bool:
+    """Whether nobody holds an unexpired claim on a job. Only reads."""
+    return workers.claim_holder(session, subject, utc_now()) is None
+
+
 def heartbeat(session: Session, subject: str, holder: str, lease_seconds: float) -> bool:
     """Renews a claim. Returns False if another worker holds it: stop working on the job."""
     _, until = now_and_end(lease_seconds)

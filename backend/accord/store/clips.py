@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
-from sqlalchemy import and_, exists, func, or_, select, union_all
+from sqlalchemy import Select, and_, exists, func, or_, select, union_all
 from sqlalchemy.orm import Session
 
 from accord.store.tables import ClipRow, ClipViewRow, ExperimentRow, QueryRow, RecordingViewRow, SegmentRow
@@ -45,8 +46,24 @@ def pending_counts(session: Session) -> dict[str, int]:
     return dict(session.execute(select(id, func.count()).group_by(id)).all())
 
 
+def is_pending(session: Session, now: datetime) -> bool:
+    """Whether `lock_pending` would find a clip. Only reads."""
+    return session.execute(_next_pending(now)).first() is not None
+
+
 def lock_pending(session: Session, now: datetime) -> PendingClip | None:
-    """Locks the next unclaimed clip; concurrent callers get different clips.
+    """Locks the next unclaimed clip; concurrent callers get different clips."""
+    found = session.execute(
+        _next_pending(now).with_for_update(of=ClipRow, skip_locked=True).execution_options(populate_existing=True)
+    ).first()
+    if found is None:
+        return None
+    row, config, blob_key = found
+    return PendingClip(row, str(config["task"]), blob_key)
+
+
+def _next_pending(now: datetime) -> Select[ClipRow, dict[str, Any], str]:
+    """The next unclaimed clip, the settings of its experiment, and the blob of its segment.
 
     First come those that were rendered before and are damaged, because somebody looked at them, also after the end of
     their experiment; then those that a query waits for, by its number; then those of imported pairs, which nobody waits
@@ -65,7 +82,7 @@ def lock_pending(session: Session, now: datetime) -> PendingClip | None:
         QueryRow.status == "closed",
         or_(QueryRow.segment_0_id == ClipRow.segment_id, QueryRow.segment_1_id == ClipRow.segment_id),
     )
-    found = session.execute(
+    return (
         select(ClipRow, ExperimentRow.config, SegmentRow.blob_key)
         .outerjoin(soonest, soonest.c.segment_id == ClipRow.segment_id)
         .join(SegmentRow, SegmentRow.id == ClipRow.segment_id)
@@ -80,10 +97,4 @@ def lock_pending(session: Session, now: datetime) -> PendingClip | None:
         )
         .order_by(ClipRow.blob_key.is_(None), soonest.c.number.is_(None), soonest.c.number, ClipRow.id)
         .limit(1)
-        .with_for_update(of=ClipRow, skip_locked=True)
-        .execution_options(populate_existing=True)
-    ).first()
-    if found is None:
-        return None
-    row, config, blob_key = found
-    return PendingClip(row, str(config["task"]), blob_key)
+    )

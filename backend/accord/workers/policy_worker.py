@@ -108,13 +108,8 @@ class PolicyWorker:
 
     def _another_is_ready(self, experiment_id: str) -> bool:
         ready = [f"policy:{other}" for other, _, waits in self._due() if other != experiment_id and not waits]
-        return any(self._is_free(subject) for subject in ready)
-
-    def _is_free(self, subject: str) -> bool:
-        with self._context.database.transaction() as session:
-            free = workers.claim(session, subject, self._context.holder, self._context.settings.worker_lease_seconds)
-            workers.release(session, subject, self._context.holder)
-        return free
+        with self._context.database.reading() as session:
+            return any(workers.is_free(session, subject) for subject in ready)
 
 
 if __name__ == "__main__":

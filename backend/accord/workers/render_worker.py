@@ -61,6 +61,9 @@ class RenderWorker:
         process = self._ready_process()
         context = self._context
         lease = context.settings.worker_lease_seconds
+        with context.database.reading() as session:
+            if not (clip_views.is_pending(session) or clips.is_pending(session)):
+                return False
         with context.database.transaction() as session:
             # Somebody looks at the pair of a view, so it comes before the clips of later pairs.
             view = clip_views.claim_pending(session, context.holder, lease)
