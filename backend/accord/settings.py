@@ -18,7 +18,10 @@ class Settings(BaseSettings):
 
     home: Path = Field(default=Path(".accord"), description="Folder of the database, the blobs and the logs.")
     database_url: str = Field(default="", description="SQLAlchemy URL; empty uses SQLite in the home folder.")
-    blob_url: str = Field(default="", description="fsspec URL of the blobs; empty uses a folder in the home folder.")
+    blob_url: str = Field(
+        default="",
+        description="file:///folder or s3://bucket/prefix of the blobs; empty uses a folder in the home folder.",
+    )
     host: str = Field(default="127.0.0.1", description="Address the server listens on.")
     port: int = Field(default=8000, ge=0, le=65_535, description="Port the server listens on; 0 takes a free one.")
     public_url: str = Field(default="", description="URL of sign-in links when the server is behind a proxy.")

@@ -12,8 +12,11 @@ from pathlib import Path
 import pytest
 
 from acceptance.accord_service import Accord
+from accord.cli.doctor import check_blobs
+from accord.settings import Settings
 from accord.store.database import Database
 from accord.store.migrate import migrate
+from support.s3_server import S3Server
 from support.waiting import PATIENCE_SECONDS, until
 
 
@@ -62,6 +65,17 @@ def test_a_file_in_place_of_the_blob_folder_is_refused(tmp_path: Path) -> None:
 def test_a_file_in_place_of_the_home_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "home").write_text("not a folder")
     assert_refused(up(tmp_path / "home", "--port", "0"), str(tmp_path / "home"), "--home")
+
+
+def test_a_bucket_that_is_missing_or_refuses_is_named_with_a_fix(tmp_path: Path, s3_server: S3Server) -> None:
+    missing = "s3://no-such-bucket/accord"
+    assert_refused(up(tmp_path, "--port", "0", ACCORD_BLOB_URL=missing), missing, "does not exist")
+    [check] = check_blobs(Settings(home=tmp_path, blob_url=missing))
+    assert not check.ok
+    assert check.fix is not None
+    url = s3_server.url("accord")
+    refused = up(tmp_path, "--port", "0", ACCORD_BLOB_URL=url, AWS_SECRET_ACCESS_KEY="another")
+    assert_refused(refused, url, "AWS_SECRET_ACCESS_KEY")
 
 
 def mounted(folder: Path, options: str) -> Iterator[Path]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from support.ci import IN_CI
+from support.s3_server import S3Server
 from support.stores import Stores, migrated_postgres_database, missing_for_postgres, open_stores, run_postgres
 
 
@@ -25,17 +26,28 @@ def postgres_server() -> Generator[str]:
         yield url
 
 
+@pytest.fixture(scope="session")
+def s3_server(tmp_path_factory: pytest.TempPathFactory) -> Generator[S3Server]:
+    """An S3 server, started once per test process, whose variables are in the environment of all tests."""
+    with S3Server(tmp_path_factory.mktemp("s3")) as server, pytest.MonkeyPatch.context() as patch:
+        for name, value in server.environment.items():
+            patch.setenv(name, value)
+        yield server
+
+
 @pytest.fixture(params=["sqlite", "postgres"])
 def stores(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[Stores]:
-    """Stores on SQLite and on PostgreSQL: the test runs once with each."""
+    """Stores on one machine, and on servers: the test runs with SQLite and a folder, and with PostgreSQL and S3."""
     if request.param == "sqlite":
         with open_stores(tmp_path) as opened:
             yield opened
         return
     server: str = request.getfixturevalue("postgres_server")
+    objects: S3Server = request.getfixturevalue("s3_server")
+    name = f"test_{secrets.token_hex(6)}"
     with (
-        migrated_postgres_database(server, f"test_{secrets.token_hex(6)}") as url,
-        open_stores(tmp_path, url) as opened,
+        migrated_postgres_database(server, name) as url,
+        open_stores(tmp_path, url, objects.url(name)) as opened,
     ):
         yield opened
 

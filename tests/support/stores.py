@@ -36,10 +36,10 @@ class Stores:
 
 
 @contextmanager
-def open_stores(home: Path, database_url: str = "") -> Generator[Stores]:
-    """Migrated stores in a folder: SQLite unless `database_url` names another database."""
+def open_stores(home: Path, database_url: str = "", blob_url: str = "") -> Generator[Stores]:
+    """Migrated stores in a folder: SQLite unless `database_url` names another database, and likewise the blobs."""
     url = database_url or f"sqlite:///{home / 'accord.db'}"
-    blob_url = f"file://{home / 'blobs'}"
+    blob_url = blob_url or f"file://{home / 'blobs'}"
     if not database_url:
         home.mkdir(parents=True, exist_ok=True)
         (home / "accord.db").write_bytes(_migrated_sqlite())

@@ -14,6 +14,7 @@ from accord.api.requests import route_of
 from accord.api.schemas import ErrorBody, ErrorResponse
 from accord.domain.errors import (
     AccordError,
+    BlobsUnreachable,
     BodyTooLarge,
     BodyTooSlow,
     DatabaseFull,
@@ -59,6 +60,8 @@ _HTTP_MESSAGES = {
 _PUBLIC_MESSAGES: Mapping[type[AccordError], str] = {
     DatabaseFull: "There is no space left for the database, so nothing of this request was stored. Whoever runs Accord "
     "can free some space on its disk; then try again.",
+    BlobsUnreachable: "The store of clips does not answer. The server's log says why, for whoever runs Accord. Try "
+    "again later.",
     DatabaseUnreachable: "The database failed. The server's log says why, for whoever runs Accord. Try again later.",
 }
 #: the error response of every route, for OpenAPI
@@ -107,8 +110,8 @@ def install(app: FastAPI) -> None:
 
     async def on_accord_error(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, AccordError)
-        if isinstance(error, DatabaseFull):
-            # Every request that writes fails this way until there is space; tracebacks would fill the log's disk.
+        if isinstance(error, DatabaseFull | DatabaseUnreachable | BlobsUnreachable):
+            # Many requests fail this way until somebody mends it; tracebacks would fill the log's disk.
             log.error("%s: %s", error.code, error)
         elif status_of(error) >= 500:
             log.error("%s: %s", error.code, error, exc_info=error)

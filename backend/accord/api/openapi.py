@@ -3,6 +3,7 @@
 import argparse
 import json
 from pathlib import Path
+from tempfile import gettempdir
 
 from accord.api.app import create_app
 from accord.settings import Settings
@@ -13,7 +14,7 @@ from mapt.io import atomic_write
 
 def document() -> str:
     """The OpenAPI document as JSON, deterministic for the same routes."""
-    app = create_app(Settings(), Database.open("sqlite://"), open_blobs("memory://openapi"))
+    app = create_app(Settings(), Database.open("sqlite://"), open_blobs(f"file://{gettempdir()}"))
     return json.dumps(app.openapi(), indent=2) + "\n"
 
 

@@ -20,8 +20,8 @@
     ├── TooManyStreams                the user follows too many experiments at once
     ├── TooManyFailedSignIns          the client tried too many wrong tokens or links
     └── Unavailable                   this machine cannot do it now; the message says what to do
-        ├── DatabaseTooNew, DatabaseTooOld, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, TaskUnavailable,
-        │   PortInUse, BlobsInUse, PlainHttpRefused, ProviderUnreachable
+        ├── DatabaseTooNew, DatabaseTooOld, DatabaseUnreachable, DatabaseFull, BlobsNotWritable, BlobsUnreachable,
+        │   TaskUnavailable, PortInUse, BlobsInUse, PlainHttpRefused, ProviderUnreachable
         └── BlobUnreadable
             └── BlobMissing, BlobDamaged
 
@@ -374,6 +374,12 @@ class DatabaseFull(Unavailable):
 
 class BlobsNotWritable(Unavailable):
     code = "blobs_not_writable"
+
+
+class BlobsUnreachable(Unavailable):
+    """The object store does not answer, or refuses. Blobs that are stored there are not lost."""
+
+    code = "blobs_unreachable"
 
 
 class BlobUnreadable(Unavailable):

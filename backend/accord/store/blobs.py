@@ -7,16 +7,16 @@ import secrets
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, cast
-
-from fsspec.core import url_to_fs  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
+from typing import Protocol
 
 from accord.domain.errors import BlobMissing, BlobsNotWritable
 from mapt.io import atomic_path, atomic_write, sync_folder
 
 _KEY = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*")
-_PROBE = "probe"
+#: folder of the blobs that show whether a store can be written
+PROBE = "probe"
 #: called with the number of blobs done so far, and of all
 OnBlobs = Callable[[int, int], None]
 
@@ -33,8 +33,8 @@ class StoredBlob:
 class BlobStore(Protocol):
     """Keys are relative paths such as segments/exp_.../seg_....safetensors.
 
-    `size`, `read` and `read_range` raise BlobMissing if there is no such blob; every method raises ValueError for a key
-    that is not a plain relative path.
+    `size`, `read` and `read_range` raise BlobMissing if there is no such blob. Every method raises ValueError for a key
+    that is not a plain relative path, and BlobsUnreachable if an object store does not answer or refuses.
     """
 
     def put(self, key: str, content: bytes) -> None:
@@ -90,18 +90,22 @@ class BlobStore(Protocol):
 
 
 def open_blobs(url: str) -> BlobStore:
-    """The store behind an fsspec URL: file:///folder, s3://bucket/prefix, memory://name.
+    """The store behind a URL: file:///folder or s3://bucket/prefix.
 
     Raises:
-        BlobsNotWritable: if the URL's protocol is unknown, its driver is missing, or its folder cannot be created.
+        BlobsNotWritable: if the URL is not valid, its driver is missing, or its folder cannot be created.
     """
+    if url.startswith("file://"):
+        return FolderBlobs(Path(url.removeprefix("file://")))
     try:
-        filesystem, root = cast("tuple[Any, str]", url_to_fs(url))
-    except (ImportError, ValueError) as error:
-        raise BlobsNotWritable(f"Blobs cannot be stored at {url!r}: {error}. Set ACCORD_BLOB_URL.") from error
-    if "file" in filesystem.protocol:
-        return FolderBlobs(Path(root))
-    return RemoteBlobs(filesystem, root)
+        # Its driver is an extra, and takes time to import.
+        module = import_module("accord.store.object_blobs")
+    except ModuleNotFoundError as error:
+        raise BlobsNotWritable(
+            f"Blobs at {url!r} need the package {error.name!r}, which is not installed. Run pip install "
+            "'accord[s3]', or set ACCORD_BLOB_URL to file:///folder."
+        ) from error
+    return module.ObjectBlobs(url)
 
 
 class FolderBlobs:
@@ -169,7 +173,7 @@ class FolderBlobs:
             for name in names:
                 path = Path(folder, name)
                 key = path.relative_to(self._root).as_posix()
-                if _KEY.fullmatch(key) and not key.startswith(f"{_PROBE}/"):
+                if is_blob_key(key):
                     try:
                         status = path.stat()
                     except FileNotFoundError:
@@ -180,13 +184,13 @@ class FolderBlobs:
         return next(self.stored(), None) is None
 
     def check_writable(self) -> None:
-        key = f"{_PROBE}/{secrets.token_hex(8)}"
+        key = f"{PROBE}/{secrets.token_hex(8)}"
         # larger than a block, so that a full disk shows
         self.put(key, bytes(65_536))
         self.delete(key)
 
     def _path(self, key: str) -> Path:
-        return self._root / _checked(key)
+        return self._root / checked_key(key)
 
     def _make_folder(self, folder: Path) -> None:
         """Like mkdir -p, but the new folders survive a crash."""
@@ -196,71 +200,13 @@ class FolderBlobs:
             sync_folder(each.parent)
 
 
-class RemoteBlobs:
-    """Blobs in an object store, which writes each blob atomically."""
-
-    def __init__(self, filesystem: Any, root: str) -> None:
-        self._filesystem = filesystem
-        self._root = root.rstrip("/")
-
-    def put(self, key: str, content: bytes) -> None:
-        if self.exists(key):
-            return
-        try:
-            self._filesystem.pipe_file(self._path(key), content)
-        except OSError as error:
-            raise _not_writable(self._root, error) from error
-
-    def put_many(self, blobs: Iterable[tuple[str, bytes]]) -> None:
-        for key, content in blobs:
-            self.put(key, content)
-
-    def read(self, key: str) -> bytes:
-        try:
-            return self._filesystem.cat_file(self._path(key))
-        except FileNotFoundError as error:
-            raise BlobMissing(key) from error
-
-    def read_range(self, key: str, start: int, stop: int) -> bytes:
-        try:
-            return self._filesystem.cat_file(self._path(key), start=start, end=max(start, stop))
-        except FileNotFoundError as error:
-            raise BlobMissing(key) from error
-
-    def size(self, key: str) -> int:
-        try:
-            return int(self._filesystem.size(self._path(key)))
-        except FileNotFoundError as error:
-            raise BlobMissing(key) from error
-
-    def exists(self, key: str) -> bool:
-        return bool(self._filesystem.exists(self._path(key)))
-
-    def delete(self, key: str) -> None:
-        if self.exists(key):
-            self._filesystem.rm_file(self._path(key))
-
-    def stored(self) -> Iterator[StoredBlob]:
-        self._filesystem.invalidate_cache()
-        found: dict[str, dict[str, Any]] = self._filesystem.find(self._root, detail=True)
-        for path, status in found.items():
-            key = path.removeprefix(self._root).strip("/")
-            if _KEY.fullmatch(key) and not key.startswith(f"{_PROBE}/"):
-                yield StoredBlob(key, int(status["size"]), self._filesystem.modified(path))
-
-    def is_empty(self) -> bool:
-        return next(self.stored(), None) is None
-
-    def check_writable(self) -> None:
-        key = f"{_PROBE}/{secrets.token_hex(8)}"
-        self.put(key, b"accord")
-        self.delete(key)
-
-    def _path(self, key: str) -> str:
-        return f"{self._root}/{_checked(key)}"
+def is_blob_key(path: str) -> bool:
+    """Whether a path in a store is the key of a blob, and not that of a probe."""
+    return _KEY.fullmatch(path) is not None and not path.startswith(f"{PROBE}/")
 
 
-def _checked(key: str) -> str:
+def checked_key(key: str) -> str:
+    """The key. Raises ValueError if it is not a plain relative path."""
     if not _KEY.fullmatch(key):
         raise ValueError(f"{key!r} is not a blob key")
     return key

@@ -4,10 +4,10 @@ from pathlib import Path
 import pytest
 
 from support.api_in_thread import ApiServer, run_api_server
-from support.store_fixtures import postgres_server, sqlite, stores
+from support.store_fixtures import postgres_server, s3_server, sqlite, stores
 from support.stores import Stores
 
-__all__ = ["api", "api_per_database", "postgres_server", "sqlite", "stores"]
+__all__ = ["api", "api_per_database", "postgres_server", "s3_server", "sqlite", "stores"]
 
 
 @pytest.fixture

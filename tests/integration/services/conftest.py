@@ -1,3 +1,3 @@
-from support.store_fixtures import postgres_server, sqlite, stores
+from support.store_fixtures import postgres_server, s3_server, sqlite, stores
 
-__all__ = ["postgres_server", "sqlite", "stores"]
+__all__ = ["postgres_server", "s3_server", "sqlite", "stores"]

@@ -20,6 +20,7 @@ from accord.store.database import Database
 from accord.store.database_copy import DatabaseNotEmpty
 from accord.store.migrate import alembic_config, migrate
 from accord.store.tables import Base, ClaimRow
+from support.s3_server import S3Server
 from support.sample_experiments import SampleExperiment, create_sample, user
 from support.stores import Stores, new_database_url
 
@@ -126,8 +127,10 @@ def test_a_backup_that_fails_leaves_nothing(stores: Stores, sample: SampleExperi
         back_up(stores.database, stores.blobs, tmp_path / "backups")
 
 
-def test_blobs_of_an_object_store_are_restored_into_another(sqlite: Stores, tmp_path: Path) -> None:
-    urls = [f"memory://{secrets.token_hex(8)}/accord" for _ in range(2)]
+def test_blobs_of_an_object_store_are_restored_into_another(
+    sqlite: Stores, s3_server: S3Server, tmp_path: Path
+) -> None:
+    urls = [s3_server.url(secrets.token_hex(8)) for _ in range(2)]
     source, target = map(open_blobs, urls)
     create_sample(sqlite.database, source)
     source.put("unused", b"no row names it")

@@ -10,16 +10,18 @@ from pathlib import Path
 
 import pytest
 
-from accord.domain.errors import BlobMissing, BlobsNotWritable
+from accord.domain.errors import BlobMissing, BlobsNotWritable, BlobsUnreachable
 from accord.store.blobs import BlobStore, open_blobs
+from support.s3_server import S3Server
 
 WRITER_PROCESS = Path(__file__).with_name("blob_writer_process.py")
 
 
-@pytest.fixture(params=["folder", "memory"])
+@pytest.fixture(params=["folder", "s3"])
 def blobs(request: pytest.FixtureRequest, tmp_path: Path) -> BlobStore:
-    if request.param == "memory":
-        return open_blobs(f"memory://{secrets.token_hex(8)}")
+    if request.param == "s3":
+        server: S3Server = request.getfixturevalue("s3_server")
+        return open_blobs(server.url(secrets.token_hex(8)))
     return open_blobs(f"file://{tmp_path / 'blobs'}")
 
 
@@ -152,3 +154,59 @@ def test_folder_below_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BlobsNotWritable):
         open_blobs(f"file://{tmp_path / 'file' / 'blobs'}")
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "fragment"),
+    [
+        ("AWS_SECRET_ACCESS_KEY", "another", "AWS_SECRET_ACCESS_KEY"),
+        ("AWS_ACCESS_KEY_ID", "somebody", "AWS_ACCESS_KEY_ID"),
+        ("AWS_ENDPOINT_URL", "http://127.0.0.1:1", "AWS_ENDPOINT_URL"),
+    ],
+)
+def test_an_s3_that_refuses_or_does_not_answer_is_explained(
+    s3_server: S3Server, monkeypatch: pytest.MonkeyPatch, variable: str, value: str, fragment: str
+) -> None:
+    monkeypatch.setenv(variable, value)
+    blobs = open_blobs(s3_server.url("refused"))
+    for use in (blobs.check_writable, blobs.is_empty, lambda: blobs.read("key")):
+        with pytest.raises(BlobsUnreachable) as raised:
+            use()
+        assert s3_server.url("refused") in str(raised.value)
+        assert fragment in str(raised.value)
+        assert "\n" not in str(raised.value)
+
+
+def test_a_missing_bucket_is_explained(s3_server: S3Server) -> None:
+    blobs = open_blobs("s3://no-such-bucket/accord")
+    for use in (blobs.check_writable, blobs.is_empty, lambda: blobs.put("key", b""), lambda: blobs.read("key")):
+        with pytest.raises(BlobsUnreachable, match="bucket") as raised:
+            use()
+        assert "s3://no-such-bucket/accord" in str(raised.value)
+
+
+def test_blobs_outlive_a_restart_of_the_s3_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with S3Server(tmp_path) as server:
+        for name, value in server.environment.items():
+            monkeypatch.setenv(name, value)
+        blobs = open_blobs(server.url("prefix"))
+        blobs.put("before", b"1")
+        server.stop()
+        with pytest.raises(BlobsUnreachable):
+            blobs.put("during", b"2")
+        server.start()
+        blobs.put("after", b"3")
+        assert {blob.key for blob in blobs.stored()} == {"before", "after"}
+        assert blobs.read("before") == b"1"
+
+
+def test_s3_without_its_package_says_what_to_install() -> None:
+    """In another process, in which the package cannot be imported."""
+    code = (
+        "import sys; sys.modules['obstore'] = None\n"
+        "from accord.store.blobs import open_blobs; from accord.domain.errors import BlobsNotWritable\n"
+        "try: open_blobs('s3://bucket/prefix')\n"
+        "except BlobsNotWritable as error: print(error)"
+    )
+    printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert "pip install 'accord[s3]'" in printed
