@@ -85,8 +85,12 @@ def missing_for_postgres() -> str:
 
 
 @contextmanager
-def run_postgres() -> Generator[str]:
-    """Start a PostgreSQL server with a migrated database as template; yield its URL; remove it afterwards."""
+def run_postgres(*, durable: bool = False) -> Generator[str]:
+    """Start a PostgreSQL server with a migrated database as template; yield its URL; remove it afterwards.
+
+    Args:
+        durable: whether it writes to the disk before it acknowledges a commit, as outside tests.
+    """
     programs = postgres_programs()
     assert programs is not None
     folder = Path(tempfile.mkdtemp(prefix="accord-postgres-", dir="/tmp"))
@@ -102,7 +106,7 @@ def run_postgres() -> Generator[str]:
     port = free_port()
     try:
         run("initdb", "-D", str(data), "-A", "trust", "-U", "accord", "--no-sync", "-E", "UTF8")
-        options = f"-p {port} -k {folder} -h 127.0.0.1 -c fsync=off"
+        options = f"-p {port} -k {folder} -h 127.0.0.1 -c fsync={'on' if durable else 'off'}"
         run("pg_ctl", "-D", str(data), "-o", options, "-l", str(folder / "log"), "-w", "start")
         url = f"postgresql+psycopg://accord@127.0.0.1:{port}/postgres"
         try:
