@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Annotated, cast
 from urllib.parse import urlsplit
 
-from fastapi import Depends, Path, Request
+from fastapi import Depends, Path, Query, Request
 from fastapi.responses import Response
 from pydantic import AfterValidator, BaseModel
 from sqlalchemy.orm import Session
@@ -249,6 +249,15 @@ RecordingId = Annotated[str, AfterValidator(_recording_id), Path(description="Th
 SegmentId = Annotated[str, AfterValidator(_segment_id), Path(description="The segment, seg_...")]
 ShareId = Annotated[str, AfterValidator(_share_id), Path(description="The link, shr_...")]
 
+MaxPoints = Annotated[
+    int | None,
+    Query(
+        ge=2,
+        le=100_000,
+        description="Of a curve with more points, return this many at equal distances, with the first and the last "
+        "one. All by default.",
+    ),
+]
 UserId = Annotated[str, AfterValidator(_user_id), Path(description="The user, usr_...")]
 WebhookId = Annotated[str, AfterValidator(_webhook_id), Path(description="The webhook, whk_...")]
 TokenId = Annotated[str, AfterValidator(_token_id), Path(description="The token, tok_...")]

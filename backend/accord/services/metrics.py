@@ -32,6 +32,8 @@ _OPEN_VERSION_METRICS = frozenset(
         "epochs",
     }
 )
+#: most points of a curve on a page; a chart is hardly wider than twice as many pixels
+PAGE_POINTS = 300
 #: metrics of one point: true return before the first update, and after the last one
 UNTRAINED, FINAL = "true_return_untrained", "true_return_final"
 
@@ -95,12 +97,27 @@ def record(
     metrics.replace(session, experiment_id, step, finite, reward_version_id)
 
 
-def series(session: Session, experiment_id: str, names: Sequence[str] | None = None, after_id: int = 0) -> list[Series]:
-    """Curves sorted by name and step; only points written after the one with id `after_id`."""
+def series(
+    session: Session,
+    experiment_id: str,
+    names: Sequence[str] | None = None,
+    after_id: int = 0,
+    max_points: int | None = None,
+) -> list[Series]:
+    """Curves sorted by name and step; only points written after the one with id `after_id`.
+
+    Args:
+        max_points: of a curve with more, this many at equal distances, with the first and the last one.
+    """
     curves: dict[str, list[MetricRow]] = {}
-    for point in metrics.points(session, experiment_id, names, after_id):
+    for point in metrics.points(session, experiment_id, names, after_id, max_points):
         curves.setdefault(point.name, []).append(point)
     return [Series(name, points) for name, points in curves.items()]
+
+
+def newest_id(session: Session, experiment_id: str) -> int:
+    """The id of the newest point of any curve; 0 if there is none."""
+    return metrics.newest_id(session, experiment_id)
 
 
 def visible(found: Sequence[Series], role: Role) -> list[Series]:

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from sqlalchemy import delete, insert, select
-from sqlalchemy.orm import Session
+from sqlalchemy import delete, func, insert, or_, select
+from sqlalchemy.orm import Session, aliased
 
 from accord.store.tables import MetricRow, utc_now
 
@@ -33,12 +33,33 @@ def replace(
     )
 
 
-def points(session: Session, experiment_id: str, names: Sequence[str] | None, after_id: int) -> list[MetricRow]:
-    """Points written after an id, by name and step."""
+def points(
+    session: Session, experiment_id: str, names: Sequence[str] | None, after_id: int, max_points: int | None = None
+) -> list[MetricRow]:
+    """Points written after an id, by name and step.
+
+    Args:
+        max_points: at least 2: of a curve with more, this many at equal distances, with the first and the last one.
+    """
     statement = select(MetricRow).where(MetricRow.experiment_id == experiment_id, MetricRow.id > after_id)
     if names is not None:
         statement = statement.where(MetricRow.name.in_(names))
-    return list(session.scalars(statement.order_by(MetricRow.name, MetricRow.step)))
+    if max_points is None:
+        return list(session.scalars(statement.order_by(MetricRow.name, MetricRow.step)))
+    numbered = statement.add_columns(
+        func.row_number().over(partition_by=MetricRow.name, order_by=MetricRow.step).label("place"),
+        func.count().over(partition_by=MetricRow.name).label("count"),
+    ).subquery()
+    place, count, intervals = numbered.c.place, numbered.c.count, max_points - 1
+    # The last point of each interval, and the first point of all.
+    chosen = or_(place == 1, place * intervals // count != (place - 1) * intervals // count)
+    point = aliased(MetricRow, numbered)
+    return list(session.scalars(select(point).where(chosen).order_by(point.name, point.step)))
+
+
+def newest_id(session: Session, experiment_id: str) -> int:
+    """The id of the point that was written last; 0 if there is none."""
+    return session.scalar(select(func.max(MetricRow.id)).where(MetricRow.experiment_id == experiment_id)) or 0
 
 
 def newest_values(session: Session, experiment_ids: Sequence[str], names: Sequence[str]) -> dict[str, dict[str, float]]:

@@ -98,6 +98,23 @@ def test_stream_resumes_after_the_last_event_id(api_per_database: ApiServer) -> 
     assert [(point["step"], point["value"]) for point in curve["points"]] == [(10, 3.0), (20, 2.0)]
 
 
+def test_first_event_has_at_most_max_points_of_each_curve(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs, queries=0)
+    for step in range(1, 10):
+        record(api.stores, sample.experiment.id, step, float(step))
+    path = f"/api/v1/experiments/{sample.experiment.id}"
+    with api.labeller.stream("GET", f"{path}/events", params={"max_points": 3}) as response:
+        stream = events(response)
+        (curve,) = next_where(stream, lambda event: event.name == "metrics").content["series"]
+        record(api.stores, sample.experiment.id, 10, 10.0)
+        (newer,) = next_where(stream, lambda event: event.name == "metrics").content["series"]
+    assert [point["step"] for point in curve["points"]] == [1, 5, 9]
+    assert [point["step"] for point in newer["points"]] == [10]
+    listed = api.labeller.get(f"{path}/metrics", params={"max_points": 3}).json()["series"]
+    assert [point["step"] for point in listed[0]["points"]] == [1, 5, 10]
+    assert len(api.labeller.get(f"{path}/metrics").json()["series"][0]["points"]) == 10
+
+
 def test_invalid_last_event_id_starts_from_the_beginning(api: ApiServer) -> None:
     sample = create_sample(api.stores.database, api.stores.blobs, queries=0)
     record(api.stores, sample.experiment.id, 10, 1.0)

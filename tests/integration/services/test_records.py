@@ -2,6 +2,7 @@
 
 import math
 import threading
+from itertools import pairwise
 
 import pytest
 
@@ -114,6 +115,27 @@ def test_rewritten_point_replaces_the_old_one_and_has_a_newer_id(stores: Stores)
         "labels": [(100, 7.0), (200, 7.0)],
     }
     assert points(stores, sample.experiment.id, last_id) == {"entropy": [(200, 9.0)]}
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 5, 6, 11, 100])
+def test_long_curves_are_thinned_to_points_at_equal_distances(stores: Stores, count: int) -> None:
+    sample = create_sample(stores.database, stores.blobs, queries=0)
+    with stores.database.transaction() as session:
+        for step in range(10, 10 * count + 10, 10):
+            metrics.record(session, sample.experiment.id, step, {"entropy": step, "labels": 1})
+        metrics.record(session, sample.experiment.id, 5, {"learned_return": 1})
+    with stores.database.reading() as session:
+        found = metrics.series(session, sample.experiment.id, max_points=5)
+        newest = metrics.newest_id(session, sample.experiment.id)
+    assert [curve.name for curve in found] == ["entropy", "labels", "learned_return"]
+    steps = [[point.step for point in curve.points] for curve in found]
+    assert steps[0] == steps[1]
+    assert steps[2] == [5]
+    assert len(steps[0]) == min(count, 5)
+    assert (steps[0][0], steps[0][-1]) == (10, 10 * count)
+    distances = {later - earlier for earlier, later in pairwise(steps[0])}
+    assert not distances or max(distances) - min(distances) <= 10
+    assert newest == found[2].points[0].id
 
 
 def test_metrics_that_are_not_finite_are_not_recorded(stores: Stores) -> None:

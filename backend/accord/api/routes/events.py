@@ -18,7 +18,7 @@ from pydantic import TypeAdapter
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from accord.api import responses, schemas
-from accord.api.dependencies import Auth, AuthDep, ExperimentId
+from accord.api.dependencies import Auth, AuthDep, ExperimentId, MaxPoints
 from accord.domain.enums import Role
 from accord.domain.errors import ExperimentNotFound, TooManyStreams, Unauthenticated
 from accord.services import access, experiments, metrics, workers
@@ -46,6 +46,8 @@ class _View:
     role: Role
     #: id of the newest metric point that they have
     after_id: int
+    #: most points of each curve in an event; None for all
+    max_points: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +105,14 @@ def _read(database: Database, view: _View) -> _Look:
         row = experiments.get(session, view.experiment_id)
         experiment = responses.experiment_response(session, row, view.role).model_dump_json()
         # hidden curves advance the id too, so that they are not read again
-        found = metrics.series(session, view.experiment_id, None, view.after_id)
+        newest_id = metrics.newest_id(session, view.experiment_id)
+        found = metrics.series(session, view.experiment_id, None, view.after_id, view.max_points)
         curves = metrics.visible(found, view.role)
         reported = [responses.worker_response(each, view.role) for each in workers.all(session)]
     return _Look(
         experiment,
         responses.metrics_response(curves).model_dump_json() if curves else "",
-        max((point.id for curve in found for point in curve.points), default=view.after_id),
+        max(newest_id, view.after_id),
         _WORKERS.dump_json(reported).decode(),
         _without_ages(reported),
     )
@@ -130,19 +133,20 @@ async def follow_experiment(
     request: Request,
     experiment_id: ExperimentId,
     auth: AuthDep,
+    max_points: MaxPoints = None,
     last_event_id: Annotated[str | None, Header(description="Resume after this event.")] = None,
 ) -> EventSourceResponse:
     """Server-sent events: `experiment` on any change, `metrics` with new points, `workers` when one changes.
 
-    The first `metrics` event has all points, or those after `Last-Event-ID`. A point replaces one sent earlier for the
-    same step.
+    The first `metrics` event has all points, or those after `Last-Event-ID`; of each curve at most `max_points`. A
+    point replaces one sent earlier for the same step.
     """
     after_id = int(last_event_id) if last_event_id and last_event_id.isdecimal() and len(last_event_id) < 19 else 0
     streams = cast(Streams, request.app.state.streams)
     user = await run_sync(_caller, auth, experiment_id)
     if streams.opened[user.id] >= MAX_STREAMS:
         raise TooManyStreams(MAX_STREAMS)
-    view = _View(experiment_id, Role(user.role), after_id)
+    view = _View(experiment_id, Role(user.role), after_id, max_points)
     # before the stream begins, so that an error still has its status
     first = await streams.look(auth.app.database, view)
     return EventSourceResponse(_stream(streams, auth, user.id, view, first), send_timeout=_SEND_TIMEOUT_SECONDS)

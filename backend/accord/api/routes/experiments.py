@@ -8,7 +8,7 @@ from pydantic import AfterValidator
 from sqlalchemy.orm import Session
 
 from accord.api import responses, schemas
-from accord.api.dependencies import Auth, AuthDep, ExperimentId
+from accord.api.dependencies import Auth, AuthDep, ExperimentId, MaxPoints
 from accord.domain.enums import AuditAction, Role
 from accord.domain.errors import Forbidden
 from accord.domain.ids import check_id
@@ -177,12 +177,13 @@ def get_metrics(
     names: Annotated[
         list[str] | None, AfterValidator(_names), Query(description="Curves to return; all by default.")
     ] = None,
+    max_points: MaxPoints = None,
 ) -> schemas.Metrics:
     """Curves over the policy's environment steps. Labellers get no curve of returns, true or learned."""
     with auth.reading() as caller:
         access.require(caller.session, caller.user, experiment_id)
         experiments.get(caller.session, experiment_id)
-        found = metrics.series(caller.session, experiment_id, names)
+        found = metrics.series(caller.session, experiment_id, names, max_points=max_points)
         return responses.metrics_response(metrics.visible(found, caller.role))
 
 

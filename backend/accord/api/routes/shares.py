@@ -60,7 +60,7 @@ def get_shared(request: Request) -> schemas.SharedExperiment:
         share = shares.valid(session, token.strip())
         row = experiments.get(session, share.experiment_id)
         experiment = responses.experiment_response(session, row, _SEEN_AS)
-        curves = metrics.visible(metrics.series(session, row.id), _SEEN_AS)
+        curves = metrics.visible(metrics.series(session, row.id, max_points=metrics.PAGE_POINTS), _SEEN_AS)
         return schemas.SharedExperiment(
             # The reason of a failure can name files of this server.
             experiment=experiment.model_copy(update={"phase_detail": ""} if experiment.status == "failed" else {}),

@@ -1,5 +1,8 @@
 import type { MetricPoint, Metrics, RewardVersion } from "./types";
 
+/** Points of a curve that the page loads; a chart is hardly wider than twice as many pixels. */
+export const CURVE_POINTS = 300;
+
 /** Merges new points into the curves: a point replaces the old one of the same step, and steps stay sorted. */
 export function mergeMetrics(old: Metrics | undefined, update: Metrics): Metrics {
   const series = new Map((old?.series ?? []).map(({ name, points }) => [name, points]));

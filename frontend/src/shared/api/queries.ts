@@ -1,10 +1,14 @@
 import { infiniteQueryOptions, queryOptions } from "@tanstack/react-query";
 import { api, unwrap } from "./client";
 import { ApiError, isTransient, ServerUnreachable, toApiError } from "./errors";
+import { CURVE_POINTS } from "./metrics";
 import type { operations } from "./schema";
 import type { Credit, RecordingCamera, RewardReport } from "./types";
 
 const byExperiment = (id: string) => ({ params: { path: { experiment_id: id } } });
+const curvesOf = (id: string) => ({
+  params: { path: { experiment_id: id }, query: { max_points: CURVE_POINTS } },
+});
 
 // All query keys are defined here, so that live events know which entries of the cache to update.
 export const meQuery = queryOptions({
@@ -49,7 +53,7 @@ export const experimentQuery = (id: string) =>
 export const metricsQuery = (id: string) =>
   queryOptions({
     queryKey: ["metrics", id],
-    queryFn: () => unwrap(api.GET("/api/v1/experiments/{experiment_id}/metrics", byExperiment(id))),
+    queryFn: () => unwrap(api.GET("/api/v1/experiments/{experiment_id}/metrics", curvesOf(id))),
   });
 
 export const rewardVersionsQuery = (id: string) =>

@@ -965,8 +965,8 @@ export interface paths {
          * Follow an experiment live
          * @description Server-sent events: `experiment` on any change, `metrics` with new points, `workers` when one changes.
          *
-         *     The first `metrics` event has all points, or those after `Last-Event-ID`. A point replaces one sent earlier for the
-         *     same step.
+         *     The first `metrics` event has all points, or those after `Last-Event-ID`; of each curve at most `max_points`. A
+         *     point replaces one sent earlier for the same step.
          */
         get: operations["follow_experiment"];
         put?: never;
@@ -5733,6 +5733,8 @@ export interface operations {
             query?: {
                 /** @description Curves to return; all by default. */
                 names?: string[] | null;
+                /** @description Of a curve with more points, return this many at equal distances, with the first and the last one. All by default. */
+                max_points?: number | null;
             };
             header?: never;
             path: {
@@ -6431,7 +6433,10 @@ export interface operations {
     };
     follow_experiment: {
         parameters: {
-            query?: never;
+            query?: {
+                /** @description Of a curve with more points, return this many at equal distances, with the first and the last one. All by default. */
+                max_points?: number | null;
+            };
             header?: {
                 /** @description Resume after this event. */
                 "last-event-id"?: string | null;

@@ -1,6 +1,6 @@
 import { type QueryClient, useQueryClient } from "@tanstack/react-query";
 import { useEffect, useState } from "react";
-import { mergeMetrics } from "./metrics";
+import { CURVE_POINTS, mergeMetrics } from "./metrics";
 import { experimentQuery, meQuery, metricsQuery, rewardVersionsQuery, workersQuery } from "./queries";
 import type { Experiment, Metrics, Worker } from "./types";
 
@@ -21,7 +21,8 @@ export function useLiveUpdates(experimentId: string): boolean {
     let source: EventSource | null = null;
     let timer = 0;
     const open = () => {
-      source = new EventSource(`/api/v1/experiments/${encodeURIComponent(experimentId)}/events`);
+      const path = `/api/v1/experiments/${encodeURIComponent(experimentId)}/events`;
+      source = new EventSource(`${path}?max_points=${CURVE_POINTS}`);
       listen(source, cache, experimentId);
       source.addEventListener("open", () => {
         setConnected(true);
