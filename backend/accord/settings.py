@@ -1,6 +1,7 @@
 """Settings of the service: environment variables with the prefix ACCORD_."""
 
 from pathlib import Path
+from socket import gethostname
 from typing import Literal
 from urllib.parse import urlsplit
 
@@ -21,6 +22,12 @@ class Settings(BaseSettings):
     blob_url: str = Field(
         default="",
         description="file:///folder or s3://bucket/prefix of the blobs; empty uses a folder in the home folder.",
+    )
+    host_name: str = Field(
+        default="",
+        pattern=r"^[A-Za-z0-9_.-]{0,30}$",
+        description="With PostgreSQL: unique name of this host in the ids of its workers, as policy-0@gpu1; empty "
+        "takes that of the system.",
     )
     host: str = Field(default="127.0.0.1", description="Address the server listens on.")
     port: int = Field(default=8000, ge=0, le=65_535, description="Port the server listens on; 0 takes a free one.")
@@ -216,6 +223,21 @@ class Settings(BaseSettings):
     def resolved_database_url(self) -> str:
         """`database_url`, or SQLite in the home folder."""
         return self.database_url or f"sqlite:///{(self.home / 'accord.db').resolve()}"
+
+    @property
+    def shares_database(self) -> bool:
+        """Whether other hosts can use the database."""
+        return not self.resolved_database_url.startswith("sqlite")
+
+    def worker_id(self, name: str) -> str:
+        """The id of a worker's row.
+
+        Args:
+            name: role and slot, for example policy-0.
+        """
+        if not self.shares_database:
+            return name
+        return f"{name}@{self.host_name or gethostname()[-30:]}"
 
     @property
     def resolved_blob_url(self) -> str:

@@ -46,8 +46,13 @@ TINY: dict[str, Any] = {
 class Accord:
     """A service over one home folder. It can be started, stopped and killed repeatedly."""
 
-    def __init__(self, home: Path) -> None:
+    def __init__(self, home: Path, database_url: str = "") -> None:
+        """
+        Args:
+            database_url: of a migrated database; SQLite in the home folder by default.
+        """
         self.home = home
+        self._database_url = database_url or f"sqlite:///{home / 'accord.db'}"
         self.log = home.parent / "up.log"
         self.http = httpx.Client(timeout=60.0, **PLAIN_HTTP)
         self._supervisor: psutil.Popen | None = None
@@ -141,7 +146,7 @@ class Accord:
 
     def token(self, name: str, role: str) -> str:
         """Add a user, as `accord user add` does; return their API token."""
-        database = Database.open(f"sqlite:///{self.home / 'accord.db'}")
+        database = Database.open(self._database_url)
         try:
             with database.transaction() as session:
                 return accounts.create_user(session, name, Role(role))[1]

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from acceptance.accord_service import Accord
-from support.store_fixtures import s3_server
+from support.store_fixtures import postgres_server, s3_server
 
-__all__ = ["accord", "s3_server"]
+__all__ = ["accord", "postgres_server", "s3_server"]
 
 
 @pytest.fixture

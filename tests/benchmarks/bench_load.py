@@ -28,7 +28,7 @@ import psutil
 
 from support.api_process import running_server
 from support.sample_experiments import create_sample, user
-from support.stores import Stores, migrated_postgres_database, open_stores, run_postgres
+from support.stores import PostgresServer, Stores, migrated_postgres_database, open_stores
 
 #: Labels per second that the queries of one measurement last for.
 MOST_PER_SECOND = 900
@@ -177,7 +177,7 @@ def database_url(name: str) -> Iterator[str]:
     if name == "sqlite":
         yield ""
         return
-    with run_postgres(durable=True) as server, migrated_postgres_database(server, "load") as url:
+    with PostgresServer(durable=True) as server, migrated_postgres_database(server.url, "load") as url:
         yield url
 
 

@@ -8,12 +8,12 @@ import pytest
 
 from support.ci import IN_CI
 from support.s3_server import S3Server
-from support.stores import Stores, migrated_postgres_database, missing_for_postgres, open_stores, run_postgres
+from support.stores import PostgresServer, Stores, migrated_postgres_database, missing_for_postgres, open_stores
 
 
 @pytest.fixture(scope="session")
-def postgres_server() -> Generator[str]:
-    """The URL of a PostgreSQL server, started once per test process.
+def postgres_server() -> Generator[PostgresServer]:
+    """A PostgreSQL server, started once per test process.
 
     Without PostgreSQL, tests skip and say what is missing; in CI (`CI=true`) they fail.
     """
@@ -22,8 +22,8 @@ def postgres_server() -> Generator[str]:
         pytest.fail(missing)
     if missing:
         pytest.skip(missing)
-    with run_postgres() as url:
-        yield url
+    with PostgresServer() as server:
+        yield server
 
 
 @pytest.fixture(scope="session")
@@ -42,11 +42,11 @@ def stores(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[Stores]:
         with open_stores(tmp_path) as opened:
             yield opened
         return
-    server: str = request.getfixturevalue("postgres_server")
+    server: PostgresServer = request.getfixturevalue("postgres_server")
     objects: S3Server = request.getfixturevalue("s3_server")
     name = f"test_{secrets.token_hex(6)}"
     with (
-        migrated_postgres_database(server, name) as url,
+        migrated_postgres_database(server.url, name) as url,
         open_stores(tmp_path, url, objects.url(name)) as opened,
     ):
         yield opened

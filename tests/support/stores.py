@@ -84,45 +84,55 @@ def missing_for_postgres() -> str:
     return ""
 
 
-@contextmanager
-def run_postgres(*, durable: bool = False) -> Generator[str]:
-    """Start a PostgreSQL server with a migrated database as template; yield its URL; remove it afterwards.
+class PostgresServer:
+    """A PostgreSQL server with a migrated database as template. It is removed at the end of the block."""
 
-    Args:
-        durable: whether it writes to the disk before it acknowledges a commit, as outside tests.
-    """
-    programs = postgres_programs()
-    assert programs is not None
-    folder = Path(tempfile.mkdtemp(prefix="accord-postgres-", dir="/tmp"))
-    identity: dict[str, str] = {}
-    if os.getuid() == 0:
-        shutil.chown(folder, "postgres")
-        identity = {"user": "postgres"}
-    data = folder / "data"
+    def __init__(self, *, durable: bool = False) -> None:
+        """
+        Args:
+            durable: whether it writes to the disk before it acknowledges a commit, as outside tests.
+        """
+        programs = postgres_programs()
+        assert programs is not None
+        self._programs = programs
+        self._folder = Path(tempfile.mkdtemp(prefix="accord-postgres-", dir="/tmp"))
+        self._identity: dict[str, str] = {}
+        if os.getuid() == 0:
+            shutil.chown(self._folder, "postgres")
+            self._identity = {"user": "postgres"}
+        port = free_port()
+        fsync = "on" if durable else "off"
+        self._options = f"-p {port} -k {self._folder} -h 127.0.0.1 -c fsync={fsync}"
+        self.url = f"postgresql+psycopg://accord@127.0.0.1:{port}/postgres"
 
-    def run(program: str, *arguments: str) -> None:
-        subprocess.run([programs / program, *arguments], check=True, stdout=subprocess.DEVNULL, cwd=folder, **identity)
+    def __enter__(self) -> "PostgresServer":
+        self._run("initdb", "-A", "trust", "-U", "accord", "--no-sync", "-E", "UTF8")
+        self.start()
+        _execute(self.url, f"CREATE DATABASE {_MIGRATED}")
+        with closing(Database.open(_beside(self.url, _MIGRATED))) as database:
+            migrate(database)
+        return self
 
-    port = free_port()
-    try:
-        run("initdb", "-D", str(data), "-A", "trust", "-U", "accord", "--no-sync", "-E", "UTF8")
-        options = f"-p {port} -k {folder} -h 127.0.0.1 -c fsync={'on' if durable else 'off'}"
-        run("pg_ctl", "-D", str(data), "-o", options, "-l", str(folder / "log"), "-w", "start")
-        url = f"postgresql+psycopg://accord@127.0.0.1:{port}/postgres"
-        try:
-            _execute(url, f"CREATE DATABASE {_MIGRATED}")
-            with closing(Database.open(_beside(url, _MIGRATED))) as database:
-                migrate(database)
-            yield url
-        finally:
-            run("pg_ctl", "-D", str(data), "-m", "immediate", "-w", "stop")
-    finally:
-        shutil.rmtree(folder)
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+        shutil.rmtree(self._folder)
+
+    def start(self) -> None:
+        """Start it, again after `stop` with the same databases."""
+        self._run("pg_ctl", "-o", self._options, "-l", str(self._folder / "log"), "-w", "start")
+
+    def stop(self) -> None:
+        """Stop it at once: connections break, and nobody can connect."""
+        self._run("pg_ctl", "-m", "immediate", "-w", "stop")
+
+    def _run(self, program: str, *arguments: str) -> None:
+        command = [self._programs / program, "-D", str(self._folder / "data"), *arguments]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=self._folder, **self._identity)
 
 
 @contextmanager
 def migrated_postgres_database(server_url: str, name: str) -> Generator[str]:
-    """Create a migrated database on the server of `run_postgres`, yield its URL and drop it afterwards."""
+    """Create a migrated database on a PostgreSQL server, yield its URL and drop it afterwards."""
     _execute(server_url, f'CREATE DATABASE "{name}" TEMPLATE {_MIGRATED}')
     yield _beside(server_url, name)
     _execute(server_url, f'DROP DATABASE "{name}" WITH (FORCE)')

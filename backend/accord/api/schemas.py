@@ -537,7 +537,9 @@ class SharedExperiment(Schema):
 class Worker(Schema):
     """A worker process."""
 
-    id: str = Field(description="Role and slot, for example policy-0.")
+    id: str = Field(
+        description="Role and slot, for example policy-0; with PostgreSQL also its host, for example policy-0@gpu1."
+    )
     role: WorkerRole = Field(description="What it does.")
     state: WorkerState = Field(
         description="waiting: its experiment waits for labels or for a reward version. backing_off: its work failed, "

@@ -14,6 +14,7 @@ app = make_app(
     "Label pairs of clips in the browser and train multi-agent policies on the preferences.",
     {
         "up": LazyCommand("accord.cli.up", "up", "Start the service: web page, API and workers."),
+        "workers": LazyCommand("accord.cli.up", "workers", "Start only workers, on a further host."),
         "link": LazyCommand("accord.cli.accounts", "link", "Print a new sign-in link for the admin."),
         "user": LazyCommand("accord.cli.accounts", "user", "Manage users and their sign-in links."),
         "teach": LazyCommand("accord.cli.teach", "teach", "Label an experiment with a scripted teacher."),

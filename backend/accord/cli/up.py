@@ -1,11 +1,12 @@
-"""The subcommand `accord up`: a parent process that keeps the API and the workers running."""
+"""The subcommands `accord up` and `accord workers`: a parent process that keeps the API and the workers running."""
 
 import fcntl
 import logging
 import os
 import socket
 import threading
-from contextlib import ExitStack, closing
+from collections.abc import Generator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TextIO
@@ -27,7 +28,7 @@ from accord.settings import Settings
 from accord.store.blobs import open_blobs
 from accord.store.database import Database, sqlite_file
 from accord.store.home import keep_new_files_private, make_private
-from accord.store.migrate import is_new, migrate
+from accord.store.migrate import is_new, migrate, require_current
 from accord.workers.runner import Stop
 from accord.workers.supervisor import ChildSpec, Supervisor
 from mapt.cli.output import log_line, on_terminal, out, print_line
@@ -53,8 +54,8 @@ class Ready:
     #: with the actual port
     settings: Settings
     database: Database
-    #: listening; the API's process inherits it
-    listener: socket.socket
+    #: listening; the API's process inherits it. None on a host without one
+    listener: socket.socket | None
     #: locked until it is closed or the process ends, so that no other service uses the home folder
     lock: TextIO
 
@@ -84,14 +85,44 @@ def up(
     stop.install()
     follow_parent(parent)
     ready = prepare(load_settings(home, host, port, allow_plain_http=True if allow_plain_http else None))
-    try:
+    with _closing(ready):
         announce(ready, example)
         # Beside the service, because it takes longer the more is stored. It only reads, so nobody waits for its end.
         threading.Thread(target=_warn_of_faults, args=(ready, stop), daemon=True).start()
         _serve(ready, stop)
+
+
+def workers(
+    *,
+    home: Home = None,
+    parent: Annotated[int, typer.Option(hidden=True, help="Exit when the process with this id exits; 0 for none.")] = 0,
+) -> None:
+    """Start only workers, on a further host.
+
+    The service needs PostgreSQL and S3, whose ACCORD_DATABASE_URL and ACCORD_BLOB_URL are set here too.
+    ACCORD_POLICY_WORKERS and the like say how many workers start. When another host dies, its work is taken over after
+    ACCORD_WORKER_LEASE_SECONDS. Ctrl-C stops the workers; a second Ctrl-C stops them at once.
+    """
+    keep_new_files_private()
+    stop = Stop()
+    stop.install()
+    follow_parent(parent)
+    ready = prepare_workers(load_settings(home))
+    with _closing(ready):
+        print_line(
+            f"[bold]Workers[/bold] of {escape(ready.settings.worker_id('')[1:])} are starting. Ctrl-C stops them."
+        )
+        _serve(ready, stop)
+
+
+@contextmanager
+def _closing(ready: Ready) -> Generator[None]:
+    try:
+        yield
     finally:
-        address_file(ready.settings).unlink(missing_ok=True)
-        ready.listener.close()
+        if ready.listener is not None:
+            address_file(ready.settings).unlink(missing_ok=True)
+            ready.listener.close()
         ready.database.close()
         ready.lock.close()
 
@@ -125,7 +156,7 @@ def _warn_of_faults(ready: Ready, stop: Stop) -> None:
 
 def _serve(ready: Ready, stop: Stop) -> None:
     log_line = _log_lines(ready.settings)
-    status = WorkerStatus(ready.database, ready.settings.worker_lease_seconds, log_line)
+    status = WorkerStatus(ready.settings, ready.database, log_line)
     specs = child_specs(ready)
     status.reset(specs)
     supervisor = Supervisor(specs, ready.settings.home / "logs", status.record_death)
@@ -162,14 +193,13 @@ def _log_lines(settings: Settings) -> LogLine:
 
 
 def child_specs(ready: Ready) -> list[ChildSpec]:
-    """The processes of the API and of the workers."""
+    """The processes of the API, if it listens, and of the workers."""
     settings, environment = ready.settings, environment_of(ready.settings)
-    api = ChildSpec(
-        "api",
-        ("accord.api.server", "--fd", str(ready.listener.fileno())),
-        environment=environment | {"OMP_NUM_THREADS": "1"},
-        descriptors=(ready.listener.fileno(),),
-    )
+    api: list[ChildSpec] = []
+    if ready.listener is not None:
+        descriptor = ready.listener.fileno()
+        arguments, one_thread = ("accord.api.server", "--fd", str(descriptor)), {"OMP_NUM_THREADS": "1"}
+        api = [ChildSpec("api", arguments, environment=environment | one_thread, descriptors=(descriptor,))]
     counts = {"policy": settings.policy_workers, "reward": settings.reward_workers, "render": settings.render_workers}
     threads = {"policy": settings.torch_threads, "reward": settings.torch_threads, "render": 1}
     workers = [
@@ -183,7 +213,7 @@ def child_specs(ready: Ready) -> list[ChildSpec]:
         for role, count in counts.items()
         for slot in range(count)
     ]
-    return [api, *workers]
+    return [*api, *workers]
 
 
 def environment_of(settings: Settings) -> dict[str, str]:
@@ -228,6 +258,12 @@ class DatabaseDamaged(Unavailable):
     code = "database_damaged"
 
 
+class NothingShared(Unavailable):
+    """The database or the blobs are in this home folder, so that no other host has them."""
+
+    code = "nothing_shared"
+
+
 def prepare(settings: Settings) -> Ready:
     """Check the home folder, the blobs, the port and the database's file, and migrate the database.
 
@@ -252,6 +288,28 @@ def prepare(settings: Settings) -> Ready:
         migrate(database)
         opened.pop_all()
     return Ready(settings.model_copy(update={"port": listener.getsockname()[1]}), database, listener, lock)
+
+
+def prepare_workers(settings: Settings) -> Ready:
+    """Check the home folder, the blobs and the database of a host that has only workers.
+
+    Raises:
+        NothingShared, HomeNotWritable, HomeInUse, BlobsNotWritable, BlobsUnreachable, DatabaseTooNew, DatabaseTooOld,
+        DatabaseUnreachable: with what to do about it.
+    """
+    if not (settings.shares_database and settings.blob_url):
+        raise NothingShared(
+            "Workers on a further host need the database and the blobs of the service. Set ACCORD_DATABASE_URL and "
+            "ACCORD_BLOB_URL as there; without PostgreSQL and S3, `accord up` starts the workers."
+        )
+    make_home(settings)
+    with ExitStack() as opened:
+        lock = opened.enter_context(lock_home(settings.home))
+        open_blobs(settings.resolved_blob_url).check_writable()
+        database = opened.enter_context(closing(Database.open(settings.resolved_database_url)))
+        require_current(database)
+        opened.pop_all()
+    return Ready(settings, database, None, lock)
 
 
 def _require_intact(database: Database, url: str) -> None:

@@ -9,6 +9,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import AccordError
 from accord.services import workers
+from accord.settings import Settings
 from accord.store.database import Database
 from accord.store.tables import utc_now
 from accord.workers.runner import RETRY_TEXT
@@ -30,10 +31,13 @@ _SHOWN_BY_DETAIL = frozenset({WorkerState.WORKING, WorkerState.WAITING})
 class WorkerStatus:
     """Reads the workers' rows once a second, and prints each failure once."""
 
-    def __init__(self, database: Database, lease_seconds: float, log: LogLine) -> None:
+    def __init__(self, settings: Settings, database: Database, log: LogLine) -> None:
+        self._settings = settings
         self._database = database
         self._log = log
-        self._lease_seconds = lease_seconds
+        self._lease_seconds = settings.worker_lease_seconds
+        #: id of a worker's row -> its process's name; other hosts have rows too
+        self._names: dict[str, str] = {}
         self._next_look = 0.0
         #: (name, pid, time of the heartbeat) of workers that were silent at the last look
         self._silent: set[tuple[str, int, datetime]] = set()
@@ -41,11 +45,13 @@ class WorkerStatus:
         self._next_poll = 0.0
 
     def reset(self, specs: Iterable[ChildSpec]) -> None:
-        """Set the number of restarts of these workers to 0."""
+        """Set the number of restarts of these workers to 0, and forget those that are gone."""
+        roles = {self._settings.worker_id(spec.name): WorkerRole(spec.role) for spec in specs if spec.role}
+        self._names = {self._settings.worker_id(spec.name): spec.name for spec in specs if spec.role}
         with self._database.transaction() as session:
-            for spec in specs:
-                if spec.role:
-                    workers.report(session, spec.name, WorkerRole(spec.role), 0, WorkerState.STARTING, restarts=0)
+            workers.forget_others(session, set(roles), self._settings.worker_id(""))
+            for id, role in roles.items():
+                workers.report(session, id, role, 0, WorkerState.STARTING, restarts=0)
 
     def record_death(self, death: Death) -> None:
         """Print that a process died, and write it to the worker's row, which the page shows."""
@@ -57,7 +63,7 @@ class WorkerStatus:
             with self._database.transaction() as session:
                 workers.report(
                     session,
-                    death.name,
+                    self._settings.worker_id(death.name),
                     WorkerRole(death.role),
                     0,
                     WorkerState.RESTARTING,
@@ -68,19 +74,19 @@ class WorkerStatus:
             self._log(f"The restart of {death.name} could not be recorded: {error}", SUPERVISOR)
 
     def poll(self) -> str | None:
-        """One line about all workers, once a second; None in between. Prints new failures."""
+        """One line about the workers of this host, once a second; None in between. Prints new failures."""
         if time.monotonic() < self._next_poll:
             return None
         self._next_poll = time.monotonic() + _POLL_SECONDS
         try:
             with self._database.reading() as session:
-                rows = [(row.id, row.state, row.detail) for row in workers.all(session)]
+                rows = [(row.id, row.state, row.detail) for row in workers.all(session) if row.id in self._names]
         except (AccordError, SQLAlchemyError) as error:
             return f"The database is unreachable: {error}"
         for id, state, detail in rows:
-            self._print_failure(id, state, detail)
+            self._print_failure(self._names[id], state, detail)
         return " · ".join(
-            f"{id}: {detail if state in _SHOWN_BY_DETAIL and detail else state.replace('_', ' ')}"
+            f"{self._names[id]}: {detail if state in _SHOWN_BY_DETAIL and detail else state.replace('_', ' ')}"
             for id, state, detail in rows
         )
 
@@ -103,21 +109,23 @@ class WorkerStatus:
             return []
         now = utc_now()
         silent = {
-            (row.id, row.pid, row.heartbeat_at)
+            (self._names[row.id], row.pid, row.heartbeat_at)
             for row in rows
-            if row.pid and (now - row.heartbeat_at).total_seconds() > _HANGING_LEASES * self._lease_seconds
+            if row.id in self._names
+            and row.pid
+            and (now - row.heartbeat_at).total_seconds() > _HANGING_LEASES * self._lease_seconds
         }
         found = [(name, pid, (now - at).total_seconds()) for name, pid, at in silent & self._silent]
         self._silent = silent
         return found
 
-    def _print_failure(self, id: str, state: str, detail: str) -> None:
+    def _print_failure(self, name: str, state: str, detail: str) -> None:
         if state == WorkerState.WORKING:
-            self._printed.pop(id, None)
+            self._printed.pop(name, None)
         if state != WorkerState.BACKING_OFF:
             return
         # Without the time of the next attempt, repeated failures are equal.
         failure = detail.partition(RETRY_TEXT)[0].strip()
-        if failure and self._printed.get(id) != failure:
-            self._printed[id] = failure
-            self._log(failure, id)
+        if failure and self._printed.get(name) != failure:
+            self._printed[name] = failure
+            self._log(failure, name)

@@ -132,6 +132,14 @@ def heartbeat(session: Session, job: ViewJob, holder: str, lease_seconds: float)
     return True
 
 
+def release(session: Session, job: ViewJob, holder: str) -> None:
+    """Releases a claim for a reason that is not the view's; the attempt does not count."""
+    row = clip_views.lock(session, job.table, job.shown_id, job.camera)
+    if row is not None and row.status == ClipStatus.PENDING and row.claimed_by == holder:
+        row.claimed_by = row.claimed_until = None
+        row.attempts -= 1
+
+
 def finish(session: Session, job: ViewJob, blob_key: str, size_bytes: int) -> bool:
     """Marks a view as ready. Returns False if it was deleted meanwhile; then nothing refers to the blob."""
     row = clip_views.lock(session, job.table, job.shown_id, job.camera)

@@ -146,7 +146,7 @@ def heartbeat(session: Session, clip_id: str, holder: str, lease_seconds: float)
 
 
 def release(session: Session, clip_id: str, holder: str) -> None:
-    """Releases a claim when the worker ends; the attempt does not count."""
+    """Releases a claim for a reason that is not the clip's; the attempt does not count."""
     row = _locked(session, clip_id)
     if row.status == ClipStatus.PENDING and row.claimed_by == holder:
         row.claimed_by = row.claimed_until = None

@@ -1,11 +1,15 @@
 """Worker processes: the state they report, and the leases (claims) by which one worker at a time does a job."""
 
+from datetime import timedelta
+
 from sqlalchemy.orm import Session
 
 from accord.domain.enums import WorkerRole, WorkerState
 from accord.services.lease import now_and_end
 from accord.store import workers
 from accord.store.tables import WorkerRow, utc_now
+
+_FORGOTTEN_AFTER = timedelta(days=1)
 
 
 def report(  # noqa: PLR0917 (a row's fields in their order)
@@ -20,7 +24,7 @@ def report(  # noqa: PLR0917 (a row's fields in their order)
     """Records a worker's state and the time. A new pid means that the process was restarted.
 
     Args:
-        worker_id: role and slot, for example policy-0.
+        worker_id: see `Settings.worker_id`.
         restarts: how often its supervisor has restarted it; None leaves the number as it is.
     """
     now = utc_now()
@@ -40,6 +44,20 @@ def report(  # noqa: PLR0917 (a row's fields in their order)
 def all(session: Session) -> list[WorkerRow]:
     """Every worker that ever reported, by id."""
     return workers.workers(session)
+
+
+def forget_others(session: Session, ids: set[str], host: str) -> None:
+    """Deletes the rows of workers that this host no longer has, and of any that have been silent for a day.
+
+    Args:
+        ids: of the workers of this host.
+        host: what the ids of its workers end with, for example @gpu1; empty where ids name no host.
+    """
+    silent_since = utc_now() - _FORGOTTEN_AFTER
+    for row in workers.workers(session):
+        here = row.id.endswith(host) if host else "@" not in row.id
+        if row.id not in ids and (here or row.heartbeat_at < silent_since):
+            session.delete(row)
 
 
 def claim(session: Session, subject: str, holder: str, lease_seconds: float) -> bool:

@@ -17,6 +17,14 @@ from accord.store.group_commit import CommitFailed, GroupCommit
 
 #: longest wait for SQLite's write lock, which another process may hold
 BUSY_TIMEOUT_SECONDS = 20.0
+#: parameters of libpq, so that connections to a host that is gone fail within this time; those of the URL come first
+_POSTGRES_TIMEOUTS = {
+    "connect_timeout": 10,
+    "tcp_user_timeout": 20_000,
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 2,
+}
 _MEMORY = ("", ":memory:")
 
 
@@ -43,7 +51,15 @@ class Database:
         try:
             if parsed.get_backend_name() == "sqlite":
                 return cls(_sqlite(parsed))
-            return cls(create_engine(parsed, pool_size=20, max_overflow=40, pool_pre_ping=True))
+            return cls(
+                create_engine(
+                    parsed,
+                    pool_size=20,
+                    max_overflow=40,
+                    pool_pre_ping=True,
+                    connect_args=_POSTGRES_TIMEOUTS | parsed.query if parsed.get_driver_name() == "psycopg" else {},
+                )
+            )
         except NoSuchModuleError as error:
             raise _not_a_url(url) from error
         except ModuleNotFoundError as error:

@@ -567,7 +567,7 @@ class WorkerRow(Base):
     """The state that a worker process reported last."""
 
     __tablename__ = "workers"
-    #: role and slot, for example policy-0; a restarted process uses the same row
+    #: `Settings.worker_id`, for example policy-0 or policy-0@gpu1; a restarted process uses the same row
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
     role: Mapped[str] = mapped_column(String(10))
     pid: Mapped[int]

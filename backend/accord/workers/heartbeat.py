@@ -119,7 +119,7 @@ class Heartbeat:
     ) -> None:
         """
         Args:
-            worker_id: role and number; a restarted process uses the row of the one before.
+            worker_id: role, number and host; a restarted process uses the row of the one before.
             holder: unique to this process, so that its claims differ from those of the process before.
             lease_seconds: how long a claim lasts without renewal.
             hang_seconds: ends the process if its main thread hangs for this long; None never does.

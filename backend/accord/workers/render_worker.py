@@ -15,7 +15,7 @@ from mujoco import MjModel  # pyright: ignore[reportAttributeAccessIssue]  (comp
 from structlog.contextvars import bound_contextvars
 
 from accord.domain.enums import WorkerRole, WorkerState
-from accord.domain.errors import BlobMissing, BlobUnreadable
+from accord.domain.errors import BlobMissing, BlobUnreadable, Unavailable
 from accord.rendering.checks import probe_backend
 from accord.rendering.clip_key import clip_key
 from accord.rendering.process import ClipJob as RenderJob
@@ -105,6 +105,11 @@ class RenderWorker:
             with self._context.database.transaction() as session:
                 clips.fail(session, job.clip_id, str(error), retry=True)
             return
+        except Unavailable:
+            # The store of the blobs is to blame, not the segment: any worker may try again, and nothing is counted.
+            with self._context.database.transaction() as session:
+                clips.release(session, job.clip_id, self._context.holder)
+            raise
         with self._context.database.transaction() as session:
             clips.finish(session, job.clip_id, made)
 
@@ -127,6 +132,10 @@ class RenderWorker:
                 with context.database.transaction() as session:
                     clip_views.fail(session, job)
                 return
+            except Unavailable:
+                with context.database.transaction() as session:
+                    clip_views.release(session, job, context.holder)
+                raise
             with context.database.transaction() as session:
                 wanted = clip_views.finish(session, job, blob_key, context.blobs.size(blob_key))
             if not wanted:

@@ -201,7 +201,7 @@ def run_worker(role: WorkerRole, make_worker: Callable[[Context], Worker], argv:
     follow_parent(arguments.parent)
     keep_new_files_private()
     settings = Settings()
-    worker_id = f"{role.value}-{arguments.slot}"
+    worker_id = settings.worker_id(f"{role.value}-{arguments.slot}")
     logs.configure(settings.log_format, worker_id, arguments.log)
     holder = f"{worker_id}:{os.getpid()}:{secrets.token_hex(4)}"
     database = Database.open(settings.resolved_database_url)

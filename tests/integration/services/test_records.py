@@ -2,6 +2,7 @@
 
 import math
 import threading
+from datetime import timedelta
 from itertools import pairwise
 
 import pytest
@@ -10,6 +11,7 @@ from accord.domain.enums import Role, WorkerRole, WorkerState
 from accord.domain.errors import ExperimentNotFound
 from accord.domain.ids import new_id
 from accord.services import checkpoints, experiments, metrics, publish, workers
+from accord.store.tables import WorkerRow, utc_now
 from support.sample_experiments import create_sample
 from support.stores import Stores
 
@@ -214,3 +216,24 @@ def test_restarted_worker_keeps_its_row(stores: Stores) -> None:
         assert (render.id, render.state, render.detail) == ("render-0", "idle", "waits")
         workers.report(session, "policy-0", WorkerRole.POLICY, 200, WorkerState.STARTING)
         assert policy.started_at > started
+
+
+def test_workers_that_are_gone_are_forgotten(stores: Stores) -> None:
+    with stores.database.transaction() as session:
+        for id in ("policy-0@here", "policy-1@here", "policy-0@there", "policy-0@dead"):
+            workers.report(session, id, WorkerRole.POLICY, 100, WorkerState.IDLE)
+        session.get_one(WorkerRow, "policy-0@dead").heartbeat_at = utc_now() - timedelta(days=2)
+        session.get_one(WorkerRow, "policy-0@here").heartbeat_at = utc_now() - timedelta(days=2)
+    with stores.database.transaction() as session:
+        workers.forget_others(session, {"policy-0@here"}, "@here")
+    with stores.database.reading() as session:
+        assert [row.id for row in workers.all(session)] == ["policy-0@here", "policy-0@there"]
+
+
+def test_workers_without_a_host_are_forgotten_too(stores: Stores) -> None:
+    with stores.database.transaction() as session:
+        for id in ("policy-0", "policy-1"):
+            workers.report(session, id, WorkerRole.POLICY, 100, WorkerState.IDLE)
+        workers.forget_others(session, {"policy-0"}, "")
+    with stores.database.reading() as session:
+        assert [row.id for row in workers.all(session)] == ["policy-0"]

@@ -9,9 +9,11 @@ from safetensors.numpy import load, save
 from sqlalchemy import text
 
 from accord.domain.enums import ClipCamera, WorkerRole
+from accord.domain.errors import BlobsUnreachable
 from accord.services import clip_views, clips, deletion, experiments
 from accord.workers.render_worker import RenderWorker
 from integration.workers.worker_harness import SingleThreadedRewardWorker, WorkerHarness, open_harness
+from support.s3_server import S3Server
 
 
 @pytest.fixture
@@ -162,3 +164,29 @@ def test_a_view_that_cannot_be_rendered_leaves_its_query_open(waiting_for_clips)
 def read_frames(content: bytes) -> np.ndarray:
     with av.open(io.BytesIO(content)) as container:
         return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
+
+
+def test_an_outage_of_the_blobs_costs_no_attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with S3Server(tmp_path / "s3") as server:
+        for name, value in (server.environment | {"ACCORD_BLOB_URL": server.url("blobs")}).items():
+            monkeypatch.setenv(name, value)
+        with open_harness(tmp_path / "home", WorkerRole.RENDER) as harness:
+            id = harness.create_experiment(render_clips=True, initial_labels=2, label_budget=2)
+            with harness.training(id) as run:
+                run.step()
+            assert SingleThreadedRewardWorker(harness.context).work()
+            worker = RenderWorker(harness.context)
+            worker.work()
+            [(ready,)] = harness.rows("SELECT id FROM clips WHERE status = 'ready'")
+            with harness.database.transaction() as session:
+                clip_views.request(session, ready, ClipCamera.SIDE)
+            server.stop()
+            for _ in range(4):  # more than a clip may fail
+                with pytest.raises(BlobsUnreachable):
+                    worker.work()
+            pending = "FROM (SELECT status, attempts FROM clips UNION ALL SELECT status, attempts FROM clip_views)"
+            assert harness.rows(f"SELECT DISTINCT attempts {pending} WHERE status = 'pending'") == [(0,)]
+            server.start()
+            work_until_idle(worker)
+            assert harness.rows(f"SELECT DISTINCT status {pending}") == [("ready",)]
+            worker.close()

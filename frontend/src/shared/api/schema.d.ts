@@ -4490,7 +4490,7 @@ export interface components {
         Worker: {
             /**
              * Id
-             * @description Role and slot, for example policy-0.
+             * @description Role and slot, for example policy-0; with PostgreSQL also its host, for example policy-0@gpu1.
              */
             id: string;
             /** @description What it does. */
