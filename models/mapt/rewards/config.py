@@ -208,6 +208,14 @@ class TrainConfig(Settings):
             "Factor by which the labels must grow before an attention path that was rejected is tried again.", ge=1
         ),
     ] = 1.3
+    restart_growth: Annotated[
+        float,
+        setting(
+            "Factor by which the labels must grow before a whole network in use is trained from untrained weights "
+            "again.",
+            ge=1,
+        ),
+    ] = 1.1
     warm_share: Annotated[
         float,
         setting(

@@ -9,7 +9,8 @@
 3. The whole network, if it is in use, again on all pairs (`VersionTrainer.refit`).
 
 A model that continues from an earlier version shrinks the Markov path's weights and perturbs them with new ones
-(`RewardModel.shrink_and_perturb`). It trains the whole network only if the earlier version uses it.
+(`RewardModel.shrink_and_perturb`). It trains the whole network only if the earlier version uses it: from untrained
+weights if the labels have grown (`restart_growth`), further otherwise.
 """
 
 import math

@@ -35,6 +35,7 @@ from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.schedule import (
     is_reliable,
+    is_significant,
     markov_stage,
     network_stage,
     replaces,
@@ -144,16 +145,17 @@ class VersionTrainer:
         return model
 
     def _restart(self, model: RewardModel, metrics: Mapping[str, float | None] | None) -> RewardModel | None:
-        """The whole network trained from untrained weights, if that is due and better on the hold-out than `model`.
+        """The whole network trained from untrained weights; None if not due, or significantly worse than `model`.
 
-        Trained further and further, a network keeps what it learned from its first few labels.
+        Trained further and further, a network keeps what it learned from its first few labels. That the new one is
+        slightly worse on a few dozen pairs is mostly chance, and the earlier one would learn nothing from new labels.
         """
-        due = attention_trial.is_due(len(self._pairs), metrics, self._settings.trial_growth, RESTART_LABELS)
+        due = attention_trial.is_due(len(self._pairs), metrics, self._settings.restart_growth, RESTART_LABELS)
         if model.is_markov or not due or not self._first.is_reliable:
             return None
         fresh = self._new_model()
         self._train_network(fresh, self._first)
-        return fresh if replaces(self._losses(model), self._losses(fresh), markov=False) else None
+        return None if is_significant(self._losses(fresh) - self._losses(model)) else fresh
 
     def restarted_on(self, initial_metrics: Mapping[str, float | None] | None) -> float:
         """Labels when the whole network was last trained from untrained weights; NaN if that is unknown."""

@@ -269,8 +269,8 @@ def test_significantly_worse_markov_path_does_not_replace_the_initial_model():
 def test_warm_start_takes_fewer_epochs():
     settings = TrainConfig(markov_epochs=6, max_epochs=4, warm_markov_epochs=2, warm_epochs=1, device="cpu")
     first = train_reward_model(preferences(60), CONFIG, settings)
-    # With 78 labels or more, the whole network could restart.
-    warm = train_reward_model(preferences(70), CONFIG, settings, initial=first.model, initial_metrics=first.metrics)
+    # With 66 labels or more, the whole network would restart.
+    warm = train_reward_model(preferences(64), CONFIG, settings, initial=first.model, initial_metrics=first.metrics)
     assert warm.metrics["epochs"] <= 3 < first.metrics["epochs"]
 
 
@@ -445,12 +445,32 @@ def test_network_in_use_restarts_from_untrained_weights_when_labels_have_grown(m
     initial.judged_weights = opposite
     once = replace(QUICK, warm_epochs=1, max_epochs=6)
     losses = {}
-    for n_pairs in (90, 110):
+    for n_pairs in (85, 110):
         trained = train_reward_model(preferences(n_pairs), CONFIG, once, initial=initial, initial_metrics=first.metrics)
         losses[n_pairs] = trained.metrics["holdout_loss"]
-        # 90 labels are fewer than 1.3 times 80.
-        assert trained.metrics["attention_restart_labels"] == (80 if n_pairs == 90 else 110)
-    assert losses[110] < losses[90]
+        # 85 labels are fewer than 1.1 times 80.
+        assert trained.metrics["attention_restart_labels"] == (80 if n_pairs == 85 else 110)
+    assert losses[110] < losses[85]
+
+
+def test_network_from_untrained_weights_replaces_one_that_is_slightly_better_on_the_hold_out(monkeypatch):
+    monkeypatch.setattr(attention_trial, "verdict", lambda gains, is_last: True)
+    first = train_reward_model(preferences(80, seed=1), CONFIG, replace(QUICK, max_epochs=6))
+    assert first.metrics["attention"] == 1
+    # The weights that were trained on the hold-out, too.
+    first.model.judged_weights = None
+    kept, restarted = (
+        train_reward_model(
+            preferences(100, seed=1),
+            CONFIG,
+            replace(QUICK, max_epochs=4, warm_epochs=1, restart_growth=growth),
+            initial=first.model,
+            initial_metrics=first.metrics,
+        )
+        for growth in (1.3, 1.25)
+    )
+    assert (kept.metrics["attention_restart_labels"], restarted.metrics["attention_restart_labels"]) == (80, 100)
+    assert restarted.metrics["holdout_loss"] > kept.metrics["holdout_loss"]
 
 
 def test_next_version_is_judged_by_weights_that_were_not_trained_on_the_hold_out(monkeypatch):
@@ -461,7 +481,8 @@ def test_next_version_is_judged_by_weights_that_were_not_trained_on_the_hold_out
             parameter.add_(0.3)
     once = replace(QUICK, warm_epochs=1)
     expected, changed = (
-        train_reward_model(preferences(90), CONFIG, once, initial=each, initial_metrics=first.metrics)
+        # Fewer than 1.1 times 80, so that the version continues from these weights.
+        train_reward_model(preferences(85), CONFIG, once, initial=each, initial_metrics=first.metrics)
         for each in (first.model, initial)
     )
     assert changed.metrics["holdout_loss"] == expected.metrics["holdout_loss"]
