@@ -14,16 +14,20 @@ unexport PYTHONDONTWRITEBYTECODE
 
 CHECKS := check-types check-page check-imports check-style
 
-.PHONY: run test test-avx2 check $(CHECKS) bench screenshots learn format system system-test clean
+.PHONY: run test test-avx2 test-deployment check $(CHECKS) bench screenshots learn format system system-test clean
 
 run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
 	$(BIN)/accord up --example
 
 test: $(INSTALLED) system-test check ## Format, lint, types, import rules, then every test that takes minutes, not hours
-	$(BIN)/python -m pytest -m "not benchmark and not learn" $(SIDE_BY_SIDE)
+	$(BIN)/python -m pytest -m "not benchmark and not learn and not deployment" $(SIDE_BY_SIDE)
 
 test-avx2: $(INSTALLED) ## The tests of computed numbers again, with AVX2, so that none depends on one processor's rounding; part of CI
 	ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 $(BIN)/python -m pytest --quiet -m numerics $(SIDE_BY_SIDE) tests/unit
+
+test-deployment: $(INSTALLED) ## The steps of the Dockerfile in a chroot, and the service in it; minutes, as root; part of CI
+	@.ci/system-packages deployment
+	$(BIN)/python -m pytest -m deployment tests/deployment
 
 check: $(INSTALLED) ## Format, lint, types, import rules, the page; the longest first, two at a time
 	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target $(CHECKS)

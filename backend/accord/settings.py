@@ -1,12 +1,13 @@
 """Settings of the service: environment variables with the prefix ACCORD_."""
 
+import os
 from pathlib import Path
 from socket import gethostname
 from typing import Literal
 from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr, ValidationInfo, field_validator
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SecretsSettingsSource, SettingsConfigDict
 
 from accord.domain.addresses import is_loopback
 from accord.domain.enums import Role
@@ -191,6 +192,22 @@ class Settings(BaseSettings):
     link_minutes: float = Field(
         default=60.0, gt=0, le=525_600, description="How long a one-time sign-in link is valid."
     )
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Arguments first, then variables, then the files in $CREDENTIALS_DIRECTORY, the folder of secrets of systemd.
+
+        A file is named like a variable, in lower case, and its content is the value.
+        """
+        folder = os.environ.get("CREDENTIALS_DIRECTORY")
+        return init_settings, env_settings, SecretsSettingsSource(settings_cls, folder)
 
     @field_validator("oidc_issuer")
     @classmethod
