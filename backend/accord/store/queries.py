@@ -123,7 +123,7 @@ class LockedQuery:
     response: Response | None
 
 
-_LOCK = (
+_LOCKED = (
     select(
         QueryRow.id,
         QueryRow.experiment_id,
@@ -155,8 +155,8 @@ _LOCK = (
         (LabellerRow.experiment_id == QueryRow.experiment_id) & (LabellerRow.user_id == bindparam("user")),
     )
     .where(QueryRow.id == bindparam("query"))
-    .with_for_update(of=QueryRow)
 )
+_LOCK = select(QueryRow.id).where(QueryRow.id == bindparam("query")).with_for_update()
 _LEASED = (
     select(QueryRow.id)
     .where(
@@ -284,7 +284,12 @@ def release_all(session: Session, experiment_id: str, user_id: str) -> None:
 
 def lock(session: Session, query_id: str, user_id: str) -> LockedQuery | None:
     """Locks a query until the end of the transaction; returns it with one user's label and side."""
-    found: Any = session.connection().execute(_LOCK, {"query": query_id, "user": user_id}).first()
+    connection = session.connection()
+    if connection.dialect.name == "postgresql":
+        # A statement that waits for a lock reads other tables as they were before it waited: the user's label could be
+        # one that the same request, sent twice, has replaced meanwhile. In SQLite one transaction writes at a time.
+        connection.execute(_LOCK, {"query": query_id})
+    found: Any = connection.execute(_LOCKED, {"query": query_id, "user": user_id}).first()
     if found is None:
         return None
     return LockedQuery(

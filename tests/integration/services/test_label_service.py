@@ -1,9 +1,11 @@
 """Labels: validation, leases, changes, undo, counters and training labels."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from sqlalchemy import select as sql_select
+from sqlalchemy import text
 
 from accord.domain.enums import Role
 from accord.domain.errors import (
@@ -23,6 +25,7 @@ from accord.services.label import LabelOutcome
 from accord.store.tables import LabelRevisionRow, LabelRow, QueryRow, UserRow
 from support.sample_experiments import SampleExperiment, create_sample, user
 from support.stores import Stores
+from support.waiting import until
 
 
 def person(stores: Stores, name: str = "ada", role: Role = Role.LABELLER) -> UserRow:
@@ -52,6 +55,34 @@ def status(stores: Stores, query_id: str) -> str:
         row = session.get(QueryRow, query_id)
         assert row is not None
         return row.status
+
+
+@pytest.mark.parametrize("labelled_before", [False, True])
+def test_label_that_is_sent_again_before_the_first_is_stored_changes_nothing(
+    stores: Stores, labelled_before: bool
+) -> None:
+    sample, ada = create_sample(stores.database, stores.blobs), person(stores)
+    (query,) = leased(stores, ada, sample)
+    if labelled_before:
+        put(stores, ada, query.id, 0.0)
+    with ThreadPoolExecutor(1) as other:
+        with stores.database.transaction() as session:
+            first = label.put_label(session, ada, query.id, 1.0)
+            again = other.submit(put, stores, ada, query.id, 1.0)
+            if not stores.database.is_sqlite:
+                until(lambda: waits_for_a_lock(stores), "the second transaction waits for the first")
+        second = again.result()
+    assert first.created
+    assert not second.created
+    assert second.row.revision == first.row.revision
+    assert counters(stores, sample) == (1, 1 + labelled_before)
+
+
+def waits_for_a_lock(stores: Stores) -> bool:
+    """Whether a transaction of this PostgreSQL database waits for another one."""
+    waiting = "SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'Lock' AND datname = current_database()"
+    with stores.database.reading() as session:
+        return session.scalar(text(waiting)) == 1
 
 
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
