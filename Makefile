@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 CHECKS := check-types check-page check-imports check-style
 
-.PHONY: run test test-avx2 test-deployment check $(CHECKS) bench screenshots learn format system system-test clean
+.PHONY: run test test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean
 
 run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
 	$(BIN)/accord up --example
@@ -55,6 +55,13 @@ bench: $(INSTALLED) ## Every benchmark, with its upper bound in the same run
 
 screenshots: $(INSTALLED) system-test ## Photograph every page of a real service into docs/images/pages, and write docs/pages.md
 	$(BIN)/python docs/screenshots.py
+
+ROUNDS ?= 200
+soak: $(INSTALLED) system-test ## Kill a random process in ROUNDS rounds under load, on both databases; then memory over 50,000 requests
+	$(BIN)/python tests/soak/kills.py --rounds $(ROUNDS) --database sqlite
+	$(BIN)/python tests/soak/kills.py --rounds $(ROUNDS) --database postgres
+	$(BIN)/python tests/soak/memory.py --database sqlite
+	$(BIN)/python tests/soak/memory.py --database postgres
 
 learn: $(INSTALLED) ## The long learning runs behind docs/results.md
 	$(BIN)/python -m pytest -m learn tests/learning --timeout 0

@@ -59,16 +59,18 @@ class Accord:
         self._absent: set[str] = set()
         self._seen: dict[int, psutil.Process] = {}
 
-    def start(self, environment: Mapping[str, str] | None = None, without: Collection[str] = ()) -> None:
+    def start(self, environment: Mapping[str, str] | None = None, without: Collection[str] = (), port: int = 0) -> None:
         """Start the service and wait until the API responds.
 
         Args:
+            port: 0 for a free one.
             without: roles for which no worker starts, because each costs seconds of CPU time.
         """
         self._absent = set(without)
         no_workers = {f"ACCORD_{role.upper()}_WORKERS": "0" for role in without}
         (self.home / "url").unlink(missing_ok=True)
-        command = [sys.executable, "-m", "accord.cli", "up", "--home", str(self.home), "--port", "0", "--no-example"]
+        command = [sys.executable, "-m", "accord.cli", "up", "--home", str(self.home), "--no-example"]
+        command += ["--port", str(port)]
         with self.log.open("ab") as log:
             self._supervisor = psutil.Popen(
                 command, env=os.environ | ENVIRONMENT | no_workers | dict(environment or {}), stdout=log, stderr=log
@@ -136,12 +138,12 @@ class Accord:
         with suppress(subprocess.TimeoutExpired, psutil.TimeoutExpired):
             self._supervisor.wait(PATIENCE_SECONDS)
 
-    def run(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+    def run(self, *arguments: str, environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
         """Run another command with the same home folder."""
         command = [sys.executable, "-m", "accord.cli", *arguments, "--home", str(self.home)]
-        environment = os.environ | ENVIRONMENT
+        variables = os.environ | ENVIRONMENT | dict(environment or {})
         return subprocess.run(
-            command, env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE_SECONDS
+            command, env=variables, capture_output=True, text=True, check=False, timeout=PATIENCE_SECONDS
         )
 
     def token(self, name: str, role: str) -> str:
