@@ -36,7 +36,9 @@ CHECKS = (
     "response_schema_conformance",
 )
 #: an endless stream, uploads, what ends the token that is used, and redirects to a provider that does not exist
-EXCLUDED = r"/(events|import|sign-out|oidc.*)$"
+EXCLUDED = r"/(events|import|sign-out|revoke|oidc.*|tokens/\{token_id\})$"
+#: what ends the experiment whose id is used; DELETE does too
+ENDING = r"/(cancel|archive)$"
 ANYONE = "anyone"
 
 
@@ -69,6 +71,7 @@ def fuzz(command: str, url: str, folder: Path, token: str, stored: dict[str, str
         *("--checks", ",".join(CHECKS), "--phases", "examples,coverage,fuzzing", "--continue-on-failure"),
         *("--max-time", str(int(seconds)), "--request-timeout", "30", "--suppress-health-check", "all"),
         *("--exclude-path-regex", EXCLUDED, "--warnings", "off", "--no-color", "--generation-database", "none"),
+        *(("--exclude-method", "DELETE", "--exclude-path-regex", ENDING) if stored else ()),
         *(("--header", f"Authorization: Bearer {token}") if token else ()),
     ]
     done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, check=False)
