@@ -70,8 +70,16 @@ def fuzz(command: str, url: str, folder: Path, token: str, stored: dict[str, str
         *("run", str(folder / "openapi.json"), "--url", url),
         *("--checks", ",".join(CHECKS), "--phases", "examples,coverage,fuzzing", "--continue-on-failure"),
         *("--max-time", str(int(seconds)), "--request-timeout", "30", "--suppress-health-check", "all"),
-        *("--exclude-path-regex", EXCLUDED, "--warnings", "off", "--no-color", "--generation-database", "none"),
-        *(("--exclude-method", "DELETE", "--exclude-path-regex", ENDING) if stored else ()),
+        *(
+            "--exclude-path-regex",
+            f"{EXCLUDED}|{ENDING}" if stored else EXCLUDED,
+            "--warnings",
+            "off",
+            "--no-color",
+            "--generation-database",
+            "none",
+        ),
+        *(("--exclude-method", "DELETE") if stored else ()),
         *(("--header", f"Authorization: Bearer {token}") if token else ()),
     ]
     done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, check=False)
