@@ -14,6 +14,7 @@ from accord.services import clips, recordings
 from accord.services.clips import MAX_ATTEMPTS, clips_folder
 from accord.services.lease import now_and_end
 from accord.store import clip_views
+from accord.store.blobs import without_checksum
 from accord.store.clip_views import Row, ViewRow
 from accord.store.tables import ClipViewRow, ExperimentRow, RecordingRow, RecordingViewRow, SegmentRow, utc_now
 
@@ -181,7 +182,7 @@ def _job(session: Session, row: ViewRow) -> ViewJob:
         )
     recording = session.get_one(RecordingRow, row.recording_id)
     # Not shared between recordings: deleting one of them must not delete the video of an equal one.
-    folder = recording.blob_key.removesuffix(".safetensors")
+    folder = without_checksum(recording.blob_key).removesuffix(".safetensors")
     camera = RecordingCamera(row.camera)
     return ViewJob(
         RecordingViewRow, row.experiment_id, recording.id, camera, task, recording.blob_key, folder, row.blob_key

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from accord.domain.errors import BlobDamaged, Invalid, SegmentNotFound
 from accord.domain.ids import new_id
 from accord.store import segments
-from accord.store.blobs import BlobStore
+from accord.store.blobs import BlobStore, with_checksum, without_checksum
 from accord.store.tables import SegmentRow
 
 _MUJOCO_VERSION = version("mujoco")
@@ -71,8 +71,9 @@ def store_arrays(blobs: BlobStore, experiment_id: str, segment: NewSegment) -> S
         if not np.isfinite(array).all():
             raise Invalid(f"{name} contains a value that is not finite.", name)
     segment_id = new_id("seg")
-    key = f"segments/{experiment_id}/{segment_id}.safetensors"
-    blobs.put(key, save(arrays))
+    content = save(arrays)
+    key = with_checksum(f"segments/{experiment_id}/{segment_id}.safetensors", content)
+    blobs.put(key, content)
     return StoredSegment(
         id=segment_id,
         blob_key=key,
@@ -124,7 +125,7 @@ def experiment_of(session: Session, segment_id: str) -> str:
 
 def replayed_clip_key(segment_blob_key: str) -> str:
     """Key of the clip of a segment whose task renders itself; see `accord.workers.replayed_clips`."""
-    return segment_blob_key.removesuffix(".safetensors") + ".mp4"
+    return without_checksum(segment_blob_key).removesuffix(".safetensors") + ".mp4"
 
 
 def load_arrays(blobs: BlobStore, blob_key: str) -> dict[str, NDArray[np.floating]]:

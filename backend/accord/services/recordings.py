@@ -15,7 +15,7 @@ from accord.domain.errors import RecordingNotFound
 from accord.domain.ids import new_id
 from accord.services import blob_deletion, experiments
 from accord.store import recordings
-from accord.store.blobs import BlobStore
+from accord.store.blobs import BlobStore, with_checksum
 from accord.store.recordings import NumberedRecording
 from accord.store.tables import RecordingRow
 
@@ -47,8 +47,9 @@ def store_states(
         BlobsNotWritable: if the blobs are read-only or full.
     """
     id = new_id("rec")
-    key = f"recordings/{experiment_id}/{id}.safetensors"
-    blobs.put(key, save({"qpos": qpos, "qvel": qvel}))
+    content = save({"qpos": qpos, "qvel": qvel})
+    key = with_checksum(f"recordings/{experiment_id}/{id}.safetensors", content)
+    blobs.put(key, content)
     return id, key
 
 

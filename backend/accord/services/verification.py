@@ -10,11 +10,12 @@ from sqlalchemy.orm import Session
 from accord.domain.checks import Check
 from accord.domain.errors import BlobMissing
 from accord.services import inventory
+from accord.services.publish import card_key
 from accord.store import integrity
-from accord.store.blobs import BlobStore, OnBlobs
+from accord.store.blobs import BlobStore, OnBlobs, agrees_with_checksum
 from accord.store.database import Database
 from accord.store.integrity import Contradiction
-from accord.store.named_blobs import NamedBlob
+from accord.store.named_blobs import REWARD_VERSION, NamedBlob
 
 #: faults that a check names; it counts the others
 _NAMED_FAULTS = 5
@@ -32,7 +33,7 @@ def verify(
     """Checks the database and the blobs. Changes nothing; the service may keep running.
 
     Args:
-        read_blobs: read all blobs but the videos too, to find incomplete ones. Otherwise only their existence is
+        read_blobs: read all blobs too, to find those whose bytes changed. Otherwise only their existence is
             checked, and the sizes that rows store.
         on_blobs: called with the number of blobs checked so far, and of all.
 
@@ -128,15 +129,26 @@ def _fault(blobs: BlobStore, stored: Mapping[str, int], blob: NamedBlob, *, read
         size = stored[blob.key] if blob.key in stored else blobs.size(blob.key)
         if blob.size_bytes is not None and size != blob.size_bytes:
             return f"has {size} bytes instead of {blob.size_bytes}"
-        if read and blob.key.endswith(".safetensors"):
-            load(blobs.read(blob.key))
-        elif read and blob.key.endswith(".json"):
-            json.loads(blobs.read(blob.key))
+        if read:
+            _read(blobs, blob)
     except BlobMissing:
         return "is missing"
     except (SafetensorError, ValueError) as error:
         return f"is damaged: {error}"
     return ""
+
+
+def _read(blobs: BlobStore, blob: NamedBlob) -> None:
+    """Raises BlobMissing, SafetensorError, ValueError."""
+    content = blobs.read(blob.key)
+    if blob.key.endswith(".safetensors"):
+        load(content)
+    elif blob.key.endswith(".json"):
+        json.loads(content)
+        return  # the checksum of the weights is its too
+    card = [blobs.read(card_key(blob.key))] if blob.what == REWARD_VERSION and blobs.exists(card_key(blob.key)) else []
+    if not agrees_with_checksum(blob.key, content, *card):
+        raise ValueError("its bytes changed, as its checksum shows")
 
 
 def _blob_check(faults: Mapping[str, str], required: Sequence[NamedBlob]) -> Check:

@@ -1,6 +1,7 @@
 """Blob store: arrays, clips and checkpoints by key. A blob is written once, atomically, and never changes."""
 
 import errno
+import hashlib
 import os
 import re
 import secrets
@@ -15,6 +16,7 @@ from accord.domain.errors import BlobMissing, BlobsNotWritable
 from mapt.io import atomic_path, atomic_write, sync_folder
 
 _KEY = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*(/[A-Za-z0-9_-][A-Za-z0-9._-]*)*")
+_CHECKSUM = re.compile(r"-([0-9a-f]{64})(\.[a-z0-9]+)$")
 #: folder of the blobs that show whether a store can be written
 PROBE = "probe"
 #: called with the number of blobs done so far, and of all
@@ -198,6 +200,30 @@ class FolderBlobs:
         for each in reversed(missing):
             each.mkdir(exist_ok=True)
             sync_folder(each.parent)
+
+
+def with_checksum(key: str, *content: bytes) -> str:
+    """The key with the SHA-256 of the blob in its name: with it, `accord verify` finds bytes that changed.
+
+    Args:
+        key: with a suffix, for example segments/exp_.../seg_....safetensors.
+        content: of the blob, and of others that belong to it.
+    """
+    digest = hashlib.sha256()
+    for part in content:
+        digest.update(part)
+    stem, _, suffix = key.rpartition(".")
+    return f"{stem}-{digest.hexdigest()}.{suffix}"
+
+
+def without_checksum(key: str) -> str:
+    """The key that was given to `with_checksum`; earlier versions of Accord stored blobs under such keys."""
+    return _CHECKSUM.sub(r"\2", key)
+
+
+def agrees_with_checksum(key: str, *content: bytes) -> bool:
+    """Whether the content is the one that `with_checksum` was called with; true for keys of earlier versions."""
+    return _CHECKSUM.search(key) is None or with_checksum(without_checksum(key), *content) == key
 
 
 def is_blob_key(path: str) -> bool:

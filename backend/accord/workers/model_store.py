@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from accord.domain.errors import BlobDamaged
 from accord.domain.ids import new_id
 from accord.services.publish import card_key, ensemble_key
-from accord.store.blobs import BlobStore
+from accord.store.blobs import BlobStore, with_checksum
 from accord.store.tables import RewardVersionRow
 from mapt.errors import DamagedCheckpoint
 from mapt.policies import Learner
@@ -32,7 +32,8 @@ def store_reward_model(
         BlobsNotWritable: if the blobs are read-only or full.
     """
     saved = save_reward_model(model, metrics, segment_steps=segment_steps)
-    key = f"rewards/{experiment_id}/{new_id('rwb')}.safetensors"
+    # One checksum for both: the row names the weights, and the key of the card follows.
+    key = with_checksum(f"rewards/{experiment_id}/{new_id('rwb')}.safetensors", saved.weights, saved.card)
     blobs.put(card_key(key), saved.card)
     blobs.put(key, saved.weights)
     return key
@@ -57,8 +58,9 @@ def store_checkpoint(blobs: BlobStore, experiment_id: str, steps: int, checkpoin
         BlobsNotWritable: if the blobs are read-only or full.
     """
     # A restarted worker may write another checkpoint at the same step.
-    key = f"policies/{experiment_id}/{steps:012d}-{secrets.token_hex(4)}.safetensors"
-    blobs.put(key, checkpoint.to_bytes())
+    content = checkpoint.to_bytes()
+    key = with_checksum(f"policies/{experiment_id}/{steps:012d}-{secrets.token_hex(4)}.safetensors", content)
+    blobs.put(key, content)
     return key
 
 

@@ -24,6 +24,7 @@ from accord.services import clip_views, clips
 from accord.services.clip_views import ViewJob
 from accord.services.clips import ClipJob, StoredClip, clips_folder
 from accord.services.collect import load_arrays, replayed_clip_key
+from accord.store.blobs import with_checksum
 from accord.workers.runner import Context, run_worker
 from mapt.rendering.encode import ClipFile
 from mapt.rendering.settings import Camera, RenderSettings
@@ -150,7 +151,6 @@ class RenderWorker:
         return StoredClip(
             cache_key=key,
             blob_key=blob_key,
-            # The size of the stored blob: encoding varies from run to run, and an existing blob is not replaced.
             size_bytes=self._context.blobs.size(blob_key),
             frames=clip.frames,
             seconds=clip.seconds,
@@ -179,11 +179,12 @@ class RenderWorker:
         key = clip_key(qpos, qvel, task.model, task.agents, settings)
         path = Path(self._folder.name) / f"{key}.mp4"
         clip: ClipFile = process.render(RenderJob(task_name, qpos, qvel, settings, path))
-        blob_key = f"{folder}/{key}.mp4"
         try:
             content = path.read_bytes()
         finally:
             path.unlink()
+        # Encoding varies from run to run, so equal states may have several videos.
+        blob_key = with_checksum(f"{folder}/{key}.mp4", content)
         if replaces is not None:
             self._context.blobs.delete(replaces)  # a key keeps its blob, also a damaged one
         self._context.blobs.put(blob_key, content)

@@ -12,6 +12,7 @@ from accord.domain.errors import BlobsInUse
 from accord.services import blob_deletion, checkpoints, clip_views, clips, experiments, label, pruning
 from accord.services.pruning import Group
 from accord.services.verification import verify
+from accord.store.blobs import without_checksum
 from accord.store.tables import ClipRow, ClipViewRow, ExperimentRow, SegmentRow, utc_now
 from support.sample_experiments import SampleExperiment, create_sample, user
 from support.stores import Stores
@@ -43,8 +44,8 @@ def end(stores: Stores, sample: SampleExperiment, hours_ago: float) -> None:
 
 
 def names(groups: list[Group]) -> list[list[str]]:
-    """The last parts of the keys of each group."""
-    return [sorted(blob.key.rpartition("/")[2] for blob in group.blobs) for group in groups]
+    """The last parts of the keys of each group, without checksums."""
+    return [sorted(without_checksum(blob.key).rpartition("/")[2] for blob in group.blobs) for group in groups]
 
 
 def keys(stores: Stores) -> set[str]:

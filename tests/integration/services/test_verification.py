@@ -14,6 +14,7 @@ from accord.services import checks, exclusion, label, publish
 from accord.services.publish import card_key, ensemble_key
 from accord.services.verification import verify
 from accord.settings import Settings
+from accord.store.blobs import with_checksum
 from accord.store.tables import SegmentRow
 from support.sample_experiments import SampleExperiment, create_sample, user
 from support.stores import Stores, open_stores
@@ -84,6 +85,37 @@ def test_faulty_blobs_are_named(stores: Stores) -> None:
     # A quick check does not read them.
     quick = [each.detail for each in verified(stores, read_blobs=False) if not each.ok]
     assert [key in quick[0] for key in (segments[0], segments[1], clips[0])] == [False, True, True]
+
+
+def test_changed_bytes_are_found_by_their_checksum(stores: Stores) -> None:
+    sample = create_sample(stores.database, stores.blobs, segments=2, queries=1)
+    weights, card = save({"weight": np.zeros(100, dtype=np.float32)}), b'{"seed": 1}'
+    key = with_checksum("rewards/weights.safetensors", weights, card)
+    stores.blobs.put(key, weights)
+    stores.blobs.put(card_key(key), card)
+    with stores.database.transaction() as session:
+        publish.publish(
+            session, sample.experiment.id, key, label_watermark=0, label_count=0, policy_steps=0, metrics={}
+        )
+        segment = session.get_one(SegmentRow, sample.segment_ids[0]).blob_key
+    assert failed(stores) == []
+    for damaged, named in ((segment, segment), (key, key), (card_key(key), key)):
+        content = stores.blobs.read(damaged)
+        replace_blob(stores, damaged, content.replace(b"1", b"2") if damaged.endswith(".json") else flipped(content))
+        [check] = failed(stores)
+        assert named in check.detail
+        replace_blob(stores, damaged, content)
+    assert failed(stores) == []
+
+
+def flipped(content: bytes) -> bytes:
+    """The content with another last byte: still arrays of the same size."""
+    return content[:-1] + bytes([content[-1] ^ 1])
+
+
+def replace_blob(stores: Stores, key: str, content: bytes) -> None:
+    stores.blobs.delete(key)
+    stores.blobs.put(key, content)
 
 
 @pytest.mark.parametrize(

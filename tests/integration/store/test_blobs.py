@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from accord.domain.errors import BlobMissing, BlobsNotWritable, BlobsUnreachable
-from accord.store.blobs import BlobStore, open_blobs
+from accord.store.blobs import BlobStore, agrees_with_checksum, open_blobs, with_checksum, without_checksum
 from support.s3_server import S3Server
 
 WRITER_PROCESS = Path(__file__).with_name("blob_writer_process.py")
@@ -74,6 +74,16 @@ def test_stored_blobs_are_listed_without_probes(blobs: BlobStore) -> None:
     assert {key: blob.size_bytes for key, blob in found.items()} == {"some/folder/blob.bin": 3, "other": 0}
     assert all(before < blob.written_at < before + timedelta(seconds=60) for blob in found.values())
     assert not blobs.is_empty()
+
+
+def test_checksums_are_part_of_keys() -> None:
+    key = with_checksum("segments/exp_1/seg-2.safetensors", b"arrays", b"card")
+    assert key.startswith("segments/exp_1/seg-2-")
+    assert key.endswith(".safetensors")
+    assert without_checksum(key) == "segments/exp_1/seg-2.safetensors"
+    assert agrees_with_checksum(key, b"arrays", b"card")
+    assert not agrees_with_checksum(key, b"arrays")
+    assert agrees_with_checksum(without_checksum(key), b"of an earlier version")
 
 
 def test_delete_is_idempotent(blobs: BlobStore) -> None:

@@ -11,6 +11,7 @@ from sqlalchemy import text
 from accord.domain.enums import ClipCamera, WorkerRole
 from accord.domain.errors import BlobsUnreachable
 from accord.services import clip_views, clips, deletion, experiments
+from accord.store.blobs import with_checksum, without_checksum
 from accord.workers.render_worker import RenderWorker
 from integration.workers.worker_harness import SingleThreadedRewardWorker, WorkerHarness, open_harness
 from support.s3_server import S3Server
@@ -44,6 +45,7 @@ def test_every_query_opens_once_both_clips_are_ready(waiting_for_clips):
     for blob_key, frames, seconds, size_bytes, width, height in rendered:
         content = harness.context.blobs.read(blob_key)
         assert len(content) == size_bytes
+        assert with_checksum(without_checksum(blob_key), content) == blob_key
         with av.open(io.BytesIO(content)) as container:
             shown = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
         assert len(shown) == frames == 10
