@@ -167,6 +167,11 @@ class Settings(BaseSettings):
         description="Width of clips in pixels, a multiple of 64; the height is three quarters of it. Time and size "
         "grow with the area.",
     )
+    clip_redirects: bool = Field(
+        default=False,
+        description="With S3: redirect browsers to S3 for videos, by URLs that are valid for an hour. The bucket must "
+        "allow the page's origin (CORS).",
+    )
     torch_threads: int = Field(
         default=1,
         ge=1,

@@ -140,7 +140,9 @@ class _App(FastAPI):
         """Outside of everything else, also of the response to an unexpected error."""
         settings: Settings = self.state.accord.settings
         metrics: Monitoring = self.state.monitoring
-        secured = Security(super().build_middleware_stack(), settings)
+        blobs: BlobStore = self.state.accord.blobs
+        clips_url = blobs.signed_url("clips", 1.0) if settings.clip_redirects else None
+        secured = Security(super().build_middleware_stack(), settings, clips_url)
         return Requests(secured, metrics.observe_request, log_all=settings.log_requests)
 
     def openapi(self) -> dict[str, Any]:

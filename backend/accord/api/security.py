@@ -43,9 +43,20 @@ class Security:
     browser, which would let it read responses.
     """
 
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+    def __init__(self, app: ASGIApp, settings: Settings, clips_url: str | None = None) -> None:
+        """
+        Args:
+            clips_url: an address in the store to which browsers are redirected for clips; None if they are not.
+        """
         self.app = app
         self._hosts = AllowedHosts(settings)
+        self._headers = _HEADERS
+        if clips_url is not None:
+            url = urlsplit(clips_url)
+            policy = CONTENT_SECURITY_POLICY
+            for directive in ("media-src 'self'", "connect-src 'self'"):
+                policy = policy.replace(directive, f"{directive} {url.scheme}://{url.netloc}")
+            self._headers = _HEADERS | {"Content-Security-Policy": policy}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -54,7 +65,7 @@ class Security:
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(_HEADERS)
+                MutableHeaders(scope=message).update(self._headers)
             await send(message)
 
         host = Headers(scope=scope).get("host", "")

@@ -7,15 +7,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from fastapi import Request
-from fastapi.responses import Response
+from fastapi.responses import RedirectResponse, Response
 from sqlalchemy.orm import Session
 
-from accord.api.dependencies import Auth
+from accord.api.dependencies import AppState, Auth
 from accord.domain.errors import BlobDamaged, BlobMissing, BlobUnreadable
 from accord.store.blobs import BlobStore
 
 log = logging.getLogger(__name__)
 
+#: how long the URL of a redirect is valid
+_SIGNED_SECONDS = 3600.0
 _RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
 
 
@@ -43,8 +45,8 @@ def repairing(auth: Auth, render_again: Callable[[Session], None]) -> Generator[
         raise
 
 
-def video_response(request: Request, blobs: BlobStore, key: str, size: int, etag: str) -> Response:
-    """A stored video that never changes, or the requested range of it.
+def video_response(request: Request, app: AppState, key: str, size: int, etag: str) -> Response:
+    """A stored video that never changes, or the requested range of it; with `clip_redirects`, where to get it.
 
     Args:
         size: in bytes; 0 if it was deleted.
@@ -58,15 +60,20 @@ def video_response(request: Request, blobs: BlobStore, key: str, size: int, etag
         return Response(status_code=304, headers=headers)
     if size == 0:
         raise BlobMissing(key)
+    signed = app.blobs.signed_url(key, _SIGNED_SECONDS) if app.settings.clip_redirects else None
+    if signed is not None:
+        if app.blobs.size(key) != size:
+            raise _incomplete(key, size)
+        return RedirectResponse(signed, 307, {"Cache-Control": "no-store"})
     wanted = parse_range(request.headers.get("range", ""), size)
     if request.headers.get("if-range", etag) != etag:
         wanted = None
     if wanted is None:
-        return Response(whole_video(blobs, key, size), 200, headers, media_type="video/mp4")
+        return Response(whole_video(app.blobs, key, size), 200, headers, media_type="video/mp4")
     if wanted.start >= wanted.stop:
         return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
     headers["Content-Range"] = f"bytes {wanted.start}-{wanted.stop - 1}/{size}"
-    content = blobs.read_range(key, wanted.start, wanted.stop)
+    content = app.blobs.read_range(key, wanted.start, wanted.stop)
     if len(content) != wanted.stop - wanted.start:
         raise _incomplete(key, size)
     return Response(content, 206, headers, media_type="video/mp4")

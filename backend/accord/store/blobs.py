@@ -65,6 +65,10 @@ class BlobStore(Protocol):
         """In bytes."""
         ...
 
+    def signed_url(self, key: str, seconds: float) -> str | None:
+        """A URL with which anybody can read a blob for this long; None for a folder."""
+        ...
+
     def exists(self, key: str) -> bool: ...
 
     def delete(self, key: str) -> None:
@@ -163,6 +167,9 @@ class FolderBlobs:
             return self._path(key).stat().st_size
         except FileNotFoundError as error:
             raise BlobMissing(key) from error
+
+    def signed_url(self, key: str, seconds: float) -> str | None:
+        return None
 
     def exists(self, key: str) -> bool:
         return self._path(key).is_file()

@@ -12,7 +12,7 @@ from datetime import timedelta
 
 import obstore
 from obstore.exceptions import AlreadyExistsError, BaseError, PermissionDeniedError, UnauthenticatedError
-from obstore.store import from_url
+from obstore.store import S3Store
 
 from accord.domain.errors import BlobMissing, BlobsNotWritable, BlobsUnreachable
 from accord.store.blobs import PROBE, StoredBlob, checked_key, is_blob_key
@@ -41,7 +41,7 @@ class ObjectBlobs:
         """
         self._url = url.rstrip("/")
         try:
-            self._store = from_url(
+            self._store = S3Store.from_url(
                 self._url,
                 client_options={
                     "allow_http": True,  # where AWS_ENDPOINT_URL says so
@@ -77,6 +77,10 @@ class ObjectBlobs:
     def size(self, key: str) -> int:
         with self._translated(key):
             return obstore.head(self._store, checked_key(key))["size"]
+
+    def signed_url(self, key: str, seconds: float) -> str | None:
+        with self._translated():
+            return obstore.sign(self._store, "GET", checked_key(key), timedelta(seconds=seconds))
 
     def exists(self, key: str) -> bool:
         try:

@@ -1,5 +1,10 @@
 """Clips over HTTP: whole, in ranges, and from the browser's cache."""
 
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import httpx
 import pytest
 from sqlalchemy import text
 
@@ -9,8 +14,11 @@ from accord.domain.errors import ClipNotFound
 from accord.domain.ids import new_id
 from accord.services import clip_views, clips, deletion, experiments
 from accord.store import deletions
-from support.api_in_thread import ApiServer
+from accord.store.blobs import open_blobs
+from support.api_in_thread import ApiServer, run_api_server
+from support.s3_server import S3Server
 from support.sample_experiments import CLIP_BYTES, create_sample
+from support.stores import Stores
 
 SIZE = len(CLIP_BYTES)
 
@@ -183,3 +191,23 @@ def test_views_of_deleted_experiments_are_deleted(api: ApiServer, clip: str) -> 
     with pytest.raises(ClipNotFound), api.stores.database.transaction() as session:
         clip_views.request(session, clip_id, ClipCamera.TOP)
     del deleted
+
+
+def test_clips_in_s3_can_be_fetched_from_there(tmp_path: Path, sqlite: Stores, s3_server: S3Server) -> None:
+    stores = replace(sqlite, blobs=open_blobs(s3_server.url("redirects")))
+    sample = create_sample(stores.database, stores.blobs)
+    with run_api_server(stores, tmp_path, clip_redirects=True) as api:
+        found = api.labeller.post(f"/api/v1/experiments/{sample.experiment.id}/queries/next").json()
+        url = found["items"][0]["left"]["clip_url"]
+        assert api.anyone.get(url).status_code == 401
+        redirect = api.labeller.get(url)
+        assert redirect.status_code == 307
+        assert redirect.headers["cache-control"] == "no-store"
+        target = urlsplit(redirect.headers["location"])
+        # without the token of the service
+        assert httpx.get(redirect.headers["location"]).content == CLIP_BYTES
+        policy = redirect.headers["content-security-policy"]
+        assert f"connect-src 'self' {target.scheme}://{target.netloc}" in policy
+        for blob in stores.blobs.stored():
+            stores.blobs.delete(blob.key)
+        assert api.labeller.get(url).json()["error"]["code"] == "blob_missing"

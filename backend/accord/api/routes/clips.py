@@ -40,7 +40,7 @@ def get_clip(clip_id: ClipId, request: Request, auth: AuthDep) -> Response:
         key, size = row.blob_key, row.size_bytes
     assert key is not None  # a ready clip has a blob
     with repairing(auth, lambda session: clips.render_again(session, clip_id)):
-        return video_response(request, auth.app.blobs, key, size, f'"{clip_id}-{size}"')
+        return video_response(request, auth.app, key, size, f'"{clip_id}-{size}"')
 
 
 @router.put("/clips/{clip_id}/views/{camera}", summary="Request a clip from another camera")
@@ -68,7 +68,7 @@ def get_view(clip_id: ClipId, camera: CameraPath, request: Request, auth: AuthDe
         key, size = row.blob_key, row.size_bytes
     assert key is not None  # a ready view has a blob
     with repairing(auth, lambda session: clip_views.render_again(session, ClipViewRow, clip_id, camera)):
-        return video_response(request, auth.app.blobs, key, size, f'"{clip_id}-{camera}-{size}"')
+        return video_response(request, auth.app, key, size, f'"{clip_id}-{camera}-{size}"')
 
 
 @router.get(

@@ -56,7 +56,7 @@ def get_recording(recording_id: RecordingId, camera: CameraPath, request: Reques
         key, size = row.blob_key, row.size_bytes
     assert key is not None  # a ready view has a blob
     with repairing(auth, lambda session: clip_views.render_again(session, RecordingViewRow, recording_id, camera)):
-        return video_response(request, auth.app.blobs, key, size, f'"{recording_id}-{camera}-{size}"')
+        return video_response(request, auth.app, key, size, f'"{recording_id}-{camera}-{size}"')
 
 
 def _require_researcher(caller: CallerSession) -> None:
