@@ -1,4 +1,4 @@
-"""Eight scripted people label one experiment through the service, four of them badly: what it says of each.
+"""Eight scripted labellers label one experiment through the service. The quality page must flag the four bad ones.
 
 Run by `make learn`. Prints the statistics of the quality page and the weights of the newest reward version.
 """

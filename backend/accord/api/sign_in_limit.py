@@ -8,6 +8,7 @@ from limits import RateLimitItemPerMinute
 from limits.storage import MemoryStorage
 from limits.strategies import FixedWindowRateLimiter
 
+from accord.domain.addresses import as_address
 from accord.domain.errors import TooManyFailedSignIns
 
 #: tokens that were valid, kept so that their users are let in from an address that has reached the limit
@@ -70,11 +71,8 @@ class SignInLimit:
 
 def customer_of(address: str) -> str:
     """What one client can have many of counts as one address."""
-    try:
-        parsed = ipaddress.ip_address(address)
-    except ValueError:
-        return address
-    if parsed.version == 4:
+    parsed = as_address(address)
+    if parsed is None or parsed.version == 4:
         return address
     return str(ipaddress.ip_network((parsed, _IPV6_CUSTOMER_BITS), strict=False))
 

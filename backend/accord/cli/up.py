@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, TextIO
 
 import typer
+from pydantic import SecretStr
 from rich.markup import escape
 
 from accord import logs
@@ -219,8 +220,10 @@ def child_specs(ready: Ready) -> list[ChildSpec]:
 def environment_of(settings: Settings) -> dict[str, str]:
     """The settings as environment variables for a child process; the home folder is absolute."""
     values = settings.model_dump() | {"home": settings.home.resolve()}
-    values["oidc_client_secret"] = settings.oidc_client_secret.get_secret_value()
-    return {f"ACCORD_{name.upper()}": str(value) for name, value in values.items()}
+    return {
+        f"ACCORD_{name.upper()}": value.get_secret_value() if isinstance(value, SecretStr) else str(value)
+        for name, value in values.items()
+    }
 
 
 EXAMPLE_NAME = "Teach the cheetah to run"
@@ -332,15 +335,15 @@ def make_home(settings: Settings) -> None:
     Raises:
         HomeNotWritable: if that fails.
     """
-    logs = settings.home / "logs"
+    log_folder = settings.home / "logs"
     try:
-        logs.mkdir(parents=True, exist_ok=True)
+        log_folder.mkdir(parents=True, exist_ok=True)
         make_private(settings.home)
     except OSError as error:
         raise HomeNotWritable(
             f"The home folder {settings.home} cannot be created: {error.strerror}. Use another --home."
         ) from error
-    if not os.access(logs, os.W_OK):
+    if not os.access(log_folder, os.W_OK):
         raise HomeNotWritable(
             f"The home folder {settings.home} is not writable by this user. "
             "Change its permissions, or use another --home."

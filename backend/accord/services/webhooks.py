@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 from sqlalchemy.orm import Session
 
+from accord.domain.addresses import as_address
 from accord.domain.enums import WebhookEvent
 from accord.domain.errors import Invalid, WebhookNotFound
 from accord.domain.ids import new_id
@@ -75,10 +76,7 @@ def is_public(address: str) -> bool:
 
 
 def _is_private_literal(host: str) -> bool:
-    try:
-        return not is_public(host)
-    except ValueError:
-        return False
+    return as_address(host) is not None and not is_public(host)
 
 
 def all(session: Session) -> list[WebhookRow]:

@@ -2,10 +2,10 @@
 
 import sqlite3
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
@@ -26,6 +26,10 @@ _POSTGRES_TIMEOUTS = {
     "keepalives_count": 2,
 }
 _MEMORY = ("", ":memory:")
+#: values that a statement of any database can take
+_MAX_VALUES = 500
+
+T = TypeVar("T")
 
 
 class Database:
@@ -169,6 +173,12 @@ def _parsed(url: str) -> URL:
 
 def _not_a_url(url: str) -> DatabaseUnreachable:
     return DatabaseUnreachable(f"{url!r} is not a database URL. Use sqlite:///path or postgresql://host/name.")
+
+
+def in_parts(ids: Sequence[T]) -> Iterator[Sequence[T]]:
+    """Parts of the ids: a statement takes a limited number of values."""
+    for first in range(0, len(ids), _MAX_VALUES):
+        yield ids[first : first + _MAX_VALUES]
 
 
 def sqlite_file(url: str) -> Path | None:

@@ -1,6 +1,6 @@
 """Rows of labels and of their history. `accord.services.label` decides who may write one."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -8,10 +8,9 @@ from typing import Any
 from sqlalchemy import bindparam, case, exists, func, insert, select, update
 from sqlalchemy.orm import Session, aliased
 
+from accord.store.database import in_parts
 from accord.store.queries import IS_COUNTED, IS_TRAINED_ON, Response
 from accord.store.tables import ExperimentRow, LabellerRow, LabelRevisionRow, LabelRow, QueryRow, SegmentRow
-
-_MAX_IDS = 500
 
 #: built once, as in `queries`
 _ADVANCE = (
@@ -217,7 +216,7 @@ def ids_of_user(session: Session, experiment_id: str, user_id: str) -> list[str]
 def of_experiment(session: Session, experiment_id: str, label_ids: Sequence[str]) -> set[str]:
     """Those of the labels that belong to an experiment."""
     found: set[str] = set()
-    for part in _parts(label_ids):
+    for part in in_parts(label_ids):
         found.update(
             session.scalars(select(LabelRow.id).where(LabelRow.experiment_id == experiment_id, LabelRow.id.in_(part)))
         )
@@ -227,7 +226,7 @@ def of_experiment(session: Session, experiment_id: str, label_ids: Sequence[str]
 def with_exclusion(session: Session, label_ids: Sequence[str], excluded: bool) -> list[str]:
     """Those of the labels that are excluded, or are not."""
     found: list[str] = []
-    for part in _parts(label_ids):
+    for part in in_parts(label_ids):
         condition = LabelRow.excluded if excluded else ~LabelRow.excluded
         found.extend(session.scalars(select(LabelRow.id).where(LabelRow.id.in_(part), condition)))
     return found
@@ -236,7 +235,7 @@ def with_exclusion(session: Session, label_ids: Sequence[str], excluded: bool) -
 def queries_of(session: Session, label_ids: Sequence[str]) -> list[str]:
     """Queries of these labels."""
     found: set[str] = set()
-    for part in _parts(label_ids):
+    for part in in_parts(label_ids):
         found.update(session.scalars(select(LabelRow.query_id).where(LabelRow.id.in_(part))))
     return sorted(found)
 
@@ -252,7 +251,7 @@ def mark_changed(session: Session, experiment_id: str, label_ids: Sequence[str],
     values: dict[str, Any] = {"exclusion_revision": revision}
     if excluded is not None:
         values["excluded"] = excluded
-    for part in _parts(label_ids):
+    for part in in_parts(label_ids):
         session.execute(update(LabelRow).where(LabelRow.id.in_(part)).values(values))
 
 
@@ -270,9 +269,3 @@ def labellers(session: Session, experiment_id: str) -> dict[str, LabellerRow]:
     """User id -> what was decided about this labeller."""
     rows = session.scalars(select(LabellerRow).where(LabellerRow.experiment_id == experiment_id))
     return {row.user_id: row for row in rows}
-
-
-def _parts(ids: Sequence[str]) -> Iterator[Sequence[str]]:
-    """Parts of the ids: a statement takes a limited number of values."""
-    for first in range(0, len(ids), _MAX_IDS):
-        yield ids[first : first + _MAX_IDS]

@@ -7,6 +7,7 @@ from datetime import datetime
 from sqlalchemy import ColumnElement, and_, delete, exists, inspect, or_, select, tuple_, update
 from sqlalchemy.orm import Session, aliased
 
+from accord.store.database import in_parts
 from accord.store.tables import (
     Base,
     ClipRow,
@@ -17,8 +18,6 @@ from accord.store.tables import (
     RecordingViewRow,
     SegmentRow,
 )
-
-_MAX_IDS = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,15 +64,13 @@ def rendered_clips(session: Session, before: datetime) -> list[Unneeded]:
 
 def mark_deleted(session: Session, clip_ids: Sequence[tuple[str, ...]]) -> None:
     """Records that the blobs of clips are deleted."""
-    for first in range(0, len(clip_ids), _MAX_IDS):
-        part = [id for (id,) in clip_ids[first : first + _MAX_IDS]]
+    for part in in_parts([id for (id,) in clip_ids]):
         session.execute(update(ClipRow).where(ClipRow.id.in_(part)).values(size_bytes=0))
 
 
 def delete_segments(session: Session, ids: Sequence[tuple[str, ...]]) -> None:
     """Deletes segments, with clips of them that were never shown."""
-    for first in range(0, len(ids), _MAX_IDS):
-        part = [id for (id,) in ids[first : first + _MAX_IDS]]
+    for part in in_parts([id for (id,) in ids]):
         clips = select(ClipRow.id).where(ClipRow.segment_id.in_(part))
         session.execute(delete(ClipViewRow).where(ClipViewRow.clip_id.in_(clips)))
         session.execute(delete(ClipRow).where(ClipRow.segment_id.in_(part)))
@@ -83,8 +80,8 @@ def delete_segments(session: Session, ids: Sequence[tuple[str, ...]]) -> None:
 def delete_rows(session: Session, table: type[Base], ids: Sequence[tuple[str, ...]]) -> None:
     """Deletes rows to which no other row refers."""
     key = tuple_(*inspect(table).primary_key)
-    for first in range(0, len(ids), _MAX_IDS):
-        session.execute(delete(table).where(key.in_(ids[first : first + _MAX_IDS])))
+    for part in in_parts(ids):
+        session.execute(delete(table).where(key.in_(part)))
 
 
 def _found(session: Session, table: type[Base], before: datetime, condition: ColumnElement[bool]) -> list[Unneeded]:

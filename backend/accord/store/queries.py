@@ -12,6 +12,7 @@ from typing import Any
 from sqlalchemy import bindparam, case, exists, func, insert, or_, select, update
 from sqlalchemy.orm import Session, aliased
 
+from accord.store.database import in_parts
 from accord.store.tables import (
     ClipRow,
     ExperimentRow,
@@ -22,8 +23,6 @@ from accord.store.tables import (
     SegmentRow,
 )
 
-#: most identifiers in one statement
-_MAX_IDS = 500
 #: a query whose labels are trained on; the others check the labellers
 IS_TRAINED_ON = QueryRow.repeats_id.is_(None) & QueryRow.gold_value.is_(None)
 #: a label that counts towards the budget, if its query is trained on
@@ -530,10 +529,10 @@ def update_statuses(session: Session, query_ids: Sequence[str]) -> None:
     decided = exists().where(LabelRow.query_id == QueryRow.id, LabelRow.final, LabelRow.state == "label")
     closed = ~IS_TRAINED_ON | decided | (QueryRow.labels_wanted <= _COUNTED_LABELS)
     session.flush()
-    for first in range(0, len(query_ids), _MAX_IDS):
+    for part in in_parts(query_ids):
         session.execute(
             update(QueryRow)
-            .where(QueryRow.id.in_(query_ids[first : first + _MAX_IDS]), QueryRow.status.in_(("open", "closed")))
+            .where(QueryRow.id.in_(part), QueryRow.status.in_(("open", "closed")))
             .values(status=case((closed, "closed"), else_="open"))
         )
 

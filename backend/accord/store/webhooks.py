@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import delete, func, select
+from sqlalchemy import ColumnElement, delete, func, select
 from sqlalchemy.orm import Session
 
 from accord.store.tables import WebhookDeliveryRow, WebhookRow
@@ -41,10 +41,7 @@ def deliveries(session: Session, webhook_id: str, limit: int) -> list[WebhookDel
 
 def is_due(session: Session, now: datetime) -> bool:
     """Whether any delivery should be attempted."""
-    due = select(WebhookDeliveryRow.id).where(
-        WebhookDeliveryRow.status == "pending", WebhookDeliveryRow.next_attempt_at <= now
-    )
-    return session.scalar(due.limit(1)) is not None
+    return session.scalar(select(WebhookDeliveryRow.id).where(*_due(now)).limit(1)) is not None
 
 
 def lock_due(session: Session, now: datetime) -> DueDelivery | None:
@@ -55,12 +52,16 @@ def lock_due(session: Session, now: datetime) -> DueDelivery | None:
     found = session.execute(
         select(WebhookDeliveryRow, WebhookRow)
         .join(WebhookRow, WebhookRow.id == WebhookDeliveryRow.webhook_id)
-        .where(WebhookDeliveryRow.status == "pending", WebhookDeliveryRow.next_attempt_at <= now)
+        .where(*_due(now))
         .order_by(WebhookDeliveryRow.attempts, WebhookDeliveryRow.id)
         .limit(1)
         .with_for_update(skip_locked=True, of=WebhookDeliveryRow)
     ).first()
     return None if found is None else DueDelivery(*found)
+
+
+def _due(now: datetime) -> tuple[ColumnElement[bool], ...]:
+    return WebhookDeliveryRow.status == "pending", WebhookDeliveryRow.next_attempt_at <= now
 
 
 def lock_delivery(session: Session, delivery_id: str) -> WebhookDeliveryRow | None:

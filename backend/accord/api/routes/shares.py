@@ -4,7 +4,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
 from accord.api import responses, schemas
-from accord.api.dependencies import AuthDep, ExperimentId, ShareId, app_state, counting_failures
+from accord.api.dependencies import AuthDep, ExperimentId, ShareId, app_state, base_url, counting_failures
 from accord.domain.enums import AuditAction, Role
 from accord.domain.errors import Unauthenticated
 from accord.domain.permissions import may_run_experiments, require
@@ -24,9 +24,8 @@ def share_experiment(
         require(may_run_experiments(caller.role), caller.role, "share experiments")
         row, token = shares.create(caller.session, experiment_id, caller.user.name, body.days)
         audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_SHARED, experiment_id, share_id=row.id)
-        base = (auth.app.settings.public_url or str(request.base_url)).rstrip("/")
         share = schemas.ReadOnlyLink.model_validate(row)
-        return schemas.CreatedReadOnlyLink(**share.model_dump(), url=f"{base}/shared#{token}")
+        return schemas.CreatedReadOnlyLink(**share.model_dump(), url=f"{base_url(request)}/shared#{token}")
 
 
 @router.get("/experiments/{experiment_id}/shares", summary="List the read-only links")
