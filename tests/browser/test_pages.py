@@ -340,6 +340,19 @@ def test_a_label_is_changed_in_the_history_and_researchers_see_its_revisions(
         other.get_by_role("link", name="Download as Parquet").click()
     assert pq.read_table(download.value.path(), columns=["query_id"]).column(0).to_pylist() == [second.query]
 
+    # A known answer needs another pair. It comes while the researcher works on the table, and moves no row.
+    other.get_by_role("combobox", name="Label", exact=True).select_option("")
+    rows = other.get_by_role("rowheader")
+    shown = int(rows.first.inner_text().split()[0])
+    other.get_by_label(f"Known answer of pair {shown}", exact=True).select_option("1")
+    newest = "select max(number) from queries where experiment_id = ?"
+    until(lambda: service.rows(newest, experiment)[0][0] > shown)
+    other.get_by_label("for practice").click()
+    expect(other.get_by_label(f"Explanation of pair {shown}")).to_be_enabled()
+    assert int(rows.first.inner_text().split()[0]) == shown
+    other.get_by_role("button", name="Newest pairs").click()
+    expect(rows.first).not_to_contain_text(re.compile(rf"^{shown}\b"))
+
 
 def _assert_label(service: Service, query: str, left_preferred: float) -> None:
     """Wait until the query has this label."""

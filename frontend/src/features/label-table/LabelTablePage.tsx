@@ -1,7 +1,13 @@
-import { useInfiniteQuery, useQuery } from "@tanstack/react-query";
+import { useInfiniteQuery, useQuery, useQueryClient } from "@tanstack/react-query";
 import { useState } from "react";
 import { errorMessage } from "@/shared/api/errors";
-import { experimentQuery, type LabelFilters, queriesFileUrl, queriesQuery } from "@/shared/api/queries";
+import {
+  experimentQuery,
+  type LabelFilters,
+  queriesFileUrl,
+  queriesKey,
+  queriesQuery,
+} from "@/shared/api/queries";
 import { canManageExperiments, type Me } from "@/shared/api/types";
 import { paths } from "@/shared/routing/paths";
 import { Link } from "@/shared/routing/router";
@@ -15,6 +21,7 @@ import "./label-table.css";
 /** All queries of an experiment with everyone's labels and their revisions, for researchers. */
 export function LabelTablePage({ id, me }: { id: string; me: Me }) {
   const [filters, setFilters] = useState<LabelFilters>({});
+  const cache = useQueryClient();
   const experiment = useQuery(experimentQuery(id));
   const allowed = canManageExperiments(me);
   const queries = useInfiniteQuery({ ...queriesQuery(id, filters), enabled: allowed });
@@ -37,6 +44,13 @@ export function LabelTablePage({ id, me }: { id: string; me: Me }) {
       <div className="page-head">
         <h1>Labels{experiment.data ? ` of ${experiment.data.name}` : ""}</h1>
         <div className="row">
+          <button
+            type="button"
+            className="button"
+            onClick={() => void cache.resetQueries({ queryKey: queriesKey(id) })}
+          >
+            Newest pairs
+          </button>
           <a className="button" href={queriesFileUrl(id, filters, "csv")} download>
             Download as CSV
           </a>

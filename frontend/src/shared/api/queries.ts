@@ -1,9 +1,9 @@
-import { infiniteQueryOptions, queryOptions } from "@tanstack/react-query";
+import { type InfiniteData, infiniteQueryOptions, queryOptions } from "@tanstack/react-query";
 import { api, unwrap } from "./client";
 import { ApiError, isTransient, ServerUnreachable, toApiError } from "./errors";
 import { CURVE_POINTS } from "./metrics";
 import type { operations } from "./schema";
-import type { Credit, RecordingCamera, RewardReport } from "./types";
+import type { Credit, QueryPage, RecordingCamera, RewardReport } from "./types";
 
 const byExperiment = (id: string) => ({ params: { path: { experiment_id: id } } });
 const curvesOf = (id: string) => ({
@@ -94,14 +94,17 @@ export const queriesKey = (id: string) => ["queries", id];
 export const queriesQuery = (id: string, filters: LabelFilters) =>
   infiniteQueryOptions({
     queryKey: [...queriesKey(id), filters],
-    queryFn: ({ pageParam: before }) =>
-      unwrap(
-        api.GET("/api/v1/experiments/{experiment_id}/queries", {
-          params: { path: { experiment_id: id }, query: { ...filters, before } },
-        }),
-      ),
+    // Loaded again, the list begins with the same pair: newer ones must not move the row someone works on. A new visit
+    // begins with the newest.
+    queryFn: ({ pageParam, client, queryKey }) => {
+      const first = client.getQueryData<InfiniteData<QueryPage>>(queryKey)?.pages[0]?.items[0];
+      const query = { ...filters, before: pageParam ?? (first ? first.number + 1 : null) };
+      const params = { ...byExperiment(id).params, query };
+      return unwrap(api.GET("/api/v1/experiments/{experiment_id}/queries", { params }));
+    },
     initialPageParam: null as number | null,
     getNextPageParam: (page) => page.next_before,
+    gcTime: 0,
   });
 
 export const qualityQuery = (id: string) =>

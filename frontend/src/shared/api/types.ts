@@ -25,6 +25,7 @@ export type Query = Schemas["Query"];
 export type PracticeFeedback = Schemas["PracticeFeedback"];
 export type RecordedLabel = Schemas["RecordedLabel"];
 export type RecordedQuery = Schemas["RecordedQuery"];
+export type QueryPage = Schemas["QueryPage"];
 export type PredictedPair = Schemas["PredictedPair"];
 export type Recording = Schemas["Recording"];
 export type RecordingCamera = Schemas["RecordingCamera"];
