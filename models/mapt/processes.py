@@ -4,6 +4,7 @@ Imports neither torch nor anything else of this library, so that every package a
 """
 
 import ctypes
+import gc
 import multiprocessing
 import os
 import signal
@@ -240,11 +241,13 @@ def run_jobs(
 
 def _start(do_job: Callable[[J, ParentConnection], Any]) -> _Worker[J]:
     ours, theirs = _SPAWN.Pipe()
-    process = _SPAWN.Process(target=_work, args=(theirs, do_job), daemon=True)
+    process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
     with _environment():
         process.start()
     theirs.close()
-    return _Worker(process, ours)
+    worker = _Worker[J](process, ours)
+    _send(worker, do_job)
+    return worker
 
 
 def _end(workers: Sequence[_Worker[Any]]) -> None:
@@ -258,7 +261,7 @@ def _end(workers: Sequence[_Worker[Any]]) -> None:
             worker.process.join()
 
 
-def _send(worker: _Worker[J], job: J | None) -> None:
+def _send(worker: _Worker[J], job: J | Callable[[J, ParentConnection], Any] | None) -> None:
     # If the worker died while idle, the next `wait` on its connection reports it.
     with suppress(BrokenPipeError, ConnectionResetError):
         worker.connection.send(job)
@@ -286,11 +289,19 @@ def _environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _work(connection: Connection, do_job: Callable[[Any, ParentConnection], object]) -> None:
-    """The main function of a worker: receive a job, send its outcome; None or a closed connection ends the process."""
+def _work(connection: Connection) -> None:
+    """The main function of a worker: receive the job function, then jobs, and send the outcome of each.
+
+    None or a closed connection ends the process.
+    """
     parent = ParentConnection(connection)
     # The parent may be gone when a job ends, and Ctrl-C reaches all processes of a terminal.
     with suppress(EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
+        # Its modules, torch among them, create many objects and no garbage.
+        gc.disable()
+        do_job = connection.recv()
+        gc.enable()
+        gc.freeze()
         while (job := connection.recv()) is not None:
             connection.send(_outcome(do_job, job, parent))
 

@@ -43,7 +43,7 @@ def running_server(home: Path, environment: Mapping[str, str] | None = None) -> 
     log = home / "server.log"
     with log.open("ab") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", "accord.api.server"],
+            [sys.executable, "-m", "accord.start", "accord.api.server"],
             env=os.environ
             | {"ACCORD_HOME": str(home), "ACCORD_PORT": "0", "OMP_NUM_THREADS": "1"}
             | dict(environment or {}),

@@ -112,5 +112,10 @@ class PolicyWorker:
             return any(workers.is_free(session, subject) for subject in ready)
 
 
+def main() -> int:
+    """Runs the worker; returns the exit status of the process."""
+    return run_worker(WorkerRole.POLICY, PolicyWorker, sys.argv[1:])
+
+
 if __name__ == "__main__":
-    sys.exit(run_worker(WorkerRole.POLICY, PolicyWorker, sys.argv[1:]))
+    sys.exit(main())

@@ -227,5 +227,10 @@ class RenderWorker:
         return self._tasks[name]
 
 
+def main() -> int:
+    """Runs the worker; returns the exit status of the process."""
+    return run_worker(WorkerRole.RENDER, RenderWorker, sys.argv[1:])
+
+
 if __name__ == "__main__":
-    sys.exit(run_worker(WorkerRole.RENDER, RenderWorker, sys.argv[1:]))
+    sys.exit(main())

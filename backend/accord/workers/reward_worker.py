@@ -292,5 +292,10 @@ def _start(context: Context) -> RewardWorker:
     return worker
 
 
+def main() -> int:
+    """Runs the worker; returns the exit status of the process."""
+    return run_worker(WorkerRole.REWARD, _start, sys.argv[1:])
+
+
 if __name__ == "__main__":
-    sys.exit(run_worker(WorkerRole.REWARD, _start, sys.argv[1:]))
+    sys.exit(main())

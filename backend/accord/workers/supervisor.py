@@ -26,7 +26,7 @@ class ChildSpec:
 
     #: unique, and the name of its log: api, render-0, ...
     name: str
-    #: arguments after `python -m`; `--parent <pid>` is appended
+    #: module and arguments for `accord.start`; `--parent <pid>` is appended
     arguments: tuple[str, ...]
     #: role of a worker; empty for the API, which has no row
     role: str = ""
@@ -47,7 +47,16 @@ class Child:
         self.log_path = log_folder / f"{spec.name}.log"
         with self.log_path.open("ab") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", *spec.arguments, "--parent", str(os.getpid()), "--log", str(self.log_path)],
+                [
+                    sys.executable,
+                    "-m",
+                    "accord.start",
+                    *spec.arguments,
+                    "--parent",
+                    str(os.getpid()),
+                    "--log",
+                    str(self.log_path),
+                ],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,

@@ -1,5 +1,7 @@
 """Shared by the `mapt` and `accord` commands: subcommands imported on use, --version and exit statuses."""
 
+import atexit
+import gc
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -96,6 +98,8 @@ def run_app(app: Callable[[], None], name: str, errors: tuple[type[Exception], .
     Args:
         errors: exceptions that are printed as one line on stderr and end the process with status 2.
     """
+    # A collection at exit looks at every object of torch: half a second.
+    atexit.register(gc.freeze)
     try:
         app()
     except errors as error:

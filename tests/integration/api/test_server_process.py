@@ -28,7 +28,7 @@ from support.waiting import PATIENCE_SECONDS
 def start_and_fail(home: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a server that is expected to exit with an error."""
     return subprocess.run(
-        [sys.executable, "-m", "accord.api.server"],
+        [sys.executable, "-m", "accord.start", "accord.api.server"],
         env=os.environ | {"ACCORD_HOME": str(home), "ACCORD_PORT": "0"} | environment,
         capture_output=True,
         text=True,
@@ -145,7 +145,7 @@ def test_unknown_role_is_refused(tmp_path: Path) -> None:
 def test_server_of_accord_up_closes_its_database_on_sigterm(tmp_path: Path) -> None:
     with listen("127.0.0.1", 0) as listener:
         process = subprocess.Popen(
-            [sys.executable, "-m", "accord.api.server", "--fd", str(listener.fileno())],
+            [sys.executable, "-m", "accord.start", "accord.api.server", "--fd", str(listener.fileno())],
             env=os.environ | {"ACCORD_HOME": str(tmp_path)},
             pass_fds=[listener.fileno()],
         )

@@ -270,7 +270,7 @@ def start(experiment: RunningExperiment) -> Iterator[Any]:
     }
 
     def start_process() -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "accord.workers.reward_worker", "--parent", str(os.getpid())]
+        command = [sys.executable, "-m", "accord.start", "accord.workers.reward_worker", "--parent", str(os.getpid())]
         processes.append(subprocess.Popen(command, env=os.environ | environment))
         return processes[-1]
 
