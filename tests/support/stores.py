@@ -37,14 +37,13 @@ class Stores:
 
 @contextmanager
 def open_stores(home: Path, database_url: str = "", blob_url: str = "") -> Generator[Stores]:
-    """Migrated stores in a folder: SQLite unless `database_url` names another database, and likewise the blobs."""
+    """A migrated SQLite database and blobs in a folder, unless a URL names others; that database is migrated already."""
     url = database_url or f"sqlite:///{home / 'accord.db'}"
     blob_url = blob_url or f"file://{home / 'blobs'}"
     if not database_url:
         home.mkdir(parents=True, exist_ok=True)
         (home / "accord.db").write_bytes(_migrated_sqlite())
     with closing(Database.open(url)) as database:
-        migrate(database)
         yield Stores(database, open_blobs(blob_url), url, blob_url)
 
 

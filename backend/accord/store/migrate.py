@@ -3,6 +3,7 @@
 A module of its own, so that worker processes do not import Alembic.
 """
 
+from functools import cache
 from pathlib import Path
 
 from alembic import command
@@ -46,8 +47,7 @@ def is_current(database: Database) -> bool:
         DatabaseTooNew, DatabaseUnreachable: as `migrate`.
     """
     with database.reading() as session:
-        connection = session.connection()
-        return _is_current(connection, ScriptDirectory.from_config(alembic_config(connection)))
+        return _is_current(session.connection())
 
 
 def revision(database: Database) -> str | None:
@@ -62,7 +62,7 @@ def revision(database: Database) -> str | None:
 
 def require_known(revision: str | None) -> None:
     """Raises DatabaseTooNew if this version of Accord does not know the revision of a database."""
-    known = {script.revision for script in ScriptDirectory(str(_SCRIPTS)).walk_revisions()}
+    known = {script.revision for script in _scripts().walk_revisions()}
     if revision is not None and revision not in known:
         raise DatabaseTooNew(
             f"The database is at revision {revision!r}, which this version of Accord does not know: a newer version "
@@ -100,13 +100,18 @@ def _upgrade(connection: Connection) -> None:
     """
     if connection.dialect.name == "postgresql":
         connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _POSTGRES_LOCK})
-    settings = alembic_config(connection)
-    if not _is_current(connection, ScriptDirectory.from_config(settings)):
-        command.upgrade(settings, "head")
+    if not _is_current(connection):
+        command.upgrade(alembic_config(connection), "head")
 
 
-def _is_current(connection: Connection, scripts: ScriptDirectory) -> bool:
+@cache
+def _scripts() -> ScriptDirectory:
+    """All migrations. Kept, because it takes 30 ms to read them, and readiness is asked for again and again."""
+    return ScriptDirectory(str(_SCRIPTS))
+
+
+def _is_current(connection: Connection) -> bool:
     """Whether the database is at the newest revision. Raises DatabaseTooNew as `_upgrade`."""
     current = MigrationContext.configure(connection).get_current_revision()
     require_known(current)
-    return current == scripts.get_current_head()
+    return current == _scripts().get_current_head()

@@ -14,6 +14,7 @@ from sqlalchemy import Engine, event, select, text
 
 from accord.domain.enums import Role
 from accord.store.database import Database
+from accord.store.migrate import migrate
 from accord.store.tables import ExperimentRow, LabelRow
 from support.api_in_thread import ApiServer, run_api_server
 from support.sample_experiments import SampleExperiment, create_sample, user
@@ -198,4 +199,5 @@ def test_no_acknowledged_label_is_lost_when_the_disk_fills(tmp_path: Path) -> No
         return filler.unlink
 
     with small_disk(disk), open_stores(home, f"sqlite:///{disk / 'accord.db'}") as stores:
+        migrate(stores.database)
         label_until_full(stores, home, fill)

@@ -1,6 +1,7 @@
 """A child process with one of several behaviours, started by the tests of the supervisor.
 
-`python -m accord.start tiny_process BEHAVIOUR FOLDER --parent PID --log FILE`. Every start appends its pid to FOLDER/starts.
+`python -m accord.start tiny_process BEHAVIOUR FOLDER --parent PID --log FILE`. Every start appends its pid to
+FOLDER/starts.
 
 Behaviours: `sleep` ends at SIGTERM, `ignore-sigterm` does not, `fail` exits with status 3, `spawn` starts a process of
 its own, and `log` logs numbered lines until FOLDER/stop exists. All but `fail` run for ten minutes.
