@@ -343,8 +343,9 @@ def test_a_label_is_changed_in_the_history_and_researchers_see_its_revisions(
     # A known answer needs another pair. It comes while the researcher works on the table, and moves no row.
     other.get_by_role("combobox", name="Label", exact=True).select_option("")
     rows = other.get_by_role("rowheader")
+    expect(rows).not_to_have_count(1)
     shown = int(rows.first.inner_text().split()[0])
-    other.get_by_label(re.compile("^Known answer of pair")).last.select_option("1")
+    other.get_by_label(re.compile("^Known answer of pair")).first.select_option("1")
     newest = "select max(number) from queries where experiment_id = ?"
     until(lambda: service.rows(newest, experiment)[0][0] > shown)
     other.get_by_label("for practice").click()
