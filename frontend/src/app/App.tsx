@@ -2,8 +2,8 @@ import { QueryClient, QueryClientProvider, useQuery } from "@tanstack/react-quer
 import { lazy, Suspense, useEffect } from "react";
 import { SignedOut } from "@/features/session/SignedOut";
 import { onSignedOut } from "@/shared/api/client";
-import { ApiError, errorMessage } from "@/shared/api/errors";
-import { meQuery, shouldRetry } from "@/shared/api/queries";
+import { ApiError, errorMessage, shouldRetry } from "@/shared/api/errors";
+import { meQuery } from "@/shared/api/queries";
 import { OutboxProvider } from "@/shared/outbox/OutboxProvider";
 import { paths } from "@/shared/routing/paths";
 import { usePath } from "@/shared/routing/router";

@@ -61,3 +61,8 @@ function isErrorBody(body: unknown): body is ErrorBody {
 export function errorMessage(error: unknown): string {
   return error instanceof Error ? error.message : String(error);
 }
+
+/** Retries transient errors up to five times. A 401 is not retried: the user has to sign in. */
+export function shouldRetry(failures: number, error: unknown): boolean {
+  return isTransient(error) && !(error instanceof ApiError && error.status === 401) && failures < 5;
+}

@@ -1,6 +1,6 @@
 import { type InfiniteData, infiniteQueryOptions, queryOptions } from "@tanstack/react-query";
 import { api, unwrap } from "./client";
-import { ApiError, isTransient, ServerUnreachable, toApiError } from "./errors";
+import { ServerUnreachable, toApiError } from "./errors";
 import { CURVE_POINTS } from "./metrics";
 import type { operations } from "./schema";
 import type { Credit, QueryPage, RecordingCamera, RewardReport } from "./types";
@@ -245,8 +245,3 @@ export const experimentChoicesQuery = queryOptions({
   queryKey: ["experiment-choices"],
   queryFn: () => unwrap(api.GET("/api/v1/experiments", { params: { query: { limit: 100 } } })),
 });
-
-/** Retries transient errors up to five times. A 401 is not retried: the user has to sign in. */
-export function shouldRetry(failures: number, error: unknown): boolean {
-  return isTransient(error) && !(error instanceof ApiError && error.status === 401) && failures < 5;
-}
