@@ -2,10 +2,15 @@
 
 import io
 import json
+from contextlib import closing
+from datetime import timedelta
 
 import av
 
 from acceptance.accord_service import STEPS_PER_ITERATION, TINY, Accord, Client, alive
+from accord.services import workers
+from accord.store.database import Database
+from accord.store.tables import ClaimRow, WorkerRow, utc_now
 from accord.workers.policy_run import CHECKPOINT_ITERATIONS
 from support.waiting import PATIENCE_SECONDS, until
 
@@ -148,6 +153,23 @@ def test_a_worker_that_hangs_is_killed_and_restarted(accord: Accord) -> None:
         return pid not in (0, hung.pid) and state == "idle"
 
     until(replaced, "another one works in its place")
+
+
+def test_leases_of_before_the_clock_was_set_back_end(accord: Accord) -> None:
+    accord.start(without=["policy", "reward", "render", "child"])
+    ahead = utc_now() + timedelta(hours=1)
+    with closing(Database.open(f"sqlite:///{accord.home / 'accord.db'}")) as database:
+        with database.transaction() as session:
+            session.add(ClaimRow(subject="policy:exp_1", holder="policy-0:1:a", expires_at=ahead))
+            session.add(WorkerRow(id="policy-9", role="policy", pid=0, state="working", heartbeat_at=ahead))
+
+        def ended() -> bool:
+            with database.reading() as session:
+                heartbeat = session.get_one(WorkerRow, "policy-9").heartbeat_at
+                return workers.is_free(session, "policy:exp_1") and heartbeat <= utc_now()
+
+        until(ended, "another worker may do the job")
+    assert "the clock was set back" in accord.log.read_text()
 
 
 def test_a_server_process_that_hangs_is_killed_and_restarted(accord: Accord) -> None:

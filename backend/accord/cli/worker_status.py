@@ -104,9 +104,12 @@ class WorkerStatus:
                 rows = workers.all(session)
                 workers.claim(session, _PROBE, "supervisor", self._lease_seconds)
                 workers.release(session, _PROBE, "supervisor")
+                shortened = workers.shorten_leases(session, self._lease_seconds, self._settings.lease_seconds)
         except (AccordError, SQLAlchemyError):
             self._silent = set()
             return []
+        if shortened:
+            self._log(f"the clock was set back: shortened {shortened} leases, which began before that", SUPERVISOR)
         now = utc_now()
         silent = {
             (self._names[row.id], row.pid, row.heartbeat_at)

@@ -80,3 +80,18 @@ def heartbeat(session: Session, subject: str, holder: str, lease_seconds: float)
 def release(session: Session, subject: str, holder: str) -> None:
     """Releases a claim; does nothing if another worker holds it."""
     workers.drop_claim(session, subject, holder)
+
+
+def shorten_leases(session: Session, claim_seconds: float, query_seconds: float) -> int:
+    """Shortens claims and leases of queries that end later than two that begin now.
+
+    They began before the clock was set back. What a process or a labeller held when it ended would otherwise be held
+    until the clock reaches that time again, and a worker that hangs would seem alive. Clocks of several hosts that
+    differ by less than a lease change nothing.
+
+    Returns:
+        How many there were.
+    """
+    now, claimed_until = now_and_end(2 * claim_seconds)
+    _, leased_until = now_and_end(2 * query_seconds)
+    return workers.shorten_leases(session, now, claimed_until, leased_until)

@@ -2,12 +2,13 @@
 
 from datetime import datetime
 from importlib import import_module
+from typing import Any, cast
 
-from sqlalchemy import delete, func, or_, select, update
+from sqlalchemy import CursorResult, delete, func, or_, select, update
 from sqlalchemy.dialects import sqlite
 from sqlalchemy.orm import Session
 
-from accord.store.tables import Base, ClaimRow, WorkerRow
+from accord.store.tables import Base, ClaimRow, QueryRow, WorkerRow
 
 #: an arbitrary number, other than that of `accord.store.migrate`
 _POSTGRES_LOCK = 7_264_002
@@ -52,6 +53,24 @@ def drop_claim(session: Session, subject: str, holder: str) -> None:
 def claim_holder(session: Session, subject: str, now: datetime) -> str | None:
     """The holder of an unexpired claim; None if nobody holds it."""
     return session.scalar(select(ClaimRow.holder).where(ClaimRow.subject == subject, ClaimRow.expires_at > now))
+
+
+def shorten_leases(session: Session, now: datetime, claimed_until: datetime, leased_until: datetime) -> int:
+    """Ends claims and leases of queries at these times at the latest, and moves heartbeats after the first to `now`.
+
+    Returns:
+        How many claims, leases and heartbeats were later.
+    """
+    later = (
+        update(ClaimRow).where(ClaimRow.expires_at > claimed_until).values(expires_at=claimed_until),
+        # `leased_by` makes this a search in an index.
+        update(QueryRow)
+        .where(QueryRow.leased_by.is_not(None), QueryRow.leased_until > leased_until)
+        .values(leased_until=leased_until),
+        update(WorkerRow).where(WorkerRow.heartbeat_at > claimed_until).values(heartbeat_at=now),
+    )
+    found = (session.execute(each, execution_options={"synchronize_session": False}) for each in later)
+    return sum(cast(CursorResult[Any], each).rowcount for each in found)
 
 
 def lock_claims(session: Session, *, shared: bool) -> None:
