@@ -46,11 +46,11 @@ def test_labels_with_undos_and_a_skip_train_reward_versions_and_the_policy(
     for query in (removed, changed):
         page.keyboard.press("z")
         expect(labeller.pair_view).to_have_attribute("data-query", query)
-        expect(page.get_by_test_id("version-notice")).to_contain_text("Reward version 1 was trained before")
+        expect(page.get_by_test_id("version-notice")).to_contain_text("trained on the label you undid")
     expect(page.get_by_test_id("own-labels")).to_have_text("8")
     new_key = "ArrowLeft" if chosen[changed] == "ArrowRight" else "ArrowRight"
     assert labeller.press(new_key).query == changed
-    expect(page.get_by_test_id("version-notice")).not_to_contain_text("trained before")
+    expect(page.get_by_test_id("version-notice")).not_to_contain_text("the label you undid")
     assert labeller.press("ArrowDown").query == removed
     assert _versions(service, experiment) == first
 

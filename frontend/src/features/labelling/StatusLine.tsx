@@ -68,7 +68,7 @@ function useVersionNotice(experiment: Experiment, undone: number | null): string
   }, [current]);
   const newest = data?.items.find(({ number }) => number === current);
   if (undone && newest && undone <= newest.label_watermark)
-    return `Reward version ${current} was trained before. The next one counts only your new answer.`;
+    return `Reward version ${current} was trained on the label you undid. The next one is not.`;
   if (announced === null) return "";
   const version = data?.items.find(({ number }) => number === announced);
   const accuracy = heldOutAccuracy(version);
