@@ -37,7 +37,7 @@ class Stores:
 
 @contextmanager
 def open_stores(home: Path, database_url: str = "", blob_url: str = "") -> Generator[Stores]:
-    """A migrated SQLite database and blobs in a folder, unless a URL names others; that database is migrated already."""
+    """A migrated SQLite database and blobs in a folder, unless a URL names others; the database is migrated then."""
     url = database_url or f"sqlite:///{home / 'accord.db'}"
     blob_url = blob_url or f"file://{home / 'blobs'}"
     if not database_url:
