@@ -19,10 +19,23 @@ from support.ports import free_port
 from support.waiting import until
 
 REPOSITORY = Path(__file__).parents[2]
+
+
+def may_make_namespaces() -> bool:
+    """Whether this process may start others in a mount and process namespace of their own, as containers have."""
+    if os.geteuid() != 0:
+        return False
+    done = subprocess.run(["unshare", "--mount", "--pid", "--fork", "true"], check=False, capture_output=True)
+    return done.returncode == 0
+
+
 pytestmark = [
     pytest.mark.deployment,
     pytest.mark.timeout(3000),
-    pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("debootstrap"), reason="needs root and debootstrap"),
+    pytest.mark.skipif(
+        not shutil.which("debootstrap") or not may_make_namespaces(),
+        reason="needs debootstrap, and root that may make namespaces",
+    ),
 ]
 
 
