@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 from sqlalchemy import event
 
-from accord.api.routes.events import MAX_STREAMS
+from accord.api.routes.events import MAX_STREAMS, Streams
 from accord.domain.enums import Phase, Role, WorkerRole, WorkerState
 from accord.services import experiments, label, metrics, workers
 from accord.settings import Settings
@@ -187,6 +187,15 @@ def test_a_user_cannot_open_any_number_of_streams(api: ApiServer) -> None:
                 return response.status_code == 200
 
         until(has_room, "closed streams do not count")
+
+
+def test_the_more_streams_are_open_the_less_often_each_wakes() -> None:
+    streams = Streams()
+    intervals: list[float] = []
+    for count in (0, 32, 33, 64, 200):
+        streams.opened["ada"] = count
+        intervals.append(streams.interval_seconds)
+    assert intervals == [0.5, 0.5, 1.0, 1.0, 3.5]
 
 
 def test_streams_of_one_experiment_share_their_looks_at_the_database(api: ApiServer) -> None:
