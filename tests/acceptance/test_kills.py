@@ -140,19 +140,23 @@ def assert_policy_recorded(accord: Accord, id: str) -> None:
     assert all((accord.home / "blobs" / key).is_file() for _, _, key in recorded)
 
 
-def test_a_worker_that_hangs_is_killed_and_restarted(accord: Accord) -> None:
-    accord.start(without=["reward", "render"])
-    until(lambda: "policy" in accord.processes(), "the policy worker runs")
-    hung = accord.processes()["policy"]
-    until(lambda: accord.rows("SELECT pid FROM workers WHERE id = 'policy-0'") == [(hung.pid,)], "it reports")
-    hung.suspend()
-    until(lambda: not alive(hung), "the hung worker is killed")
+def test_a_worker_and_a_server_that_hang_are_killed_and_restarted(accord: Accord) -> None:
+    accord.start({"ACCORD_API_TIMEOUT_SECONDS": "1"}, without=["reward", "render", "child"])
+    worker = until(lambda: accord.processes().get("policy"), "the policy worker runs")
+    until(lambda: accord.rows("SELECT pid FROM workers WHERE id = 'policy-0'") == [(worker.pid,)], "it reports")
+    server = accord.processes()["api"]
+    for hung in (worker, server):
+        hung.suspend()
+    until(lambda: not alive(worker) and not alive(server), "they are killed")
 
     def replaced() -> bool:
         [(pid, state)] = accord.rows("SELECT pid, state FROM workers WHERE id = 'policy-0'")
-        return pid not in (0, hung.pid) and state == "idle"
+        return pid not in (0, worker.pid) and state == "idle"
 
-    until(replaced, "another one works in its place")
+    until(replaced, "another worker works in its place")
+    until(lambda: (api := accord.processes().get("api")) and api.pid != server.pid, "another server runs")
+    assert accord.http.get(f"{accord.url}/api/v1/health", timeout=PATIENCE_SECONDS).is_success
+    assert "unanswered" in accord.log.read_text()
 
 
 def test_leases_of_before_the_clock_was_set_back_end(accord: Accord) -> None:
@@ -170,13 +174,3 @@ def test_leases_of_before_the_clock_was_set_back_end(accord: Accord) -> None:
 
         until(ended, "another worker may do the job")
     assert "the clock was set back" in accord.log.read_text()
-
-
-def test_a_server_process_that_hangs_is_killed_and_restarted(accord: Accord) -> None:
-    accord.start({"ACCORD_API_TIMEOUT_SECONDS": "1"}, without=["policy", "reward", "render", "child"])
-    hung = accord.processes()["api"]
-    hung.suspend()
-    until(lambda: not alive(hung), "the hung process is killed")
-    until(lambda: (api := accord.processes().get("api")) and api.pid != hung.pid, "another one runs")
-    assert accord.http.get(f"{accord.url}/api/v1/health", timeout=PATIENCE_SECONDS).is_success
-    assert "unanswered" in accord.log.read_text()
