@@ -17,7 +17,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 _BASE_IMAGE = re.compile(r"python:3\.11-slim-(?P<release>\w+)")
-_NETWORK_VARIABLES = ("PIP_INDEX_URL", "NODE_EXTRA_CA_CERTS", "SSL_CERT_FILE", "https_proxy", "http_proxy", "no_proxy")
+_NETWORK_VARIABLES = (
+    *("PIP_INDEX_URL", "PIP_FIND_LINKS", "NODE_EXTRA_CA_CERTS", "SSL_CERT_FILE"),
+    *("https_proxy", "http_proxy", "no_proxy"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +62,8 @@ class Image:
         """
         inside = " && ".join(
             [
-                *(f"mount --rbind /{name} {self.root}/{name}" for name in ("dev", "sys")),
+                *(f"mkdir -p {self.root}/{name}" for name in _wheel_folders()),
+                *(f"mount --rbind /{name} {self.root}/{name}" for name in ("dev", "sys", *_wheel_folders())),
                 f"mount -t proc proc {self.root}/proc",
                 f"exec chroot --userspec={self.user} {self.root} /bin/sh -c "
                 + shlex.quote(f"cd {self.folder} && exec {shlex.join(command)}"),
@@ -139,6 +143,12 @@ def _configure(image: Image, instruction: Instruction) -> None:
             pass
         case other:
             raise NotImplementedError(other)
+
+
+def _wheel_folders() -> list[str]:
+    """Folders of this machine in which pip finds packages, such as torch without CUDA, which is gigabytes smaller."""
+    found = os.environ.get("PIP_FIND_LINKS", "").split()
+    return [each.lstrip("/") for each in found if Path(each).is_absolute() and Path(each).is_dir()]
 
 
 def _build_variables() -> dict[str, str]:
