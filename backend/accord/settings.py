@@ -251,15 +251,18 @@ class Settings(BaseSettings):
         """Whether other hosts can use the database."""
         return not self.resolved_database_url.startswith("sqlite")
 
+    @property
+    def worker_host(self) -> str:
+        """The name of this host in the ids of its workers; empty where no other host can have any."""
+        return self.host_name or gethostname()[-30:] if self.shares_database else ""
+
     def worker_id(self, name: str) -> str:
         """The id of a worker's row.
 
         Args:
             name: role and slot, for example policy-0.
         """
-        if not self.shares_database:
-            return name
-        return f"{name}@{self.host_name or gethostname()[-30:]}"
+        return f"{name}@{self.worker_host}" if self.worker_host else name
 
     @property
     def resolved_blob_url(self) -> str:

@@ -81,10 +81,7 @@ def up(
 
     Prints a link that signs the admin in. Ctrl-C stops the service; a second Ctrl-C stops it at once.
     """
-    keep_new_files_private()
-    stop = Stop()
-    stop.install()
-    follow_parent(parent)
+    stop = _begin(parent)
     ready = prepare(load_settings(home, host, port, allow_plain_http=True if allow_plain_http else None))
     with _closing(ready):
         announce(ready, example)
@@ -104,16 +101,20 @@ def workers(
     ACCORD_POLICY_WORKERS and the like say how many workers start. When another host dies, its work is taken over after
     ACCORD_WORKER_LEASE_SECONDS. Ctrl-C stops the workers; a second Ctrl-C stops them at once.
     """
+    stop = _begin(parent)
+    ready = prepare_workers(load_settings(home))
+    with _closing(ready):
+        print_line(f"[bold]Workers[/bold] of {escape(ready.settings.worker_host)} are starting. Ctrl-C stops them.")
+        _serve(ready, stop)
+
+
+def _begin(parent: int) -> Stop:
+    """Prepare this process, which ends with its parent. Returns the requests to stop it."""
     keep_new_files_private()
     stop = Stop()
     stop.install()
     follow_parent(parent)
-    ready = prepare_workers(load_settings(home))
-    with _closing(ready):
-        print_line(
-            f"[bold]Workers[/bold] of {escape(ready.settings.worker_id('')[1:])} are starting. Ctrl-C stops them."
-        )
-        _serve(ready, stop)
+    return stop
 
 
 @contextmanager

@@ -49,7 +49,7 @@ class WorkerStatus:
         roles = {self._settings.worker_id(spec.name): WorkerRole(spec.role) for spec in specs if spec.role}
         self._names = {self._settings.worker_id(spec.name): spec.name for spec in specs if spec.role}
         with self._database.transaction() as session:
-            workers.forget_others(session, set(roles), self._settings.worker_id(""))
+            workers.forget_others(session, set(roles), self._settings.worker_host)
             for id, role in roles.items():
                 workers.report(session, id, role, 0, WorkerState.STARTING, restarts=0)
 
@@ -109,7 +109,7 @@ class WorkerStatus:
             self._silent = set()
             return []
         if shortened:
-            self._log(f"the clock was set back: shortened {shortened} leases, which began before that", SUPERVISOR)
+            self._log(f"the clock was set back: corrected {shortened} leases and heartbeats of before", SUPERVISOR)
         now = utc_now()
         silent = {
             (self._names[row.id], row.pid, row.heartbeat_at)

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from accord.domain.errors import BlobDamaged, Invalid, SegmentNotFound
 from accord.domain.ids import new_id
 from accord.store import segments
-from accord.store.blobs import BlobStore, with_checksum, without_checksum
+from accord.store.blobs import BlobStore, put_with_checksum, without_checksum
 from accord.store.tables import SegmentRow
 
 _MUJOCO_VERSION = version("mujoco")
@@ -71,9 +71,7 @@ def store_arrays(blobs: BlobStore, experiment_id: str, segment: NewSegment) -> S
         if not np.isfinite(array).all():
             raise Invalid(f"{name} contains a value that is not finite.", name)
     segment_id = new_id("seg")
-    content = save(arrays)
-    key = with_checksum(f"segments/{experiment_id}/{segment_id}.safetensors", content)
-    blobs.put(key, content)
+    key = put_with_checksum(blobs, f"segments/{experiment_id}/{segment_id}.safetensors", save(arrays))
     return StoredSegment(
         id=segment_id,
         blob_key=key,

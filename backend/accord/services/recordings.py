@@ -15,7 +15,7 @@ from accord.domain.errors import RecordingNotFound
 from accord.domain.ids import new_id
 from accord.services import blob_deletion, experiments
 from accord.store import recordings
-from accord.store.blobs import BlobStore, with_checksum
+from accord.store.blobs import BlobStore, put_with_checksum
 from accord.store.recordings import NumberedRecording
 from accord.store.tables import RecordingRow
 
@@ -48,9 +48,7 @@ def store_states(
     """
     id = new_id("rec")
     content = save({"qpos": qpos, "qvel": qvel})
-    key = with_checksum(f"recordings/{experiment_id}/{id}.safetensors", content)
-    blobs.put(key, content)
-    return id, key
+    return id, put_with_checksum(blobs, f"recordings/{experiment_id}/{id}.safetensors", content)
 
 
 def add(session: Session, recording: RecordingRow) -> list[str]:

@@ -51,11 +51,11 @@ def forget_others(session: Session, ids: set[str], host: str) -> None:
 
     Args:
         ids: of the workers of this host.
-        host: what the ids of its workers end with, for example @gpu1; empty where ids name no host.
+        host: `Settings.worker_host`.
     """
     silent_since = utc_now() - _FORGOTTEN_AFTER
     for row in workers.workers(session):
-        here = row.id.endswith(host) if host else "@" not in row.id
+        here = row.id.partition("@")[2] == host
         if row.id not in ids and (here or row.heartbeat_at < silent_since):
             session.delete(row)
 

@@ -223,6 +223,13 @@ def with_checksum(key: str, *content: bytes) -> str:
     return f"{stem}-{digest.hexdigest()}.{suffix}"
 
 
+def put_with_checksum(blobs: BlobStore, key: str, content: bytes) -> str:
+    """Stores a blob under the key that `with_checksum` makes of `key`, and returns that. Raises as `BlobStore.put`."""
+    key = with_checksum(key, content)
+    blobs.put(key, content)
+    return key
+
+
 def without_checksum(key: str) -> str:
     """The key that was given to `with_checksum`; earlier versions of Accord stored blobs under such keys."""
     return _CHECKSUM.sub(r"\2", key)

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from accord.domain.errors import BlobDamaged
 from accord.domain.ids import new_id
 from accord.services.publish import card_key, ensemble_key
-from accord.store.blobs import BlobStore, with_checksum
+from accord.store.blobs import BlobStore, put_with_checksum, with_checksum
 from accord.store.tables import RewardVersionRow
 from mapt.errors import DamagedCheckpoint
 from mapt.policies import Learner
@@ -58,10 +58,8 @@ def store_checkpoint(blobs: BlobStore, experiment_id: str, steps: int, checkpoin
         BlobsNotWritable: if the blobs are read-only or full.
     """
     # A restarted worker may write another checkpoint at the same step.
-    content = checkpoint.to_bytes()
-    key = with_checksum(f"policies/{experiment_id}/{steps:012d}-{secrets.token_hex(4)}.safetensors", content)
-    blobs.put(key, content)
-    return key
+    key = f"policies/{experiment_id}/{steps:012d}-{secrets.token_hex(4)}.safetensors"
+    return put_with_checksum(blobs, key, checkpoint.to_bytes())
 
 
 def read_checkpoint(blobs: BlobStore, key: str, task: Task) -> tuple[RewardContext, Learner]:

@@ -24,7 +24,7 @@ from accord.services import clip_views, clips
 from accord.services.clip_views import ViewJob
 from accord.services.clips import ClipJob, StoredClip, clips_folder
 from accord.services.collect import load_arrays, replayed_clip_key
-from accord.store.blobs import with_checksum
+from accord.store.blobs import put_with_checksum
 from accord.workers.runner import Context, run_worker
 from mapt.rendering.encode import ClipFile
 from mapt.rendering.settings import Camera, RenderSettings
@@ -125,7 +125,7 @@ class RenderWorker:
             try:
                 if task_spec(job.task).nq == 0:
                     raise RenderFailed(f"{job.task} renders itself, from one direction.")
-                _, _, blob_key = self._render_states(
+                made = self._render_states(
                     process, job.task, job.states_blob_key, job.folder, job.replaces, camera=job.camera.value
                 )
             except RenderFailed as error:
@@ -138,24 +138,15 @@ class RenderWorker:
                     clip_views.release(session, job, context.holder)
                 raise
             with context.database.transaction() as session:
-                wanted = clip_views.finish(session, job, blob_key, context.blobs.size(blob_key))
+                wanted = clip_views.finish(session, job, made.blob_key, made.size_bytes)
             if not wanted:
-                context.blobs.delete(blob_key)
+                context.blobs.delete(made.blob_key)
 
     def _render_and_store(self, process: RenderProcess, job: ClipJob) -> StoredClip:
         if task_spec(job.task).nq == 0:
             return self._replayed_clip(job)
-        key, clip, blob_key = self._render_states(
+        return self._render_states(
             process, job.task, job.segment_blob_key, clips_folder(job.experiment_id), job.replaces
-        )
-        return StoredClip(
-            cache_key=key,
-            blob_key=blob_key,
-            size_bytes=self._context.blobs.size(blob_key),
-            frames=clip.frames,
-            seconds=clip.seconds,
-            width=clip.width,
-            height=clip.height,
         )
 
     def _render_states(
@@ -167,8 +158,8 @@ class RenderWorker:
         replaces: str | None,
         *,
         camera: Camera = "follow",
-    ) -> tuple[str, ClipFile, str]:
-        """Render states and store the clip; return its cache key, its properties, and the key of its blob."""
+    ) -> StoredClip:
+        """Render states and store the clip."""
         try:
             arrays = load_arrays(self._context.blobs, states_blob_key)
         except BlobUnreadable as error:
@@ -183,12 +174,18 @@ class RenderWorker:
             content = path.read_bytes()
         finally:
             path.unlink()
-        # Encoding varies from run to run, so equal states may have several videos.
-        blob_key = with_checksum(f"{folder}/{key}.mp4", content)
         if replaces is not None:
             self._context.blobs.delete(replaces)  # a key keeps its blob, also a damaged one
-        self._context.blobs.put(blob_key, content)
-        return key, clip, blob_key
+        return StoredClip(
+            cache_key=key,
+            # Encoding varies from run to run, so equal states may have several videos.
+            blob_key=put_with_checksum(self._context.blobs, f"{folder}/{key}.mp4", content),
+            size_bytes=len(content),
+            frames=clip.frames,
+            seconds=clip.seconds,
+            width=clip.width,
+            height=clip.height,
+        )
 
     def _replayed_clip(self, job: ClipJob) -> StoredClip:
         """The clip that `accord.workers.replayed_clips` stored with the segment.

@@ -45,18 +45,11 @@ class Child:
         """Start it. Its standard output and error go to `<name>.log`, which it opens again when it was renamed."""
         self.spec = spec
         self.log_path = log_folder / f"{spec.name}.log"
+        command = [sys.executable, "-m", "accord.start", *spec.arguments]
+        command += ["--parent", str(os.getpid()), "--log", str(self.log_path)]
         with self.log_path.open("ab") as log:
             self._process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "accord.start",
-                    *spec.arguments,
-                    "--parent",
-                    str(os.getpid()),
-                    "--log",
-                    str(self.log_path),
-                ],
+                command,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,

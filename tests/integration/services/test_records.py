@@ -225,7 +225,7 @@ def test_workers_that_are_gone_are_forgotten(stores: Stores) -> None:
         session.get_one(WorkerRow, "policy-0@dead").heartbeat_at = utc_now() - timedelta(days=2)
         session.get_one(WorkerRow, "policy-0@here").heartbeat_at = utc_now() - timedelta(days=2)
     with stores.database.transaction() as session:
-        workers.forget_others(session, {"policy-0@here"}, "@here")
+        workers.forget_others(session, {"policy-0@here"}, "here")
     with stores.database.reading() as session:
         assert [row.id for row in workers.all(session)] == ["policy-0@here", "policy-0@there"]
 
