@@ -48,6 +48,9 @@ class Batch:
     returns: Tensor
     #: bool (N, B, A); None if every action is always available.
     available: Tensor | None = None
+    #: (N, B): 1 where the agent had a choice, 0 where it had a single action, as a dead agent has; None if all always
+    #: have a choice.
+    alive: Tensor | None = None
 
     def samples(self, index: Tensor) -> "Batch":
         """The samples of an index (b,)."""
@@ -59,6 +62,7 @@ class Batch:
             self.state.index_select(0, index),
             self.returns.index_select(0, index),
             None if self.available is None else self.available.index_select(1, index),
+            None if self.alive is None else self.alive.index_select(1, index),
         )
 
     def of_agent(self, agent: int) -> "Batch":
@@ -71,6 +75,7 @@ class Batch:
             log_probs=self.log_probs[own],
             advantages=self.advantages[own],
             available=None if self.available is None else self.available[own],
+            alive=None if self.alive is None else self.alive[own],
         )
 
 
@@ -108,7 +113,8 @@ class PPOUpdate:
                     minibatch.observations, minibatch.state, minibatch.actions, minibatch.available
                 )
                 log_ratio = log_probs - minibatch.log_probs
-                actor_loss = clipped_surrogate_loss(log_ratio, minibatch.advantages, config.clip)
+                actor_loss = clipped_surrogate_loss(log_ratio, minibatch.advantages, config.clip, minibatch.alive)
+                entropy = mean_of_alive(entropy, minibatch.alive)
                 critic_loss = F.mse_loss(values, minibatch.returns)
                 loss = actor_loss + config.value_weight * critic_loss
                 if config.entropy_weight:
@@ -120,7 +126,7 @@ class PPOUpdate:
                 optimiser.step()
                 if epoch == config.epochs - 1:
                     step_metrics = {"critic_loss": critic_loss.detach(), "gradient_norm": gradient_norm}
-                    metrics.append(step_metrics | actor_metrics(actor_loss, entropy, log_ratio, config.clip))
+                    metrics.append(step_metrics | actor_metrics(actor_loss, entropy, log_ratio, minibatch, config))
         return metrics
 
 
@@ -149,18 +155,18 @@ class HAPPOUpdate:
                 for minibatch in shuffled_minibatches(weighted, config, generator):
                     distribution = actor(minibatch.observations, minibatch.available)
                     log_ratio = distribution.log_prob(minibatch.actions) - minibatch.log_probs
-                    actor_loss = clipped_surrogate_loss(log_ratio, minibatch.advantages, config.clip)
+                    actor_loss = clipped_surrogate_loss(log_ratio, minibatch.advantages, config.clip, minibatch.alive)
                     loss = actor_loss
                     if config.entropy_weight:
-                        loss = loss - config.entropy_weight * distribution.entropy()
+                        loss = loss - config.entropy_weight * mean_of_alive(distribution.entropy(), minibatch.alive)
 
                     optimiser.zero_grad()
                     loss.backward()
                     gradient_norm = clip_gradients(optimiser.parameters, config.max_gradient_norm)
                     optimiser.step()
                     if epoch == config.epochs - 1:
-                        entropy = distribution.entropy()
-                        step_metrics = actor_metrics(actor_loss, entropy, log_ratio, config.clip)
+                        entropy = mean_of_alive(distribution.entropy(), minibatch.alive)
+                        step_metrics = actor_metrics(actor_loss, entropy, log_ratio, minibatch, config)
                         metrics.append(step_metrics | {"gradient_norm": gradient_norm})
             metrics.append({"factor_spread": factor.std()})
             with torch.no_grad():
@@ -179,16 +185,31 @@ class HAPPOUpdate:
         return metrics
 
 
-def clipped_surrogate_loss(log_ratio: Tensor, advantages: Tensor, clip: float) -> Tensor:
+def clipped_surrogate_loss(log_ratio: Tensor, advantages: Tensor, clip: float, alive: Tensor | None = None) -> Tensor:
     """Negative of PPO's clipped surrogate objective (Schulman et al. 2017, eq. 7), ().
 
     Args:
         log_ratio: log-probabilities of the actions now, less those when they were sampled, any shape.
         advantages: of the same shape.
         clip: PPO's epsilon.
+        alive: of the same shape; the mean is over the ones only.
     """
     ratio = log_ratio.exp()
-    return -torch.min(ratio * advantages, ratio.clamp(1.0 - clip, 1.0 + clip) * advantages).mean()
+    gain = torch.min(ratio * advantages, ratio.clamp(1.0 - clip, 1.0 + clip) * advantages)
+    return -(gain if alive is None else gain * alive).mean() / share_alive(alive)
+
+
+def mean_of_alive(mean: Tensor, alive: Tensor | None) -> Tensor:
+    """The mean over living agents, (), from the mean over all of a quantity that is 0 for the others."""
+    return mean / share_alive(alive)
+
+
+def share_alive(alive: Tensor | None) -> Tensor | float:
+    """The share of living agents; 1 if there are none, whose losses are 0 in any case."""
+    if alive is None:
+        return 1.0
+    share = alive.mean()
+    return torch.where(share > 0, share, 1.0)
 
 
 def clip_gradients(parameters: Sequence[nn.Parameter], max_norm: float) -> Tensor:
@@ -204,15 +225,18 @@ def clip_gradients(parameters: Sequence[nn.Parameter], max_norm: float) -> Tenso
 
 
 @torch.no_grad()
-def actor_metrics(actor_loss: Tensor, entropy: Tensor, log_ratio: Tensor, clip: float) -> Metrics:
+def actor_metrics(
+    actor_loss: Tensor, entropy: Tensor, log_ratio: Tensor, minibatch: Batch, config: PolicyConfig
+) -> Metrics:
     """Metrics of one gradient step: loss, entropy, and how far the policy has moved from the one that acted."""
+    # An agent without a choice has a ratio of 1, which adds 0 to both sums.
     ratio = log_ratio.exp()
     return {
         "actor_loss": actor_loss.detach(),
         "entropy": entropy.detach(),
         # Schulman's low-variance estimate of KL(old, new).
-        "kl": (ratio - 1.0 - log_ratio).mean(),
-        "clip_fraction": ((ratio - 1.0).abs() > clip).float().mean(),
+        "kl": mean_of_alive((ratio - 1.0 - log_ratio).mean(), minibatch.alive),
+        "clip_fraction": mean_of_alive(((ratio - 1.0).abs() > config.clip).float().mean(), minibatch.alive),
     }
 
 
@@ -258,12 +282,14 @@ def make_batch(
         "return_mean": float(returns.mean()),
         "return_std": float(returns.std()),
     }
+    available = rollout.available_actions
+    alive = None if available is None else available.sum(axis=-1) > 1
     # Normalised over all agents together: an agent whose actions matter little keeps its small advantages.
-    advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+    counted = advantages if alive is None or not alive.any() else advantages[alive]
+    advantages = (advantages - counted.mean()) / (counted.std() + 1e-8)
 
     flat_returns = _flat(policy, returns)
     policy.critic.update_statistics(flat_returns)
-    available = rollout.available_actions
     batch = Batch(
         observations=observations,
         actions=_agent_first(policy, rollout.sampled_actions),
@@ -272,6 +298,8 @@ def make_batch(
         state=state,
         returns=policy.critic.statistics.normalise(flat_returns),
         available=None if available is None else _agent_first(policy, available),
+        # The critic's loss counts dead agents, too: the values of the steps before their death build on these.
+        alive=None if alive is None else _agent_first(policy, alive).float(),
     )
     return batch, metrics
 

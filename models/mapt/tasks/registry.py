@@ -27,6 +27,7 @@ from mapt.tasks.robots import (
     swimmer,
     walker2d,
 )
+from mapt.tasks.skirmish import task as skirmish
 
 #: Default distance in edges up to which an agent observes other joints: gymnasium-robotics' 1, not the paper's 0. With
 #: 1, true returns were higher in every pair of runs. HalfCheetah-6x1 after 300,000 steps of MAPPO, seeds 0 and 1: 5,199
@@ -48,7 +49,7 @@ _ROBOTS = (
     many_segments,
 )
 _DEFINITIONS: dict[str, TaskDefinition] = {
-    definition.name: definition for definition in chain.from_iterable(robot.TASKS for robot in _ROBOTS)
+    definition.name: definition for definition in chain(skirmish.TASKS, *(robot.TASKS for robot in _ROBOTS))
 }
 _imported: set[str] = set()
 #: re-entrant: a task file may look tasks up while it is imported

@@ -13,7 +13,8 @@ from integration.rendering.drawing import Drawing
 from mapt.rendering.appearance import AGENT_COLOURS, moving_geoms, rgb_bytes
 from mapt.rendering.camera import cameras_of
 from mapt.rendering.settings import RenderSettings
-from mapt.tasks import agent_geoms, load_model, make_task, task_names, task_spec
+from mapt.tasks import agent_geoms, load_model, make_task, task_spec
+from support.mujoco_tasks import MUJOCO_TASKS
 
 SMALL = RenderSettings(width=320, height=240)
 FRAMES = 8
@@ -47,7 +48,7 @@ def pixels_of(frames: NDArray[np.uint8], agents: tuple[int, ...]) -> NDArray[np.
     return found
 
 
-@pytest.mark.parametrize("task", task_names())
+@pytest.mark.parametrize("task", MUJOCO_TASKS)
 def test_whole_body_is_in_every_frame_and_large_enough(drawing: Drawing, task: str) -> None:
     qpos = states(task)
     # One agent moves all geoms, so every part is orange.
@@ -63,7 +64,7 @@ def test_whole_body_is_in_every_frame_and_large_enough(drawing: Drawing, task: s
         assert share > 0.25, f"the body takes {share:.0%} of the frame"
 
 
-@pytest.mark.parametrize("task", [name for name in task_names() if task_spec(name).n_agents <= 6])
+@pytest.mark.parametrize("task", [name for name in MUJOCO_TASKS if task_spec(name).n_agents <= 6])
 def test_every_agent_of_a_small_team_is_visible_in_its_colour(drawing: Drawing, task: str) -> None:
     geoms = [list(own) for own in agent_geoms(task)]
     frames = drawing.frames(states(task)[:3], geoms, SMALL, task)

@@ -1,6 +1,7 @@
 """PPO: advantages, the clipped surrogate loss, and the updates against straightforward implementations."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,11 @@ from torch.distributions import Normal
 from learning.identity_task import IdentityTask
 from mapt.errors import TrainingDiverged
 from mapt.policies import Learner, PolicyConfig
+from mapt.policies.config import Algorithm
+from mapt.policies.learner import make_update
 from mapt.policies.networks import ActorCritic
 from mapt.policies.ppo import ADAM_EPSILON, clip_gradients, clipped_surrogate_loss, gae, make_batch, team_rewards
+from mapt.tasks import make_task
 
 pytestmark = pytest.mark.numerics
 
@@ -183,3 +187,36 @@ def test_happo_update_equals_a_plain_implementation() -> None:
         for name, tensor in parameters.items():
             ours = learner.policy.actor.get_parameter(name)[agent]
             torch.testing.assert_close(ours, tensor, atol=TOLERANCE, rtol=0)
+
+
+def test_the_surrogate_loss_is_the_mean_over_living_agents() -> None:
+    log_ratio, advantages = torch.tensor([[0.02, 0.01], [0.0, 0.0]]), torch.tensor([[1.0, 3.0], [50.0, -70.0]])
+    alive = torch.tensor([[1.0, 1.0], [0.0, 0.0]])
+    loss = clipped_surrogate_loss(log_ratio, advantages, 0.1, alive)
+    torch.testing.assert_close(loss, clipped_surrogate_loss(log_ratio[:1], advantages[:1], 0.1))
+    assert clipped_surrogate_loss(log_ratio, advantages, 0.1, torch.zeros(2, 2)) == 0
+
+
+@pytest.mark.parametrize("algorithm", ["mappo", "happo", "mat"])
+def test_dead_agents_do_not_train_the_actors(algorithm: Algorithm) -> None:
+    config = PolicyConfig.named(algorithm, n_envs=4, rollout_steps=30, epochs=1, minibatches=2, device="cpu")
+    learners = [Learner(make_task("3m", 4), config) for _ in range(2)]
+    batches = []
+    for learner in learners:
+        rollout = learner.collect()
+        batches.append(make_batch(learner.policy, rollout, team_rewards(rollout.rewards, rollout), config)[0])
+    dead = batches[0].alive == 0
+    assert 0 < dead.float().mean() < 1
+    assert batches[0].available is not None
+    assert torch.equal(dead, batches[0].available.sum(-1) == 1)
+    counted = batches[0].advantages[~dead]
+    assert counted.mean().abs() < 1e-5
+    assert counted.std() == pytest.approx(1.0, rel=1e-2)
+    changed = replace(batches[1], advantages=torch.where(dead, 1000.0, batches[1].advantages))
+    metrics = [
+        make_update(learner.policy, config).run(batch, torch.Generator().manual_seed(0))
+        for learner, batch in zip(learners, (batches[0], changed), strict=True)
+    ]
+    assert metrics[0][0]["actor_loss"] == metrics[1][0]["actor_loss"]
+    for ours, theirs in zip(*(learner.policy.parameters() for learner in learners), strict=True):
+        assert torch.equal(ours, theirs)

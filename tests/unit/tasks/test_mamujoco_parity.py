@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapt.tasks import TaskStep, load_model, make_task, task_names
+from mapt.tasks import TaskStep, load_model, make_task
 from mapt.tasks.registry import find_definition
+from support.mujoco_tasks import MUJOCO_TASKS
 from unit.tasks.mamujoco import Reference, assert_close, assert_same_observations
 
 DEPTHS = (0, 1, 2, 5)
@@ -31,7 +32,7 @@ def assert_same_step(ours: TaskStep, theirs: Reference, actions: np.ndarray, act
     assert (ours.terminated[0], ours.truncated[0]) == (step.terminated, step.truncated)
 
 
-@pytest.mark.parametrize("name", task_names())
+@pytest.mark.parametrize("name", MUJOCO_TASKS)
 def test_steps_and_resets_equal_gymnasium_robotics_at_every_agent_obsk(name: str) -> None:
     shared = len(find_definition(name).robot.partition.shared)
     tasks = {
@@ -86,7 +87,7 @@ def test_single_agent_observes_the_state_and_drives_every_joint(name: str) -> No
         assert_close(step.final_observations[0, 0], observation)
 
 
-@pytest.mark.parametrize("name", sorted({name.split("-")[0]: name for name in task_names()}.values()))
+@pytest.mark.parametrize("name", sorted({name.split("-")[0]: name for name in MUJOCO_TASKS}.values()))
 def test_initial_states_have_gymnasiums_distribution(name: str) -> None:
     n = 200
     theirs = Reference(name, (0,))

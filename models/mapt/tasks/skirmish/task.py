@@ -1,0 +1,225 @@
+"""The skirmish tasks: observations, state, masks and rewards as SMAC publishes them, on battles of our own.
+
+The agents control one unit each. The enemies are scripted by us, not by StarCraft II: see `Battle`.
+"""
+
+# mujoco is compiled and ships no stubs.
+# pyright: reportAttributeAccessIssue=false
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mapt.errors import InvalidAction, InvalidConfig, NoSimulator
+from mapt.tasks.protocol import Task, TaskSpec, TaskStep
+from mapt.tasks.skirmish.battle import NOBODY, Battle
+from mapt.tasks.skirmish.features import FIRST_TARGET, MOVES, NORTH, Features, View
+from mapt.tasks.skirmish.maps import (
+    BEST_RETURN,
+    KILL_REWARD,
+    LOOPS_PER_SECOND,
+    LOOPS_PER_STEP,
+    MAPS,
+    MOVE_DISTANCE,
+    WIN_REWARD,
+    SkirmishMap,
+)
+from mapt.tasks.snapshot import load_snapshot, take_snapshot
+
+#: numbers of one unit in `Skirmish.simulator_state`: x, y, health, shield, and the unit that it hit or healed
+DRAWN_NUMBERS = 5
+
+INSTRUCTIONS = (
+    "The agents fight a battle and should win it: all enemies destroyed, and as many of their own alive as possible. "
+    "Good teams shoot at the same enemy, pull back those who are hurt, and do not run into the enemies one by one."
+)
+
+
+class Skirmish:
+    """A `MaskingTask`: E battles on one map.
+
+    An episode terminates when one side has nobody left who can attack, and is truncated at the map's limit.
+
+    Args:
+        spec: `SkirmishDefinition.spec`'s result.
+        n_envs: number of environments, E.
+        agent_index: append the agent's one-hot index to its observation.
+        dtype: of observations and state.
+
+    Raises:
+        InvalidConfig: if `n_envs` is less than 1.
+    """
+
+    def __init__(
+        self, spec: TaskSpec, battle_map: SkirmishMap, *, n_envs: int, agent_index: bool, dtype: type[np.floating]
+    ) -> None:
+        if n_envs < 1:
+            raise InvalidConfig(f"n_envs must be 1 or more, got {n_envs}.", "n_envs")
+        self._spec, self._map, self._n_envs, self._dtype = spec, battle_map, n_envs, dtype
+        self._features = Features(battle_map, agent_index)
+        self._battle = battle = Battle(battle_map, n_envs)
+        self._healer = battle.heals[: spec.n_agents]
+        self._elapsed_steps = np.zeros(n_envs, np.int64)
+        #: (E, N): the actions before the current states
+        self._last_actions = np.full((n_envs, spec.n_agents), NOBODY, np.int64)
+        self._available = np.zeros((n_envs, spec.n_agents, spec.action_dim), bool)
+        #: bool (E,): the last step won the battle
+        self.won = np.zeros(n_envs, bool)
+        self._rng = np.random.default_rng(0)
+
+        strength = (battle.max_health + battle.max_shield)[spec.n_agents :]
+        best = strength.sum() + KILL_REWARD * len(strength) + WIN_REWARD
+        self._reward_scale = BEST_RETURN / best
+
+    @property
+    def spec(self) -> TaskSpec:
+        return self._spec
+
+    @property
+    def n_envs(self) -> int:
+        return self._n_envs
+
+    def reset(self, seed: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        self._rng = np.random.default_rng(seed)
+        self._start_episodes(np.arange(self._n_envs))
+        return self._observe(np.arange(self._n_envs))
+
+    def step(self, actions: NDArray[np.floating]) -> TaskStep:
+        chosen = self._check(actions)
+        battle, enemies = self._battle, slice(self._spec.n_agents, None)
+        before, alive_before = battle.health + battle.shield, battle.health > 0
+        self._fight(chosen)
+        self._last_actions = chosen
+        self._elapsed_steps += 1
+
+        alive = battle.health > 0
+        lost = (before - battle.health - battle.shield)[:, enemies].sum(axis=1)
+        killed = (alive_before & ~alive)[:, enemies].sum(axis=1)
+        agents_left, enemies_left = self._can_fight(alive)
+        self.won = agents_left & ~enemies_left
+        # SMAC's rule: a step in which shields recover more than is lost counts as a reward, too.
+        reward = (np.abs(lost + KILL_REWARD * killed) + WIN_REWARD * self.won) * self._reward_scale
+        terminated = ~(agents_left & enemies_left)
+        truncated = (self._elapsed_steps >= self._spec.horizon_steps) & ~terminated
+
+        final_observations, final_state = observations, state = self._observe(np.arange(self._n_envs))
+        ended = np.flatnonzero(terminated | truncated)
+        if ended.size:
+            self._start_episodes(ended)
+            observations, state = observations.copy(), state.copy()
+            observations[ended], state[ended] = self._observe(ended)
+        return TaskStep(observations, state, reward, terminated, truncated, final_observations, final_state)
+
+    def available_actions(self) -> NDArray[np.bool_]:
+        return self._available.copy()
+
+    def simulator_state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What a drawing shows (E, U * 5), see `DRAWN_NUMBERS`, and nothing (E, 0)."""
+        battle = self._battle
+        drawn = np.stack([battle.x, battle.y, battle.health, battle.shield, battle.hit.astype(float)], axis=2)
+        return drawn.reshape(self._n_envs, -1), np.zeros((self._n_envs, 0))
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        return take_snapshot(self._snapshot_arrays(), self._rng)
+
+    def restore(self, snapshot: dict[str, np.ndarray]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        self._rng = load_snapshot(snapshot, self._snapshot_arrays(), self._spec.name)
+        return self._observe(np.arange(self._n_envs))
+
+    def close(self) -> None:
+        """Does nothing: there are only arrays."""
+
+    def _snapshot_arrays(self) -> dict[str, np.ndarray]:
+        own = {"elapsed_steps": self._elapsed_steps, "last_actions": self._last_actions}
+        return {**self._battle.arrays(), **own}
+
+    def _check(self, actions: NDArray[np.floating]) -> NDArray[np.int64]:
+        """The number of each agent's action, (E, N)."""
+        expected = self._available.shape
+        if actions.shape != expected or not np.isfinite(actions.sum()):
+            raise InvalidAction(f"Actions must be finite and have shape {expected}, got {actions.shape}.")
+        chosen = actions.argmax(axis=2)
+        allowed = np.take_along_axis(self._available, chosen[..., None], 2)[..., 0]
+        if not allowed.all():
+            env, agent = np.argwhere(~allowed)[0]
+            raise InvalidAction(
+                f"Action {chosen[env, agent]} of agent {agent} in environment {env} is not available. "
+                "Choose among available_actions()."
+            )
+        return chosen
+
+    def _fight(self, chosen: NDArray[np.int64]) -> None:
+        """Carry out the agents' actions for the game loops of one step."""
+        battle, n = self._battle, self._spec.n_agents
+        # Targets are enemies for those who attack, and agents for those who heal.
+        target = chosen - FIRST_TARGET + np.where(self._healer, 0, n)
+        battle.target[:, :n] = np.where(chosen >= FIRST_TARGET, target, NOBODY)
+        moves = (chosen >= NORTH) & (chosen < FIRST_TARGET)
+        along_x, along_y = MOVE_DISTANCE * MOVES[np.where(moves, chosen - NORTH, len(MOVES) - 1)].transpose(2, 0, 1)
+        goal_x, goal_y = battle.x[:, :n] + along_x, battle.y[:, :n] + along_y
+        battle.hit = np.full_like(battle.hit, NOBODY)
+        for _ in range(LOOPS_PER_STEP):
+            battle.loop(goal_x, goal_y)
+
+    def _can_fight(self, alive: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Whether agents, and enemies, have anybody left who can attack: (E,) each."""
+        able, n = alive & self._battle.armed, self._spec.n_agents
+        return np.logical_or.reduce(able[:, :n], axis=1), np.logical_or.reduce(able[:, n:], axis=1)
+
+    def _start_episodes(self, envs: NDArray[np.intp]) -> None:
+        self._battle.start(envs, self._rng)
+        self._elapsed_steps[envs] = 0
+        self._last_actions[envs] = NOBODY
+
+    def _observe(self, envs: NDArray[np.intp]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Observations and state of these environments, whose available actions are updated."""
+        view = View.of(self._battle, envs)
+        self._available[envs] = available = self._features.available_actions(view)
+        observations = self._features.observations(view, available, self._dtype)
+        return observations, self._features.state(view, self._last_actions[envs], self._dtype)
+
+
+@dataclass(frozen=True, slots=True)
+class SkirmishDefinition:
+    """A `TaskDefinition` of one map. It ignores `agent_obsk` and `n_threads`."""
+
+    map: SkirmishMap
+
+    @property
+    def name(self) -> str:
+        return self.map.name
+
+    def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
+        features = Features(self.map, agent_index)
+        return TaskSpec(
+            name=self.name,
+            n_agents=len(self.map.agents),
+            observation_dim=features.observation_dim,
+            action_dim=features.n_actions,
+            state_dim=features.state_dim,
+            horizon_steps=self.map.limit_steps,
+            step_seconds=LOOPS_PER_STEP / LOOPS_PER_SECOND,
+            agent_names=tuple(f"{unit.name} {number}" for number, unit in enumerate(self.map.agents, start=1)),
+            nq=len(self.map.units) * DRAWN_NUMBERS,
+            nv=0,
+            instructions=INSTRUCTIONS,
+            discrete_actions=True,
+            masks_actions=True,
+        )
+
+    def make(
+        self, n_envs: int, *, n_threads: int, agent_obsk: int | None, agent_index: bool, dtype: type[np.floating]
+    ) -> Task:
+        spec = self.spec(agent_obsk=agent_obsk, agent_index=agent_index)
+        return Skirmish(spec, self.map, n_envs=n_envs, agent_index=agent_index, dtype=dtype)
+
+    def load_model(self) -> mujoco.MjModel:
+        raise NoSimulator(self.name)
+
+    def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
+        raise NoSimulator(self.name)
+
+
+TASKS = tuple(SkirmishDefinition(battle_map) for battle_map in MAPS)
