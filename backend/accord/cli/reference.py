@@ -16,6 +16,7 @@ from accord.cli.main import app as accord
 from accord.services.experiment_config import ExperimentConfig
 from accord.settings import Settings as ServiceSettings
 from mapt.cli.main import app as mapt
+from mapt.imitation.config import CONFIGS
 from mapt.io import atomic_write
 from mapt.policies.config import ALGORITHM_DEFAULTS, PolicyConfig
 from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
@@ -52,6 +53,11 @@ def policy_settings() -> str:
     return f"{_settings(PolicyConfig)}\n\nDefaults that differ by algorithm: {_differences(ALGORITHM_DEFAULTS)}."
 
 
+def imitation_settings() -> str:
+    """Settings of the algorithms that learn from stored behaviour."""
+    return "\n\n".join(f"`{name}`:\n\n{_settings(config)}" for name, config in CONFIGS.items())
+
+
 def network_settings() -> str:
     """Settings of a reward network, with the values of each preset."""
     dimensions = {"observation_dim": 1, "action_dim": 1, "n_agents": 1, "segment_steps": 0}
@@ -72,6 +78,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "service settings": service_settings,
     "experiment settings": experiment_settings,
     "policy settings": policy_settings,
+    "imitation settings": imitation_settings,
     "reward network settings": network_settings,
     "reward training settings": training_settings,
 }

@@ -23,11 +23,14 @@ from mapt.preferences.segments import StepRange, cut_rollout
 from mapt.preferences.storage import SegmentFolder, SegmentWriter
 from mapt.preferences.storage_layout import MANIFEST, SegmentLayout, column_path
 from mapt.processes import ParentConnection
-from mapt.tasks import TaskSpec, make_task
+from mapt.tasks import TaskSpec, make_task, task_spec
 from mapt.training.policy_trainer import PolicyTrainer
+from mapt.training.run_folder import load_policy
 
 #: Number of whole episodes recorded with each trained policy.
 EPISODES = 4
+#: Episodes that a recording of a trained policy plays in parallel.
+_EPISODES_AT_ONCE = 8
 _BYTES_AT_ONCE = 1 << 20
 
 Number = TypeVar("Number", bound=np.floating)
@@ -176,8 +179,7 @@ def record_dataset(
         )
     if recording.segments < 1 or recording.policy_steps < 1:
         raise InvalidConfig("segments and steps must be 1 or more.")
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise AlreadyExists(path)
+    _check_empty(path)
     rng = np.random.default_rng([recording.seed, 3])
     about = asdict(recording) | {"policy": config.to_dict()}
     task = make_task(recording.task, config.n_envs, n_threads=physics_threads)
@@ -203,6 +205,85 @@ def record_dataset(
         task.close()
         shutil.rmtree(partial, ignore_errors=True)
     return RecordedDataset.open(path)
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyRecording:
+    """Settings of a recording of a trained policy."""
+
+    #: folder of the run, or checkpoint
+    policy: str
+    #: T
+    segment_steps: int
+    segments: int
+    seed: int
+
+
+def record_policy(
+    recording: PolicyRecording,
+    path: Path,
+    progress: Callable[[int, float], None] | None = None,
+    *,
+    physics_threads: int = 0,
+) -> RecordedDataset:
+    """Record segments of whole episodes of a trained policy, with sampled actions.
+
+    Args:
+        path: the folder to create; at most one process records it.
+        progress: called after each rollout with the segments so far and the mean true reward per step.
+        physics_threads: `n_threads` of `make_task`; it does not affect what is recorded.
+
+    Raises:
+        InvalidConfig: if a number is out of its range.
+        RunNotFound, CheckpointError: if the policy cannot be loaded.
+        AlreadyExists: if the folder is not empty.
+    """
+    saved = load_policy(Path(recording.policy), "cpu")
+    horizon_steps = task_spec(saved.task, agent_obsk=saved.agent_obsk).horizon_steps
+    if not 1 <= recording.segment_steps <= horizon_steps or recording.segments < 1:
+        raise InvalidConfig(
+            f"segment_steps is {recording.segment_steps} and segments {recording.segments}; they must be 1 to "
+            f"{horizon_steps}, the steps of an episode, and 1 or more.",
+            "segment_steps",
+        )
+    _check_empty(path)
+    rng = np.random.default_rng([recording.seed, 3])
+    generator = torch.Generator().manual_seed(recording.seed)
+    returns: list[NDArray[np.float64]] = []
+    partial = path.with_name(f".{path.name}.partial")
+    task = make_task(saved.task, _EPISODES_AT_ONCE, n_threads=physics_threads, agent_obsk=saved.agent_obsk)
+    try:
+        collector = Collector(task, recording.seed)
+        shutil.rmtree(partial, ignore_errors=True)
+        about = asdict(recording) | {
+            "task": saved.task,
+            "agent_obsk": saved.agent_obsk,
+            "algorithm": saved.algorithm,
+            "policy_steps": saved.steps,
+        }
+        with SegmentWriter.create(partial, layout_of(task.spec, recording.segment_steps), about=about) as writer:
+            while len(writer) < recording.segments:
+                rollout = collector.collect(saved.policy, horizon_steps, generator)
+                returns.append(rollout.episode_returns)
+                wanted = recording.segments - len(writer)
+                chosen = draw_step_ranges(rollout, recording.segment_steps, wanted, rng)
+                if not chosen:
+                    raise InvalidConfig("The policy's episodes are too short for a segment.", "segment_steps")
+                append_segments(writer, rollout, chosen)
+                if progress is not None:
+                    progress(len(writer), float(rollout.rewards.mean()))
+            writer.describe({"policy_return": float(np.concatenate(returns).mean())})
+        partial.replace(path)
+        sync_folder(path.parent)
+    finally:
+        task.close()
+        shutil.rmtree(partial, ignore_errors=True)
+    return RecordedDataset.open(path)
+
+
+def _check_empty(path: Path) -> None:
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise AlreadyExists(path)
 
 
 def episodes_path(dataset: Path) -> Path:
@@ -277,7 +358,7 @@ def append_segments(writer: SegmentWriter, rollout: Rollout, chosen: Sequence[St
 class RecordingJob:
     """A dataset to record."""
 
-    recording: Recording
+    recording: Recording | PolicyRecording
     #: the folder to create
     folder: Path
     #: `n_threads` of `make_task`
@@ -288,23 +369,26 @@ class RecordingJob:
 class RecordingProgress:
     """Progress of a recording."""
 
-    #: environment steps of the training so far
-    steps: int
+    #: environment steps of the training so far; segments of a trained policy
+    done: int
     #: mean true reward per step in the newest rollout
     reward: float
 
 
 def run_recording(job: RecordingJob, parent: ParentConnection) -> None:
-    """Run `record_dataset` in a worker of `run_jobs`; sends a `RecordingProgress` after each rollout.
+    """Run `record_dataset` or `record_policy` in a worker of `run_jobs`; sends `RecordingProgress` after each rollout.
 
     Raises:
         RecordingStopped: if the parent cancels the job, or has ended.
         See `record_dataset` for other errors.
     """
 
-    def report(steps: int, reward: float) -> None:
-        parent.send(RecordingProgress(steps, reward))
+    def report(done: int, reward: float) -> None:
+        parent.send(RecordingProgress(done, reward))
         if parent.cancelled():
             raise RecordingStopped(job.folder)
 
-    record_dataset(job.recording, job.folder, report, physics_threads=job.physics_threads)
+    if isinstance(job.recording, PolicyRecording):
+        record_policy(job.recording, job.folder, report, physics_threads=job.physics_threads)
+    else:
+        record_dataset(job.recording, job.folder, report, physics_threads=job.physics_threads)

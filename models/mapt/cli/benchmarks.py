@@ -10,7 +10,14 @@ import typer
 
 from mapt.benchmarks.figures import draw_table
 from mapt.benchmarks.job import CellFolder, CellJob, TablePlan, code_fingerprint, dataset_folder, make_cell, table_jobs
-from mapt.benchmarks.recorded_dataset import RecordedDataset, Recording, RecordingJob, RecordingProgress, run_recording
+from mapt.benchmarks.recorded_dataset import (
+    PolicyRecording,
+    RecordedDataset,
+    Recording,
+    RecordingJob,
+    RecordingProgress,
+    run_recording,
+)
 from mapt.benchmarks.report import ReportPlan, make_report
 from mapt.benchmarks.tables import Summary, markdown, rows, summarise, write_cells, write_comparisons
 from mapt.cli.options import (
@@ -53,18 +60,31 @@ def dataset(
     steps: Steps = 800_000,
     segment_steps: SegmentSteps = 50,
     segments: Segments = 6000,
+    policy: Annotated[
+        Path | None,
+        typer.Option(
+            help="Record this trained policy, a run folder or a checkpoint, in its task, with sampled actions, instead "
+            "of a training."
+        ),
+    ] = None,
     workers: Workers = 0,
 ) -> None:
     """Record a dataset of segments per seed.
 
     Trains a policy on the true reward and records segments throughout the training, with true rewards and simulator
-    states, for scripted teachers to label. Each seed has its own folder, such as OUTPUT/seed-0.
+    states, for scripted teachers to label and for `mapt imitate` to learn from. Each seed has its own folder, such as
+    OUTPUT/seed-0.
     """
-    recordings = [Recording(task, steps, segment_steps, segments, seed) for seed in parse_numbers("--seeds", seeds, 0)]
+    recordings: list[Recording | PolicyRecording] = [
+        Recording(task, steps, segment_steps, segments, seed)
+        if policy is None
+        else PolicyRecording(str(policy.resolve()), segment_steps, segments, seed)
+        for seed in parse_numbers("--seeds", seeds, 0)
+    ]
     record_all({dataset_folder(output, recording.seed): recording for recording in recordings}, workers)
 
 
-def record_all(recordings: Mapping[Path, Recording], workers: int, *, quiet: bool = False) -> None:
+def record_all(recordings: Mapping[Path, Recording | PolicyRecording], workers: int, *, quiet: bool = False) -> None:
     """Record datasets in parallel, with a progress bar for each.
 
     Args:
@@ -80,10 +100,12 @@ def record_all(recordings: Mapping[Path, Recording], workers: int, *, quiet: boo
     with ProgressBars(_LOG_EVERY, hidden=quiet) as bars:
 
         def start(job: RecordingJob) -> None:
-            bars.add(job, _name(job), job.recording.policy_steps)
+            recording = job.recording
+            total = recording.segments if isinstance(recording, PolicyRecording) else recording.policy_steps
+            bars.add(job, _name(job), total)
 
         def update(job: RecordingJob, progress: RecordingProgress) -> None:
-            bars.update(job, progress.steps, f"mean true reward {progress.reward:.2f}")
+            bars.update(job, progress.done, f"mean true reward {progress.reward:.2f}")
 
         for done in run_jobs(run_recording, jobs, n_workers, on_start=start, on_message=update):
             bars.stop(done.job)
@@ -98,7 +120,9 @@ def record_all(recordings: Mapping[Path, Recording], workers: int, *, quiet: boo
 
 
 def _name(job: RecordingJob) -> str:
-    return f"dataset of {job.recording.task}, seed {job.recording.seed}"
+    recording = job.recording
+    recorded = recording.policy if isinstance(recording, PolicyRecording) else recording.task
+    return f"dataset of {recorded}, seed {recording.seed}"
 
 
 def table(

@@ -9,6 +9,11 @@ app = make_app(
     {
         "tasks": LazyCommand("mapt.cli.tasks", "tasks", "List the tasks."),
         "train": LazyCommand("mapt.cli.train", "train", "Train a policy per seed, evaluate it and record a video."),
+        "imitate": LazyCommand(
+            "mapt.cli.imitate",
+            "imitate",
+            "Train a policy per seed on stored behaviour, evaluate it and record a video.",
+        ),
         "evaluate": LazyCommand(
             "mapt.cli.results", "evaluate", "Evaluate a trained policy by the true reward, and by a scripted teacher."
         ),

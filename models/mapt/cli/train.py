@@ -31,7 +31,7 @@ from mapt.training.evaluation import Evaluation
 from mapt.training.metrics import Metrics
 from mapt.training.reward_source import reward_files
 from mapt.training.run import RunJob, RunReport, do_run, do_run_in_worker
-from mapt.training.settings import TRUE, LearnedRewardSettings, RunSettings
+from mapt.training.settings import TRUE, ImitationSettings, LearnedRewardSettings, RunSettings
 
 _STATUS_STOPPED = 130
 _STATUS_FAILED = 2
@@ -101,7 +101,7 @@ def train(
     n_workers = parallel_jobs(workers, len(runs))
     threads = physics_threads or cores_per_job(n_workers)
     jobs = [RunJob(run, output / f"seed-{run.policy.seed}", checkpoint_minutes * 60, video, threads) for run in runs]
-    _train_all(jobs, n_workers)
+    train_all(jobs, n_workers)
 
 
 def _policy_settings(settings: Sequence[str]) -> dict[str, object]:
@@ -125,7 +125,7 @@ def _learned_reward(path: Path, segment_steps: int | None, kind: str, credit: st
     return LearnedRewardSettings(str(path.resolve()), steps, kind, credit)  # pyright: ignore[reportArgumentType]  (validated by the class)
 
 
-def _train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
+def train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
     """Train every run; with several workers, a failed run does not affect the others.
 
     Raises:
@@ -179,7 +179,9 @@ class _RunProgress:
 
 def _name(job: RunJob) -> str:
     settings = job.settings
-    return f"{settings.task}, {settings.policy.algorithm}, seed {settings.policy.seed}"
+    learned_from = settings.reward
+    algorithm = learned_from.algorithm if isinstance(learned_from, ImitationSettings) else settings.policy.algorithm
+    return f"{settings.task}, {algorithm}, seed {settings.policy.seed}"
 
 
 def _train_in_turn(

@@ -257,6 +257,10 @@ class SegmentWriter:
         first, self._count = self._count, self._count + len(segments)
         return np.arange(first, self._count)
 
+    def describe(self, about: Mapping[str, Any]) -> None:
+        """Add JSON metadata that is known only after the segments; the next commit writes it."""
+        self._about = {**self._about, **about}
+
     def commit(self) -> None:
         """Flush all segments so far to disk and publish them in the manifest."""
         for file in self._files.values():

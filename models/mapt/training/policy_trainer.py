@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from mapt.policies import Learner, Rollout
 from mapt.rewards.model import RewardModel
-from mapt.training.metrics import iteration_metrics
+from mapt.training.metrics import Metrics, iteration_metrics
 from mapt.training.reward_source import RewardSource, TrueReward
 
 
@@ -26,6 +26,18 @@ class IterationSeconds:
     @property
     def total(self) -> float:
         return self.collect + self.reward + self.update
+
+
+@dataclass(frozen=True, slots=True)
+class RunCallbacks:
+    """Functions that a run calls while it trains."""
+
+    #: called after each iteration with its metrics
+    on_iteration: Callable[[Metrics], None] = lambda metrics: None
+    #: called with a sentence about an event outside the metrics, such as a video that cannot be made
+    on_message: Callable[[str], None] = lambda message: None
+    #: called before each iteration; true ends the training with a checkpoint
+    should_stop: Callable[[], bool] = lambda: False
 
 
 class PolicyTrainer:

@@ -10,7 +10,7 @@ from mapt.errors import RunNotFound
 from mapt.plotting import Curve
 from mapt.training.metrics import Metrics, read_metrics
 from mapt.training.run_folder import RUN_FILE, RunFolder
-from mapt.training.settings import TRUE, LearnedRewardSettings, PreferenceRewardSettings, RunSettings
+from mapt.training.settings import TRUE, ImitationSettings, LearnedRewardSettings, PreferenceRewardSettings, RunSettings
 from mapt.training.teacher_scores import TeacherScores, preference_rate, read_teacher_scores
 
 #: Runs that differ only in these settings belong to one group.
@@ -35,7 +35,7 @@ class RunResult:
     """One run, finished or not."""
 
     settings: RunSettings
-    #: environment steps so far
+    #: environment steps so far; gradient steps of a policy that trains on data alone
     steps: int
     #: true return of the episodes that ended during training
     curve: Curve
@@ -150,6 +150,8 @@ def _key(run: RunResult) -> tuple[str, str, str, int | None]:
             reward, labels = Path(path).stem, None
         case PreferenceRewardSettings(model=reward, labels=labels):
             pass
+        case ImitationSettings(algorithm=algorithm, data_name=reward):
+            return settings.task, algorithm, reward, None
     return settings.task, settings.policy.algorithm, reward, labels
 
 

@@ -16,26 +16,15 @@ from mapt.processes import ParentConnection, stop_requests
 from mapt.tasks import Task, TaskStep, WrappedTask, make_task
 from mapt.training.evaluation import Evaluation, evaluate_policy
 from mapt.training.metrics import EventFile, Metrics, MetricsFile, read_metrics
-from mapt.training.policy_trainer import PolicyTrainer
+from mapt.training.offline_run import OfflineRun
+from mapt.training.policy_trainer import PolicyTrainer, RunCallbacks
 from mapt.training.reward_source import LearnedReward, RewardFiles, RewardSource, TrueReward, save_version
 from mapt.training.run_folder import PolicyCheckpoint, RunFolder
-from mapt.training.settings import PreferenceRewardSettings, RunSettings
+from mapt.training.settings import ImitationSettings, PreferenceRewardSettings, RunSettings
 from mapt.training.video import record_video
 
 #: digits of a reward model's SHA-256 in the metrics
 _SHA_DIGITS = 12
-
-
-@dataclass(frozen=True, slots=True)
-class RunCallbacks:
-    """Functions that a run calls while it trains."""
-
-    #: called after each iteration with its metrics
-    on_iteration: Callable[[Metrics], None] = lambda metrics: None
-    #: called with a sentence about an event outside the metrics, such as a video that cannot be made
-    on_message: Callable[[str], None] = lambda message: None
-    #: called before each iteration; true ends the training with a checkpoint
-    should_stop: Callable[[], bool] = lambda: False
 
 
 class TimedTask(WrappedTask):
@@ -118,6 +107,11 @@ class Run:
         """Iterations done."""
         return self._trainer.iteration
 
+    @property
+    def steps(self) -> int:
+        """Environment steps done."""
+        return self.learner.steps
+
     def train(self) -> bool:
         """Iterate until the steps are done or `should_stop` returns true, then save a checkpoint.
 
@@ -163,6 +157,8 @@ class Run:
             return TrueReward()
         if isinstance(reward, PreferenceRewardSettings):
             raise InvalidConfig("A reward that is learned from labels needs a teacher.", "reward")
+        if isinstance(reward, ImitationSettings):
+            raise InvalidConfig(f"{reward.algorithm} trains on stored data alone.", "reward")
         self._reward_files = RewardFiles(Path(reward.path), self._task.spec, self._callbacks.on_message)
         sha = stored.progress.get("reward_sha")
         return LearnedReward(
@@ -247,23 +243,24 @@ def complete_run(
         RunBusy: if another process trains in this folder.
         See `Run` for other errors.
     """
+    make = OfflineRun if isinstance(settings.reward, ImitationSettings) and settings.reward.offline else Run
     with (
         folder.locked(),
-        Run(settings, folder, checkpoint_seconds, callbacks, physics_threads=physics_threads) as run,
+        make(settings, folder, checkpoint_seconds, callbacks, physics_threads=physics_threads) as run,
     ):
         if not run.train():
             return None
-        evaluation = folder.read_evaluation(run.learner.steps)
+        evaluation = folder.read_evaluation(run.steps)
         if evaluation is None:
             folder.video.unlink(missing_ok=True)
             evaluation = run.evaluate()
-            folder.write_evaluation(run.learner.steps, evaluation)
+            folder.write_evaluation(run.steps, evaluation)
         if video and not folder.video.exists():
             _record_video(run, settings, folder, callbacks)
         return evaluation
 
 
-def _record_video(run: Run, settings: RunSettings, folder: RunFolder, callbacks: RunCallbacks) -> None:
+def _record_video(run: Run | OfflineRun, settings: RunSettings, folder: RunFolder, callbacks: RunCallbacks) -> None:
     seed = settings.policy.seed
     try:
         record_video(run.learner.policy, settings.task, folder.video, agent_obsk=settings.agent_obsk, seed=seed)

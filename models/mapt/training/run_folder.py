@@ -21,7 +21,7 @@ from mapt.policies.learner import make_policy
 from mapt.tasks import task_spec
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 from mapt.training.evaluation import Evaluation
-from mapt.training.settings import RunSettings
+from mapt.training.settings import ImitationSettings, RunSettings
 
 _LEARNER = "learner"
 _PROGRESS = "progress"
@@ -42,7 +42,8 @@ class PolicyCheckpoint:
     def to_bytes(self) -> bytes:
         """Encode as one safetensors file; equal checkpoints give equal bytes."""
         arrays = {_LEARNER: np.frombuffer(self.learner, dtype=np.uint8)}
-        arrays |= {_CONTEXT + name: np.ascontiguousarray(array) for name, array in self.context.items()}
+        # `ascontiguousarray` would turn a scalar into an array of one number.
+        arrays |= {_CONTEXT + name: np.asarray(array, order="C") for name, array in self.context.items()}
         if self.progress:
             arrays[_PROGRESS] = np.frombuffer(json.dumps(self.progress, sort_keys=True).encode(), dtype=np.uint8)
         return save(arrays)
@@ -172,8 +173,9 @@ class SavedPolicy:
     policy: Policy
     task: str
     agent_obsk: int
+    #: of the policy, or `omar` and so on where it learned from stored behaviour
     algorithm: str
-    #: environment steps of its training
+    #: environment steps of its training; gradient steps where it trained on data alone
     steps: int
 
 
@@ -191,10 +193,15 @@ def load_policy(path: Path, device: str = "auto", agent_obsk: int | None = None)
     file = path / CHECKPOINT_FILE if path.is_dir() else path
     if not file.is_file():
         raise RunNotFound(path)
+    settings = RunFolder(file.parent).settings() if (file.parent / RUN_FILE).exists() else None
     if agent_obsk is None:
-        in_run = (file.parent / RUN_FILE).exists()
-        agent_obsk = RunFolder(file.parent).settings().agent_obsk if in_run else DEFAULT_AGENT_OBSK
-    return policy_of(learner_bytes(file), device, agent_obsk)
+        agent_obsk = settings.agent_obsk if settings else DEFAULT_AGENT_OBSK
+    saved = policy_of(learner_bytes(file), device, agent_obsk)
+    if settings and isinstance(settings.reward, ImitationSettings) and file.name == CHECKPOINT_FILE:
+        stored = PolicyCheckpoint.from_bytes(file.read_bytes())
+        steps = stored.progress.get("steps", saved.steps)
+        return replace(saved, algorithm=settings.reward.algorithm, steps=steps if isinstance(steps, int) else 0)
+    return saved
 
 
 def learner_bytes(file: Path) -> bytes:

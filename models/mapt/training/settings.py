@@ -2,9 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Self, get_args
+from pathlib import Path
+from typing import Any, Self, get_args
 
 from mapt.errors import InvalidConfig
+from mapt.imitation.config import OFFLINE, ImitationConfig, check_policy, imitation_config
+from mapt.imitation.demonstrations import NamedData
 from mapt.policies import PolicyConfig
 from mapt.rewards.model import PolicyReward
 from mapt.rewards.relabelling import Credit
@@ -61,6 +64,38 @@ class PreferenceRewardSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class ImitationSettings:
+    """Stored behaviour that a policy learns from, and the algorithm; see `mapt.imitation`."""
+
+    #: a name of `ImitationAlgorithm`
+    algorithm: str
+    #: the folders of segments
+    data: tuple[NamedData, ...]
+    #: settings of the algorithm
+    settings: ImitationConfig
+
+    @property
+    def offline(self) -> bool:
+        """Whether the policy trains on the data alone, without steps of the task."""
+        return self.algorithm in OFFLINE
+
+    @property
+    def data_name(self) -> str:
+        """The folders' names, for tables."""
+        return "+".join("/".join(Path(each.path).parts[-2:]) for each in self.data)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Settings from parsed JSON. Raises InvalidConfig for an invalid value, KeyError or TypeError for a key."""
+        algorithm = values["algorithm"]
+        data = tuple(NamedData(**each) for each in values["data"])
+        return cls(algorithm, data, imitation_config(algorithm, values["settings"]))
+
+
+Reward = LearnedRewardSettings | PreferenceRewardSettings | ImitationSettings
+
+
+@dataclass(frozen=True, slots=True)
 class RunSettings:
     """The training of one policy.
 
@@ -71,13 +106,13 @@ class RunSettings:
     task: str
     #: includes the seed and the algorithm
     policy: PolicyConfig
-    #: environment steps to train for, rounded up to whole rollouts
+    #: environment steps to train for, rounded up to whole rollouts; gradient steps where a policy trains on data alone
     steps: int
-    #: None for the task's own reward
-    reward: LearnedRewardSettings | PreferenceRewardSettings | None = None
+    #: what the policy learns from; None for the task's own reward
+    reward: Reward | None = None
     #: MaMuJoCo's observation radius of an agent, in joints
     agent_obsk: int = DEFAULT_AGENT_OBSK
-    #: environment steps between evaluations; 0 evaluates at the end only
+    #: steps between evaluations; 0 evaluates at the end only
     evaluate_every_steps: int = 0
 
     def __post_init__(self) -> None:
@@ -87,6 +122,8 @@ class RunSettings:
             raise InvalidConfig(
                 f"evaluate_every_steps is {self.evaluate_every_steps}; it must be 0 or more.", "evaluate_every_steps"
             )
+        if isinstance(self.reward, ImitationSettings):
+            check_policy(self.reward.algorithm, self.policy)
 
     def to_dict(self) -> dict[str, object]:
         """JSON-ready values; `from_dict` reads them back."""
@@ -126,10 +163,12 @@ class RunSettings:
         return [f"{name}: {own.get(name)}, not {theirs.get(name)}" for name in names]
 
 
-def _reward_of(settings: Mapping[str, object] | None) -> LearnedRewardSettings | PreferenceRewardSettings | None:
-    """The settings of a reward. Raises InvalidConfig for an invalid value, TypeError for an unknown or missing key."""
+def _reward_of(settings: Mapping[str, object] | None) -> Reward | None:
+    """What a policy learns from. Raises InvalidConfig for an invalid value, TypeError for an unknown or missing key."""
     if settings is None:
         return None
+    if "algorithm" in settings:
+        return ImitationSettings.from_dict(settings)
     kind = PreferenceRewardSettings if "model" in settings else LearnedRewardSettings
     return kind(**settings)  # pyright: ignore[reportArgumentType]
 
@@ -137,7 +176,6 @@ def _reward_of(settings: Mapping[str, object] | None) -> LearnedRewardSettings |
 def _flat(settings: Mapping[str, object]) -> dict[str, object]:
     flat: dict[str, object] = {}
     for name, value in settings.items():
-        flat |= (
-            {f"{name}.{key}": inner for key, inner in value.items()} if isinstance(value, Mapping) else {name: value}
-        )
+        inner = _flat(value) if isinstance(value, Mapping) else None
+        flat |= {name: value} if inner is None else {f"{name}.{key}": each for key, each in inner.items()}
     return flat

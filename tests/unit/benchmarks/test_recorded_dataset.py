@@ -171,7 +171,7 @@ def test_a_worker_records_the_same_dataset_and_reports_progress(tmp_path):
         on_message=lambda job, progress: messages.append(progress),
     )
     assert done.failure is None
-    assert [progress.steps for progress in messages] == [4096, 8192]
+    assert [progress.done for progress in messages] == [4096, 8192]
     local = record_dataset(IN_WORKER, tmp_path / "local")
     assert RecordedDataset.open(tmp_path / "worker").fingerprint() == local.fingerprint()
 

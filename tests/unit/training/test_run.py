@@ -9,7 +9,8 @@ from mapt.policies import Learner
 from mapt.policies.checkpoint import unpack
 from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import read_metrics
-from mapt.training.run import Run, RunCallbacks, complete_run
+from mapt.training.policy_trainer import RunCallbacks
+from mapt.training.run import Run, complete_run
 from mapt.training.run_folder import PolicyCheckpoint, RunFolder, load_policy
 from mapt.training.settings import LearnedRewardSettings
 from support.short_tasks import SHORTEST_HORIZON_STEPS, SHORTEST_NAME

@@ -1,0 +1,126 @@
+"""The subcommand `mapt imitate`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mapt.cli.options import Device, Output, Seeds, Workers, parse_numbers
+from mapt.cli.output import log_line
+from mapt.cli.train import train_all
+from mapt.errors import DatasetNotFound, InvalidConfig
+from mapt.imitation.config import OmarConfig, imitation_config
+from mapt.imitation.demonstrations import NamedData, open_segments
+from mapt.policies import PolicyConfig
+from mapt.preferences.storage import SegmentFolder
+from mapt.preferences.storage_layout import MANIFEST
+from mapt.processes import cores_per_job, parallel_jobs
+from mapt.settings import parse_assignments
+from mapt.tasks import task_spec
+from mapt.tasks.registry import DEFAULT_AGENT_OBSK
+from mapt.training.run import RunJob
+from mapt.training.settings import ImitationSettings, RunSettings
+
+#: Prefix of a policy setting; other settings are the algorithm's.
+_POLICY_PREFIX = "policy."
+#: Policy settings that have options of their own.
+_OPTIONS = frozenset({"seed", "device"})
+_EVALUATIONS = 10
+
+
+def imitate(
+    *,
+    output: Output,
+    data: Annotated[
+        list[Path],
+        typer.Option(
+            help="Folder of segments to learn from, such as OUTPUT/seed-0 of `mapt dataset`; repeatable: the steps of "
+            "all folders are mixed."
+        ),
+    ],
+    algorithm: Annotated[
+        str,
+        typer.Option(
+            help="bc: behavioural cloning. omar: offline reinforcement learning on the true rewards of the data."
+        ),
+    ] = "omar",
+    steps: Annotated[int, typer.Option(min=1, help="Gradient steps.")] = 10_000,
+    seeds: Seeds = "0",
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="A setting of the algorithm, such as batch=128, or of the policy, such as policy.hidden=[64,64]; "
+            "repeatable.",
+        ),
+    ] = None,
+    evaluate_every: Annotated[
+        int | None,
+        typer.Option(
+            min=0, help="Steps between evaluations; 0 evaluates only at the end.  [default: a tenth of --steps]"
+        ),
+    ] = None,
+    checkpoint_minutes: Annotated[
+        float, typer.Option(min=0, help="Minutes between checkpoints; 0 saves one after every line of metrics.")
+    ] = 5.0,
+    device: Device = "auto",
+    workers: Workers = 0,
+    physics_threads: Annotated[
+        int, typer.Option(min=0, help="Simulator threads per seed; 0 divides the cores among the workers.")
+    ] = 0,
+    video: Annotated[bool, typer.Option(help="Record a video of the final policy.")] = True,
+) -> None:
+    """Train a policy per seed on stored behaviour, evaluate it and record a video.
+
+    The task is that of the data. The results are those of `mapt train`: `mapt evaluate` and `mapt curves` read them.
+    Rerun the command to resume interrupted runs, or with more --steps to extend finished ones.
+    """
+    own, of_policy = _split(settings or [])
+    config = imitation_config(algorithm, own)
+    task, agent_obsk = _task_of(data)
+    folders = open_segments(data, task_spec(task, agent_obsk=agent_obsk), rewards=isinstance(config, OmarConfig))
+    named = tuple(NamedData.of(folder) for folder in folders)
+    runs = [
+        RunSettings(
+            task=task,
+            policy=PolicyConfig.from_dict({**of_policy, "device": device, "seed": seed}),
+            steps=steps,
+            reward=ImitationSettings(algorithm, named, config),
+            agent_obsk=agent_obsk,
+            evaluate_every_steps=max(1, steps // _EVALUATIONS) if evaluate_every is None else evaluate_every,
+        )
+        for seed in parse_numbers("--seeds", seeds, 0)
+    ]
+    for each in named:
+        log_line(f"data: {each.describe()}")
+    n_workers = parallel_jobs(workers, len(runs))
+    threads = physics_threads or cores_per_job(n_workers)
+    jobs = [RunJob(run, output / f"seed-{run.policy.seed}", checkpoint_minutes * 60, video, threads) for run in runs]
+    train_all(jobs, n_workers)
+
+
+def _split(settings: Sequence[str]) -> tuple[dict[str, object], dict[str, object]]:
+    """Settings of the algorithm and of the policy. Raises InvalidConfig for those that have options of their own."""
+    given = parse_assignments(settings)
+    of_policy = {
+        name.removeprefix(_POLICY_PREFIX): value for name, value in given.items() if name.startswith(_POLICY_PREFIX)
+    }
+    for name in _OPTIONS & of_policy.keys():
+        raise InvalidConfig(f"--set policy.{name}: use --{'seeds' if name == 'seed' else name} instead.")
+    return {name: value for name, value in given.items() if not name.startswith(_POLICY_PREFIX)}, of_policy
+
+
+def _task_of(data: Sequence[Path]) -> tuple[str, int]:
+    """Task and observation radius of the first folder; `open_segments` checks that the others agree.
+
+    Raises:
+        DatasetNotFound, FileError, InvalidConfig: if it is no folder of segments, or names no task.
+    """
+    if not (data[0] / MANIFEST).is_file():
+        raise DatasetNotFound(data[0])
+    about = SegmentFolder.open(data[0]).about
+    if not isinstance(task := about.get("task"), str):
+        raise InvalidConfig(f"The segments in {data[0]} name no task. Record them with `mapt dataset`.", "data")
+    return task, int(about.get("agent_obsk", DEFAULT_AGENT_OBSK))

@@ -1,0 +1,99 @@
+"""Runs that train on stored segments: their files, resuming, and what other commands read."""
+
+import json
+
+import pytest
+
+from mapt.errors import RunMismatch
+from mapt.imitation.config import CloningConfig, ImitationConfig, OmarConfig
+from mapt.imitation.demonstrations import NamedData, open_segments
+from mapt.policies import PolicyConfig
+from mapt.tasks import task_spec
+from mapt.training.evaluation import evaluate_policy
+from mapt.training.metrics import read_metrics
+from mapt.training.policy_trainer import RunCallbacks
+from mapt.training.results import RunResult, grouped
+from mapt.training.run import complete_run
+from mapt.training.run_folder import RunFolder, load_policy
+from mapt.training.settings import ImitationSettings, RunSettings
+from support.demonstrations import write_segments
+from support.short_tasks import SHORTEST_NAME
+from support.training_runs import TIMINGS
+
+SMALL = {"bc": CloningConfig(batch=8), "omar": OmarConfig(batch=4, hidden=4, penalised_actions=1, search_rounds=1)}
+
+
+@pytest.fixture
+def imitation(tmp_path):
+    """A function that makes the settings of a tiny run."""
+    folders = open_segments([write_segments(tmp_path / "data")], task_spec(SHORTEST_NAME), rewards=True)
+    data = tuple(map(NamedData.of, folders))
+
+    def make(
+        algorithm: str = "omar", steps: int = 250, config: ImitationConfig | None = None, **changes
+    ) -> RunSettings:
+        policy = PolicyConfig(n_envs=4, rollout_steps=8, minibatches=1, hidden=(8,), device="cpu")
+        learned_from = ImitationSettings(algorithm, data, config or SMALL[algorithm])
+        return RunSettings(task=SHORTEST_NAME, policy=policy, steps=steps, reward=learned_from, **changes)
+
+    return make
+
+
+def train(settings, path, callbacks=None) -> RunFolder:
+    folder = RunFolder(path)
+    complete_run(settings, folder, 1e9, callbacks or RunCallbacks(), video=False)
+    return folder
+
+
+def lines(folder: RunFolder) -> list[dict]:
+    return [{name: line[name] for name in line if name not in TIMINGS} for line in read_metrics(folder.metrics)]
+
+
+@pytest.mark.parametrize("algorithm", ["bc", "omar"])
+def test_a_run_writes_the_files_that_other_commands_read(imitation, tmp_path, algorithm):
+    settings = imitation(algorithm, evaluate_every_steps=100)
+    folder = train(settings, tmp_path / "run")
+    assert [line["steps"] for line in lines(folder)] == [100, 200, 250]
+    assert ["evaluation_mean" in line for line in lines(folder)] == [True, True, False]
+    saved = load_policy(folder.path, "cpu")
+    assert (saved.algorithm, saved.steps) == (algorithm, 250)
+    evaluation = folder.read_evaluation(250)
+    assert evaluation == evaluate_policy(saved.policy, SHORTEST_NAME, agent_obsk=1)
+    found = RunResult.read(folder)
+    assert found.settings == settings
+    assert [one.steps for one in found.evaluations] == [100, 200, 250]
+    (group,) = grouped([found])
+    assert group.algorithm == algorithm
+    assert group.reward.endswith("data")
+
+
+def test_the_run_names_its_data_and_their_reward(imitation, tmp_path):
+    folder = train(imitation("bc", steps=10), tmp_path / "run")
+    (data,) = json.loads((folder.path / "run.json").read_text())["reward"]["data"]
+    assert data["path"] == str(tmp_path / "data")
+    assert (data["segments"], data["steps"]) == (24, 240)
+    assert isinstance(data["reward"], float)
+
+
+def test_a_stopped_run_resumes_exactly(imitation, tmp_path):
+    settings = imitation("omar")
+    whole = train(settings, tmp_path / "whole")
+    seen: list[float] = []
+    stopping = RunCallbacks(
+        on_iteration=lambda metrics: seen.append(float(metrics["steps"])), should_stop=lambda: len(seen) == 1
+    )
+    stopped = train(settings, tmp_path / "stopped", stopping)
+    assert seen == [100]
+    assert not stopped.evaluation.exists()
+    train(settings, tmp_path / "stopped")
+    assert lines(stopped) == lines(whole)
+    assert stopped.checkpoint.read_bytes() == whole.checkpoint.read_bytes()
+    assert stopped.evaluation.read_bytes() == whole.evaluation.read_bytes()
+
+
+def test_a_run_on_other_data_or_settings_is_refused(imitation, tmp_path):
+    settings = imitation("omar", steps=5)
+    train(settings, tmp_path / "run")
+    with pytest.raises(RunMismatch) as refused:
+        train(imitation("omar", steps=5, config=OmarConfig(batch=5)), tmp_path / "run")
+    assert any(difference.startswith("reward.settings.batch: 4") for difference in refused.value.differences)
