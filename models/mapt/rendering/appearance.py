@@ -131,7 +131,6 @@ def _colour_geoms(model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]]) -
     roots = model.body_rootid[model.geom_bodyid]
     of_robot = np.isin(roots[body], roots[[geom for geoms in agent_geoms for geom in geoms]])
     model.geom_rgba[body[of_robot]] = rgba(BODY_COLOUR)
-    model.geom_rgba[body, 3] = 1
     for agent, geoms in reversed(list(enumerate(agent_geoms))):
         model.geom_rgba[list(geoms)] = rgba(agent_colour(agent))
 

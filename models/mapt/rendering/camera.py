@@ -29,6 +29,8 @@ ViewKind = Literal["side", "above", "slanted"]
 LOOK_DOWN_DEGREES: dict[ViewKind, float] = {"side": 9.0, "slanted": 28.0, "above": 65.0}
 #: that angle of the camera `top`; at 90 degrees, lights and limbs would show no depth
 TOP_LOOK_DOWN_DEGREES = 84.0
+#: where the model chooses the view, the camera `side` looks from this much further round
+CHOSEN_SIDE_TURN_DEGREES = 50.0
 #: size of the view over the largest size of a body that travels
 MARGIN: dict[ViewKind, float] = {"side": 1.2, "slanted": 1.3, "above": 1.2}
 #: size of the view over the region that a stationary body reaches in this share of its poses
@@ -112,6 +114,11 @@ class BodyKinematics:
         return turned
 
 
+#: name of a custom number of a model, with which a task chooses the view of its clips: x, y and z of the target and the
+#: visible height in metres, the camera's azimuth and its angle below the horizon in degrees
+CLIP_VIEW = "clip_view"
+#: the azimuth in degrees of a camera with the world's x to its right
+DEFAULT_AZIMUTH = 90.0
 #: half width of the window that smooths the body's path
 SMOOTHING_SECONDS = 0.4
 #: share of the view that the body may fill
@@ -193,6 +200,10 @@ class Framing:
     floor: float
     #: side of the floor's squares
     square_metres: float
+    #: direction of the camera about the vertical axis, as in MuJoCo: at 90, the world's x is to its right
+    azimuth_degrees: float = DEFAULT_AZIMUTH
+    #: whether the model itself chose the view, which then never moves
+    fixed: bool = False
 
     @property
     def distance(self) -> float:
@@ -272,8 +283,11 @@ def frame_body(body: BodyKinematics, aspect: float, camera: Camera = "follow") -
 
     Args:
         aspect: width of the image over its height.
-        camera: `follow` chooses the direction by the body.
+        camera: `follow` chooses the direction by the body, or takes the model's `CLIP_VIEW`.
     """
+    chosen = mujoco.mj_name2id(body.model, mujoco.mjtObj.mjOBJ_NUMERIC, CLIP_VIEW)
+    if chosen >= 0:
+        return _chosen_view(body, aspect, camera, chosen)
     model, poses = body.model, body.sample_poses()
     world = body.extents(poses, np.eye(3))
     body.set_pose(model.qpos0)
@@ -301,6 +315,28 @@ def frame_body(body: BodyKinematics, aspect: float, camera: Camera = "follow") -
     return replace(framing, centre=centre)
 
 
+def _chosen_view(body: BodyKinematics, aspect: float, camera: Camera, numeric: int) -> Framing:
+    """The framing that a model chooses by `CLIP_VIEW`. Other cameras look at the same place from other angles."""
+    model = body.model
+    first = model.numeric_adr[numeric]
+    x, y, z, height, azimuth, look_down = model.numeric_data[first : first + 6].tolist()
+    look_down = TOP_LOOK_DOWN_DEGREES if camera == "top" else look_down
+    azimuth += CHOSEN_SIDE_TURN_DEGREES if camera == "side" else 0.0
+    view = View(height / 2 * aspect, height / 2)
+    return Framing(
+        kind="above" if camera == "top" else "slanted",
+        look_down_degrees=look_down,
+        view=view,
+        axes=camera_axes(look_down, azimuth),
+        centre=np.array([x, y, z]),
+        follows=False,
+        floor=_floor(body, body.extents(model.qpos0[None], np.eye(3))[0]),
+        square_metres=_square(2 * view.half_width),
+        azimuth_degrees=azimuth,
+        fixed=True,
+    )
+
+
 def _excess_in_any_orientation(body: BodyKinematics, framing: Framing, poses: FloatArray) -> float:
     """`Framing.excess` over poses (P, nq) in random orientations, with the camera aimed at the body's middle."""
     lowest, highest = body.geom_extents(body.sample_orientations(poses), framing.axes)
@@ -308,10 +344,11 @@ def _excess_in_any_orientation(body: BodyKinematics, framing: Framing, poses: Fl
     return framing.excess(*framing.in_perspective(lowest, highest, middle))
 
 
-def camera_axes(look_down_degrees: float) -> FloatArray:
-    """(3, 3): the directions right, up and away of a camera with the world's x to its right."""
-    down = np.radians(look_down_degrees)
-    return np.array([[1, 0, 0], [0, np.sin(down), np.cos(down)], [0, np.cos(down), -np.sin(down)]])
+def camera_axes(look_down_degrees: float, azimuth_degrees: float = DEFAULT_AZIMUTH) -> FloatArray:
+    """(3, 3): the directions right, up and away of a camera, in world coordinates."""
+    down, turn = np.radians(look_down_degrees), np.radians(azimuth_degrees - DEFAULT_AZIMUTH)
+    right, ahead, up = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    return np.array([right, np.sin(down) * ahead + np.cos(down) * up, np.cos(down) * ahead - np.sin(down) * up])
 
 
 def _kind(body: BodyKinematics, size: FloatArray) -> ViewKind:

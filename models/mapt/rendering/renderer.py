@@ -95,6 +95,8 @@ class ClipRenderer:
 
     def _targets(self, lowest: FloatArray, highest: FloatArray) -> tuple[Framing, FloatArray]:
         """The framing for these corners (T, G, 3) along its axes, and the camera's targets (T, 3) in the world."""
+        if self._framing.fixed:
+            return self._framing, np.tile(self._framing.centre, (len(lowest), 1))
         window = round(SMOOTHING_SECONDS * self._settings.frame_rate_hz)
         targets = self._framing.desired_path(lowest.min(axis=1), highest.max(axis=1), window)
         framing = self._framing.zoomed_out_for(*self._framing.in_perspective(lowest, highest, targets))
@@ -145,7 +147,7 @@ class ClipRenderer:
     def _make_camera(self) -> mujoco.MjvCamera:
         camera = mujoco.MjvCamera()
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        camera.azimuth, camera.elevation = 90, -self._framing.look_down_degrees
+        camera.azimuth, camera.elevation = self._framing.azimuth_degrees, -self._framing.look_down_degrees
         camera.distance = self._framing.distance
         return camera
 

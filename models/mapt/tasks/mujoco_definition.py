@@ -42,6 +42,9 @@ class Robot:
     partition: Partition
     #: Total mass to which the model is scaled; None leaves it.
     total_mass_kg: float | None = None
+    #: Per agent, a body that belongs to it with everything attached to it. Empty where the partition names joints of
+    #: the model, whose bodies belong to their agents.
+    agent_roots: tuple[str, ...] = ()
 
     def load_model(self) -> mujoco.MjModel:
         """Compile the model.
@@ -64,14 +67,26 @@ class Robot:
     def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
         """Per agent, the ids of the geoms on bodies that its joints move directly, or that are welded to these.
 
-        A body moved by several agents' joints is listed for each of them.
+        A body moved by several agents' joints is listed for each of them. With `agent_roots`, the geoms on these bodies
+        and on all that hang on them.
         """
         model = self.load_model()
+        if self.agent_roots:
+            return tuple(_geoms_below(model, model.body(root).id) for root in self.agent_roots)
         moved = [
             {int(model.body_weldid[model.joint(name).bodyid[0]]) for name in names} for names in self.partition.agents
         ]
         welded_to = model.body_weldid[model.geom_bodyid]
         return tuple(tuple(geom for geom in range(model.ngeom) if int(welded_to[geom]) in bodies) for bodies in moved)
+
+
+def _geoms_below(model: mujoco.MjModel, root: int) -> tuple[int, ...]:
+    """Ids of the geoms on a body and on its descendants."""
+    bodies = {root}
+    for body in range(root + 1, model.nbody):  # a parent comes before its children
+        if int(model.body_parentid[body]) in bodies:
+            bodies.add(body)
+    return tuple(geom for geom in range(model.ngeom) if int(model.geom_bodyid[geom]) in bodies)
 
 
 def gymnasium_asset(name: str) -> Callable[[], mujoco.MjSpec]:

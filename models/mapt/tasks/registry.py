@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from mapt.errors import TaskExists, TaskImportFailed, UnknownTask
+from mapt.tasks.hands import catch, doors
 from mapt.tasks.protocol import Task, TaskDefinition, TaskSpec
 from mapt.tasks.robots import (
     ant,
@@ -36,7 +37,7 @@ DEFAULT_AGENT_OBSK = 1
 #: Python files or modules that register tasks, separated as in PATH. Child processes inherit it.
 TASK_FILES_VARIABLE = "MAPT_TASKS"
 
-_ROBOTS = (
+_MODULES = (
     half_cheetah,
     ant,
     hopper,
@@ -47,9 +48,11 @@ _ROBOTS = (
     pusher,
     coupled_half_cheetah,
     many_segments,
+    catch,
+    doors,
 )
 _DEFINITIONS: dict[str, TaskDefinition] = {
-    definition.name: definition for definition in chain(skirmish.TASKS, *(robot.TASKS for robot in _ROBOTS))
+    definition.name: definition for definition in chain(skirmish.TASKS, *(module.TASKS for module in _MODULES))
 }
 _imported: set[str] = set()
 #: re-entrant: a task file may look tasks up while it is imported

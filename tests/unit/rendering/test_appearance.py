@@ -87,3 +87,11 @@ def test_target_keeps_its_colour_and_arm_has_its_agents_colour() -> None:
     np.testing.assert_allclose(model.geom_rgba[target], given.geom_rgba[target])
     np.testing.assert_allclose(model.geom_rgba[tip], rgba(AGENT_COLOURS[1]), rtol=1e-6)
     np.testing.assert_allclose(model.geom_rgba[wall], rgba(POST_COLOUR), rtol=1e-6)
+
+
+def test_objects_keep_their_transparency() -> None:
+    model = load_model("CatchOver2Underarm")
+    goal = model.geom_bodyid == model.body("goal").id
+    styled = styled_model(model, agent_geoms("CatchOver2Underarm"), RenderSettings())
+    np.testing.assert_array_equal(styled.geom_rgba[goal], model.geom_rgba[goal])
+    assert styled.geom_rgba[goal, 3] < 1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapt.rendering.camera import BodyKinematics, Framing, ViewKind, camera_axes, frame_body
+from mapt.rendering.camera import CLIP_VIEW, BodyKinematics, Framing, ViewKind, camera_axes, frame_body
 from mapt.tasks import load_model
 
 ASPECT = 4 / 3
@@ -88,3 +88,32 @@ def test_parts_nearer_to_the_camera_are_larger() -> None:
     low, high = framing.in_perspective(lowest, highest, np.zeros((1, 3)))
     scale = framing.distance / (framing.distance - 1.0)
     np.testing.assert_allclose((low[0], high[0]), ((-scale, -0.5 * scale), (1.0, 0.5 * scale)))
+
+
+@pytest.mark.parametrize("task", ["CatchOver2Underarm", "DoorOpenInward"])
+def test_model_chooses_its_view(task: str) -> None:
+    model = load_model(task)
+    x, y, z, height, azimuth, look_down = model.numeric(CLIP_VIEW).data
+    framing = framing_of(task)
+    assert framing.fixed
+    np.testing.assert_array_equal(framing.centre, [x, y, z])
+    assert (2 * framing.view.half_height, framing.azimuth_degrees, framing.look_down_degrees) == (
+        pytest.approx(height),
+        azimuth,
+        look_down,
+    )
+    for axes in (framing.axes, camera_axes(40.0, 230.0)):
+        np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+        assert axes[1, 2] > 0
+        assert axes[2, 2] < 0
+    # MuJoCo's camera looks along its azimuth.
+    away = framing.axes[2]
+    assert np.degrees(np.arctan2(away[1], away[0])) % 360 == pytest.approx(azimuth)
+
+
+def test_other_cameras_see_the_same_place_from_other_angles() -> None:
+    body = BodyKinematics(load_model("CatchOver2Underarm"))
+    follow, side, top = (frame_body(body, ASPECT, camera) for camera in ("follow", "side", "top"))
+    assert follow.view == side.view == top.view
+    assert side.azimuth_degrees != follow.azimuth_degrees
+    assert top.look_down_degrees > 80

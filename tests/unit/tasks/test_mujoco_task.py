@@ -189,7 +189,9 @@ def test_geoms_belong_to_the_agent_that_moves_them(name: str, expected: list[lis
     assert [[model.geom(geom).name for geom in geoms] for geoms in agent_geoms(name)] == expected
 
 
-@pytest.mark.parametrize("name", ["Ant-4x2", "CoupledHalfCheetah-1p1", "Humanoid-9|8", "Reacher-2x1"])
+@pytest.mark.parametrize(
+    "name", ["Ant-4x2", "CoupledHalfCheetah-1p1", "Humanoid-9|8", "Reacher-2x1", "CatchOver2Underarm", "DoorOpenInward"]
+)
 def test_snapshot_includes_fields_of_the_last_step(name: str) -> None:
     task, other = make_task(name, 2, n_threads=1), make_task(name, 2, n_threads=1)
     task.reset(0)
