@@ -10,7 +10,7 @@ from mapt.cli.options import Device, Output, Seeds, Workers, parse_numbers
 from mapt.cli.output import log_line
 from mapt.cli.train import train_all
 from mapt.errors import DatasetNotFound, InvalidConfig
-from mapt.imitation.config import OmarConfig, imitation_config
+from mapt.imitation.config import OFFLINE, OmarConfig, imitation_config
 from mapt.imitation.demonstrations import NamedData, open_segments
 from mapt.policies import PolicyConfig
 from mapt.preferences.storage import SegmentFolder
@@ -27,6 +27,8 @@ _POLICY_PREFIX = "policy."
 #: Policy settings that have options of their own.
 _OPTIONS = frozenset({"seed", "device"})
 _EVALUATIONS = 10
+#: Default number of steps.
+OFFLINE_STEPS, ENVIRONMENT_STEPS = 10_000, 1_000_000
 
 
 def imitate(
@@ -42,10 +44,16 @@ def imitate(
     algorithm: Annotated[
         str,
         typer.Option(
-            help="bc: behavioural cloning. omar: offline reinforcement learning on the true rewards of the data."
+            help="bc: behavioural cloning. omar: offline reinforcement learning on the true rewards of the data. "
+            "magail: a policy trains in the task, rewarded by discriminators that learn to tell it from the data."
         ),
     ] = "omar",
-    steps: Annotated[int, typer.Option(min=1, help="Gradient steps.")] = 10_000,
+    steps: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Gradient steps; environment steps of magail.  [default: 10,000; 1,000,000 of magail]"
+        ),
+    ] = None,
     seeds: Seeds = "0",
     settings: Annotated[
         list[str] | None,
@@ -79,6 +87,7 @@ def imitate(
     """
     own, of_policy = _split(settings or [])
     config = imitation_config(algorithm, own)
+    steps = steps or (OFFLINE_STEPS if algorithm in OFFLINE else ENVIRONMENT_STEPS)
     task, agent_obsk = _task_of(data)
     folders = open_segments(data, task_spec(task, agent_obsk=agent_obsk), rewards=isinstance(config, OmarConfig))
     named = tuple(NamedData.of(folder) for folder in folders)

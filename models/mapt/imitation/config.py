@@ -8,7 +8,7 @@ from mapt.errors import InvalidConfig
 from mapt.policies import PolicyConfig
 from mapt.settings import Settings, setting
 
-ImitationAlgorithm = Literal["bc", "omar"]
+ImitationAlgorithm = Literal["bc", "omar", "magail"]
 #: Algorithms whose policies train on stored steps alone; the others also step the task.
 OFFLINE = frozenset({"bc", "omar"})
 #: Algorithms that train an actor per agent, which acts on its own observation.
@@ -36,14 +36,22 @@ class CloningConfig(Settings):
 
 @dataclass(frozen=True, slots=True)
 class OmarConfig(Settings):
-    """Settings of OMAR. The defaults are those of its authors for continuous control, but for a smaller batch."""
+    """Settings of OMAR. The defaults are its authors', but for learning rate, batch and the scale of the rewards."""
 
     batch: Batch = 256
-    learning_rate: LearningRate = 5e-4
+    learning_rate: LearningRate = 1e-3
     max_gradient_norm: MaxNorm = 0.5
-    gamma: Gamma = 0.99
-    tau: Tau = 0.005
+    gamma: Gamma = 0.95
+    tau: Tau = 0.01
     hidden: Hidden = 64
+    reward_deviation: Annotated[
+        float,
+        setting(
+            "Standard deviation to which the true rewards are scaled: the penalty is relative to their scale.",
+            gt=0,
+            le=1e6,
+        ),
+    ] = 0.2
     conservatism: Annotated[
         float, setting("Weight of the penalty on values of actions that are not in the data, alpha.", ge=0, le=1e6)
     ] = 1.0
@@ -73,9 +81,27 @@ class OmarConfig(Settings):
             )
 
 
-ImitationConfig = CloningConfig | OmarConfig
+@dataclass(frozen=True, slots=True)
+class MagailConfig(Settings):
+    """Settings of MAGAIL. The policy's own settings are those of its algorithm."""
+
+    batch: Batch = 1024
+    steps_per_rollout: Annotated[
+        int, setting("Gradient steps of the discriminators per rollout of the policy.", ge=1, le=100_000)
+    ] = 4
+    learning_rate: LearningRate = 1e-3
+    hidden: Annotated[int, setting("Units of each of the three hidden layers of a discriminator.", ge=1, le=8192)] = 128
+    gradient_penalty: Annotated[
+        float, setting("Weight of the penalty that keeps the discriminators' gradients near 1.", ge=0, le=1e6)
+    ] = 5.0
+    cloning_steps: Annotated[
+        int, setting("Gradient steps of behavioural cloning before the first rollout.", ge=0, le=10_000_000)
+    ] = 500
+
+
+ImitationConfig = CloningConfig | OmarConfig | MagailConfig
 #: Settings by algorithm.
-CONFIGS: Mapping[str, type[ImitationConfig]] = {"bc": CloningConfig, "omar": OmarConfig}
+CONFIGS: Mapping[str, type[ImitationConfig]] = {"bc": CloningConfig, "omar": OmarConfig, "magail": MagailConfig}
 
 
 def imitation_config(algorithm: str, settings: Mapping[str, object]) -> ImitationConfig:

@@ -57,6 +57,8 @@ class OmarTrainer(ABC):
 
     def __init__(self, policy: ActorCritic, data: Demonstrations, config: OmarConfig, seed: int) -> None:
         self.data, self.config, self.spec = data, config, policy.spec
+        deviation = float(data.rewards.std(correction=0))
+        self._reward_scale = config.reward_deviation / deviation if deviation > 0 else 1.0
         fit_normalisers(policy, data)
         self.actors = policy.actor
         self.generator = torch.Generator().manual_seed(seed)
@@ -132,7 +134,7 @@ class OmarTrainer(ABC):
         return Transitions(
             normalise(batch.observations),
             batch.actions,
-            batch.rewards,
+            batch.rewards * self._reward_scale,
             batch.continues,
             normalise(batch.next_observations),
             batch.available,

@@ -96,7 +96,7 @@ class PolicyTrainer:
         self.seconds.update = time.perf_counter() - relabelled
         self.iteration += 1
         self.steps += learner.config.steps_per_rollout
-        metrics = iteration_metrics(rollout, rewards, losses, learner.task.spec.horizon_steps)
+        metrics = iteration_metrics(rollout, rewards, losses, learner.task.spec.horizon_steps) | self.source.metrics()
         return metrics | {"steps_per_second": learner.config.steps_per_rollout / self.seconds.total}
 
     def train(

@@ -14,7 +14,8 @@ from mapt.rewards.model import PolicyReward, RewardModel
 from mapt.rewards.relabelling import Credit, RolloutRelabeller
 from mapt.tasks import TaskSpec
 
-#: steps before a rollout on which its first rewards depend, from `RolloutRelabeller.state_dict`
+#: what the next rewards depend on: the steps before the rollout, from `RolloutRelabeller.state_dict`, or the state of
+#: MAGAIL's discriminators
 Context = dict[str, NDArray[np.generic]]
 
 
@@ -45,8 +46,12 @@ class RewardSource(Protocol):
         """Rewards (L, E), or (L, E, N) with individual credit."""
         ...
 
+    def metrics(self) -> dict[str, float]:
+        """Metrics of the last call of `rewards` by name; may be empty."""
+        ...
+
     def context(self) -> Context:
-        """The steps that the next rollout's rewards depend on, for a checkpoint."""
+        """What the next rollout's rewards depend on, for a checkpoint."""
         ...
 
 
@@ -61,6 +66,9 @@ class TrueReward:
 
     def rewards(self, rollout: Rollout) -> NDArray[np.floating]:
         return rollout.rewards
+
+    def metrics(self) -> dict[str, float]:
+        return {}
 
     def context(self) -> Context:
         return {}
@@ -117,6 +125,9 @@ class LearnedReward:
         if self._relabeller is None:
             raise RuntimeError("There is no reward version yet. Call set_version first.")
         return self._relabeller.relabel(rollout.observations, rollout.actions, rollout.episode_start)
+
+    def metrics(self) -> dict[str, float]:
+        return {}
 
     def context(self) -> Context:
         return self._relabeller.state_dict() if self._relabeller else self._restored

@@ -3,13 +3,18 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.device import resolve_device
 from mapt.errors import InvalidConfig, RenderingError
+from mapt.imitation.config import MagailConfig
+from mapt.imitation.demonstrations import Demonstrations, load_demonstrations, open_segments
+from mapt.imitation.magail import DiscriminatorReward, clone_first
 from mapt.io import atomic_write
 from mapt.policies import Learner
 from mapt.processes import ParentConnection, stop_requests
@@ -145,20 +150,49 @@ class Run:
         stored = self._folder.last_checkpoint()
         if stored is None:
             stored, learner = PolicyCheckpoint(b"", {}), Learner(self._task, settings.policy)
+            self._clone_first(learner)
         else:
             learner = Learner.from_bytes(stored.learner, self._task)
         iteration, number = (stored.progress.get(name, 0) for name in ("iteration", "reward_version"))
         self._reward_number = number if isinstance(number, int) else 0
         return PolicyTrainer(learner, self._reward_source(stored), iteration if isinstance(iteration, int) else 0)
 
+    @cached_property
+    def _demonstrations(self) -> Demonstrations:
+        """The stored behaviour of MAGAIL."""
+        reward = self._settings.reward
+        assert isinstance(reward, ImitationSettings)
+        folders = open_segments([Path(each.path) for each in reward.data], self._task.spec, rewards=False)
+        return load_demonstrations(folders, resolve_device(self._settings.policy.device))
+
+    def _clone_first(self, learner: Learner) -> None:
+        """Start MAGAIL's policy from behavioural cloning; other policies start untrained."""
+        reward, config = self._settings.reward, self._settings.policy
+        if isinstance(reward, ImitationSettings) and isinstance(reward.settings, MagailConfig):
+            clone_first(learner.policy, self._demonstrations, reward.settings, config.seed, config.n_threads)
+
+    def _discriminator_reward(self, reward: ImitationSettings, stored: PolicyCheckpoint) -> RewardSource:
+        if not isinstance(reward.settings, MagailConfig):
+            raise InvalidConfig(f"{reward.algorithm} trains on stored data alone.", "reward")
+        config = self._settings.policy
+        return DiscriminatorReward(
+            self._demonstrations,
+            self._task.spec,
+            reward.settings,
+            seed=config.seed,
+            device=resolve_device(config.device),
+            n_threads=config.n_threads,
+            context=stored.context,
+        )
+
     def _reward_source(self, stored: PolicyCheckpoint) -> RewardSource:
         reward = self._settings.reward
         if reward is None:
             return TrueReward()
+        if isinstance(reward, ImitationSettings):
+            return self._discriminator_reward(reward, stored)
         if isinstance(reward, PreferenceRewardSettings):
             raise InvalidConfig("A reward that is learned from labels needs a teacher.", "reward")
-        if isinstance(reward, ImitationSettings):
-            raise InvalidConfig(f"{reward.algorithm} trains on stored data alone.", "reward")
         self._reward_files = RewardFiles(Path(reward.path), self._task.spec, self._callbacks.on_message)
         sha = stored.progress.get("reward_sha")
         return LearnedReward(

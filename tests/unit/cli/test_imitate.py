@@ -10,7 +10,10 @@ from support.demonstrations import write_segments
 from support.short_tasks import SHORTEST_NAME
 
 pytestmark = pytest.mark.usefixtures("short_episodes")
-POLICY = ("--set", "policy.hidden=[8]", "--set", "policy.n_envs=4", "--device", "cpu", "--no-video", "--workers", "1")
+POLICY = (
+    *("--set", "policy.hidden=[8]", "--set", "policy.n_envs=4", "--set", "policy.rollout_steps=8"),
+    *("--set", "policy.minibatches=1", "--device", "cpu", "--no-video", "--workers", "1"),
+)
 
 
 def test_a_recorded_policy_is_imitated_and_compared(mapt, tmp_path):
@@ -34,14 +37,14 @@ def test_a_recorded_policy_is_imitated_and_compared(mapt, tmp_path):
     assert dataset.origin["task"] == SHORTEST_NAME
     assert dataset.origin["policy_steps"] == 96
 
-    for algorithm in ("bc", "omar"):
+    for algorithm, steps in (("bc", 20), ("omar", 20), ("magail", 32)):
         done = mapt(
-            *("imitate", "--algorithm", algorithm, "--data", tmp_path / "data" / "seed-0", "--steps", "20"),
+            *("imitate", "--algorithm", algorithm, "--data", tmp_path / "data" / "seed-0", "--steps", str(steps)),
             *("--output", tmp_path / algorithm, "--set", "batch=8", *POLICY),
         )
         assert done.status == 0, done.errors
         assert f"policy's return {dataset.origin['policy_return']:,.0f}" in done.printed
-        assert RunFolder(tmp_path / algorithm / "seed-0").read_evaluation(20) is not None
+        assert RunFolder(tmp_path / algorithm / "seed-0").read_evaluation(steps) is not None
     evaluated = mapt("evaluate", tmp_path / "omar" / "seed-0", "--episodes", "2", "--json")
     assert json.loads(evaluated.printed)["algorithm"] == "omar"
     compared = mapt("curves", tmp_path, "--output", tmp_path / "curves.png", "--table", tmp_path / "curves.md")

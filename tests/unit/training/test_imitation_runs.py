@@ -1,11 +1,11 @@
-"""Runs that train on stored segments: their files, resuming, and what other commands read."""
+"""Runs that learn from stored segments: their files, resuming, and what other commands read."""
 
 import json
 
 import pytest
 
 from mapt.errors import RunMismatch
-from mapt.imitation.config import CloningConfig, ImitationConfig, OmarConfig
+from mapt.imitation.config import CloningConfig, ImitationConfig, MagailConfig, OmarConfig
 from mapt.imitation.demonstrations import NamedData, open_segments
 from mapt.policies import PolicyConfig
 from mapt.tasks import task_spec
@@ -20,7 +20,11 @@ from support.demonstrations import write_segments
 from support.short_tasks import SHORTEST_NAME
 from support.training_runs import TIMINGS
 
-SMALL = {"bc": CloningConfig(batch=8), "omar": OmarConfig(batch=4, hidden=4, penalised_actions=1, search_rounds=1)}
+SMALL: dict[str, ImitationConfig] = {
+    "bc": CloningConfig(batch=8),
+    "omar": OmarConfig(batch=4, hidden=4, penalised_actions=1, search_rounds=1),
+    "magail": MagailConfig(batch=8, hidden=4, cloning_steps=3),
+}
 
 
 @pytest.fixture
@@ -75,20 +79,33 @@ def test_the_run_names_its_data_and_their_reward(imitation, tmp_path):
     assert isinstance(data["reward"], float)
 
 
-def test_a_stopped_run_resumes_exactly(imitation, tmp_path):
-    settings = imitation("omar")
+@pytest.mark.parametrize(("algorithm", "steps"), [("omar", 250), ("magail", 96)])
+def test_a_stopped_run_resumes_exactly(imitation, tmp_path, algorithm, steps):
+    settings = imitation(algorithm, steps=steps)
     whole = train(settings, tmp_path / "whole")
     seen: list[float] = []
     stopping = RunCallbacks(
         on_iteration=lambda metrics: seen.append(float(metrics["steps"])), should_stop=lambda: len(seen) == 1
     )
     stopped = train(settings, tmp_path / "stopped", stopping)
-    assert seen == [100]
+    assert len(seen) == 1
     assert not stopped.evaluation.exists()
     train(settings, tmp_path / "stopped")
     assert lines(stopped) == lines(whole)
     assert stopped.checkpoint.read_bytes() == whole.checkpoint.read_bytes()
     assert stopped.evaluation.read_bytes() == whole.evaluation.read_bytes()
+
+
+def test_a_run_of_magail_starts_from_cloning_and_reports_its_discriminators(imitation, tmp_path):
+    cloned = train(imitation("magail", steps=64), tmp_path / "cloned")
+    config = MagailConfig(batch=8, hidden=4, cloning_steps=0)
+    untrained = train(imitation("magail", steps=64, config=config), tmp_path / "untrained")
+    for folder in (cloned, untrained):
+        assert [line["steps"] for line in lines(folder)] == [32, 64]
+        assert all(isinstance(line["discriminator_gap"], float) for line in lines(folder))
+    assert lines(cloned)[0]["action_std"] != lines(untrained)[0]["action_std"]
+    saved = load_policy(cloned.path, "cpu")
+    assert (saved.algorithm, saved.steps) == ("magail", 64)
 
 
 def test_a_run_on_other_data_or_settings_is_refused(imitation, tmp_path):
