@@ -191,7 +191,7 @@ class Client:
 
     def __init__(self, accord: Accord, token: str) -> None:
         self._accord = accord
-        self._headers = {"Authorization": f"Bearer {token}"}
+        self.headers = {"Authorization": f"Bearer {token}"}
 
     def request(self, method: str, path: str, body: Any = None, **query: Any) -> Any:
         """Send a request until the service responds; return the JSON of a successful response."""
@@ -199,7 +199,7 @@ class Client:
         def attempt() -> httpx.Response | None:
             with suppress(httpx.TransportError, FileNotFoundError):
                 url = f"{self._accord.url}/api/v1{path}"
-                response = self._accord.http.request(method, url, json=body, params=query, headers=self._headers)
+                response = self._accord.http.request(method, url, json=body, params=query, headers=self.headers)
                 return None if response.status_code == 503 else response
             return None
 

@@ -43,7 +43,7 @@ from accord.store.tables import (
 )
 from mapt.rendering.appearance import agent_colour
 from mapt.rendering.camera import cameras_of
-from mapt.tasks import task_names, task_spec
+from mapt.tasks import frame_rate_hz, task_names, task_spec
 
 
 @cache
@@ -57,8 +57,10 @@ def task_response(name: str) -> schemas.TaskSchema:
         cameras=[ClipCamera(camera) for camera in cameras_of(name)[1:]],
         observation_dim=spec.observation_dim,
         action_dim=spec.action_dim,
+        discrete_actions=spec.discrete_actions,
         horizon_steps=spec.horizon_steps,
         step_seconds=spec.step_seconds,
+        frame_rate_hz=frame_rate_hz(name),
         instructions=spec.instructions,
     )
 
@@ -348,7 +350,7 @@ def recordings_response(session: Session, row: ExperimentRow) -> schemas.Recordi
                 policy_steps=found.row.policy_steps,
                 reward_version=found.reward_version,
                 frames=found.row.length_steps,
-                seconds=found.row.length_steps * spec.step_seconds,
+                seconds=found.row.length_steps / frame_rate_hz(spec.name),
                 true_return=found.row.true_return,
                 rendered=rendered.get(found.row.id, []),
                 created_at=found.row.created_at,
@@ -372,7 +374,7 @@ def _segment_response(index: int, side: QuerySegment, task: str, blobs: BlobStor
     seconds, frames = side.clip_seconds, side.clip_frames
     if seconds is None or frames is None:
         frames = side.length_steps
-        seconds = frames * task_response(task).step_seconds
+        seconds = frames / frame_rate_hz(task)
     return schemas.SegmentView(
         index=1 if index else 0,
         segment_id=side.segment_id,

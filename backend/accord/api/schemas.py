@@ -288,8 +288,10 @@ class TaskSchema(Schema):
     )
     observation_dim: int = Field(description="Size of one agent's observation, C.")
     action_dim: int = Field(description="Size of one agent's action, A.")
+    discrete_actions: bool = Field(description="Whether an action is one of `action_dim` choices.")
     horizon_steps: int = Field(description="Longest episode, in steps.")
     step_seconds: float = Field(description="Simulated seconds per step.")
+    frame_rate_hz: float = Field(description="Frames of a clip per second, of which each shows one step.")
     instructions: str = Field(description="What the team should achieve.")
 
 

@@ -145,11 +145,13 @@ def teach_experiment(
 
     Raises:
         Refused, Unavailable: if the API refuses a request, or does not respond.
-        InvalidTeacher: if the teacher gives answers that the experiment's answer scale does not have.
+        InvalidTeacher: if the teacher gives answers that the experiment's answer scale does not have, or cannot judge
+            its task.
         PreferenceError: if the segments lack what the teacher judges by.
     """
     reader, given, experiment = SegmentReader(api, teacher), 0, api.get(f"/experiments/{experiment_id}")
     horizon_steps = experiment["task"]["horizon_steps"]
+    teacher.check_task(experiment["task"]["name"], discrete_actions=experiment["task"]["discrete_actions"])
     asks_agent = bool(experiment["config"].get("ask_agent"))
     if teacher.bpref.slight > 0 and experiment["config"].get("answer_scale") != "five":
         raise InvalidTeacher("The teacher gives slight preferences, for which the experiment needs answer_scale five.")

@@ -20,10 +20,11 @@ import mujoco
 from accord.rendering.checks import PROBE_SUCCESS
 from accord.rendering.process import ClipJob, Reply, receive_job, send_reply
 from mapt.processes import kill_with_parent
+from mapt.rendering.drawn_renderer import DrawnRenderer
 from mapt.rendering.encode import write_clip
 from mapt.rendering.renderer import ClipRenderer
 from mapt.rendering.settings import RenderSettings
-from mapt.tasks import agent_geoms, load_model
+from mapt.tasks import agent_geoms, find_drawing, load_model, task_spec
 
 #: OpenGL contexts kept open, one per task and settings; three cameras of two tasks
 RENDERERS_KEPT = 6
@@ -73,9 +74,9 @@ class Renderers:
     """A cache of the most recently used renderers, one per task and settings."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[tuple[str, RenderSettings], ClipRenderer] = OrderedDict()
+        self._kept: OrderedDict[tuple[str, RenderSettings], ClipRenderer | DrawnRenderer] = OrderedDict()
 
-    def get(self, task: str, settings: RenderSettings) -> ClipRenderer:
+    def get(self, task: str, settings: RenderSettings) -> ClipRenderer | DrawnRenderer:
         """Return the renderer for a task and settings, opening it if necessary.
 
         Raises:
@@ -83,12 +84,19 @@ class Renderers:
         """
         key = (task, settings)
         if key not in self._kept:
-            self._kept[key] = ClipRenderer(load_model(task), agent_geoms(task), settings)
+            self._kept[key] = _open_renderer(task, settings)
         self._kept.move_to_end(key)
         if len(self._kept) > RENDERERS_KEPT:
             _, oldest = self._kept.popitem(last=False)
             oldest.close()
         return self._kept[key]
+
+
+def _open_renderer(task: str, settings: RenderSettings) -> ClipRenderer | DrawnRenderer:
+    drawing = find_drawing(task)
+    if drawing is not None:
+        return DrawnRenderer(drawing, task_spec(task), settings)
+    return ClipRenderer(load_model(task), agent_geoms(task), settings)
 
 
 def probe() -> None:

@@ -38,7 +38,6 @@ def clip_key(
     Returns:
         64 hexadecimal digits (SHA-256).
     """
-    digest = hashlib.sha256(model_bytes(model))
     inputs = {
         "renderer": RENDERER_VERSION,
         "mujoco": mujoco.__version__,
@@ -46,9 +45,25 @@ def clip_key(
         "settings": asdict(settings),
         "shapes": [qpos.shape, qvel.shape],
     }
+    return _key(model_bytes(model), inputs, (qpos, qvel))
+
+
+def drawn_clip_key(qpos: NDArray[np.float64], task_name: str, version: int, settings: RenderSettings) -> str:
+    """As `clip_key`, for a task that has a drawing.
+
+    Args:
+        qpos: drawn states, float64 (T, nq).
+        version: of the drawing.
+    """
+    inputs = {"task": task_name, "version": version, "settings": asdict(settings), "shapes": [qpos.shape]}
+    return _key(b"", inputs, (qpos,))
+
+
+def _key(model: bytes, inputs: dict[str, object], states: Sequence[NDArray[np.float64]]) -> str:
+    digest = hashlib.sha256(model)
     digest.update(json.dumps(inputs, sort_keys=True).encode())
-    for states in (qpos, qvel):
-        digest.update(np.ascontiguousarray(states, dtype="<f8").tobytes())
+    for each in states:
+        digest.update(np.ascontiguousarray(each, dtype="<f8").tobytes())
     return digest.hexdigest()
 
 

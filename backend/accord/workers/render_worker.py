@@ -12,12 +12,13 @@ import av
 import numpy as np
 from av.error import FFmpegError
 from mujoco import MjModel  # pyright: ignore[reportAttributeAccessIssue]  (compiled, without stubs)
+from numpy.typing import NDArray
 from structlog.contextvars import bound_contextvars
 
 from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import BlobMissing, BlobUnreadable, Unavailable
 from accord.rendering.checks import probe_backend
-from accord.rendering.clip_key import clip_key
+from accord.rendering.clip_key import clip_key, drawn_clip_key
 from accord.rendering.process import ClipJob as RenderJob
 from accord.rendering.process import RenderFailed, RenderProcess
 from accord.services import clip_views, clips
@@ -28,7 +29,7 @@ from accord.store.blobs import put_with_checksum
 from accord.workers.runner import Context, run_worker
 from mapt.rendering.encode import ClipFile
 from mapt.rendering.settings import Camera, RenderSettings
-from mapt.tasks import agent_geoms, load_model, task_spec
+from mapt.tasks import agent_geoms, find_drawing, frame_rate_hz, load_model, task_spec
 
 log = logging.getLogger(__name__)
 
@@ -37,11 +38,17 @@ log = logging.getLogger(__name__)
 class _TaskRendering:
     """What all clips of a task share."""
 
+    task: str
     settings: RenderSettings
-    #: the simulated model
-    model: MjModel
-    #: geom ids of each agent
-    agents: tuple[tuple[int, ...], ...]
+    #: the simulated model and the geom ids of each agent; None for a task that has a drawing
+    simulated: tuple[MjModel, tuple[tuple[int, ...], ...]] | None
+    #: version of the drawing
+    version: int = 0
+
+    def clip_key(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64], settings: RenderSettings) -> str:
+        if self.simulated is None:
+            return drawn_clip_key(qpos, self.task, self.version, settings)
+        return clip_key(qpos, qvel, *self.simulated, settings)
 
 
 class RenderWorker:
@@ -167,7 +174,7 @@ class RenderWorker:
         task = self._task(task_name)
         settings = replace(task.settings, camera=camera)
         qpos, qvel = (arrays[name].astype(np.float64, copy=False) for name in ("qpos", "qvel"))
-        key = clip_key(qpos, qvel, task.model, task.agents, settings)
+        key = task.clip_key(qpos, qvel, settings)
         path = Path(self._folder.name) / f"{key}.mp4"
         clip: ClipFile = process.render(RenderJob(task_name, qpos, qvel, settings, path))
         try:
@@ -217,10 +224,15 @@ class RenderWorker:
             settings = RenderSettings(
                 width=service.clip_width,
                 height=service.clip_width * 3 // 4,
-                frame_rate_hz=1.0 / task_spec(name).step_seconds,
+                frame_rate_hz=frame_rate_hz(name),
                 quality=service.clip_quality,
             )
-            self._tasks[name] = _TaskRendering(settings, load_model(name), agent_geoms(name))
+            drawing = find_drawing(name)
+            self._tasks[name] = (
+                _TaskRendering(name, settings, (load_model(name), agent_geoms(name)))
+                if drawing is None
+                else _TaskRendering(name, settings, None, drawing.version)
+            )
         return self._tasks[name]
 
 

@@ -283,7 +283,7 @@ def reward_settings(config: ExperimentConfig) -> RewardSettings:
 
 def _training(config: ExperimentConfig, dataset: PreferenceDataset) -> tuple[RewardConfig, TrainConfig]:
     """The settings of an experiment's network and of its training."""
-    return reward_settings(config).training(dataset, can_terminate=task_spec(config.task).can_terminate)
+    return reward_settings(config).training(dataset, task_spec(config.task))
 
 
 def _start(context: Context) -> RewardWorker:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mapt.rendering.appearance import VIEW_ANGLE_DEGREES, moving_geoms
 from mapt.rendering.settings import Camera
-from mapt.tasks import load_model, task_spec
+from mapt.tasks import find_drawing, load_model, task_spec
 
 FloatArray = NDArray[np.float64]
 #: `side` for bodies that move in a vertical plane, `above` for a horizontal plane, `slanted` for others
@@ -270,7 +270,7 @@ def cameras_of(task_name: str) -> tuple[Camera, ...]:
     Raises:
         mapt.tasks.UnknownTask: if no task has this name.
     """
-    if task_spec(task_name).nq == 0:  # it renders itself
+    if task_spec(task_name).nq == 0 or find_drawing(task_name) is not None:  # it renders itself, or has a drawing
         return ("follow",)
     body = BodyKinematics(load_model(task_name))
     lowest, highest = body.extents(body.model.qpos0[None], np.eye(3))

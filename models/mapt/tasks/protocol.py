@@ -6,6 +6,7 @@ Dimension letters: E environments, N agents, C observation, A action, S state.
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -34,7 +35,8 @@ class TaskSpec:
     step_seconds: float
     #: One name per agent, in the order of the agent axis.
     agent_names: tuple[str, ...]
-    #: Dimensions of the simulator's positions and velocities; 0 without a simulator.
+    #: Dimensions of the simulator's positions and velocities, or of a drawn state, see `Drawing`; 0 for a task that
+    #: renders itself.
     nq: int
     nv: int
     #: The team's goal, in plain words for a labeller.
@@ -104,7 +106,10 @@ class Task(Protocol):
         ...
 
     def simulator_state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Copies of qpos (E, nq) and qvel (E, nv) of the current states."""
+        """Copies of qpos (E, nq) and qvel (E, nv) of the current states, from which clips are rendered later.
+
+        A task that MuJoCo does not simulate returns in their place the numbers that its `Drawing` shows.
+        """
         ...
 
     def snapshot(self) -> dict[str, np.ndarray]:
@@ -149,8 +154,44 @@ class RenderableTask(Task, Protocol):
         ...
 
 
+class Drawing(Protocol):
+    """Draws the states of a task that MuJoCo does not simulate.
+
+    It is a pure function: equal states give equal frames, on any machine and at any time. Segments keep the states, so
+    clips can be rendered later, and again.
+    """
+
+    @property
+    def version(self) -> int:
+        """Increase it when equal states give different frames, so that stored clips of the earlier ones differ."""
+        ...
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Frames, of which each shows one step, per second of a clip."""
+        ...
+
+    def frames(
+        self, states: NDArray[np.float64], height: int, width: int, agent_colours: Sequence[tuple[int, int, int]]
+    ) -> Iterator[NDArray[np.uint8]]:
+        """Draw one frame per state of a clip.
+
+        Args:
+            states: (T, nq), from `Task.simulator_state`.
+            height, width: of a frame, in pixels.
+            agent_colours: of each of the N agents, as in the legend of the page: red, green and blue from 0 to 255.
+
+        Yields:
+            uint8 (height, width, 3), RGB. Each is a new array.
+        """
+        ...
+
+
 class TaskDefinition(Protocol):
-    """A task that the registry can make. The kinds are `MujocoDefinition` and `PettingZooDefinition`."""
+    """A task that the registry can make.
+
+    The kinds are `MujocoDefinition`, `PettingZooDefinition`, and any `DrawnDefinition`.
+    """
 
     @property
     def name(self) -> str: ...
@@ -183,6 +224,15 @@ class TaskDefinition(Protocol):
         Raises:
             NoSimulator: if the task has none.
         """
+        ...
+
+
+@runtime_checkable
+class DrawnDefinition(TaskDefinition, Protocol):
+    """A definition of a task whose states are drawn. `nq` of its spec is the size of a state, and `nv` may be 0."""
+
+    def drawing(self) -> Drawing:
+        """The drawing of this task's states."""
         ...
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from mapt.errors import TaskExists, TaskImportFailed, UnknownTask
 from mapt.tasks.hands import catch, doors
-from mapt.tasks.protocol import Task, TaskDefinition, TaskSpec
+from mapt.tasks.protocol import Drawing, DrawnDefinition, Task, TaskDefinition, TaskSpec
 from mapt.tasks.robots import (
     ant,
     coupled_half_cheetah,
@@ -136,6 +136,26 @@ def agent_geoms(task_name: str) -> tuple[tuple[int, ...], ...]:
         NoSimulator: if the task does not run on MuJoCo.
     """
     return find_definition(task_name).agent_geoms()
+
+
+def find_drawing(task_name: str) -> Drawing | None:
+    """The drawing of the task's states; None if they are rendered by MuJoCo, or by the task itself.
+
+    Raises:
+        UnknownTask: if no task has this name.
+    """
+    definition = find_definition(task_name)
+    return definition.drawing() if isinstance(definition, DrawnDefinition) else None
+
+
+def frame_rate_hz(task_name: str) -> float:
+    """Frames per second of the task's clips, of which each shows one step: real time, unless its drawing has another.
+
+    Raises:
+        UnknownTask: if no task has this name.
+    """
+    drawing = find_drawing(task_name)
+    return 1.0 / task_spec(task_name).step_seconds if drawing is None else drawing.frame_rate_hz
 
 
 def find_definition(name: str) -> TaskDefinition:

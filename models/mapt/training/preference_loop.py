@@ -24,7 +24,7 @@ from mapt.rewards.ensemble import RewardEnsemble, train_reward_ensemble
 from mapt.rewards.model import PolicyReward, RewardModel
 from mapt.rewards.relabelling import Credit
 from mapt.rewards.trainer import train_reward_model
-from mapt.tasks import task_spec
+from mapt.tasks import TaskSpec, task_spec
 from mapt.training.pair_selection import SCORED_SEGMENTS, SegmentScorer, candidate_limit, choose_pairs, newest_pairs
 from mapt.training.policy_trainer import PolicyTrainer
 from mapt.training.reward_source import LearnedReward
@@ -60,11 +60,11 @@ class RewardSettings:
     seed: int = 0
     device: str = "auto"
 
-    def training(self, dataset: PreferenceDataset, *, can_terminate: bool) -> tuple[RewardConfig, TrainConfig]:
+    def training(self, dataset: PreferenceDataset, spec: TaskSpec) -> tuple[RewardConfig, TrainConfig]:
         """The settings of the network and of its training for a dataset.
 
         Args:
-            can_terminate: of the task; see `TaskSpec`.
+            spec: of the dataset's task.
 
         Raises:
             InvalidConfig: if there is no such model or preset.
@@ -76,13 +76,14 @@ class RewardSettings:
             action_dim=dataset.segments.action_dim,
             n_agents=dataset.segments.n_agents,
             segment_steps=self.segment_steps,
+            discrete_actions=spec.discrete_actions,
         )
         train = replace(
             TrainConfig.preset(self.preset),
             seed=self.seed,
             device=self.device,
             label_noise=self.label_noise,
-            subtract_mean=not can_terminate,
+            subtract_mean=not spec.can_terminate,
         )
         return config, train
 
@@ -281,7 +282,7 @@ class PreferenceLoop:
             # As in the service, queries are numbered from 1.
             [number for number, query in enumerate(self.queries, 1) if query.counts],
         )
-        config, train = self.reward.training(dataset, can_terminate=self.trainer.learner.task.spec.can_terminate)
+        config, train = self.reward.training(dataset, self.trainer.learner.task.spec)
         trained = train_reward_model(
             dataset,
             config,

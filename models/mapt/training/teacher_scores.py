@@ -13,7 +13,7 @@ from mapt.policies.rollout import available_actions
 from mapt.preferences.segments import cut_rollout
 from mapt.preferences.teachers import ScriptedTeacher, TeacherView
 from mapt.preferences.teachers.view import Float64s
-from mapt.tasks import Task, make_task
+from mapt.tasks import Task, make_task, task_spec
 from mapt.training.evaluation import EPISODES, SEED_OF_STARTS
 from mapt.training.run_folder import RunFolder
 
@@ -63,8 +63,10 @@ def score_policy(
         seed: of the initial states and of the segments' offsets.
 
     Raises:
+        InvalidTeacher: if the teacher cannot judge this task.
         MissingArray: if the observations lack what the teacher judges by.
     """
+    teacher.check_task(task_name, discrete_actions=task_spec(task_name).discrete_actions)
     task = make_task(task_name, episodes, agent_obsk=agent_obsk)
     try:
         segments = _segments(policy, task, segment_steps, seed + SEED_OF_STARTS)

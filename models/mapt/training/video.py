@@ -11,11 +11,12 @@ from safetensors.numpy import save_file
 from mapt.errors import NoRenderer, NotRenderable
 from mapt.policies import Policy
 from mapt.policies.rollout import available_actions
+from mapt.rendering.drawn_renderer import DrawnRenderer
 from mapt.rendering.encode import write_clip
 from mapt.rendering.episode_video import SUCCESS
 from mapt.rendering.offscreen import BACKENDS, INSTALL, run_rendering_module
 from mapt.rendering.settings import RenderSettings
-from mapt.tasks import RenderableTask, Task, make_task
+from mapt.tasks import RenderableTask, Task, find_drawing, frame_rate_hz, make_task, task_spec
 
 #: the longest episodes take a minute on a quiet machine
 _LIMIT_SECONDS = 600.0
@@ -41,7 +42,7 @@ def record_video(policy: Policy, task_name: str, path: Path, *, agent_obsk: int,
         else:
             states = [task.simulator_state() for _ in _episode(policy, task, seed)]
             qpos, qvel = (np.concatenate(parts) for parts in zip(*states, strict=True))
-            _record_states(task_name, qpos, qvel, _frame_rate(task), path)
+            _record_states(task_name, qpos, qvel, path)
     finally:
         task.close()
 
@@ -57,10 +58,6 @@ def _episode(policy: Policy, task: Task, seed: int) -> Iterator[None]:
         observations = step.observations
 
 
-def _frame_rate(task: Task) -> float:
-    return 1.0 / task.spec.step_seconds
-
-
 def _record_frames(policy: Policy, task: RenderableTask, path: Path, seed: int) -> None:
     def frames() -> Iterator[NDArray[np.uint8]]:
         for _ in _episode(policy, task, seed):
@@ -69,7 +66,9 @@ def _record_frames(policy: Policy, task: RenderableTask, path: Path, seed: int) 
     try:
         task.reset(seed)
         height, width, _ = _even_size(task.render(0)).shape
-        write_clip(frames(), path, RenderSettings(width=width, height=height, frame_rate_hz=_frame_rate(task)))
+        write_clip(
+            frames(), path, RenderSettings(width=width, height=height, frame_rate_hz=frame_rate_hz(task.spec.name))
+        )
     except NotRenderable as error:
         raise NoRenderer(str(error)) from error
 
@@ -80,9 +79,11 @@ def _even_size(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return frame[: height - height % 2, : width - width % 2]
 
 
-def _record_states(
-    task_name: str, qpos: NDArray[np.float64], qvel: NDArray[np.float64], frame_rate_hz: float, path: Path
-) -> None:
+def _record_states(task_name: str, qpos: NDArray[np.float64], qvel: NDArray[np.float64], path: Path) -> None:
+    drawing, settings = find_drawing(task_name), RenderSettings(frame_rate_hz=frame_rate_hz(task_name))
+    if drawing is not None:  # it needs no OpenGL, and so no other process
+        write_clip(DrawnRenderer(drawing, task_spec(task_name), settings).frames(qpos, qvel), path, settings)
+        return
     failures: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         states = Path(folder) / "states.safetensors"
@@ -91,7 +92,7 @@ def _record_states(
             failure = run_rendering_module(
                 backend,
                 "mapt.rendering.episode_video",
-                [task_name, str(states), f"{frame_rate_hz:g}", str(path.resolve())],
+                [task_name, str(states), f"{settings.frame_rate_hz:g}", str(path.resolve())],
                 success_text=SUCCESS,
                 timeout_seconds=_LIMIT_SECONDS,
             )

@@ -48,7 +48,7 @@ def train_reward(config: ExperimentConfig) -> None:
     settings = RewardSettings(
         segment_steps=config.segment_steps, model=config.reward_model, preset=config.reward_preset
     )
-    network, training = settings.training(dataset, can_terminate=spec.can_terminate)
+    network, training = settings.training(dataset, spec)
 
     def enough() -> bool:
         nonlocal steps

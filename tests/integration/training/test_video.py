@@ -69,6 +69,15 @@ def test_the_video_of_a_pettingzoo_task_has_the_environments_images(tmp_path):
     assert rate == 2.0
 
 
+def test_the_video_of_a_skirmish_is_drawn_without_opengl(tmp_path, monkeypatch):
+    monkeypatch.setattr(video, "run_rendering_module", None)
+    record_video(policy_of("3m"), "3m", tmp_path / "final.mp4", agent_obsk=1)
+    shown, rate = frames(tmp_path / "final.mp4")
+    assert shown[0].shape == (480, 640, 3)
+    assert 5 <= len(shown) <= task_spec("3m").horizon_steps
+    assert rate == 8.0
+
+
 def test_a_task_that_cannot_be_rendered_has_no_video(tmp_path):
     name = f"BlindLevers-{os.getpid()}"
     register_task(PettingZooDefinition(name, Levers, 6, 0.5, "Pull."))

@@ -1,5 +1,6 @@
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -411,3 +412,14 @@ def test_equal_returns_stay_equal_for_a_slight_teacher():
 def test_parameters_of_earlier_teachers_do_not_name_slight():
     assert "slight" not in make_teacher("oracle").parameters()
     assert make_teacher("slight").parameters()["slight"] == 0.3
+
+
+def test_a_rule_about_joints_refuses_a_task_whose_agents_choose_among_actions() -> None:
+    for name in ("oracle", "slight", "recency", "best-second+mistake"):
+        make_teacher(name).check_task("3m", discrete_actions=True)
+    for name in ("phase", "smoothness", "low-effort+mistake", "never-falls"):
+        make_teacher(name).check_task("HalfCheetah-6x1", discrete_actions=False)
+        with pytest.raises(InvalidTeacher, match=re.escape(f"{name} judges how the joints of a robot move")) as caught:
+            make_teacher(name).check_task("3m", discrete_actions=True)
+        assert "best-second" in str(caught.value)
+        assert "return" not in str(caught.value)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from accord.rendering.clip_key import clip_key
+from accord.rendering.clip_key import clip_key, drawn_clip_key
 from mapt.rendering.settings import CodecSettings, RenderSettings
 from mapt.tasks import agent_geoms, load_model
 
@@ -56,3 +56,18 @@ def test_every_input_changes_the_key(model: mujoco.MjModel) -> None:
 def test_key_is_safe_as_a_file_name(model: mujoco.MjModel) -> None:
     assert len(key_of(model)) == 64
     assert key_of(model).isalnum()
+
+
+def test_every_input_changes_the_key_of_a_drawn_clip() -> None:
+    inputs = {"qpos": QPOS, "task_name": "3m", "version": 1, "settings": SETTINGS}
+    changes: list[dict[str, object]] = [
+        {},
+        {"qpos": np.nextafter(QPOS, 2)},
+        {"qpos": QPOS[:4]},
+        {"task_name": "MMM2"},
+        {"version": 2},
+        {"settings": replace(SETTINGS, width=320)},
+    ]
+    keys = [drawn_clip_key(**inputs | change) for change in changes]
+    assert len(set(keys)) == len(keys)
+    assert drawn_clip_key(np.asfortranarray(QPOS), "3m", 1, SETTINGS) == keys[0]

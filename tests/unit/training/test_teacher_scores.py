@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapt.errors import DamagedRun
+from mapt.errors import DamagedRun, InvalidTeacher
 from mapt.policies.learner import Learner, untrained_policy
 from mapt.preferences.teachers import make_teacher
 from mapt.tasks import make_task, task_spec
@@ -83,3 +83,11 @@ def test_scores_by_another_teacher_are_kept(tmp_path):
     with pytest.raises(DamagedRun) as caught:
         read_teacher_scores(folder)
     assert caught.value.path == folder.teacher_scores
+
+
+def test_a_rule_about_joints_scores_no_skirmish(settings):
+    policy = untrained_policy(task_spec("3m"), settings().policy)
+    with pytest.raises(InvalidTeacher, match="3m have none"):
+        score_policy(policy, "3m", make_teacher("phase"), agent_obsk=1, segment_steps=10, episodes=2)
+    scores = score_policy(policy, "3m", make_teacher("oracle"), agent_obsk=1, segment_steps=10, episodes=2)
+    assert len(scores) >= 2

@@ -194,6 +194,6 @@ function policyPlaceholder(field: FieldSpec, values: FormValues): string {
 
 /** The duration of a clip with this many steps; empty for an invalid number. */
 function clipLength(steps: string, task: Task | undefined): string {
-  const seconds = Number(steps) * (task?.step_seconds ?? Number.NaN);
+  const seconds = Number(steps) / (task?.frame_rate_hz ?? Number.NaN);
   return Number.isFinite(seconds) && seconds > 0 ? `This is a clip of ${seconds.toFixed(1)} s.` : "";
 }

@@ -4234,6 +4234,11 @@ export interface components {
              */
             action_dim: number;
             /**
+             * Discrete Actions
+             * @description Whether an action is one of `action_dim` choices.
+             */
+            discrete_actions: boolean;
+            /**
              * Horizon Steps
              * @description Longest episode, in steps.
              */
@@ -4243,6 +4248,11 @@ export interface components {
              * @description Simulated seconds per step.
              */
             step_seconds: number;
+            /**
+             * Frame Rate Hz
+             * @description Frames of a clip per second, of which each shows one step.
+             */
+            frame_rate_hz: number;
             /**
              * Instructions
              * @description What the team should achieve.

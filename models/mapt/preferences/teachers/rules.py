@@ -43,7 +43,7 @@ class Rule(ABC):
 
 
 class RewardRule(Rule):
-    """A rule that reads only the true reward of each step."""
+    """A rule that reads only the true reward of each step, and so suits every task."""
 
     __slots__ = ()
 

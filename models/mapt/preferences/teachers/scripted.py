@@ -19,6 +19,7 @@ from mapt.preferences.teachers.rules import (
     Phase,
     PhaseImprovement,
     Return,
+    RewardRule,
     Rule,
     Smoothness,
     WorstWindow,
@@ -166,6 +167,20 @@ class ScriptedTeacher:
         self._record = record or {}
         self._statistics = RunningStatistics()
         self._episode_reward: float | None = None
+
+    def check_task(self, task_name: str, *, discrete_actions: bool) -> None:
+        """Check that the rule can judge a task.
+
+        Raises:
+            InvalidTeacher: if the rule is about the joints of robots, but agents choose among actions.
+        """
+        if discrete_actions and not isinstance(self.rule, RewardRule):
+            suited = [*PRESETS, *(name for name, rule in RULES.items() if isinstance(rule, RewardRule))]
+            suited.remove("return")
+            raise InvalidTeacher(
+                f"{self._record.get('name', type(self.rule).__name__)} judges how the joints of a robot move, but the "
+                f"agents of {task_name} have none. Teachers for it: {', '.join(suited)}."
+            )
 
     def judge(
         self, first: TeacherView, second: TeacherView, left_segments: NDArray[np.integer] | None = None

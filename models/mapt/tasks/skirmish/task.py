@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mapt.errors import InvalidAction, InvalidConfig, NoSimulator
 from mapt.tasks.protocol import Task, TaskSpec, TaskStep
 from mapt.tasks.skirmish.battle import NOBODY, Battle
+from mapt.tasks.skirmish.drawing import DRAWN_NUMBERS, SkirmishDrawing
 from mapt.tasks.skirmish.features import FIRST_TARGET, MOVES, NORTH, Features, View
 from mapt.tasks.skirmish.maps import (
     BEST_RETURN,
@@ -27,9 +28,6 @@ from mapt.tasks.skirmish.maps import (
     SkirmishMap,
 )
 from mapt.tasks.snapshot import load_snapshot, take_snapshot
-
-#: numbers of one unit in `Skirmish.simulator_state`: x, y, health, shield, and the unit that it hit or healed
-DRAWN_NUMBERS = 5
 
 INSTRUCTIONS = (
     "The agents fight a battle and should win it: all enemies destroyed, and as many of their own alive as possible. "
@@ -183,7 +181,7 @@ class Skirmish:
 
 @dataclass(frozen=True, slots=True)
 class SkirmishDefinition:
-    """A `TaskDefinition` of one map. It ignores `agent_obsk` and `n_threads`."""
+    """A `DrawnDefinition` of one map. It ignores `agent_obsk` and `n_threads`."""
 
     map: SkirmishMap
 
@@ -220,6 +218,9 @@ class SkirmishDefinition:
 
     def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
         raise NoSimulator(self.name)
+
+    def drawing(self) -> SkirmishDrawing:
+        return SkirmishDrawing(self.map)
 
 
 TASKS = tuple(SkirmishDefinition(battle_map) for battle_map in MAPS)
