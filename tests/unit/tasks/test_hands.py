@@ -13,7 +13,7 @@ import pytest
 from mapt.tasks import load_model, make_task, task_spec
 from mapt.tasks.hands import catch, doors
 from mapt.tasks.hands.model import FINGERS, SIDES, Pose, Strength, joint_limits, two_hands
-from mapt.tasks.hands.observation import relative_quaternion, roll_pitch_yaw
+from mapt.tasks.hands.observation import relative_quaternion, write_roll_pitch_yaw
 from mapt.tasks.mujoco_task import MujocoDefinition
 from mapt.tasks.registry import find_definition
 
@@ -320,8 +320,43 @@ def test_angles_and_relative_rotations_follow_mujocos_quaternions() -> None:
     one, other = np.zeros(4), np.zeros(4)
     mujoco.mju_euler2Quat(one, angles, "XYZ")
     mujoco.mju_euler2Quat(other, angles[::-1].copy(), "XYZ")
-    np.testing.assert_allclose(roll_pitch_yaw(one[None])[0], angles)
+    written = np.zeros(3)
+    write_roll_pitch_yaw(one, written)
+    np.testing.assert_allclose(written, angles)
     np.testing.assert_allclose(relative_quaternion(one[None], one[None])[0], [1, 0, 0, 0], atol=1e-12)
     product = np.zeros(4)
     mujoco.mju_mulQuat(product, relative_quaternion(one[None], other[None])[0], other)
     np.testing.assert_allclose(product, one)
+
+
+def test_stored_throw_brings_the_egg_to_its_goal() -> None:
+    # Found by a cross-entropy search for five constant actions of 15 steps each.
+    stored = np.load(STORED / "throw.npz")
+    task = make_task(CATCH, 1, n_threads=1)
+    task.reset(0)
+    snapshot = task.snapshot()
+    snapshot["qpos"][0] = stored["qpos"]
+    task.restore(snapshot)
+    distances = []
+    for action in np.repeat(stored["actions"], 15, axis=0):
+        step = task.step(action[None])
+        thing = step.final_state[0, 398:]
+        distances.append(np.linalg.norm(thing[:3] - thing[13:16]))
+        if step.terminated[0]:
+            break
+    assert distances[0] > 0.5
+    assert min(distances) < 0.05
+
+
+def test_stored_push_opens_both_leaves() -> None:
+    # Found in the same way: five actions of 50 steps, mirrored for the left hand.
+    task = make_task(OUTWARD, 1, n_threads=1)
+    task.reset(0)
+    angles = []
+    for action in np.repeat(np.load(STORED / "push.npz")["actions"], 50, axis=0):
+        step = task.step(action[None])
+        assert not step.terminated[0]
+        angles.append(task.simulator_state()[0][0, -2:])
+        if min(angles[-1]) > np.radians(85):
+            return
+    pytest.fail(f"the leaves opened to {np.degrees(angles[-1])} degrees")

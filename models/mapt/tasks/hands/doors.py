@@ -198,10 +198,12 @@ def compute(features: Features) -> None:
 def distances(features: Features) -> FloatArray:
     """(E, 2): per hand, the sum of its fingertips' distances from its handle in metres."""
     tips = features["hands"][:, :, TIPS].reshape(-1, len(SIDES), 5, 13)
-    w, x, y, z = np.moveaxis(tips[..., 3:7], -1, 0)
-    along = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
-    handles = features["object"][:, RIGHT_HANDLE.start :].reshape(-1, len(SIDES), 1, 3)
-    return np.linalg.norm(tips[..., :3] + TIP_METRES * along - handles, axis=-1).sum(axis=-1)
+    w, x, y, z = (tips[..., part] for part in range(3, 7))
+    ends = tips[..., :3] - features["object"][:, RIGHT_HANDLE.start :].reshape(-1, len(SIDES), 1, 3)
+    ends[..., 0] += 2 * TIP_METRES * (x * z + w * y)
+    ends[..., 1] += 2 * TIP_METRES * (y * z - w * x)
+    ends[..., 2] += TIP_METRES * (1 - 2 * (x * x + y * y))
+    return np.sqrt(np.vecdot(ends, ends)).sum(axis=-1)
 
 
 def reward_of(bonus: float, opened: Callable[[FloatArray], FloatArray]) -> RewardFunction:

@@ -26,6 +26,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
+from mapt.tasks.contact_forces import cross
 from mapt.tasks.hands.model import (
     ACTION_ORDER,
     FINGERS,
@@ -117,28 +118,26 @@ def observe_hands(features: Features) -> None:
     scale, offset = _scale_and_offset()
     np.multiply(sensed.reshape(len(hands), len(SIDES), -1), scale, out=hands[:, :, SENSED])
     hands[:, :, SENSED] += offset
-    for hand in range(len(SIDES)):
-        first = hand * HAND_NQ
-        hands[:, hand, TURN] = roll_pitch_yaw(features["qpos"][:, first + 3 : first + 7])
+    bases = features["qpos"][:, : len(SIDES) * HAND_NQ].reshape(len(hands), len(SIDES), HAND_NQ)
+    write_roll_pitch_yaw(bases[:, :, 3:7], hands[:, :, TURN])
     np.clip(hands[:, :, : ACTION.start], -OBSERVATION_LIMIT, OBSERVATION_LIMIT, out=hands[:, :, : ACTION.start])
     actions = features["ctrl"].reshape(len(hands), len(SIDES), N_ACTIONS)
     np.clip(actions[:, :, ACTION_ORDER], -1.0, 1.0, out=hands[:, :, ACTION])
 
 
-def roll_pitch_yaw(quaternions: FloatArray) -> FloatArray:
-    """Angles (E, 3) in radians about the world's x, then y, then z axis of quaternions (E, 4)."""
-    w, x, y, z = quaternions.T
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.stack([roll, pitch, yaw], axis=1)
+def write_roll_pitch_yaw(quaternions: FloatArray, angles: FloatArray) -> None:
+    """Write the angles (..., 3) in radians about the world's x, then y, then z axis of quaternions (..., 4)."""
+    w, x, y, z = (quaternions[..., part] for part in range(4))
+    angles[..., 0] = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    angles[..., 1] = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    angles[..., 2] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def relative_quaternion(one: FloatArray, other: FloatArray) -> FloatArray:
     """(E, 4): the rotation from `other` to `one`, that is one * conj(other)."""
     a, b = one[:, :1], other[:, :1]
     u, v = one[:, 1:], other[:, 1:]
-    return np.concatenate([a * b + np.vecdot(u, v)[:, None], b * u - a * v - np.cross(u, v)], axis=1)
+    return np.concatenate([a * b + np.vecdot(u, v)[:, None], b * u - a * v - cross(u, v)], axis=1)
 
 
 def _joints(hand: int, side: str) -> tuple[Joint, ...]:
