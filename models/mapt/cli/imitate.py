@@ -6,11 +6,13 @@ from typing import Annotated
 
 import typer
 
-from mapt.cli.options import Device, Output, Seeds, Workers, parse_numbers
+from mapt.benchmarks.evaluate import ALL_SEGMENTS, DatasetTeacher, split_dataset
+from mapt.benchmarks.recorded_dataset import RecordedDataset
+from mapt.cli.options import Device, Output, PairDistance, Seeds, Teacher, Workers, parse_numbers
 from mapt.cli.output import log_line
 from mapt.cli.train import train_all
 from mapt.errors import DatasetNotFound, InvalidConfig
-from mapt.imitation.config import OFFLINE, OmarConfig, imitation_config
+from mapt.imitation.config import NEEDS_REWARDS, OFFLINE, imitation_config
 from mapt.imitation.demonstrations import NamedData, open_segments
 from mapt.policies import PolicyConfig
 from mapt.preferences.storage import SegmentFolder
@@ -20,7 +22,7 @@ from mapt.settings import parse_assignments
 from mapt.tasks import task_spec
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 from mapt.training.run import RunJob
-from mapt.training.settings import ImitationSettings, RunSettings
+from mapt.training.settings import ImitationSettings, PairSettings, RunSettings
 
 #: Prefix of a policy setting; other settings are the algorithm's.
 _POLICY_PREFIX = "policy."
@@ -45,7 +47,8 @@ def imitate(
         str,
         typer.Option(
             help="bc: behavioural cloning. omar: offline reinforcement learning on the true rewards of the data. "
-            "magail: a policy trains in the task, rewarded by discriminators that learn to tell it from the data."
+            "magail: a policy trains in the task, rewarded by discriminators that learn to tell it from the data. "
+            "o-mapl: a policy straight from labelled pairs of the data's segments, without a reward model."
         ),
     ] = "omar",
     steps: Annotated[
@@ -54,6 +57,9 @@ def imitate(
             min=1, help="Gradient steps; environment steps of magail.  [default: 10,000; 1,000,000 of magail]"
         ),
     ] = None,
+    pairs: Annotated[int | None, typer.Option(min=1, help="Labelled pairs that o-mapl learns from.")] = None,
+    teacher: Teacher = "oracle",
+    pair_distance: PairDistance = ALL_SEGMENTS,
     seeds: Seeds = "0",
     settings: Annotated[
         list[str] | None,
@@ -89,14 +95,21 @@ def imitate(
     config = imitation_config(algorithm, own)
     steps = steps or (OFFLINE_STEPS if algorithm in OFFLINE else ENVIRONMENT_STEPS)
     task, agent_obsk = _task_of(data)
-    folders = open_segments(data, task_spec(task, agent_obsk=agent_obsk), rewards=isinstance(config, OmarConfig))
+    spec = task_spec(task, agent_obsk=agent_obsk)
+    folders = open_segments(data, spec, rewards=algorithm in NEEDS_REWARDS)
     named = tuple(NamedData.of(folder) for folder in folders)
+    labelled = None if pairs is None else PairSettings(pairs, teacher, pair_distance)
+    learned_from = ImitationSettings(algorithm, named, config, labelled)
+    if labelled is not None:
+        # Raises for an unknown teacher and for a dataset that is too small, before any work.
+        DatasetTeacher(teacher, RecordedDataset.open(data[0]), 0)
+        split_dataset(len(folders[0]), 0)
     runs = [
         RunSettings(
             task=task,
             policy=PolicyConfig.from_dict({**of_policy, "device": device, "seed": seed}),
             steps=steps,
-            reward=ImitationSettings(algorithm, named, config),
+            reward=learned_from,
             agent_obsk=agent_obsk,
             evaluate_every_steps=max(1, steps // _EVALUATIONS) if evaluate_every is None else evaluate_every,
         )

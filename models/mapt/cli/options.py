@@ -27,6 +27,15 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 LabelCounts = Annotated[str, typer.Option("--labels", help="Comma-separated numbers of labels.")]
 Models = Annotated[str, typer.Option(help="Comma-separated reward models.")]
 Output = Annotated[Path, typer.Option(help="Folder for the results.")]
+PairDistance = Annotated[
+    float,
+    typer.Option(
+        min=0.0,
+        max=1.0,
+        help="Largest distance of the two segments of a training pair in the order of recording, as a fraction of "
+        "the dataset. 1 draws any two, as in the paper; 0.05 compares segments of policies that are about as good.",
+    ),
+]
 PolicySettings = Annotated[
     list[str] | None,
     typer.Option(

@@ -18,6 +18,7 @@ from mapt.cli.options import (
     Json,
     Models,
     Output,
+    PairDistance,
     Preset,
     RewardPreset,
     Seeds,
@@ -74,15 +75,7 @@ def paper(
     dataset_steps: Annotated[
         int, typer.Option(min=1, help="Environment steps of the training that a dataset records.")
     ] = 800_000,
-    pair_distance: Annotated[
-        float,
-        typer.Option(
-            min=0.0,
-            max=1.0,
-            help="Largest distance of the two segments of a training pair in the order of recording, as a fraction of "
-            "the dataset. 1 draws any two, as in the paper; 0.05 compares segments of policies that are about as good.",
-        ),
-    ] = ALL_SEGMENTS,
+    pair_distance: PairDistance = ALL_SEGMENTS,
     test_pairs: TestPairs = 4000,
     checkpoint_minutes: Annotated[
         float,

@@ -8,11 +8,15 @@ from mapt.errors import InvalidConfig
 from mapt.policies import PolicyConfig
 from mapt.settings import Settings, setting
 
-ImitationAlgorithm = Literal["bc", "omar", "magail"]
+ImitationAlgorithm = Literal["bc", "omar", "magail", "o-mapl"]
 #: Algorithms whose policies train on stored steps alone; the others also step the task.
-OFFLINE = frozenset({"bc", "omar"})
+OFFLINE = frozenset({"bc", "omar", "o-mapl"})
 #: Algorithms that train an actor per agent, which acts on its own observation.
-NEEDS_ACTORS = frozenset({"omar"})
+NEEDS_ACTORS = frozenset({"omar", "o-mapl"})
+#: Algorithms that need the true rewards of the data; a scripted teacher labels by them.
+NEEDS_REWARDS = frozenset({"omar", "o-mapl"})
+#: Algorithms that learn from labelled pairs of segments.
+NEEDS_PAIRS = frozenset({"o-mapl"})
 
 Batch = Annotated[int, setting("Stored steps of the whole team per gradient step.", ge=1, le=1_000_000)]
 LearningRate = Annotated[float, setting("Adam's learning rate.", gt=0, le=1)]
@@ -99,9 +103,36 @@ class MagailConfig(Settings):
     ] = 500
 
 
-ImitationConfig = CloningConfig | OmarConfig | MagailConfig
+@dataclass(frozen=True, slots=True)
+class OMaplConfig(Settings):
+    """Settings of O-MAPL."""
+
+    batch: Annotated[int, setting("Pairs per gradient step.", ge=1, le=100_000)] = 32
+    learning_rate: LearningRate = 1e-3
+    max_gradient_norm: MaxNorm = 1.0
+    gamma: Gamma = 0.99
+    tau: Tau = 0.005
+    hidden: Annotated[
+        int, setting("Units of each hidden layer of the agents' values and of the mixing network.", ge=1, le=8192)
+    ] = 64
+    temperature: Annotated[
+        float,
+        setting("Temperature of the soft values, beta: a small one imitates only the best actions.", gt=0, le=1e6),
+    ] = 1.0
+    regularisation: Annotated[float, setting("Weight of the mean square of the implied rewards.", ge=0, le=1e6)] = 0.5
+    min_log_std: Annotated[
+        float, setting("Logarithm of the smallest standard deviation that the actions may have.", ge=-20, le=20)
+    ] = -3.0
+
+
+ImitationConfig = CloningConfig | OmarConfig | MagailConfig | OMaplConfig
 #: Settings by algorithm.
-CONFIGS: Mapping[str, type[ImitationConfig]] = {"bc": CloningConfig, "omar": OmarConfig, "magail": MagailConfig}
+CONFIGS: Mapping[str, type[ImitationConfig]] = {
+    "bc": CloningConfig,
+    "omar": OmarConfig,
+    "magail": MagailConfig,
+    "o-mapl": OMaplConfig,
+}
 
 
 def imitation_config(algorithm: str, settings: Mapping[str, object]) -> ImitationConfig:

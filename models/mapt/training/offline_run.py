@@ -11,14 +11,18 @@ from typing import Self
 import torch
 from torch import Tensor
 
+from mapt.benchmarks.evaluate import DatasetTeacher, labelled_dataset
+from mapt.benchmarks.recorded_dataset import RecordedDataset
 from mapt.device import torch_threads
 from mapt.errors import InvalidConfig
 from mapt.imitation.cloning import CloningTrainer, OfflineTrainer
-from mapt.imitation.config import CloningConfig, OmarConfig
+from mapt.imitation.config import NEEDS_REWARDS, CloningConfig, OMaplConfig, OmarConfig
 from mapt.imitation.demonstrations import load_demonstrations, open_segments
+from mapt.imitation.omapl import OMaplTrainer
 from mapt.imitation.omar import make_omar
 from mapt.io import atomic_write
 from mapt.policies import Learner
+from mapt.preferences.dataset import PreferenceDataset
 from mapt.tasks import make_task
 from mapt.training.evaluation import Evaluation, evaluate_policy
 from mapt.training.metrics import EventFile, Metrics, MetricsFile, read_metrics
@@ -34,18 +38,28 @@ def make_offline_trainer(imitation: ImitationSettings, learner: Learner, seed: i
     """Read the data and make the trainer of the algorithm.
 
     Raises:
-        DatasetError, FileError, InvalidConfig: if the data cannot be read, lacks true rewards that the algorithm needs,
-            or does not fit the task or the policy.
+        DatasetError, FileError, InvalidConfig: if the data cannot be read, lacks true rewards that the algorithm or the
+            teacher needs, or does not fit the task or the policy.
+        UnknownTeacher, InvalidTeacher, TooFewLabels: if o-mapl's pairs cannot be labelled.
     """
-    config, paths = imitation.settings, [Path(each.path) for each in imitation.data]
-    folders = open_segments(paths, learner.task.spec, rewards=isinstance(config, OmarConfig))
-    data = load_demonstrations(folders, learner.device)
-    match config:
-        case CloningConfig():
-            return CloningTrainer(learner.policy, data, config, seed)
-        case OmarConfig():
-            return make_omar(learner.policy, data, config, seed)
+    policy, paths = learner.policy, [Path(each.path) for each in imitation.data]
+    folders = open_segments(paths, learner.task.spec, rewards=imitation.algorithm in NEEDS_REWARDS)
+    match imitation.settings:
+        case CloningConfig() as config:
+            return CloningTrainer(policy, load_demonstrations(folders, learner.device), config, seed)
+        case OmarConfig() as config:
+            return make_omar(policy, load_demonstrations(folders, learner.device), config, seed)
+        case OMaplConfig() as config:
+            return OMaplTrainer(policy, labelled_pairs(imitation, seed), config, seed)
     raise InvalidConfig(f"{imitation.algorithm} does not train on stored data alone.", "algorithm")
+
+
+def labelled_pairs(imitation: ImitationSettings, seed: int) -> PreferenceDataset:
+    """The pairs that a reward model of the same seed and number of labels trains on."""
+    pairs, recorded = imitation.pairs, RecordedDataset.open(Path(imitation.data[0].path))
+    assert pairs is not None
+    teacher = DatasetTeacher(pairs.teacher, recorded, seed)
+    return labelled_dataset(teacher, recorded, pairs.labels, seed, pairs.distance)
 
 
 class OfflineRun:

@@ -89,7 +89,7 @@ class Group:
     algorithm: str
     #: `true`, or the name of the reward model
     reward: str
-    #: labels that the reward model was trained on during the run; None for other rewards
+    #: labels that the reward model, or the policy itself, was trained on during the run; None without labels
     labels: int | None
     #: settings that distinguish it from other groups with the same fields above
     differs: str
@@ -150,8 +150,8 @@ def _key(run: RunResult) -> tuple[str, str, str, int | None]:
             reward, labels = Path(path).stem, None
         case PreferenceRewardSettings(model=reward, labels=labels):
             pass
-        case ImitationSettings(algorithm=algorithm, data_name=reward):
-            return settings.task, algorithm, reward, None
+        case ImitationSettings(algorithm=algorithm, data_name=reward, pairs=pairs):
+            return settings.task, algorithm, reward, pairs.labels if pairs else None
     return settings.task, settings.policy.algorithm, reward, labels
 
 

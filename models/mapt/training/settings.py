@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Self, get_args
 
 from mapt.errors import InvalidConfig
-from mapt.imitation.config import OFFLINE, ImitationConfig, check_policy, imitation_config
+from mapt.imitation.config import NEEDS_PAIRS, OFFLINE, ImitationConfig, check_policy, imitation_config
 from mapt.imitation.demonstrations import NamedData
 from mapt.policies import PolicyConfig
 from mapt.rewards.model import PolicyReward
@@ -64,8 +64,34 @@ class PreferenceRewardSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class PairSettings:
+    """Pairs of segments of recorded data that a scripted teacher labels, as for a reward model in `mapt table`.
+
+    Raises:
+        InvalidConfig: if a number is out of its range.
+    """
+
+    #: labelled pairs
+    labels: int
+    #: see `DatasetTeacher`
+    teacher: str = "oracle"
+    #: see `random_pairs`
+    distance: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.labels < 1:
+            raise InvalidConfig(f"pairs is {self.labels}; it must be 1 or more.", "pairs")
+        if not 0.0 <= self.distance <= 1.0:
+            raise InvalidConfig(f"pair_distance is {self.distance}; it must be from 0 to 1.", "pair_distance")
+
+
+@dataclass(frozen=True, slots=True)
 class ImitationSettings:
-    """Stored behaviour that a policy learns from, and the algorithm; see `mapt.imitation`."""
+    """Stored behaviour that a policy learns from, and the algorithm; see `mapt.imitation`.
+
+    Raises:
+        InvalidConfig: if the algorithm needs pairs of one folder, and there is none, or it needs no pairs.
+    """
 
     #: a name of `ImitationAlgorithm`
     algorithm: str
@@ -73,6 +99,15 @@ class ImitationSettings:
     data: tuple[NamedData, ...]
     #: settings of the algorithm
     settings: ImitationConfig
+    #: the labels of o-mapl
+    pairs: PairSettings | None = None
+
+    def __post_init__(self) -> None:
+        if (self.pairs is None) == (self.algorithm in NEEDS_PAIRS):
+            needs = "needs the number of labelled pairs" if self.pairs is None else "does not learn from labelled pairs"
+            raise InvalidConfig(f"{self.algorithm} {needs}.", "pairs")
+        if self.pairs is not None and len(self.data) != 1:
+            raise InvalidConfig(f"{self.algorithm} compares segments of one folder, not of {len(self.data)}.", "data")
 
     @property
     def offline(self) -> bool:
@@ -89,7 +124,8 @@ class ImitationSettings:
         """Settings from parsed JSON. Raises InvalidConfig for an invalid value, KeyError or TypeError for a key."""
         algorithm = values["algorithm"]
         data = tuple(NamedData(**each) for each in values["data"])
-        return cls(algorithm, data, imitation_config(algorithm, values["settings"]))
+        pairs = None if values["pairs"] is None else PairSettings(**values["pairs"])
+        return cls(algorithm, data, imitation_config(algorithm, values["settings"]), pairs)
 
 
 Reward = LearnedRewardSettings | PreferenceRewardSettings | ImitationSettings

@@ -37,10 +37,11 @@ def test_a_recorded_policy_is_imitated_and_compared(mapt, tmp_path):
     assert dataset.origin["task"] == SHORTEST_NAME
     assert dataset.origin["policy_steps"] == 96
 
-    for algorithm, steps in (("bc", 20), ("omar", 20), ("magail", 32)):
+    for algorithm, steps in (("bc", 20), ("omar", 20), ("magail", 32), ("o-mapl", 20)):
         done = mapt(
             *("imitate", "--algorithm", algorithm, "--data", tmp_path / "data" / "seed-0", "--steps", str(steps)),
             *("--output", tmp_path / algorithm, "--set", "batch=8", *POLICY),
+            *(("--pairs", "8") if algorithm == "o-mapl" else ()),
         )
         assert done.status == 0, done.errors
         assert f"policy's return {dataset.origin['policy_return']:,.0f}" in done.printed
@@ -49,7 +50,9 @@ def test_a_recorded_policy_is_imitated_and_compared(mapt, tmp_path):
     assert json.loads(evaluated.printed)["algorithm"] == "omar"
     compared = mapt("curves", tmp_path, "--output", tmp_path / "curves.png", "--table", tmp_path / "curves.md")
     assert compared.status == 0, compared.errors
-    assert "| omar | data/seed-0 | 20 |" in (tmp_path / "curves.md").read_text()
+    table = (tmp_path / "curves.md").read_text()
+    assert "| omar | data/seed-0 | 20 |" in table
+    assert "| o-mapl | data/seed-0, 8 labels | 20 |" in table
 
 
 @pytest.mark.parametrize(
@@ -61,6 +64,9 @@ def test_a_recorded_policy_is_imitated_and_compared(mapt, tmp_path):
         (("--set", "policy.seed=1"), "--seeds"),
         (("--set", "policy.algorithm=mat"), "mappo, happo or mat_dec"),
         (("--data", "."), "mapt dataset"),
+        (("--pairs", "8"), "labelled pairs"),
+        (("--algorithm", "o-mapl"), "labelled pairs"),
+        (("--algorithm", "o-mapl", "--pairs", "8", "--teacher", "nobody"), "nobody"),
     ],
 )
 def test_invalid_arguments_are_refused_before_any_work(mapt, tmp_path, arguments, message):

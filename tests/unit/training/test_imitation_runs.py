@@ -4,18 +4,21 @@ import json
 
 import pytest
 
-from mapt.errors import RunMismatch
-from mapt.imitation.config import CloningConfig, ImitationConfig, MagailConfig, OmarConfig
+from mapt.benchmarks.evaluate import DatasetTeacher, labelled_dataset
+from mapt.benchmarks.recorded_dataset import RecordedDataset
+from mapt.errors import InvalidConfig, RunMismatch
+from mapt.imitation.config import CloningConfig, ImitationConfig, MagailConfig, OMaplConfig, OmarConfig
 from mapt.imitation.demonstrations import NamedData, open_segments
 from mapt.policies import PolicyConfig
 from mapt.tasks import task_spec
 from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import read_metrics
+from mapt.training.offline_run import labelled_pairs
 from mapt.training.policy_trainer import RunCallbacks
 from mapt.training.results import RunResult, grouped
 from mapt.training.run import complete_run
 from mapt.training.run_folder import RunFolder, load_policy
-from mapt.training.settings import ImitationSettings, RunSettings
+from mapt.training.settings import ImitationSettings, PairSettings, RunSettings
 from support.demonstrations import write_segments
 from support.short_tasks import SHORTEST_NAME
 from support.training_runs import TIMINGS
@@ -24,6 +27,7 @@ SMALL: dict[str, ImitationConfig] = {
     "bc": CloningConfig(batch=8),
     "omar": OmarConfig(batch=4, hidden=4, penalised_actions=1, search_rounds=1),
     "magail": MagailConfig(batch=8, hidden=4, cloning_steps=3),
+    "o-mapl": OMaplConfig(batch=2, hidden=4),
 }
 
 
@@ -37,7 +41,8 @@ def imitation(tmp_path):
         algorithm: str = "omar", steps: int = 250, config: ImitationConfig | None = None, **changes
     ) -> RunSettings:
         policy = PolicyConfig(n_envs=4, rollout_steps=8, minibatches=1, hidden=(8,), device="cpu")
-        learned_from = ImitationSettings(algorithm, data, config or SMALL[algorithm])
+        pairs = PairSettings(8) if algorithm == "o-mapl" else None
+        learned_from = ImitationSettings(algorithm, data, config or SMALL[algorithm], pairs)
         return RunSettings(task=SHORTEST_NAME, policy=policy, steps=steps, reward=learned_from, **changes)
 
     return make
@@ -53,7 +58,7 @@ def lines(folder: RunFolder) -> list[dict]:
     return [{name: line[name] for name in line if name not in TIMINGS} for line in read_metrics(folder.metrics)]
 
 
-@pytest.mark.parametrize("algorithm", ["bc", "omar"])
+@pytest.mark.parametrize("algorithm", ["bc", "omar", "o-mapl"])
 def test_a_run_writes_the_files_that_other_commands_read(imitation, tmp_path, algorithm):
     settings = imitation(algorithm, evaluate_every_steps=100)
     folder = train(settings, tmp_path / "run")
@@ -67,7 +72,7 @@ def test_a_run_writes_the_files_that_other_commands_read(imitation, tmp_path, al
     assert found.settings == settings
     assert [one.steps for one in found.evaluations] == [100, 200, 250]
     (group,) = grouped([found])
-    assert group.algorithm == algorithm
+    assert (group.algorithm, group.labels) == (algorithm, 8 if algorithm == "o-mapl" else None)
     assert group.reward.endswith("data")
 
 
@@ -114,3 +119,26 @@ def test_a_run_on_other_data_or_settings_is_refused(imitation, tmp_path):
     with pytest.raises(RunMismatch) as refused:
         train(imitation("omar", steps=5, config=OmarConfig(batch=5)), tmp_path / "run")
     assert any(difference.startswith("reward.settings.batch: 4") for difference in refused.value.differences)
+
+
+def test_pairs_are_refused_where_they_are_missing_or_not_used(imitation):
+    data = imitation().reward.data
+    for algorithm, pairs in (("o-mapl", None), ("omar", PairSettings(8))):
+        with pytest.raises(InvalidConfig) as refused:
+            ImitationSettings(algorithm, data, SMALL[algorithm], pairs)
+        assert refused.value.field == "pairs"
+    with pytest.raises(InvalidConfig) as refused:
+        ImitationSettings("o-mapl", data * 2, SMALL["o-mapl"], PairSettings(8))
+    assert refused.value.field == "data"
+    for changes in ({"labels": 0}, {"labels": 8, "distance": 1.5}):
+        with pytest.raises(InvalidConfig):
+            PairSettings(**changes)
+
+
+def test_pairs_are_those_of_a_reward_model_with_the_same_seed(imitation, tmp_path):
+    settings = imitation("o-mapl").reward
+    recorded = RecordedDataset.open(tmp_path / "data")
+    expected = labelled_dataset(DatasetTeacher("oracle", recorded, 3), recorded, 8, 3)
+    found = labelled_pairs(settings, 3)
+    assert found.pairs.tolist() == expected.pairs.tolist()
+    assert found.labels.tolist() == expected.labels.tolist()
