@@ -116,3 +116,16 @@ def _versions(service: Service, experiment: str) -> list[tuple[str, int, str | N
         " where experiment_id = ? order by number",
         experiment,
     )
+
+
+def test_a_person_labels_a_skirmish(service: Service, new_experiment: NewExperiment, sign_in: SignIn) -> None:
+    experiment = new_experiment("A skirmish", task="3m", segment_steps=12)
+    page = sign_in("Lena")
+    labeller = Labeller(page)
+    labeller.open(service.url, experiment)
+    expect(page.get_by_text("Marine 3").first).to_be_visible()
+    chosen = {labeller.press(key).query: key for key in KEYS[:2]}
+    expect(page.get_by_test_id("own-labels")).to_have_text("2")
+    assert {query: _stored_label(service, query) for query in chosen} == {
+        query: LEFT_PREFERRED[key] for query, key in chosen.items()
+    }

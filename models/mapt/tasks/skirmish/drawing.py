@@ -134,14 +134,17 @@ class SkirmishDrawing:
     def _draw_armies(
         self, canvas: Canvas, units: NDArray[np.float64], margin: float, agent_colours: Sequence[Colour]
     ) -> None:
-        """Beside the map, one row per unit: agents on the left, enemies on the right."""
+        """Beside the map, one row per unit: agents on the left, enemies on the right.
+
+        The page writes which clip it is over the upper left corner, so the first row is below that.
+        """
         canvas.rectangle(0, 0, margin, canvas.height, _OUTSIDE)
         canvas.rectangle(canvas.width - margin, 0, margin, canvas.height, _OUTSIDE)
         row = min(canvas.height / 14, margin / 2.5)
         for number, (kind, unit) in enumerate(zip(self._units, units, strict=True)):
             is_agent, alive = number < self._n, unit[2] > 0
             start = 0.0 if is_agent else canvas.width - margin
-            x, y, radius = start + 0.2 * margin, row * (number - self._n * (not is_agent) + 0.75), 0.32 * row
+            x, y, radius = start + 0.2 * margin, row * (number - self._n * (not is_agent) + 1.6), 0.32 * row
             if is_agent:
                 canvas.disc(x, y, radius, agent_colours[number] if alive else _DEAD)
                 canvas.number(number + 1, x, y, 1.1 * radius, _INK)
