@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from mapt.errors import TaskExists, TaskImportFailed, UnknownTask
+from mapt.tasks import smac_task
 from mapt.tasks.hands import catch, doors
 from mapt.tasks.protocol import Drawing, DrawnDefinition, Task, TaskDefinition, TaskSpec
 from mapt.tasks.robots import (
@@ -166,7 +167,7 @@ def find_definition(name: str) -> TaskDefinition:
         TaskImportFailed: if a file or module that MAPT_TASKS names cannot be imported.
     """
     import_task_files()
-    definition = _DEFINITIONS.get(name) or many_segments.definition(name)
+    definition = _DEFINITIONS.get(name) or many_segments.definition(name) or smac_task.definition(name)
     if definition is None:
         raise UnknownTask(name, task_names())
     return definition
