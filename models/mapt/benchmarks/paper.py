@@ -5,6 +5,7 @@ Each unit of work is stored when it is complete, so that rerunning `mapt benchma
     OUTPUT/datasets/TASK/seed-S                a recorded dataset
     OUTPUT/cells, OUTPUT/models/TASK/MODEL...  the evaluation and the files of a reward model, as in `mapt table`
     OUTPUT/runs/TASK/POLICY-STEPS/REWARD...    a run, as in `mapt train`, or the evaluation of an untrained policy
+    OUTPUT/experts/TASK/POLICY-STEPS/seed-S    segments of the policy on the true reward, which MAGAIL imitates
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,9 +22,12 @@ from mapt.benchmarks.job import (
     path_name,
     table_jobs,
 )
-from mapt.benchmarks.recorded_dataset import RecordedDataset, Recording
+from mapt.benchmarks.recorded_dataset import PolicyRecording, RecordedDataset, Recording
 from mapt.errors import InvalidConfig
+from mapt.imitation.config import NEEDS_ACTORS, NEEDS_PAIRS, ImitationConfig, imitation_config
+from mapt.imitation.demonstrations import NamedData
 from mapt.policies import Learner, PolicyConfig
+from mapt.preferences.storage import SegmentFolder
 from mapt.processes import ParentConnection
 from mapt.rewards.checkpoints import CARD_FILE
 from mapt.rewards.config import PresetName
@@ -33,12 +37,23 @@ from mapt.training.evaluation import Evaluation, evaluate_policy
 from mapt.training.results import RunResult
 from mapt.training.run import RunJob, do_run_in_worker
 from mapt.training.run_folder import RUN_FILE, RunFolder
-from mapt.training.settings import TRUE, LearnedRewardSettings, RunSettings
+from mapt.training.settings import (
+    TRUE,
+    ImitationSettings,
+    LearnedRewardSettings,
+    PairSettings,
+    Reward,
+    RunSettings,
+)
 
 #: The paper's deterministic teacher, which prefers the segment with the higher true return.
 TEACHER = "oracle"
 #: Name of the reward of a policy that is not trained.
 UNTRAINED = "untrained"
+#: Columns of the tables with algorithms that learn from stored behaviour, and their names in `mapt imitate`.
+IMITATION: Mapping[str, str] = {"OMAR": "omar", "MAGAIL": "magail", "O-MAPL": "o-mapl"}
+#: Segments of an expert's demonstrations: twenty episodes of a thousand steps, in segments of fifty.
+EXPERT_SEGMENTS = 400
 #: Policy settings that the plan sets.
 _SET_BY_PLAN = frozenset({"algorithm", "seed", "device"})
 
@@ -72,6 +87,10 @@ class PaperPlan:
     dataset_steps: int
     #: of the training pairs; see `random_pairs`
     pair_distance: float = ALL_SEGMENTS
+    #: algorithms that learn from stored behaviour, of `IMITATION`, with settings if wanted: `OMAR:batch=128`
+    imitation: tuple[str, ...] = ()
+    #: gradient steps of those that train on data alone
+    imitation_steps: int = 10_000
 
     def policy_config(self, policy: str, seed: int) -> PolicyConfig:
         """The settings of one of the policies.
@@ -84,6 +103,36 @@ class PaperPlan:
             raise InvalidConfig(f"{policy!r} must not set {', '.join(sorted(wrong))}.", "policies")
         return PolicyConfig.named(named.name, **named.settings, seed=seed, device=self.device)
 
+    def imitation_config(self, name: str) -> ImitationConfig:
+        """The settings of one of the imitation algorithms.
+
+        Raises:
+            InvalidConfig: if the algorithm or a setting is unknown, or a value is out of its range.
+        """
+        named = NamedSettings.parse(name)
+        if named.name not in IMITATION:
+            raise InvalidConfig(f"{name!r} is unknown; known are {', '.join(IMITATION)}.", "imitation")
+        return imitation_config(IMITATION[named.name], named.settings)
+
+    @property
+    def with_labels(self) -> tuple[str, ...]:
+        """The imitation algorithms that learn from labelled pairs."""
+        return tuple(name for name in self.imitation if _algorithm_of(name) in NEEDS_PAIRS)
+
+    @property
+    def without_labels(self) -> tuple[str, ...]:
+        """The others."""
+        return tuple(name for name in self.imitation if _algorithm_of(name) not in NEEDS_PAIRS)
+
+    def applicable(self, name: str, policy: str) -> bool:
+        """Whether an imitation algorithm can train a policy: OMAR and O-MAPL need one actor per agent."""
+        return _algorithm_of(name) not in NEEDS_ACTORS or self.policy_config(policy, 0).algorithm != "mat"
+
+
+def _algorithm_of(name: str) -> str:
+    """The name in `mapt imitate` of a column such as `OMAR:batch=128`."""
+    return IMITATION[NamedSettings.parse(name).name]
+
 
 @dataclass(frozen=True, slots=True)
 class PolicyJob:
@@ -91,9 +140,9 @@ class PolicyJob:
 
     #: as in the plan
     policy: str
-    #: `true`, `untrained` or the name of a reward model
+    #: `true`, `untrained`, or the name of a reward model or an imitation algorithm
     reward: str
-    #: labelled pairs that the reward model was trained on; None without a reward model
+    #: labelled pairs that the reward model, or O-MAPL, was trained on; None without
     pairs: int | None
     run: RunJob
 
@@ -209,7 +258,7 @@ class PaperFolder:
             InvalidConfig: if a policy or one of its settings is unknown.
         """
         return [
-            PolicyJob(policy, reward, None, self._run(task, policy, seed, f"{reward}-seed-{seed}", None))
+            PolicyJob(policy, reward, None, self._run(task, policy, seed, f"{reward}-seed-{seed}", reward=None))
             for seed in self.plan.seeds
             for task in self.plan.tasks
             for policy in self.plan.policies
@@ -223,21 +272,81 @@ class PaperFolder:
             InvalidConfig: as `baseline_jobs`.
         """
         return [
-            PolicyJob(policy, cell.model, cell.labels, self._run(cell.task, policy, cell.seed, folder.name, folder))
+            PolicyJob(
+                policy, cell.model, cell.labels, self._run(cell.task, policy, cell.seed, folder.name, reward=learned)
+            )
             for job in models
             if (cell := job.settings) and (folder := job.model)
+            for learned in (LearnedRewardSettings(str(folder.resolve()), self.plan.segment_steps),)
             for policy in self.plan.policies
         ]
 
-    def _run(self, task: str, policy: str, seed: int, name: str, model: Path | None) -> RunJob:
-        settings = RunSettings(
-            task=task,
-            policy=self.plan.policy_config(policy, seed),
-            steps=self.plan.steps,
-            reward=None if model is None else LearnedRewardSettings(str(model.resolve()), self.plan.segment_steps),
+    def expert_recordings(self) -> dict[Path, PolicyRecording]:
+        """The demonstrations of MAGAIL by folder: of the policies on the true reward that are trained."""
+        if "magail" not in map(_algorithm_of, self.plan.imitation):
+            return {}
+        return {
+            self._expert_folder(job.task, job.policy, job.seed): PolicyRecording(
+                str(job.run.folder.resolve()), self.plan.segment_steps, EXPERT_SEGMENTS, job.seed
+            )
+            for job in self.baseline_jobs()
+            if job.reward == TRUE and read_result(job) is not None
+        }
+
+    def imitation_jobs(self, pairs: int | None = None) -> list[PolicyJob]:
+        """The policies that learn from stored behaviour; without those whose data is not recorded yet.
+
+        OMAR learns from the recorded dataset, MAGAIL from demonstrations of the policy on the true reward, O-MAPL from
+        the pairs of the reward models.
+
+        Args:
+            pairs: labelled pairs of O-MAPL; None for the algorithms without labels.
+
+        Raises:
+            InvalidConfig: if an algorithm, a policy or a setting is unknown.
+        """
+        plan = self.plan
+        return [
+            PolicyJob(policy, name, pairs, self._imitation_run(name, task, policy, seed, data=data, pairs=pairs))
+            for name in (plan.with_labels if pairs else plan.without_labels)
+            for seed in plan.seeds
+            for task in plan.tasks
+            for policy in plan.policies
+            if plan.applicable(name, policy) and (data := self._data(name, task, policy, seed)).exists()
+        ]
+
+    def _data(self, name: str, task: str, policy: str, seed: int) -> Path:
+        """The folder of segments that an algorithm learns from."""
+        if _algorithm_of(name) == "magail":
+            return self._expert_folder(task, policy, seed)
+        return self._dataset_folder(task, seed)
+
+    def _imitation_run(self, name: str, task: str, policy: str, seed: int, *, data: Path, pairs: int | None) -> RunJob:
+        plan = self.plan
+        imitation = ImitationSettings(
+            _algorithm_of(name),
+            (NamedData.of(SegmentFolder.open(data)),),
+            plan.imitation_config(name),
+            PairSettings(pairs, TEACHER, plan.pair_distance) if pairs else None,
         )
-        runs = self.path / "runs" / path_name(task) / path_name(f"{policy}-{self.plan.steps}")
-        return RunJob(settings, runs / name, self.checkpoint_seconds, video=False, physics_threads=self.physics_threads)
+        labelled = f"-{pairs}-{plan.pair_distance:g}" if pairs else ""
+        steps = plan.imitation_steps if imitation.offline else plan.steps
+        return self._run(task, policy, seed, f"{name}-{steps}{labelled}-seed-{seed}", reward=imitation, steps=steps)
+
+    def _run(
+        self, task: str, policy: str, seed: int, name: str, *, reward: Reward | None, steps: int | None = None
+    ) -> RunJob:
+        settings = RunSettings(
+            task=task, policy=self.plan.policy_config(policy, seed), steps=steps or self.plan.steps, reward=reward
+        )
+        folder = self._policy_folder("runs", task, policy) / path_name(name)
+        return RunJob(settings, folder, self.checkpoint_seconds, video=False, physics_threads=self.physics_threads)
+
+    def _policy_folder(self, kind: str, task: str, policy: str) -> Path:
+        return self.path / kind / path_name(task) / path_name(f"{policy}-{self.plan.steps}")
+
+    def _expert_folder(self, task: str, policy: str, seed: int) -> Path:
+        return dataset_folder(self._policy_folder("experts", task, policy), seed)
 
     def _dataset_folder(self, task: str, seed: int) -> Path:
         return dataset_folder(self.path / "datasets" / path_name(task), seed)

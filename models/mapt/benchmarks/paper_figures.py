@@ -21,6 +21,7 @@ from mapt.rewards.model import RewardModel
 from mapt.training.curves import draw_curves
 from mapt.training.results import Group
 from mapt.training.run_folder import load_policy
+from mapt.training.settings import ImitationSettings
 
 #: The model whose policies play the rollouts of figure 5; the first model of the plan if it has no such model.
 _SHOWN_MODEL = "MAPT"
@@ -39,12 +40,13 @@ def draw_figures(results: PaperResults, models: Sequence[CellJob], folder: Path)
 def _scores(results: PaperResults, folder: Path) -> Iterator[tuple[str, Path]]:
     rows = [row for row in results.rows if row.pairs is not None and row.score is not None]
     shown = list(dict.fromkeys((row.task, row.policy) for row in rows))
+    learned = (*results.plan.with_labels, *results.plan.models)
     if not shown:
         return
     figure, panels = panel_grid(len(shown), width=4.5, height=3.6)
     for axes, (task, policy) in zip(panels, shown, strict=True):
         axes.set_title(f"{task}, {policy}")
-        draw_scores(axes, [row for row in rows if (row.task, row.policy) == (task, policy)], results.plan.models)
+        draw_scores(axes, [row for row in rows if (row.task, row.policy) == (task, policy)], learned)
     outside_legend(figure, panels[0])
     path = folder / "scores.png"
     save_figure(figure, path)
@@ -85,15 +87,21 @@ def _learning_curves(results: PaperResults, folder: Path) -> Iterator[tuple[str,
 
 
 def _groups(results: Sequence[PolicyResult], pairs: int) -> list[Group]:
-    """Trained policies on the true reward and on models of this number of pairs, by task and reward."""
+    """Policies that trained in the task, without labels or on this number of pairs, by task and reward."""
     found: dict[tuple[str, str, str, int | None], list[PolicyResult]] = {}
     for one in results:
-        if one.job.reward != UNTRAINED and one.job.pairs in (None, pairs):
+        if one.job.reward != UNTRAINED and one.job.pairs in (None, pairs) and not _offline(one):
             found.setdefault((one.job.task, one.job.policy, one.job.reward, one.job.pairs), []).append(one)
     return [
         Group(*key, differs="", runs=tuple(one.run for one in members if one.run is not None))
         for key, members in found.items()
     ]
+
+
+def _offline(result: PolicyResult) -> bool:
+    """Whether the policy trained on data alone, so that its curve is not by environment steps."""
+    reward = result.job.run.settings.reward
+    return isinstance(reward, ImitationSettings) and reward.offline
 
 
 def _rewards(results: PaperResults, models: Sequence[CellJob], folder: Path) -> Iterator[tuple[str, Path]]:

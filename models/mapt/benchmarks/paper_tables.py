@@ -20,6 +20,7 @@ from mapt.training.settings import TRUE
 PAPER_RETURNS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "HalfCheetah-6x1": {
         TRUE: (4483.95, 74.75),
+        "OMAR": (4088.93, 165.67),
         "MA-MLP": (-88.75, 11.62),
         "MA-LSTM": (1132.20, 116.15),
         "MA-Transformer": (1317.90, 147.77),
@@ -57,6 +58,12 @@ _EXPLANATION = (
     "has no interval."
 )
 
+_IMITATION_EXPLANATION = (
+    "*OMAR* trains on the segments of the recorded dataset and their true rewards, *MAGAIL* in the task on "
+    "demonstrations of the policy that was trained on the true reward, and *O-MAPL* on the pairs of the reward models, "
+    "without one. OMAR and O-MAPL train one actor per agent, so that they have no results for `mat`."
+)
+
 
 @dataclass(frozen=True)
 class Row:
@@ -64,9 +71,9 @@ class Row:
 
     task: str | None
     policy: str
-    #: `untrained`, `true` or the name of a reward model
+    #: `untrained`, `true`, or the name of a reward model or an imitation algorithm
     reward: str
-    #: pairs that the reward model was trained on; None without one
+    #: pairs that the reward model, or O-MAPL, was trained on; None without
     pairs: int | None
     #: true return by seed; empty over tasks
     returns: Mapping[int, float]
@@ -98,7 +105,7 @@ class PaperResults:
             for seed in self.plan.seeds
             for task in self.plan.tasks
             for policy in self.plan.policies
-            if (task, policy, reward, pairs, seed) not in done
+            if (task, policy, reward, pairs, seed) not in done and self._applicable(reward, policy)
         ]
 
     @cached_property
@@ -140,8 +147,13 @@ class PaperResults:
 
     def _rewards(self) -> list[tuple[int | None, str]]:
         """Number of pairs and name of every reward, in ascending order of pairs."""
-        learned = [(pairs, model) for pairs in sorted(self.plan.pairs) for model in self.plan.models]
-        return [(None, UNTRAINED), (None, TRUE), *learned]
+        plan = self.plan
+        labelled = (*plan.with_labels, *plan.models)
+        learned = [(pairs, name) for pairs in sorted(plan.pairs) for name in labelled]
+        return [(None, UNTRAINED), (None, TRUE), *((None, name) for name in plan.without_labels), *learned]
+
+    def _applicable(self, reward: str, policy: str) -> bool:
+        return reward not in self.plan.imitation or self.plan.applicable(reward, policy)
 
     def models(self) -> dict[tuple[str, int, str], dict[str, SeedStatistics]]:
         """Metrics of the reward models over seeds, by task, pairs and model."""
@@ -188,14 +200,16 @@ def markdown(results: PaperResults, figures: Sequence[tuple[str, str]] = ()) -> 
         "reward models and policies.",
         _EXPLANATION,
     ]
+    if plan.imitation:
+        parts.append(_IMITATION_EXPLANATION)
     if results.missing:
         parts.append(f"**{len(results.missing)} results are missing**; they are listed at the end.")
     if len(codes := {cell.code for cell in results.cells}) > 1:
         parts.append(f"**The reward models come from {len(codes)} versions of the code.**")
-    columns = (UNTRAINED, TRUE, *plan.models)
+    learned = (*plan.imitation, *plan.models)
     for policy in plan.policies:
-        parts.append(f"## Table 1: {policy}\n\n{_returns(results, policy, columns)}")
-        parts.append(_scores(results, policy, plan.models))
+        parts.append(f"## Table 1: {policy}\n\n{_returns(results, policy, (UNTRAINED, TRUE, *learned))}")
+        parts.append(_scores(results, policy, learned))
     for title, models in _ABLATIONS.items():
         if len(shown := [model for model in models if model in plan.models]) > 1:
             parts.append(f"## {title}")
@@ -227,12 +241,14 @@ def _returns(results: PaperResults, policy: str, columns: Sequence[str]) -> str:
             lines.append([task, f"{pairs:,}", *(_return(found.get(reward), plan) for reward in columns)])
         if task in PAPER_RETURNS:
             paper = PAPER_RETURNS[task]
-            values = [
-                f"{paper[reward][0]:,.0f} ± {paper[reward][1]:,.0f}" if reward in paper else "" for reward in columns
-            ]
+            values = [_paper_return(paper.get(reward.partition(":")[0])) for reward in columns]
             if any(values):
                 lines.append([f"{task}, the paper's MAT", f"{_PAPER_PAIRS:,}", *values])
     return grid(["return", "pairs", *(_heading(reward) for reward in columns)], lines)
+
+
+def _paper_return(found: tuple[float, float] | None) -> str:
+    return "" if found is None else f"{found[0]:,.0f} ± {found[1]:,.0f}"
 
 
 def _scores(results: PaperResults, policy: str, columns: Sequence[str]) -> str:

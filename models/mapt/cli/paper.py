@@ -8,7 +8,7 @@ import typer
 
 from mapt.benchmarks.evaluate import ALL_SEGMENTS
 from mapt.benchmarks.job import network_of, training_of
-from mapt.benchmarks.paper import PaperFolder, PaperPlan, PolicyJob, do_policy_job, read_result
+from mapt.benchmarks.paper import IMITATION, PaperFolder, PaperPlan, PolicyJob, do_policy_job, read_result
 from mapt.benchmarks.paper_figures import draw_figures
 from mapt.benchmarks.paper_tables import PaperResults, markdown, row_values, write_rows, write_runs
 from mapt.benchmarks.recorded_dataset import layout_of
@@ -67,8 +67,16 @@ def paper(
             "setting, such as mat_dec:learning_rate=5e-5."
         ),
     ] = "mat_dec,mappo",
+    imitation: Annotated[
+        str,
+        typer.Option(
+            help=f"Comma-separated algorithms that learn from stored behaviour: {', '.join(IMITATION)}; none for none. "
+            "NAME:KEY=VALUE changes a setting, such as OMAR:batch=128."
+        ),
+    ] = ",".join(IMITATION),
     seeds: Seeds = "0,1,2",
     steps: Annotated[int, typer.Option(min=1, help="Environment steps to train each policy for.")] = 1_000_000,
+    imitation_steps: Annotated[int, typer.Option(min=1, help="Gradient steps of OMAR and O-MAPL.")] = 10_000,
     preset: Preset = RewardPreset.SMALL,
     segment_steps: SegmentSteps = 50,
     segments: Segments = 6000,
@@ -94,7 +102,8 @@ def paper(
     """Repeat the experiments of the MAPT paper.
 
     Records a dataset per task and seed, trains every reward model on pairs labelled by the oracle, and trains policies
-    from scratch on each reward model, which stays fixed, and on the true reward. Writes the paper's tables and figures.
+    from scratch on each reward model, which stays fixed, and on the true reward. OMAR, MAGAIL and O-MAPL learn from the
+    same data. Writes the paper's tables and figures.
     Experiments with fewer pairs come first. Rerun the command to resume.
     """
     plan = PaperPlan(
@@ -111,6 +120,8 @@ def paper(
         segments=segments,
         dataset_steps=dataset_steps,
         pair_distance=pair_distance,
+        imitation=() if imitation == "none" else parse_list("--imitation", imitation),
+        imitation_steps=imitation_steps,
     )
     _check(plan)
     n_baselines = len(plan.tasks) * len(plan.policies) * len(plan.seeds)
@@ -142,6 +153,8 @@ def _check(plan: PaperPlan) -> None:
             training_of(model, plan.preset, 0, plan.device)
     for policy in plan.policies:
         plan.policy_config(policy, 0)
+    for name in plan.imitation:
+        plan.imitation_config(name)
 
 
 def _do_all(folder: PaperFolder, workers: int, *, quiet: bool) -> None:
@@ -149,12 +162,15 @@ def _do_all(folder: PaperFolder, workers: int, *, quiet: bool) -> None:
     absent = {path: recording for path, recording in folder.recordings().items() if not path.exists()}
     record_all(absent, workers, quiet=quiet)
     _train_policies(folder.baseline_jobs(), workers, quiet=quiet)
+    experts = {path: recording for path, recording in folder.expert_recordings().items() if not path.exists()}
+    record_all(experts, workers, quiet=quiet)
+    _train_policies(folder.imitation_jobs(), workers, quiet=quiet)
     models = folder.model_jobs()
     for pairs in sorted(folder.plan.pairs):
         wanted = [job for job in models if job.settings.labels == pairs]
         train_cells(wanted, folder.cells, workers, same_code=False, quiet=quiet)
         trained = [job for job, _ in folder.trained(wanted)]
-        _train_policies(folder.policy_jobs(trained), workers, quiet=quiet)
+        _train_policies([*folder.imitation_jobs(pairs), *folder.policy_jobs(trained)], workers, quiet=quiet)
 
 
 def _train_policies(jobs: Sequence[PolicyJob], workers: int, *, quiet: bool) -> None:
@@ -192,7 +208,8 @@ def write(folder: PaperFolder) -> tuple[PaperResults, list[Path]]:
     """Write paper.md, returns.csv, scores.csv and the figures; returns the results and the paths."""
     trained = folder.trained(folder.model_jobs())
     models = [job for job, _ in trained]
-    jobs = [*folder.baseline_jobs(), *folder.policy_jobs(models)]
+    imitation = [job for pairs in (None, *sorted(folder.plan.pairs)) for job in folder.imitation_jobs(pairs)]
+    jobs = [*folder.baseline_jobs(), *imitation, *folder.policy_jobs(models)]
     policies = tuple(result for job in jobs if (result := read_result(job)) is not None)
     results = PaperResults(folder.plan, policies, tuple(cell for _, cell in trained))
     figures = draw_figures(results, models, folder.path / "figures")

@@ -105,9 +105,9 @@ class MagailConfig(Settings):
 
 @dataclass(frozen=True, slots=True)
 class OMaplConfig(Settings):
-    """Settings of O-MAPL."""
+    """Settings of O-MAPL. Its paper does not give the temperature."""
 
-    batch: Annotated[int, setting("Pairs per gradient step.", ge=1, le=100_000)] = 32
+    batch: Annotated[int, setting("Pairs per gradient step.", ge=1, le=100_000)] = 16
     learning_rate: LearningRate = 1e-3
     max_gradient_norm: MaxNorm = 1.0
     gamma: Gamma = 0.99
@@ -118,7 +118,7 @@ class OMaplConfig(Settings):
     temperature: Annotated[
         float,
         setting("Temperature of the soft values, beta: a small one imitates only the best actions.", gt=0, le=1e6),
-    ] = 1.0
+    ] = 0.1
     regularisation: Annotated[float, setting("Weight of the mean square of the implied rewards.", ge=0, le=1e6)] = 0.5
     min_log_std: Annotated[
         float, setting("Logarithm of the smallest standard deviation that the actions may have.", ge=-20, le=20)

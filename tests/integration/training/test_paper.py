@@ -12,7 +12,7 @@ from statistics import mean, stdev
 import pytest
 
 from mapt.training.run_folder import RunFolder
-from mapt.training.settings import TRUE, LearnedRewardSettings
+from mapt.training.settings import TRUE, ImitationSettings, LearnedRewardSettings, PairSettings
 from support import short_tasks
 from support.mapt_command import run_mapt
 from support.training_runs import STEPS_PER_ITERATION
@@ -26,16 +26,18 @@ TRAINING = "hidden_dim=8:train.markov_epochs=1:train.max_epochs=1"
 MODELS = [f"MAPT:{TRAINING}", f"MA-MLP:{TRAINING}"]
 TINY = "n_envs=4:rollout_steps=24:minibatches=2:epochs=2:hidden=[8]"
 POLICIES = [f"mat_dec:{TINY}:width=8"]
+IMITATION = ["OMAR:batch=8:hidden=4", "MAGAIL:batch=8:hidden=4:cloning_steps=2", "O-MAPL:batch=2:hidden=4"]
 SEEDS = [0, 1]
 STEPS = 6 * STEPS_PER_ITERATION
-#: policies that are untrained, trained on the true reward, and trained on each model
-N_RUNS = len(SEEDS) * len(POLICIES) * (2 + len(MODELS))
+#: policies that are untrained, trained on the true reward, by imitation, and on each model
+N_RUNS = len(SEEDS) * len(POLICIES) * (2 + len(IMITATION) + len(MODELS))
 
 
 def arguments(output: Path, *more: str) -> list[str]:
     return [
         *("benchmark", "paper", "--output", str(output), "--tasks", TASK, "--models", ",".join(MODELS)),
         *("--policies", ",".join(POLICIES), "--seeds", ",".join(map(str, SEEDS)), "--pairs", "30"),
+        *("--imitation", ",".join(IMITATION), "--imitation-steps", "20"),
         *("--steps", str(STEPS), "--dataset-steps", "4096", "--segments", "60", "--segment-steps", "10"),
         *("--test-pairs", "50", "--checkpoint-minutes", "0", "--workers", "1", *more),
     ]
@@ -129,7 +131,7 @@ def test_the_tables_have_the_returns_of_the_run_folders(whole):
 
 
 def test_each_policy_trains_on_the_frozen_model_of_its_seed(whole):
-    learned = [line for line in lines(whole / "returns.csv") if line["pairs"]]
+    learned = [line for line in lines(whole / "returns.csv") if line["reward"] in MODELS]
     assert len(learned) == len(SEEDS) * len(POLICIES) * len(MODELS)
     for line in learned:
         folder = RunFolder(whole / line["folder"])
@@ -139,6 +141,24 @@ def test_each_policy_trains_on_the_frozen_model_of_its_seed(whole):
         assert [path.name for path in folder.rewards.iterdir()] == ["version-1"]
         weights = (Path(reward.path) / "reward.safetensors").read_bytes()
         assert (folder.rewards / "version-1" / "reward.safetensors").read_bytes() == weights
+
+
+def test_imitation_learns_from_the_data_of_its_seed(whole):
+    found = [line for line in lines(whole / "returns.csv") if line["reward"] in IMITATION]
+    assert len(found) == len(SEEDS) * len(POLICIES) * len(IMITATION)
+    for line in found:
+        reward = RunFolder(whole / line["folder"]).settings().reward
+        assert isinstance(reward, ImitationSettings)
+        (data,) = reward.data
+        name = line["reward"].partition(":")[0]
+        assert Path(data.path).name == f"seed-{line['seed']}"
+        # MAGAIL imitates the policy on the true reward, whose demonstrations name its return.
+        expert = whole / "experts" / TASK
+        assert Path(data.path).is_relative_to(expert if name == "MAGAIL" else whole / "datasets" / TASK)
+        assert (data.policy_return is not None) == (name == "MAGAIL")
+        assert (reward.pairs, line["pairs"]) == ((PairSettings(30), "30") if name == "O-MAPL" else (None, ""))
+    page = (whole / "paper.md").read_text()
+    assert all(name in page for name in IMITATION)
 
 
 def test_the_figures_of_the_page_exist(whole):
@@ -184,6 +204,8 @@ def test_a_dataset_with_other_settings_is_refused(whole, mapt):
         ("--models", "Nobody", "'Nobody'"),
         ("--policies", "mappo:seed=1", "'mappo:seed=1'"),
         ("--policies", "sac", "algorithm"),
+        ("--imitation", "Nobody", "'Nobody'"),
+        ("--imitation", "OMAR:batch=0", "batch"),
         ("--pairs", "1", "--pairs"),
         ("--pair-distance", "2", "--pair-distance"),
     ],

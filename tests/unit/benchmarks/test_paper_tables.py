@@ -1,5 +1,6 @@
 """Tables of the paper's experiments from results with known returns."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -106,3 +107,21 @@ def test_missing_results_are_listed_in_the_order_in_which_they_are_computed():
     assert len(missing) == 2 * 2 * 2 * 3 - len(MAPT)
     assert missing[0] == "HalfCheetah-6x1, mappo, MAPT-TPA on 500 pairs, seed 0"
     assert missing[-1] == "Walker2d-2x3, mappo, MA-MLP on 2,000 pairs, seed 1"
+
+
+def test_imitation_has_columns_and_no_results_for_a_policy_without_single_actors():
+    plan = replace(PLAN, tasks=(FIRST,), policies=("mappo", "mat"), imitation=("OMAR", "MAGAIL", "O-MAPL"))
+    found = PaperResults(
+        plan, (*BASELINES[:4], result(FIRST, "OMAR", None, 0, 500.0), result(FIRST, "O-MAPL", 500, 0, 100.0)), ()
+    )
+    page = markdown(found)
+    mappo, mat = page.split("## Table 1: mat\n")
+    # The paper's figure of OMAR is below ours.
+    assert "4,089 ± 166" in mappo
+    assert next(line for line in mappo.splitlines() if "| 500 |" in line).count("500 (1)") == 1
+    assert "mappo, OMAR, seed 1" in page
+    assert "mat, MAGAIL, seed 0" in page
+    assert "mat, OMAR, seed" not in page
+    assert "mat, O-MAPL on 500 pairs" not in page
+    assert row_of(found, FIRST, "O-MAPL", 500)["mean"] == 100.0
+    assert mat
