@@ -59,4 +59,7 @@ def test_an_experiment_on_a_skirmish_runs_from_the_first_clip_to_the_trained_pol
     found = client.experiment(id)
     assert (found["labels"]["labels"], found["reward_version"]) == (12, 2)
     assert found["returns"]["final"]["max"] >= 0
-    assert client.request("GET", f"/experiments/{id}/recordings")["items"]
+    recording = client.request("GET", f"/experiments/{id}/recordings")["items"][-1]
+    assert recording["seconds"] == pytest.approx(recording["frames"] / 8)
+    view = f"/recordings/{recording['id']}/views/follow"
+    until(lambda: client.request("PUT", view)["status"] == "ready", "the video of a recording")

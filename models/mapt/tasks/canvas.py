@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 Colour = tuple[int, int, int]
 Floats = NDArray[np.floating]
 
-#: 3 x 5 pixels per digit, one number per row
+#: first column and length of the runs of pixels in a row of a digit, by the row's three bits
+_RUNS = ((), ((2, 1),), ((1, 1),), ((1, 2),), ((0, 1),), ((0, 1), (2, 1)), ((0, 2),), ((0, 3),))
+#: the bits of the five rows of each digit
 _DIGITS = (
     (7, 5, 5, 5, 7),
     (2, 6, 2, 2, 7),
@@ -95,9 +97,9 @@ class Canvas:
         left, top = x - pixel * (4 * len(digits) - 1) / 2, y - height / 2
         for position, digit in enumerate(digits):
             for row, bits in enumerate(_DIGITS[digit]):
-                for column in range(3):
-                    if bits >> (2 - column) & 1:
-                        self.rectangle(left + pixel * (4 * position + column), top + pixel * row, pixel, pixel, colour)
+                for column, length in _RUNS[bits]:
+                    start = left + pixel * (4 * position + column)
+                    self.rectangle(start, top + pixel * row, pixel * length, pixel, colour)
 
     def _patch(
         self, left: float, top: float, right: float, bottom: float

@@ -77,7 +77,7 @@ class SkirmishDrawing:
         units = states.reshape(len(states), len(self._units), DRAWN_NUMBERS)
         view = _View.of(units, height, width)
         for each in units:
-            yield self._frame(Canvas(height, width, _OUTSIDE), each, view, agent_colours)
+            yield self._frame(Canvas(height, width, _UNSEEN), each, view, agent_colours)
 
     def _frame(
         self, canvas: Canvas, units: NDArray[np.float64], view: _View, agent_colours: Sequence[Colour]
@@ -157,9 +157,8 @@ class SkirmishDrawing:
 
 
 def _draw_ground(canvas: Canvas, view: _View, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-    """The ground, and what agents at these points see of it."""
+    """What agents at these points see of the ground, and the grid."""
     side = canvas.width - 2 * view.left
-    canvas.rectangle(view.left, view.top, side, side, _UNSEEN)
     canvas.discs(x, y, SIGHT_RANGE * view.scale, _SEEN)
     for line in range(0, int(MAP_SIZE), _GRID_STEP):
         canvas.rectangle(view.left + view.scale * (line - view.west) - 0.5, view.top, 1, side, _GRID)
