@@ -8,7 +8,6 @@ a new page, add it to `PAGES`.
 """
 
 import io
-import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -16,6 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 import httpx
 from PIL import Image
@@ -25,6 +26,7 @@ from accord.cli.client import Api
 from accord.cli.own_service import OwnService
 from accord.cli.teach import SegmentReader, TeacherChoice, judge
 from accord.domain.enums import Role
+from support.chromium import chromium
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images" / "pages"
@@ -270,14 +272,14 @@ PAGES = (
 
 def main() -> None:
     chosen = [each for each in PAGES if not sys.argv[1:] or each.name in sys.argv[1:]]
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
+    program = chromium()
+    if program is None:
         raise SystemExit("No Chromium on this machine: apt-get install chromium")
     IMAGES.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as folder, sync_playwright() as playwright:
         service = OwnService(Path(folder), {"ACCORD_POLICY_WORKERS": "2", "ACCORD_RENDER_WORKERS": "2"})
         try:
-            browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+            browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
             scene = set_up(browser, service)
             for picture in chosen:
                 for variant, options in picture.variants().items():

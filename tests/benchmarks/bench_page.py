@@ -14,8 +14,8 @@ A whole service makes its clips first, and then only waits for labels: the first
 
 import argparse
 import os
-import shutil
 import statistics
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,11 +23,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 
 from accord.cli.client import Api
 from accord.cli.own_service import OwnService
 from accord.domain.enums import Role
+from support.chromium import chromium
 
 LONGEST_WAIT_SECONDS = 1_200.0
 #: round trip of the emulated link
@@ -92,15 +95,15 @@ def main() -> None:
     parser.add_argument("--link-megabits", type=float, default=9.0)
     parser.add_argument("--task", default="HalfCheetah-6x1")
     arguments = parser.parse_args()
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
+    program = chromium()
+    if program is None:
         raise SystemExit("No Chromium on this machine: apt-get install chromium")
     with TemporaryDirectory() as folder, sync_playwright() as playwright:
         service = OwnService(Path(folder), {})
         try:
             api = Api(service.url(), service.token("admin", Role.ADMIN))
             experiment = start(api, arguments.task, arguments.labels)
-            browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+            browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
             print(f"{arguments.task}, {browser.version}, nice {os.nice(0)}, load {os.getloadavg()[0]:.1f}", flush=True)
             address = f"{service.url()}/experiments/{experiment}/label"
             measure_opening(browser, api, address, arguments.link_megabits)

@@ -4,7 +4,6 @@ The browser and the service stop after the last test of this folder. Playwright 
 which prevents other tests from starting theirs, and the workers of the service would slow down later tests.
 """
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from accord.api.pages import FOLDER
 from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS
 from browser.service import SMALL, Service
+from support.chromium import chromium
 from support.ci import IN_CI
 from support.waiting import until
 
@@ -40,13 +40,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
+    program = chromium()
+    if program is None:
         pytest.skip("no Chromium on this machine: apt-get install chromium")
     # On a busy machine the page can take longer than Playwright's default of 5 s.
     expect.set_options(timeout=PATIENCE_MS)
     with sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=chromium, args=list(_FLAGS))
+        launched = playwright.chromium.launch(executable_path=program, args=list(_FLAGS))
         yield launched
         launched.close()
 
