@@ -3,9 +3,10 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
-# The tests of a file run in one process, in order, because they share servers and browsers. Files start in alphabetical
-# order, so the longest ones, in acceptance, browser and integration, come first.
-TEST_PROCESSES ?= 2
+# Three on two cores, because tests of whole services often wait. The tests of a file run in one process, in order, because
+# they share servers and browsers. Files start in alphabetical order, so the longest ones, in acceptance, browser and
+# integration, come first.
+TEST_PROCESSES ?= 3
 SIDE_BY_SIDE := --numprocesses $(TEST_PROCESSES) --dist loadfile --no-loadscope-reorder
 PAGE_SOURCES := $(shell find frontend/src frontend/public frontend/index.html frontend/package-lock.json frontend/vite.config.ts 2>/dev/null)
 
@@ -14,13 +15,16 @@ unexport PYTHONDONTWRITEBYTECODE
 
 CHECKS := check-types check-page check-imports check-style
 
-.PHONY: run test test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean
+.PHONY: run test test-slow test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean
 
 run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
 	$(BIN)/accord up --example
 
-test: $(INSTALLED) system-test check ## Format, lint, types, import rules, then every test that takes minutes, not hours
-	$(BIN)/python -m pytest -m "not benchmark and not learn and not deployment" $(SIDE_BY_SIDE)
+test: $(INSTALLED) system-test check ## Format, lint, types, import rules, then the tests, in about ten minutes
+	$(BIN)/python -m pytest -m "not benchmark and not learn and not deployment and not slow" $(SIDE_BY_SIDE)
+
+test-slow: $(INSTALLED) system-test ## The tests that start whole services for a quarter of a minute and more; part of CI
+	$(BIN)/python -m pytest --quiet -m slow $(SIDE_BY_SIDE) tests/acceptance tests/browser
 
 test-avx2: $(INSTALLED) ## The tests of computed numbers again, with AVX2, so that none depends on one processor's rounding; part of CI
 	ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 $(BIN)/python -m pytest --quiet -m numerics $(SIDE_BY_SIDE) tests/unit

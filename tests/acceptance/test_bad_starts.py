@@ -146,6 +146,7 @@ def test_an_invalid_setting_is_named(tmp_path: Path) -> None:
     assert_refused(up(tmp_path, "--port", "0", ACCORD_POLL_SECONDS="soon"), "ACCORD_POLL_SECONDS")
 
 
+@pytest.mark.slow
 def test_without_egl_the_service_runs_and_names_the_package_to_install(accord: Accord) -> None:
     accord.start({"__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent", "LD_LIBRARY_PATH": "/nonexistent"}, without=["policy"])
     until(lambda: "apt-get install" in accord.log.read_text(), "the terminal names the package to install")

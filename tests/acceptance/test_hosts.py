@@ -68,6 +68,7 @@ def policy_host(database: Database) -> str:
     return found[0][0].partition("@")[2].partition(":")[0] if found else ""
 
 
+@pytest.mark.slow
 def test_an_experiment_goes_on_without_a_killed_host_and_after_outages(
     tmp_path: Path, stores: Database, postgres_server: PostgresServer, s3_server: S3Server
 ) -> None:

@@ -4,6 +4,7 @@ import csv
 import io
 import re
 
+import pytest
 from playwright.sync_api import Page, expect
 
 from browser.accessibility import violations_of
@@ -63,6 +64,7 @@ def answer_hastily(page: Page) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_practice_and_a_hundred_labels_with_the_keyboard_alone(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn, researcher: str
 ) -> None:
