@@ -56,6 +56,8 @@ _NOTIFICATIONS = """
   globalThis.shownNotifications = [];
   const Shown = globalThis.Notification;
   globalThis.Notification = class extends Shown {
+    // Chromium's headless shell grants the permission, but keeps "denied" here.
+    static get permission() { return "granted"; }
     constructor(title, options) {
       super(title, options);
       globalThis.shownNotifications.push(`${title}: ${options.body}`);
