@@ -237,6 +237,27 @@ def test_left_hand_is_the_mirror_image_of_the_right_one() -> None:
         np.testing.assert_allclose(right * MIRROR, left, atol=1e-6)
 
 
+def test_hands_touch_each_other_and_not_themselves() -> None:
+    model = load_model(CATCH)
+    data = mujoco.MjData(model)
+    # The left palm is moved into the right one.
+    mujoco.mj_forward(model, data)
+    data.qpos[31:34] = data.body("right_robot0:palm").xpos - data.body("left_robot0:palm").xpos
+    mujoco.mj_forward(model, data)
+    sides = {
+        tuple(sorted(model.geom(geom).name.split("_")[0] for geom in contact.geom))
+        for contact in data.contact[: data.ncon]
+    }
+    assert ("left", "right") in sides
+    data.qpos[31] = 5.0
+    mujoco.mj_forward(model, data)
+    sides = {
+        tuple(sorted(model.geom(geom).name.split("_")[0] for geom in contact.geom))
+        for contact in data.contact[: data.ncon]
+    }
+    assert ("left", "right") not in sides
+
+
 @pytest.mark.parametrize("name", DOORS)
 def test_door_reward_is_the_same_for_mirrored_hands(name: str) -> None:
     probe = Probe(name, 1)
@@ -348,15 +369,17 @@ def test_stored_throw_brings_the_egg_to_its_goal() -> None:
     assert min(distances) < 0.05
 
 
-def test_stored_push_opens_both_leaves() -> None:
-    # Found in the same way: five actions of 50 steps, mirrored for the left hand.
-    task = make_task(OUTWARD, 1, n_threads=1)
+@pytest.mark.parametrize(("name", "stored"), [(OUTWARD, "push"), (INWARD, "pull")])
+def test_stored_actions_open_both_leaves(name: str, stored: str) -> None:
+    # Found in the same way, mirrored for the left hand: five pushes of 50 steps; ten actions of 25 steps that pull.
+    actions = np.load(STORED / f"{stored}.npz")["actions"]
+    task = make_task(name, 1, n_threads=1)
     task.reset(0)
     angles = []
-    for action in np.repeat(np.load(STORED / "push.npz")["actions"], 50, axis=0):
+    for action in np.repeat(actions, 250 // len(actions), axis=0):
         step = task.step(action[None])
         assert not step.terminated[0]
         angles.append(task.simulator_state()[0][0, -2:])
-        if min(angles[-1]) > np.radians(85):
+        if min(angles[-1]) > np.radians(75):
             return
     pytest.fail(f"the leaves opened to {np.degrees(angles[-1])} degrees")

@@ -41,6 +41,8 @@ SLIDE_DAMPING, BALL_DAMPING = 100 * 4.6, 100 * 0.2
 #: The base is massless but for what keeps the mass matrix regular.
 _BASE_MASS, _SLIDE_INERTIA, _BALL_INERTIA = 1e-3, 1e-6, 1e-5
 _SOLVER_ITERATIONS = 20
+#: The bit of `contype` and `conaffinity` by which the hands touch each other.
+_OTHER_HAND = 2
 #: The group of sites that are not drawn.
 HIDDEN = 4
 #: An element of the asset's names, for example robot0:ffdistal.
@@ -139,10 +141,21 @@ def _add_hand(spec: mujoco.MjSpec, side: str, pose: Pose, strength: Strength) ->
     for body in spec.bodies:
         if body.name.startswith(side):
             body.gravcomp = 1
+            for geom in body.geoms:
+                _let_hands_collide(geom, side)
     for name in "xyz":
         _add_motor(spec, f"{side}_force_{name}", f"{side}_{name}", 0, strength.force)
     for axis, name in enumerate("xyz"):
         _add_motor(spec, f"{side}_torque_{name}", f"{side}_ball", axis, strength.torque)
+
+
+def _let_hands_collide(geom: mujoco.MjsGeom, side: str) -> None:
+    """Let a solid part of a hand touch the other hand; in the asset, it touches objects only."""
+    if geom.contype:
+        if side == "left":
+            geom.conaffinity = _OTHER_HAND
+        else:
+            geom.contype |= _OTHER_HAND
 
 
 def _set_mass(body: mujoco.MjsBody, inertia: float) -> None:
