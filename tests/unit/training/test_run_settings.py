@@ -2,11 +2,16 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from mapt.errors import InvalidConfig, RunBusy, RunMismatch
+from mapt.preferences.dataset import PreferenceDataset
+from mapt.tasks import task_spec
+from mapt.training.preference_loop import RewardSettings
 from mapt.training.run_folder import RunFolder
 from mapt.training.settings import LearnedRewardSettings, RunSettings
+from support.comparisons import made_records
 
 
 def test_settings_read_back_as_they_were_written(settings, tmp_path):
@@ -70,3 +75,13 @@ def test_differences_ignore_the_number_of_steps(settings):
     run = settings()
     assert run.differences(dataclasses.replace(run, steps=10**9)) == []
     assert run.differences(dataclasses.replace(run, agent_obsk=0)) == ["agent_obsk: 1, not 0"]
+
+
+@pytest.mark.parametrize("task", ["3m", "HalfCheetah-6x1"])
+def test_the_reward_model_is_that_of_the_tasks_actions_and_episodes(task):
+    spec = task_spec(task)
+    pairs, labels = np.array([[0, 1], [2, 3]]), np.array([1.0, 0.0], dtype=np.float32)
+    dataset = PreferenceDataset(made_records(4).segments, pairs, labels)
+    network, training = RewardSettings(segment_steps=4).training(dataset, spec)
+    assert network.discrete_actions == spec.discrete_actions == (task == "3m")
+    assert training.subtract_mean == (not spec.can_terminate)
