@@ -1,7 +1,8 @@
 """Gradient steps per second of the algorithms that learn from stored behaviour, and OMAR beside a loop over agents.
 
-OMAR's step evaluates both critics of every agent in one batched product per layer. The loop trains the same networks in
-the same run, one agent after the other, as a team of single agents. Figures are medians over rounds that alternate.
+OMAR's step evaluates both critics of every agent in one batched product per layer, a part of the batch at a time. The
+loop trains the same networks in the same run, one agent after the other, as a team of single agents. Both are measured
+with parts of the batch and with the whole batch at once. Figures are medians over rounds that alternate.
 
     python tests/benchmarks/bench_imitation.py [--task HalfCheetah-6x1] [--rounds 10] [--threads 1]
 """
@@ -9,18 +10,20 @@ the same run, one agent after the other, as a team of single agents. Figures are
 import argparse
 import os
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import torch
 from interleaved_timing import median_seconds
 
+from mapt.imitation import omar
 from mapt.imitation.cloning import CloningTrainer
 from mapt.imitation.config import CloningConfig, MagailConfig, OMaplConfig, OmarConfig
 from mapt.imitation.demonstrations import Demonstrations
 from mapt.imitation.magail import DiscriminatorReward
 from mapt.imitation.omapl import OMaplTrainer
-from mapt.imitation.omar import make_omar
+from mapt.imitation.omar import PART_STEPS, OmarTrainer, make_omar
 from mapt.policies import Learner, PolicyConfig
 from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
 from mapt.tasks import TaskSpec, make_task
@@ -28,7 +31,18 @@ from mapt.tasks import TaskSpec, make_task
 N_STEPS = 50
 
 
-def single_agents(learner: Learner, data: Demonstrations, config: OmarConfig) -> list[object]:
+def in_parts(n_steps: int, trainers: list[OmarTrainer]) -> Callable[[], None]:
+    """A gradient step of each trainer, with this number of steps in one pass."""
+
+    def step() -> None:
+        omar.PART_STEPS = n_steps
+        for trainer in trainers:
+            trainer.step()
+
+    return step
+
+
+def single_agents(learner: Learner, data: Demonstrations, config: OmarConfig) -> list[OmarTrainer]:
     """One trainer per agent, each with its own actor and critics."""
     spec, trainers = learner.task.spec, []
     for agent in range(spec.n_agents):
@@ -59,13 +73,15 @@ def main() -> None:
     data = Demonstrations.from_rollout(rollout)
     print(f"{arguments.task}, torch {arguments.threads} thread(s){load}; gradient steps per CPU second")
 
-    for batch in (64, 256):
-        config = OmarConfig(batch=batch)
-        batched, loop = make_omar(learner.policy, data, config, seed=0), single_agents(learner, data, config)
-        together, apart = median_seconds(
-            time.process_time, arguments.rounds, batched.step, lambda loop=loop: [each.step() for each in loop]
-        )
-        print(f"OMAR, batch {batch}: {1 / together:.1f}; a loop over agents {1 / apart:.1f}; x{apart / together:.2f}")
+    config = OmarConfig()
+    batched, loop = make_omar(learner.policy, data, config, seed=0), single_agents(learner, data, config)
+    ways = {
+        f"{name}, {parts} steps at a time": in_parts(parts, trainers)
+        for name, trainers in (("OMAR", [batched]), ("OMAR in a loop over agents", loop))
+        for parts in (PART_STEPS, config.batch)
+    }
+    for name, seconds in zip(ways, median_seconds(time.process_time, arguments.rounds, *ways.values()), strict=True):
+        print(f"{name}, batch {config.batch}: {1 / seconds:.1f}")
 
     whole = SegmentArrays(
         *(np.ascontiguousarray(each[:N_STEPS].swapaxes(0, 1)) for each in (rollout.observations, rollout.actions)),

@@ -97,14 +97,21 @@ def fit_normalisers(policy: Policy, data: Demonstrations) -> None:
 
 
 def descend(loss: Tensor, optimiser: Adam, max_norm: float) -> None:
-    """One gradient step on a loss ().
+    """One gradient step on a loss (); raises as `take_step`."""
+    optimiser.zero_grad()
+    loss.backward()
+    take_step(optimiser, max_norm)
+
+
+def take_step(optimiser: Adam, max_norm: float) -> None:
+    """Clip the gradients of a backward pass, or the sums of several, take a step by them and delete them.
 
     Raises:
         TrainingDiverged: if a gradient is not finite; the weights are then unchanged.
     """
-    optimiser.zero_grad()
-    loss.backward()
     norm = clip_grad_norm_(optimiser.parameters, max_norm)
     if not torch.isfinite(norm):
+        optimiser.zero_grad()
         raise TrainingDiverged(f"The norm of a gradient is {norm}. Lower the learning rate.")
     optimiser.step()
+    optimiser.zero_grad()

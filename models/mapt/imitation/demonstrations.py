@@ -1,7 +1,7 @@
 """Stored behaviour of a team: steps of segments on disk or of rollouts, ready to sample batches from."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,17 @@ class Transitions:
     #: bool (N, B, A); None if all actions are available
     available: Tensor | None = None
     next_available: Tensor | None = None
+
+    def __len__(self) -> int:
+        """Number of steps, B."""
+        return len(self.rewards)
+
+    def parts(self, n: int) -> list["Transitions"]:
+        """The steps in parts of `n`, in order; the last may have fewer."""
+        names = [each.name for each in fields(self) if getattr(self, each.name) is not None]
+        # Steps are the first dimension of rewards, and the second of what each agent has.
+        split = [getattr(self, name).split(n, dim=min(1, getattr(self, name).dim() - 1)) for name in names]
+        return [Transitions(**dict(zip(names, part, strict=True))) for part in zip(*split, strict=True)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from mapt.errors import InvalidConfig
-from mapt.imitation.cloning import ADAM_EPSILON, descend, fit_normalisers
+from mapt.imitation.cloning import ADAM_EPSILON, fit_normalisers, take_step
 from mapt.imitation.config import OmarConfig
 from mapt.imitation.demonstrations import Demonstrations, Transitions
 from mapt.policies import Policy, checkpoint
@@ -23,6 +23,10 @@ from mapt.policies.kernels import Adam
 from mapt.policies.networks import ActorCritic, Actors, AgentLinear, initialise
 from mapt.tasks import TaskSpec
 
+#: Stored steps in one pass on a CPU. A larger batch adds up the gradients of several passes: of 256 steps, the layers'
+#: outputs for the drawn actions take tens of megabytes, which the allocator returns to the system after each operation.
+#: With whole batches of 256, a step takes 57% to 72% longer. Benchmark: tests/benchmarks/bench_imitation.py.
+PART_STEPS = 32
 #: Weight of the penalty on large outputs of the actors.
 OUTPUT_PENALTY = 1e-3
 #: Standard deviation of the noise around the policy's actions on which the critics' values are penalised.
@@ -73,6 +77,11 @@ class OmarTrainer(ABC):
         self._actor_optimiser = Adam(self._actor_parameters, config.learning_rate, ADAM_EPSILON)
         self._critic_optimiser = Adam(self.critics.parameters(), config.learning_rate, ADAM_EPSILON)
 
+    @property
+    def part_steps(self) -> int:
+        """Steps of the batch in one pass; the gradients of several passes are added up."""
+        return self.config.batch
+
     @abstractmethod
     def make_critics(self) -> nn.Module:
         """The twin critics."""
@@ -93,20 +102,35 @@ class OmarTrainer(ABC):
         """Raises TrainingDiverged if a gradient is not finite."""
         config = self.config
         batch = self._normalised(self.data.sample(config.batch, self.generator))
-        with torch.no_grad():
-            targets = td_targets(batch.rewards, batch.continues, self.next_values(batch), config.gamma)
-        error, penalty = self.critic_losses(batch, targets)
-        descend(error + config.conservatism * penalty, self._critic_optimiser, config.max_gradient_norm)
-        loss = self.actor_loss(batch)
-        descend(loss, self._actor_optimiser, config.max_gradient_norm)
+        parts = batch.parts(self.part_steps)
+        error, penalty, target = torch.zeros(3, device=batch.rewards.device)
+        for part in parts:
+            share = len(part) / len(batch)
+            with torch.no_grad():
+                targets = td_targets(part.rewards, part.continues, self.next_values(part), config.gamma)
+            own_error, own_penalty = self.critic_losses(part, targets)
+            (share * (own_error + config.conservatism * own_penalty)).backward()
+            error, penalty, target = (
+                total + share * own.detach()
+                for total, own in ((error, own_error), (penalty, own_penalty), (target, targets.mean()))
+            )
+        take_step(self._critic_optimiser, config.max_gradient_norm)
+        loss = torch.zeros_like(error)
+        for part in parts:
+            own_loss = len(part) / len(batch) * self.actor_loss(part)
+            own_loss.backward()
+            loss = loss + own_loss.detach()
+        # The actors' loss also has gradients with respect to the critics.
+        self._critic_optimiser.zero_grad()
+        take_step(self._actor_optimiser, config.max_gradient_norm)
         _follow(self.target_critics, self.critics, config.tau)
         _follow(self.target_actors, self.actors, config.tau)
         per_critic, per_agent = 1 / (2 * self.spec.n_agents), 1 / self.spec.n_agents
         return {
-            "critic_loss": error.detach() * per_critic,
-            "conservative_penalty": penalty.detach() * per_critic,
-            "actor_loss": loss.detach() * per_agent,
-            "target_value": targets.mean(),
+            "critic_loss": error * per_critic,
+            "conservative_penalty": penalty * per_critic,
+            "actor_loss": loss * per_agent,
+            "target_value": target,
         }
 
     def state_dict(self) -> dict[str, Tensor]:
@@ -147,6 +171,10 @@ class ContinuousOmar(OmarTrainer):
 
     critics: "ActionCritics"
     target_critics: "ActionCritics"
+
+    @property
+    def part_steps(self) -> int:
+        return PART_STEPS if self.data.rewards.device.type == "cpu" else self.config.batch
 
     def make_critics(self) -> "ActionCritics":
         return ActionCritics(self.spec, self.config.hidden)

@@ -21,6 +21,8 @@ from mapt.imitation.omar import (
     td_targets,
 )
 from mapt.policies import Learner, Policy, PolicyConfig, evaluate
+from mapt.policies.kernels import Adam
+from support.tolerance import assert_float32_close
 
 SMALL = {"n_envs": 16, "rollout_steps": 64, "minibatches": 1, "hidden": [32], "initial_log_std": 1.0}
 CONFIG = OmarConfig(
@@ -158,6 +160,30 @@ def test_training_resumes_exactly(task):
     assert trainer.step() == again.step()
     for one, other in zip(whole.parameters(), resumed.parameters(), strict=True):
         assert torch.equal(one, other)
+
+
+@pytest.mark.numerics
+def test_the_gradients_of_parts_add_up_to_those_of_the_batch(monkeypatch):
+    found: list[list[np.ndarray]] = []
+
+    def record(optimiser: Adam, max_norm: float) -> None:
+        found[-1] += [each.grad.clone().numpy() for each in optimiser.parameters if each.grad is not None]
+        optimiser.zero_grad()
+
+    monkeypatch.setattr("mapt.imitation.omar.take_step", record)
+    for n_steps in (16, 5):
+        policy, data = random_data(IdentityTask(16))
+        trainer = make_omar(policy, data, OmarConfig(batch=16, hidden=8, search_weight=0.5), seed=1)
+        monkeypatch.setattr("mapt.imitation.omar.PART_STEPS", n_steps)
+        # Fixed actions: those drawn depend on the order of the passes.
+        monkeypatch.setattr(trainer, "_draw", lambda batch: (batch.actions[:, :, None] * 0.5, torch.zeros(1, 1, 1)))
+        monkeypatch.setattr(trainer, "search", lambda observations, actions: 0.1 * observations[..., :1])
+        found.append([])
+        trainer.step()
+    whole, in_parts = found
+    assert len(whole) == 8 + 4
+    for one, other in zip(in_parts, whole, strict=True):
+        assert_float32_close(one, other)
 
 
 def test_a_policy_without_an_actor_per_agent_is_refused():
