@@ -24,6 +24,7 @@ from mapt.tasks.robots import (
     hopper,
     humanoid,
     many_segments,
+    porters,
     pusher,
     reacher,
     swimmer,
@@ -49,6 +50,7 @@ _MODULES = (
     pusher,
     coupled_half_cheetah,
     many_segments,
+    porters,
     catch,
     doors,
 )

@@ -226,7 +226,10 @@ def test_labels_do_not_depend_on_the_batch_size(name):
     def random_view():
         shape = (700, 8)
         rewards, observations = rng.normal(1, 2, size=shape), rng.normal(size=(*shape, 6, 9))
-        return TeacherView(rewards, None, observations, rng.normal(size=(*shape, 6, 1)))
+        # states of two ants and a board, whose orientation is level
+        qpos, qvel = rng.normal(size=(*shape, 37)), rng.normal(size=(*shape, 34))
+        qpos[..., -4:] = [1.0, 0.0, 0.0, 0.0]
+        return TeacherView(rewards, None, observations, rng.normal(size=(*shape, 6, 1)), qpos, qvel)
 
     first, second = random_view(), random_view()
     whole = make_teacher(name, seed=5).judge(first, second)

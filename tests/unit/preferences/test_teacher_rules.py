@@ -11,6 +11,7 @@ from mapt.errors import InvalidTeacher, MissingArray
 from mapt.preferences.teachers import (
     RULES,
     BestWindow,
+    Carrying,
     EffortBalance,
     FinalWindow,
     LowEffort,
@@ -26,16 +27,22 @@ from mapt.preferences.teachers import (
 )
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM, N_STEPS = 4, 6, 2, 12
+#: two ants and a board
+NQ, NV = 37, 34
+ARRAYS = ("observations", "actions", "qpos", "qvel")
 every_rule = pytest.mark.parametrize("rule", RULES.values(), ids=RULES.keys())
 
 
 def segment(n_steps, rng):
     """Random arrays with a trend per segment, so that scores differ."""
+    turn = rng.normal(size=(n_steps, 4)) * 0.1 + [1, 0, 0, 0]
     drift = rng.normal(size=(1, N_AGENTS, OBSERVATION_DIM)) * np.linspace(-1, 1, n_steps)[:, None, None]
     return {
         "rewards": rng.normal(size=n_steps) + rng.normal(),
         "observations": rng.normal(size=(n_steps, N_AGENTS, OBSERVATION_DIM)) * 0.3 + drift,
         "actions": rng.normal(size=(n_steps, N_AGENTS, ACTION_DIM)) * rng.uniform(0.1, 2, size=(N_AGENTS, 1)),
+        "qpos": np.hstack((rng.normal(size=(n_steps, NQ - 4)), turn / np.linalg.norm(turn, axis=1, keepdims=True))),
+        "qvel": rng.normal(size=(n_steps, NV)),
     }
 
 
@@ -158,13 +165,33 @@ def test_scores_equal_a_plain_loop(rule, slow):
     np.testing.assert_allclose(rule.scores(TeacherView.stack(samples)), expected, rtol=1e-9, atol=1e-9)
 
 
+def test_carrying_equals_a_plain_loop():
+    samples = [each for each in segments(60) if len(each["rewards"]) > 1]
+    rule = Carrying(carried=3.0, level=4.0, step=0.5)
+    expected = []
+    for each in samples:
+        tilts = [np.arccos(1 - 2 * (x * x + y * y)) for _, x, y, _ in each["qpos"][:, -4:]]
+        one, other = ([step[first : first + 8] for step in each["qvel"]] for first in (6, 20))
+        one, other = one - np.mean(one, axis=0), other - np.mean(other, axis=0)
+        in_step = (one * other).sum() / np.sqrt((one**2).sum() * (other**2).sum())
+        worth = 3.0 + np.mean(each["qvel"][:, -6]) - 4.0 * np.mean(tilts) + 0.5 * in_step
+        expected.append(worth * len(tilts) * 0.05)
+    np.testing.assert_allclose(rule.scores(TeacherView.stack(samples)), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("nq", "nv"), [(9, 9), (22, 20), (37, 33)])
+def test_carrying_refuses_segments_without_ants_and_a_board(nq, nv):
+    with pytest.raises(MissingArray, match="Porters"):
+        Carrying().scores(TeacherView(np.zeros((1, 5)), qpos=np.zeros((1, 5, nq)), qvel=np.zeros((1, 5, nv))))
+
+
 @every_rule
 def test_scores_do_not_depend_on_padding(rule):
     view = TeacherView.stack(segments(20))
     wider = np.pad(view.mask, ((0, 0), (0, 5)))
     filled = {
         name: np.pad(getattr(view, name), ((0, 0), (0, 5), *[(0, 0)] * (getattr(view, name).ndim - 2)))
-        for name in ("rewards", "observations", "actions")
+        for name in ("rewards", *ARRAYS)
     }
     for array in filled.values():
         array[~wider] = 1e3
@@ -183,7 +210,7 @@ def test_scores_of_a_segment_do_not_depend_on_the_others(rule):
 @every_rule
 def test_rules_read_exactly_the_arrays_they_declare(rule):
     view = TeacherView.stack(segments(10))
-    arrays = {name: getattr(view, name) for name in ("observations", "actions") if name in rule.reads}
+    arrays = {name: getattr(view, name) for name in ARRAYS if name in rule.reads}
     rewards = view.rewards if "rewards" in rule.reads else np.zeros_like(view.rewards)
     np.testing.assert_array_equal(rule.scores(TeacherView(rewards, view.mask, **arrays)), rule.scores(view))
     for name in arrays:
@@ -210,6 +237,8 @@ def test_scores_are_finite_for_one_step_and_for_a_team_at_rest(rule):
         np.zeros((1, 5)),
         observations=np.zeros((1, 5, N_AGENTS, OBSERVATION_DIM)),
         actions=np.zeros((1, 5, N_AGENTS, 1)),
+        qpos=np.zeros((1, 5, NQ)),
+        qvel=np.zeros((1, 5, NV)),
     )
     assert np.isfinite(rule.scores(one)).all()
     assert np.isfinite(rule.scores(rest)).all()

@@ -3,6 +3,7 @@
 `make_teacher("phase+mistake", seed=0, mistake=0.05).judge(first, second)` labels the pairs of two `TeacherView`s.
 """
 
+from mapt.preferences.teachers.carrying import Carrying
 from mapt.preferences.teachers.rules import (
     BestWindow,
     EffortBalance,
@@ -34,6 +35,7 @@ __all__ = [
     "RULES",
     "BPrefParameters",
     "BestWindow",
+    "Carrying",
     "EffortBalance",
     "FinalWindow",
     "LowEffort",

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mapt.errors import InvalidTeacher, ShapeError, UnknownTeacher
 from mapt.preferences.dataset import NO_AGENT
+from mapt.preferences.teachers.carrying import Carrying
 from mapt.preferences.teachers.rules import (
     BestWindow,
     EffortBalance,
@@ -343,6 +344,7 @@ RULES: dict[str, Rule] = {
     "low-effort": LowEffort(),
     "shared-load": EffortBalance(),
     "nobody-idle": MinimumEffort(),
+    "carry": Carrying(),
 }
 
 

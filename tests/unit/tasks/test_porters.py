@@ -1,0 +1,116 @@
+"""Ants that carry a board: the model, what agents observe, the reward and the ends of episodes."""
+
+# mujoco is compiled and ships no stubs.
+# pyright: reportAttributeAccessIssue=false
+
+import numpy as np
+import pytest
+
+from mapt.tasks import Task, load_model, make_task
+from mapt.tasks.registry import find_definition
+from mapt.tasks.robots import porters
+
+NAMES = ("Porters-2x8", "Porters-4x8")
+every_team = pytest.mark.parametrize("name", NAMES)
+
+
+def rest(task: Task) -> np.ndarray:
+    return np.zeros((task.n_envs, task.spec.n_agents, 8), dtype=np.float32)
+
+
+def terminated(name: str, qpos: np.ndarray) -> bool:
+    spec = find_definition(name).spec(agent_obsk=1, agent_index=True)
+    features = {"qpos": qpos[None], "qvel": np.zeros((1, spec.nv))}
+    return bool(find_definition(name).mdp.terminated(features)[0])  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@every_team
+def test_ants_that_stand_still_carry_the_board_level(name: str) -> None:
+    task = make_task(name, 2, n_threads=1)
+    task.reset(0)
+    for _ in range(60):
+        step = task.step(rest(task))
+        assert not step.terminated.any()
+    qpos, _ = task.simulator_state()
+    assert (porters.board_up(qpos) > np.cos(0.1)).all()
+    saddles = qpos[:, 2 : 15 * task.spec.n_agents : 15] + porters.SADDLE_METRES + porters.SADDLE[2]
+    np.testing.assert_allclose(porters.board_position(qpos)[:, 2], saddles.mean(axis=1) + 0.02, atol=0.04)
+
+
+@every_team
+def test_each_action_drives_the_joint_of_its_agent(name: str) -> None:
+    model = load_model(name)
+    partition = find_definition(name).robot.partition  # pyright: ignore[reportAttributeAccessIssue]
+    for agent, joints in enumerate(partition.agents, start=1):
+        for joint in joints:
+            assert joint.startswith(f"ant{agent}_")
+            assert model.joint(model.actuator_trnid[partition.joint(joint).actuator, 0]).name == joint
+
+
+@every_team
+def test_agents_observe_their_own_ant_and_the_way_to_the_board_and_the_others(name: str) -> None:
+    task = make_task(name, 1, n_threads=1, agent_obsk=0, agent_index=False, dtype=np.float64)
+    task.reset(3)
+    for _ in range(5):
+        observations = task.step(np.random.default_rng(1).uniform(-1, 1, rest(task).shape)).final_observations[0]
+    (qpos,), (qvel,) = task.simulator_state()
+    n_ants, board = task.spec.n_agents, qpos[-7:]
+    ants, speeds = qpos[:-7].reshape(n_ants, 15), qvel[:-6].reshape(n_ants, 14)
+    for index, seen in enumerate(observations):
+        others = [ants[(index + next) % n_ants, :3] - ants[index, :3] for next in range(1, n_ants)]
+        expected = [*ants[index, 2:], *speeds[index], *np.ravel([board[:3] - ants[index, :3], *others])]
+        np.testing.assert_allclose(seen[-10:], [*board[3:], *qvel[-6:]])
+        np.testing.assert_allclose(sorted(seen[:-10]), sorted(expected))
+
+
+def test_a_neighbour_sees_the_other_ants_hips() -> None:
+    near, far = (make_task("Porters-2x8", 1, agent_obsk=k).spec.observation_dim for k in (0, 1))
+    assert far == near + 4
+
+
+@every_team
+def test_observations_do_not_depend_on_where_the_team_is(name: str) -> None:
+    task = make_task(name, 1, n_threads=1)
+    task.reset(0)
+    snapshot = task.snapshot()
+    here, state = task.restore(snapshot)
+    moved = snapshot["qpos"].copy()
+    for first in range(0, moved.shape[1], 15):
+        moved[:, first] += 7.0
+        moved[:, first + 1] -= 3.0
+    there, other = task.restore(snapshot | {"qpos": moved})
+    np.testing.assert_allclose(there, here, atol=1e-6)
+    np.testing.assert_allclose(other, state, atol=1e-6)
+
+
+@every_team
+def test_reward_is_speed_of_the_board_plus_one_less_the_mean_control_cost(name: str) -> None:
+    task = make_task(name, 4, n_threads=1)
+    task.reset(5)
+    actions = np.random.default_rng(2).uniform(-1, 1, rest(task).shape).astype(np.float32)
+    before = porters.board_position(task.simulator_state()[0])[:, 0]
+    step = task.step(actions)
+    after = porters.board_position(task.simulator_state()[0])[:, 0]
+    cost = 0.5 * np.square(actions.astype(np.float64)).sum(axis=(1, 2)) / task.spec.n_agents
+    np.testing.assert_allclose(step.reward, (after - before) / 0.05 + 1 - cost)
+
+
+@every_team
+def test_an_episode_ends_when_the_board_or_an_ant_falls(name: str) -> None:
+    standing = find_definition(name).mdp.sample_start(np.random.default_rng(0), 1)[0][0]  # pyright: ignore[reportAttributeAccessIssue]
+    assert not terminated(name, standing)
+    for index, value in ((-5, 0.44), (2, 0.19), (2, 1.01), (-2, 0.3), (17, 0.1), (7, np.nan)):
+        fallen = standing.copy()
+        fallen[index] = value
+        assert terminated(name, fallen), index
+
+
+def test_a_board_that_tips_over_ends_the_episode() -> None:
+    task = make_task("Porters-2x8", 4, n_threads=1)
+    task.reset(0)
+    rng = np.random.default_rng(0)
+    lengths = 0
+    while not (step := task.step(rng.uniform(-1, 1, rest(task).shape))).terminated.any():
+        lengths += 1
+    assert 0 < lengths < 500
+    assert not step.truncated[step.terminated].any()
