@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mapt.tasks.hands.model import (
     HAND_NQ,
     HAND_NV,
+    N_ACTIONS,
     SIDES,
     STEP_SECONDS,
     SUBSTEPS,
@@ -128,7 +129,7 @@ TASKS = (
             reward=reward,
             terminated=terminated,
             previous=(),
-            fields={"sensordata": (N_HAND_SENSORS + N_SENSED,), "ctrl": (52,)},
+            fields={"sensordata": (N_HAND_SENSORS + N_SENSED,), "ctrl": (len(SIDES) * N_ACTIONS,)},
             features={"hands": (len(SIDES), HAND_WIDTH), "object": (OBJECT_WIDTH,)},
             compute=compute,
             state=columns("hands", 0, len(SIDES) * HAND_WIDTH) + columns("object", 0, OBJECT_WIDTH),
