@@ -110,6 +110,11 @@ class Segment:
             rollout.observations[at], rollout.actions[at], rollout.rewards[at], rollout.qpos[at], rollout.qvel[at]
         )
 
+    def teacher_arrays(self) -> dict[str, FloatArray]:
+        """The arrays by field of `TeacherView`."""
+        arrays = {"rewards": self.rewards, "observations": self.observations, "actions": self.actions}
+        return {**arrays, "qpos": self.qpos, "qvel": self.qvel}
+
 
 @dataclass(slots=True)
 class Query:
@@ -260,7 +265,7 @@ class PreferenceLoop:
         open_queries = [query for query in self.queries if query.label is None]
         self._update_episode_return()
         first, second = (
-            TeacherView.stack([_teacher_view(self.segments[index]) for index in side])
+            TeacherView.stack([self.segments[index].teacher_arrays() for index in side])
             for side in zip(*((query.segment_0, query.segment_1) for query in open_queries), strict=True)
         )
         for query, label in zip(open_queries, self._teacher.judge(first, second).tolist(), strict=True):
@@ -391,9 +396,3 @@ def labelled_dataset(
     indices = np.array([index_of[key] for key in keys]).reshape(-1, 2)
     dataset = PreferenceDataset(segments, indices, np.array(labels, dtype=np.float32), np.array(numbers))
     return dataset if decisive_agents is None else replace(dataset, decisive_agents=np.array(decisive_agents))
-
-
-def _teacher_view(segment: Segment) -> dict[str, FloatArray]:
-    """A segment's arrays by field of `TeacherView`."""
-    arrays = {"rewards": segment.rewards, "observations": segment.observations, "actions": segment.actions}
-    return {**arrays, "qpos": segment.qpos, "qvel": segment.qvel}

@@ -1,0 +1,316 @@
+"""The functions of `import mapt`: from a task to a policy that is trained on preferences.
+
+They put the parts of the library together for one process and data that fit into memory. `accord demo` and
+`PreferenceLoop` ask for labels while a policy trains; `mapt benchmark paper` follows the paper's protocol.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapt.cli.output import ProgressBars, on_terminal
+from mapt.errors import InvalidConfig, ModelMismatch, NotEnoughPairs
+from mapt.policies import Learner, Policy, PolicyConfig, Rollout, play
+from mapt.preferences.dataset import PreferenceDataset
+from mapt.preferences.segments import cut_rollout
+from mapt.preferences.selection import UniformSelector
+from mapt.preferences.teachers import Teacher, TeacherView, make_teacher
+from mapt.rewards.checkpoints import load_reward_model, save_reward_model
+from mapt.rewards.config import PresetName
+from mapt.rewards.model import RewardModel
+from mapt.rewards.stage_trainer import TrainProgress
+from mapt.rewards.trainer import train_reward_model
+from mapt.tasks import Task, TaskSpec, make_task, task_spec
+from mapt.training.evaluation import EPISODES, SEED_OF_STARTS, Evaluation
+from mapt.training.policy_trainer import PolicyTrainer
+from mapt.training.preference_loop import RewardSettings, Segment, labelled_dataset
+from mapt.training.reward_source import LearnedReward, TrueReward, dimensions, reward_files
+
+#: Labels pairs of segments: P(segment 0 preferred) of each, (B,), NaN for pairs to skip.
+LabelFunction = Callable[[TeacherView, TeacherView], NDArray[np.floating]]
+
+
+@dataclass(frozen=True, slots=True)
+class Segments:
+    """Segments of a task's behaviour, with everything that teachers read."""
+
+    spec: TaskSpec
+    #: T, their steps; those of episodes that ended early are shorter
+    n_steps: int
+    segments: tuple[Segment, ...]
+
+    def __len__(self) -> int:
+        return len(self.segments)
+
+    def view(self, indices: Sequence[int]) -> TeacherView:
+        """What a teacher sees of these segments."""
+        return TeacherView.stack([self.segments[index].teacher_arrays() for index in indices])
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """L recorded steps of E environments."""
+
+    spec: TaskSpec
+    rollout: Rollout
+
+    def segments(self, n_steps: int = 50, *, seed: int = 0) -> Segments:
+        """Cut into segments that do not overlap, in random order.
+
+        Args:
+            n_steps: T. An episode that terminates before T steps becomes a shorter segment.
+
+        Raises:
+            InvalidConfig: if `n_steps` is out of range.
+        """
+        longest = len(self.rollout.rewards)
+        if not 1 <= n_steps <= longest:
+            raise InvalidConfig(f"n_steps is {n_steps}; it must be from 1 to the replay's {longest}.", "n_steps")
+        rng = np.random.default_rng(seed)
+        places = cut_rollout(self.rollout.episode_start, self.rollout.terminated, n_steps, rng)
+        return Segments(self.spec, n_steps, tuple(Segment.of(self.rollout, place) for place in places))
+
+
+@dataclass(frozen=True, slots=True)
+class Preferences:
+    """Labelled pairs of a task's segments."""
+
+    spec: TaskSpec
+    #: T of the segments
+    segment_steps: int
+    dataset: PreferenceDataset
+
+    def __len__(self) -> int:
+        return len(self.dataset)
+
+
+@dataclass(frozen=True, slots=True)
+class Reward:
+    """A trained reward model."""
+
+    model: RewardModel
+    #: see `train_reward_model`
+    metrics: dict[str, float]
+    #: T of the segments that it was trained on
+    segment_steps: int
+
+    def save(self, folder: str | Path) -> None:
+        """Write reward.safetensors and reward.json, which `load_reward`, `mapt train` and the wrappers read."""
+        save_reward_model(self.model, self.metrics, segment_steps=self.segment_steps).write(Path(folder))
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedPolicy:
+    """A policy after its training."""
+
+    learner: Learner
+    #: of each iteration; see `iteration_metrics`
+    history: tuple[dict[str, float], ...]
+
+    @property
+    def policy(self) -> Policy:
+        return self.learner.policy
+
+    def save(self, path: str | Path) -> None:
+        """Write a checkpoint, with which `load_policy` continues the training bit for bit."""
+        self.learner.save(Path(path))
+
+
+def collect(task: Task, policy: TrainedPolicy | Policy | None = None, *, steps: int = 400, seed: int = 0) -> Replay:
+    """Record a task, which is reset.
+
+    Args:
+        policy: acts with exploration noise; None for an untrained one.
+        steps: of each environment.
+
+    Raises:
+        InvalidConfig: if `steps` is below 1.
+    """
+    if steps < 1:
+        raise InvalidConfig(f"steps is {steps}; it must be 1 or more.", "steps")
+    learner = Learner(task, PolicyConfig(n_envs=task.n_envs, rollout_steps=steps, minibatches=1, seed=seed))
+    if policy is not None:
+        learner.policy = policy.policy if isinstance(policy, TrainedPolicy) else policy
+    return Replay(task.spec, learner.collect())
+
+
+def label(
+    segments: Segments, teacher: str | Teacher | LabelFunction = "oracle", *, pairs: int = 300, seed: int = 0
+) -> Preferences:
+    """Have a teacher compare random pairs of segments, no pair twice.
+
+    Args:
+        teacher: name of a scripted teacher, such as `phase+mistake`, or a function that labels pairs, of people for
+            example.
+        pairs: number of pairs to ask about; those that the teacher skips are left out.
+
+    Raises:
+        UnknownTeacher, InvalidTeacher: if there is no such teacher, or it does not suit the task.
+        NotEnoughPairs: if fewer than two pairs have a label.
+        InvalidConfig: if the segments do not form as many pairs.
+    """
+    most = len(segments) * (len(segments) - 1) // 2
+    if not 2 <= pairs <= most:
+        raise InvalidConfig(f"pairs is {pairs}; {len(segments)} segments form {most}, and 2 are needed.", "pairs")
+    if isinstance(teacher, str):
+        scripted = make_teacher(teacher, seed=seed)
+        scripted.check_task(segments.spec.name, discrete_actions=segments.spec.discrete_actions)
+        judge: LabelFunction = scripted.judge
+    else:
+        judge = teacher if callable(teacher) else teacher.judge
+    chosen = UniformSelector(np.random.default_rng(seed)).select(range(len(segments)), [], pairs)
+    first, second = zip(*chosen, strict=True)
+    labels = np.asarray(judge(segments.view(first), segments.view(second)), dtype=np.float32)
+    given = np.flatnonzero(~np.isnan(labels))
+    if len(given) < 2:
+        raise NotEnoughPairs(len(given), 2)
+    dataset = labelled_dataset(
+        [chosen[index] for index in given],
+        labels[given].tolist(),
+        lambda index: (segments.segments[index].observations, segments.segments[index].actions),
+        given.tolist(),
+    )
+    return Preferences(segments.spec, segments.n_steps, dataset)
+
+
+def train_reward(
+    data: Preferences,
+    model: str = "MAPT",
+    *,
+    preset: PresetName = "small",
+    seed: int = 0,
+    device: str = "auto",
+    progress: bool | None = None,
+) -> Reward:
+    """Train a reward model on preferences; its dimensions are those of the data.
+
+    Args:
+        model: a name of `mapt.rewards.config.MODEL_NAMES`, such as MAPT, MA-MLP, MA-LSTM or MA-Transformer.
+        progress: show a progress bar; by default in a terminal.
+
+    Raises:
+        InvalidConfig: if there is no such model, preset or device.
+    """
+    settings = RewardSettings(data.segment_steps, model, preset, seed=seed, device=device)
+    config, train = settings.training(data.dataset, data.spec)
+    with _progress(f"{model}, {len(data)} labels", train.markov_epochs + train.max_epochs, progress) as show:
+
+        def report(at: TrainProgress) -> None:
+            show(at.epoch, f"hold-out accuracy {at.holdout_accuracy:.1%}")
+
+        trained = train_reward_model(data.dataset, config, train, progress=report)
+    return Reward(trained.model, trained.metrics, data.segment_steps)
+
+
+def load_reward(path: str | Path) -> Reward:
+    """Read a reward model: a folder, or a .safetensors file with its .json beside it.
+
+    Raises:
+        DamagedCheckpoint: if it is incomplete or altered, or does not say on how many steps it was trained.
+        NewerCheckpoint: if a later version of this library wrote it.
+    """
+    loaded = load_reward_model(*reward_files(Path(path)))
+    if loaded.segment_steps is None:
+        raise InvalidConfig(f"The reward model in {path} does not say how long its segments were.", "segment_steps")
+    return Reward(loaded.model, loaded.metrics, loaded.segment_steps)
+
+
+def train_policy(
+    task: Task,
+    reward: Reward | None = None,
+    *,
+    algorithm: str = "mappo",
+    steps: int = 1_000_000,
+    seed: int = 0,
+    progress: bool | None = None,
+    **settings: object,
+) -> TrainedPolicy:
+    """Train a policy from scratch on a reward that does not change.
+
+    Args:
+        task: is reset; its environments are used until the training ends.
+        reward: None for the task's own.
+        algorithm: mappo, happo, mat or mat_dec.
+        steps: environment steps over all environments, rounded up to whole rollouts.
+        progress: show a progress bar; by default in a terminal.
+        settings: others of `PolicyConfig`.
+
+    Raises:
+        InvalidConfig: if a setting is unknown or out of range.
+        ModelMismatch: if the reward model was trained for other dimensions.
+    """
+    config = PolicyConfig.from_dict({**settings, "algorithm": algorithm, "n_envs": task.n_envs, "seed": seed})
+    learner = Learner(task, config)
+    trainer = PolicyTrainer(learner, _reward_source(reward, task, config))
+    if reward is not None:
+        trainer.set_reward_version("fixed", lambda: reward.model)
+    history: list[dict[str, float]] = []
+    with _progress(f"{task.spec.name}, {algorithm}", steps, progress) as show:
+
+        def report(_rollout: Rollout, metrics: dict[str, float]) -> None:
+            history.append(metrics)
+            found = metrics.get("true_return")
+            show(trainer.steps, "" if found is None else f"true return {found:,.0f}")
+
+        trainer.train(steps, report)
+    return TrainedPolicy(learner, tuple(history))
+
+
+def load_policy(path: str | Path, task: Task) -> TrainedPolicy:
+    """Read a policy that `TrainedPolicy.save` wrote.
+
+    Args:
+        task: of the same name and with as many environments as in its training.
+
+    Raises:
+        CheckpointError: if the file is damaged, or of another task.
+    """
+    return TrainedPolicy(Learner.load(Path(path), task), ())
+
+
+def evaluate(
+    policy: TrainedPolicy | Policy, task: Task | None = None, *, episodes: int = EPISODES, seed: int = 0
+) -> Evaluation:
+    """True returns of whole episodes with mean actions.
+
+    Args:
+        task: is reset; default: a new one of the same name.
+
+    Raises:
+        InvalidConfig: if the policy's task was made with other options than the defaults, and no task is given.
+    """
+    acting = policy.policy if isinstance(policy, TrainedPolicy) else policy
+    own = None
+    if task is None:
+        if task_spec(acting.spec.name) != acting.spec:
+            raise InvalidConfig("The policy's task has options. Pass a task that was made with them.", "task")
+        task = own = make_task(acting.spec.name, min(episodes, EPISODES))
+    try:
+        played = play(acting, task, episodes, seed=seed + SEED_OF_STARTS)
+    finally:
+        if own is not None:
+            own.close()
+    return Evaluation(tuple(played.returns.tolist()), tuple(played.lengths.tolist()))
+
+
+def _reward_source(reward: Reward | None, task: Task, config: PolicyConfig) -> TrueReward | LearnedReward:
+    if reward is None:
+        return TrueReward()
+    expected, found = dimensions(task.spec), reward.model.config.dimensions
+    if found != expected:
+        raise ModelMismatch(f"agents, observation and action dimension of {task.spec.name}", found, expected)
+    return LearnedReward(reward.segment_steps, task.n_envs, device=config.device)
+
+
+@contextmanager
+def _progress(name: str, total: float, wanted: bool | None) -> Iterator[Callable[[float, str], None]]:
+    """A progress bar, or lines where there is no terminal: a function of what is done and of its state."""
+    shown = on_terminal() if wanted is None else wanted
+    with ProgressBars(hidden=not shown) as bars:
+        bars.add(name, name, total)
+        yield lambda done, state: bars.update(name, done, state)
+        bars.update(name, total)

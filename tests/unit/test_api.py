@@ -1,0 +1,106 @@
+"""The functions of `import mapt`, from a task to a trained policy."""
+
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mapt
+from mapt.errors import InvalidConfig, ModelMismatch, NotEnoughPairs, UnknownTeacher
+from mapt.preferences.teachers import TeacherView
+
+TASK = "HalfCheetah-2x3"
+SETTINGS: dict[str, Any] = {"rollout_steps": 20, "epochs": 1, "minibatches": 1}
+
+
+@pytest.fixture(scope="module")
+def segments() -> mapt.Segments:
+    task = mapt.make_task(TASK, n_envs=4, n_threads=1)
+    return mapt.collect(task, steps=60).segments(10)
+
+
+@pytest.fixture(scope="module")
+def reward(segments: mapt.Segments) -> mapt.Reward:
+    return mapt.train_reward(mapt.label(segments, pairs=30), "MA-MLP", progress=False)
+
+
+def test_a_policy_is_trained_on_labelled_segments_and_saved(
+    reward: mapt.Reward, tmp_path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reward.save(tmp_path / "reward")
+    loaded = mapt.load_reward(tmp_path / "reward")
+    assert (loaded.segment_steps, loaded.metrics) == (10, reward.metrics)
+
+    task = mapt.make_task(TASK, n_envs=4, n_threads=1)
+    policy = mapt.train_policy(task, loaded, steps=160, **SETTINGS)
+    assert capsys.readouterr().out == "", "without a terminal there is no progress bar by default"
+    assert len(policy.history) == 2
+    assert policy.learner.steps == 160
+
+    policy.save(tmp_path / "policy.safetensors")
+    stored = mapt.load_policy(tmp_path / "policy.safetensors", mapt.make_task(TASK, n_envs=4, n_threads=1))
+    other = mapt.make_task(TASK, n_envs=2, n_threads=1)
+    found = mapt.evaluate(policy, other, episodes=2)
+    assert found == mapt.evaluate(stored, other, episodes=2)
+    assert found.lengths == (1000, 1000)
+
+
+def test_progress_is_shown_on_demand(segments: mapt.Segments, capsys: pytest.CaptureFixture[str]) -> None:
+    mapt.train_reward(mapt.label(segments, pairs=10), "MA-MLP", progress=True)
+    assert "MA-MLP, 10 labels: 100%" in capsys.readouterr().out
+
+
+def test_labels_are_those_of_the_teacher_on_distinct_pairs(segments: mapt.Segments) -> None:
+    labelled = mapt.label(segments, pairs=40, seed=3).dataset
+    assert len(labelled) == 40
+    assert len({frozenset(pair) for pair in labelled.pairs.tolist()}) == 40
+    again = mapt.label(segments, pairs=40, seed=3).dataset
+    np.testing.assert_array_equal(labelled.labels, again.labels)
+    returns = {each.observations.tobytes(): each.rewards.sum() for each in segments.segments}
+    arrays = labelled.segments.take(np.arange(len(labelled.segments)))
+    scores = np.array([returns[each.tobytes()] for each in arrays.observations])
+    first, second = scores[labelled.pairs].T
+    np.testing.assert_array_equal(labelled.labels, first > second)
+
+
+def test_a_function_of_two_views_is_a_teacher_and_may_skip(segments: mapt.Segments) -> None:
+    def faster(first: TeacherView, second: TeacherView) -> np.ndarray:
+        labels = (first.rewards.mean(axis=1) > second.rewards.mean(axis=1)).astype(float)
+        labels[::4] = np.nan
+        return labels
+
+    assert len(mapt.label(segments, faster, pairs=40)) == 30
+
+
+@pytest.mark.parametrize("pairs", [1, 10**6])
+def test_more_pairs_than_the_segments_form_are_refused(segments: mapt.Segments, pairs: int) -> None:
+    with pytest.raises(InvalidConfig, match="form 276") as raised:
+        mapt.label(segments, pairs=pairs)
+    assert raised.value.field == "pairs"
+
+
+def test_wrong_arguments_are_refused_before_any_work(segments: mapt.Segments, reward: mapt.Reward) -> None:
+    with pytest.raises(UnknownTeacher):
+        mapt.label(segments, "nobody", pairs=4)
+    with pytest.raises(NotEnoughPairs):
+        mapt.label(segments, lambda first, _: np.full(len(first), np.nan), pairs=4)
+    with pytest.raises(InvalidConfig):
+        mapt.train_reward(mapt.label(segments, pairs=4), "MAPPT")
+    task = mapt.make_task("HalfCheetah-6x1", n_envs=2, n_threads=1)
+    with pytest.raises(InvalidConfig):
+        mapt.collect(task, steps=0)
+    with pytest.raises(InvalidConfig):
+        mapt.train_policy(task, steps=10, learning_speed=1)
+    with pytest.raises(ModelMismatch, match="HalfCheetah-6x1"):
+        mapt.train_policy(task, reward, steps=10)
+    with pytest.raises(InvalidConfig, match="options"):
+        mapt.evaluate(mapt.train_policy(mapt.make_task(TASK, 2, agent_obsk=0), steps=1, **SETTINGS))
+
+
+def test_importing_mapt_imports_no_torch_and_every_name_is_there() -> None:
+    code = "import mapt, sys; assert 'torch' not in sys.modules; assert 'numpy' not in sys.modules; mapt.task_names(); "
+    code += "assert 'torch' not in sys.modules; [getattr(mapt, name) for name in mapt.__all__]; mapt.nothing"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "has no attribute 'nothing'" in done.stderr.splitlines()[-1]
