@@ -11,6 +11,7 @@ import pytest
 from mapt.tasks import TaskStep, load_model, make_task
 from mapt.tasks.hands import catch, doors
 from mapt.tasks.registry import find_definition
+from mapt.tasks.robots import porters
 from support.mujoco_tasks import MUJOCO_TASKS
 from unit.tasks.mamujoco import Reference, assert_close, assert_same_observations
 
@@ -18,9 +19,9 @@ DEPTHS = (0, 1, 2, 5)
 #: steps per test, and steps before the horizon at which the episode starts, so that it ends within the test
 N_STEPS, STEPS_BEFORE_HORIZON = 100, 70
 SEED = 7
-#: MaMuJoCo has no tasks with hands.
-HANDS = {task.name for task in (*catch.TASKS, *doors.TASKS)}
-NAMES = tuple(name for name in MUJOCO_TASKS if name not in HANDS)
+#: MaMuJoCo has neither hands nor porters.
+OTHERS = {task.name for task in (*catch.TASKS, *doors.TASKS, *porters.TASKS)}
+NAMES = tuple(name for name in MUJOCO_TASKS if name not in OTHERS)
 
 
 @pytest.fixture(autouse=True)
