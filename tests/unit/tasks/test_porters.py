@@ -91,7 +91,7 @@ def test_reward_is_speed_of_the_board_plus_one_less_the_mean_control_cost(name: 
     before = porters.board_position(task.simulator_state()[0])[:, 0]
     step = task.step(actions)
     after = porters.board_position(task.simulator_state()[0])[:, 0]
-    cost = 0.5 * np.square(actions.astype(np.float64)).sum(axis=(1, 2)) / task.spec.n_agents
+    cost = 0.1 * np.square(actions.astype(np.float64)).sum(axis=(1, 2)) / task.spec.n_agents
     np.testing.assert_allclose(step.reward, (after - before) / 0.05 + 1 - cost)
 
 

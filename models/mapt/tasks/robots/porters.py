@@ -37,8 +37,12 @@ BOARD_NQ, BOARD_NV = 7, 6
 STANDING_METRES = 0.55
 STANDING = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0)
 #: Half sizes in metres of the saddle on a torso, of the board's thickness, and of the rims that keep it on the saddles.
-SADDLE, HALF_THICKNESS, RIM = (0.16, 0.16, 0.02), 0.02, 0.04
+SADDLE, HALF_THICKNESS, RIM = (0.2, 0.2, 0.02), 0.02, 0.04
 SADDLE_METRES = 0.26
+#: Torque of a motor at full control in Nm, a third of gymnasium's: noise of exploration at 150 throws the board off.
+MOTOR_GEAR = 50.0
+#: Small, so that a step with the noise of an untrained policy is worth more than the end of the episode.
+CONTROL_COST_WEIGHT = 0.1
 #: The rims leave a saddle this much room, and the board ends this far from the last ant.
 ROOM_METRES, OVERHANG_METRES = 0.12, 0.4
 #: The board is translucent, so that labellers see the ants behind it.
@@ -105,6 +109,8 @@ def make_spec(team: Team) -> mujoco.MjSpec:
             name="saddle", type=mujoco.mjtGeom.mjGEOM_BOX, size=SADDLE, pos=[0, 0, SADDLE_METRES], density=5.0
         )
         spec.worldbody.add_frame(pos=[x, y, 0.0]).attach_body(torso, f"{name}_", "")
+    for motor in spec.actuators:
+        motor.gear[0] = MOTOR_GEAR
     _add_board(spec, team)
     return spec
 
@@ -176,7 +182,7 @@ def board_up(qpos: FloatArray) -> FloatArray:
 def reward(team: Team, before: Features, after: Features, controls: FloatArray) -> FloatArray:
     """Speed of the board along x in m/s, plus 1 per step, minus the ants' mean control cost."""
     speed = (board_position(after["qpos"])[:, 0] - board_position(before["qpos"])[:, 0]) / ant.STEP_SECONDS
-    return speed + 1.0 - ant.CONTROL_COST_WEIGHT * sum_of_squares(controls) / team.n_ants
+    return speed + 1.0 - CONTROL_COST_WEIGHT * sum_of_squares(controls) / team.n_ants
 
 
 def terminated(team: Team, features: Features) -> NDArray[np.bool_]:
