@@ -9,13 +9,24 @@ from typing import Annotated
 import typer
 
 from mapt.benchmarks.figures import draw_table
-from mapt.benchmarks.job import CellFolder, CellJob, TablePlan, code_fingerprint, dataset_folder, make_cell, table_jobs
+from mapt.benchmarks.job import (
+    CellFolder,
+    CellJob,
+    TablePlan,
+    code_fingerprint,
+    dataset_folder,
+    make_cell,
+    network_of,
+    table_jobs,
+    training_of,
+)
 from mapt.benchmarks.recorded_dataset import (
     PolicyRecording,
     RecordedDataset,
     Recording,
     RecordingJob,
     RecordingProgress,
+    layout_of,
     run_recording,
 )
 from mapt.benchmarks.report import ReportPlan, make_report
@@ -43,10 +54,13 @@ from mapt.cli.options import (
 from mapt.cli.output import ProgressBars, log_line, print_error, print_json, print_paths
 from mapt.errors import InvalidConfig
 from mapt.io import atomic_write
+from mapt.preferences.teachers import make_teacher
 from mapt.processes import cores_per_job, parallel_jobs, run_jobs
 from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model
-from mapt.rewards.config import MODEL_NAMES
+from mapt.rewards.config import MODEL_NAMES, PresetName
 from mapt.rewards.model import RewardModel
+from mapt.settings import NamedSettings
+from mapt.tasks import task_spec
 
 _LOG_EVERY = 0.25
 _ALL_MODELS = ",".join(MODEL_NAMES)
@@ -190,8 +204,15 @@ def table(
         warm_start=warm_start,
     )
     root = datasets or _default_datasets(output)
-    recordings = [Recording(task, steps, segment_steps, segments, seed) for seed in plan.seeds]
-    found = _datasets(recordings, root, workers, quiet=as_json)
+    absent = [seed for seed in plan.seeds if not dataset_folder(root, seed).exists()]
+    if absent:
+        check_models(plan.models, plan.preset, plan.device, task, segment_steps)
+        _check_teachers(plan.teachers, task)
+    if absent and dry_run:
+        raise InvalidConfig(f"{root} lacks seed {absent[0]}. Without --dry-run, it is recorded.", "datasets")
+    recordings = {dataset_folder(root, seed): Recording(task, steps, segment_steps, segments, seed) for seed in absent}
+    record_all(recordings, workers, quiet=as_json)
+    found = {seed: RecordedDataset.open(dataset_folder(root, seed)) for seed in plan.seeds}
     jobs = table_jobs(plan, found, output / "models" if keep_models else None)
     folder = CellFolder(output / "cells")
     if not dry_run:
@@ -206,6 +227,22 @@ def table(
     if summary.missing and not dry_run:
         print_error(f"{summary.missing} results are missing. Rerun the command to compute them.")
         raise typer.Exit(1)
+
+
+def check_models(models: Sequence[str], preset: PresetName, device: str, task: str, segment_steps: int) -> None:
+    """Raise UnknownTask or InvalidConfig before any work if there is no such task, model or setting."""
+    layout = layout_of(task_spec(task), segment_steps)
+    for model in models:
+        network_of(model, preset, layout)
+        training_of(model, preset, 0, device)
+
+
+def _check_teachers(teachers: Sequence[str], task: str) -> None:
+    """Raise UnknownTeacher or InvalidTeacher if there is no such teacher, or it does not suit the task."""
+    for teacher in teachers:
+        named = NamedSettings.parse(teacher)
+        discrete = task_spec(task).discrete_actions
+        make_teacher(named.name, seed=0, **named.settings).check_task(task, discrete_actions=discrete)
 
 
 def write(summary: Summary, output: Path) -> list[Path]:
@@ -223,14 +260,6 @@ def _default_datasets(output: Path) -> Path:
     """The folder of datasets in the output folder; earlier versions named it `replays`."""
     earlier = output / "replays"
     return earlier if earlier.exists() else output / "datasets"
-
-
-def _datasets(recordings: Sequence[Recording], root: Path, workers: int, *, quiet: bool) -> dict[int, RecordedDataset]:
-    """Recorded datasets by seed; missing ones are recorded first."""
-    folders = {dataset_folder(root, recording.seed): recording for recording in recordings}
-    absent = {folder: recording for folder, recording in folders.items() if not folder.exists()}
-    record_all(absent, workers, quiet=quiet)
-    return {recording.seed: RecordedDataset.open(folder) for folder, recording in folders.items()}
 
 
 def train_cells(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: bool, *, quiet: bool) -> None:

@@ -7,12 +7,10 @@ from typing import Annotated, get_args
 import typer
 
 from mapt.benchmarks.evaluate import ALL_SEGMENTS
-from mapt.benchmarks.job import network_of, training_of
 from mapt.benchmarks.paper import IMITATION, PaperFolder, PaperPlan, PolicyJob, do_policy_job, read_result
 from mapt.benchmarks.paper_figures import draw_figures
 from mapt.benchmarks.paper_tables import PaperResults, markdown, row_values, write_rows, write_runs
-from mapt.benchmarks.recorded_dataset import layout_of
-from mapt.cli.benchmarks import record_all, train_cells
+from mapt.cli.benchmarks import check_models, record_all, train_cells
 from mapt.cli.options import (
     Device,
     Json,
@@ -34,7 +32,6 @@ from mapt.io import atomic_write
 from mapt.policies import Algorithm
 from mapt.processes import cores_per_job, parallel_jobs, run_jobs, stop_requests
 from mapt.rewards.config import MODEL_NAMES
-from mapt.tasks import task_spec
 from mapt.training.run import RunReport
 from mapt.training.run_folder import RunFolder
 
@@ -147,10 +144,7 @@ def paper(
 def _check(plan: PaperPlan) -> None:
     """Raise UnknownTask or InvalidConfig for an invalid plan before any work."""
     for task in plan.tasks:
-        layout = layout_of(task_spec(task), plan.segment_steps)
-        for model in plan.models:
-            network_of(model, plan.preset, layout)
-            training_of(model, plan.preset, 0, plan.device)
+        check_models(plan.models, plan.preset, plan.device, task, plan.segment_steps)
     for policy in plan.policies:
         plan.policy_config(policy, 0)
     for name in plan.imitation:

@@ -26,7 +26,7 @@ from mapt.processes import JobResult, cores_per_job, parallel_jobs, run_jobs, st
 from mapt.rewards.checkpoints import load_reward_model
 from mapt.rewards.model import PolicyReward
 from mapt.settings import parse_assignments
-from mapt.tasks.registry import DEFAULT_AGENT_OBSK
+from mapt.tasks.registry import DEFAULT_AGENT_OBSK, task_spec
 from mapt.training.evaluation import Evaluation
 from mapt.training.metrics import Metrics
 from mapt.training.reward_source import reward_files
@@ -98,6 +98,7 @@ def train(
         )
         for seed in parse_numbers("--seeds", seeds, 0)
     ]
+    task_spec(task, agent_obsk=agent_obsk)  # an unknown task is refused before a folder exists
     n_workers = parallel_jobs(workers, len(runs))
     threads = physics_threads or cores_per_job(n_workers)
     jobs = [RunJob(run, output / f"seed-{run.policy.seed}", checkpoint_minutes * 60, video, threads) for run in runs]
@@ -119,7 +120,8 @@ def _learned_reward(path: Path, segment_steps: int | None, kind: str, credit: st
         InvalidConfig: if the segment length is unknown, or a value is out of its range.
         CheckpointError: if the model cannot be read.
     """
-    steps = segment_steps or load_reward_model(*reward_files(path)).segment_steps
+    found = load_reward_model(*reward_files(path)).segment_steps
+    steps = segment_steps or found
     if steps is None:
         raise InvalidConfig(f"The reward.json of {path} has no segment_steps. Set --segment-steps.")
     return LearnedRewardSettings(str(path.resolve()), steps, kind, credit)  # pyright: ignore[reportArgumentType]  (validated by the class)

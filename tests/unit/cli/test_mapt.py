@@ -93,6 +93,26 @@ def test_invalid_arguments_of_table_are_refused_in_one_line(tmp_path, datasets, 
     assert message in refused.errors
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--models", "MA-MLP,MAPPT"], "'MAPPT'"),
+        (["--models", "MA-MLP:train.lrr=1"], "lrr"),
+        (["--teachers", "oracle,nobody"], "'nobody'"),
+        (["--teachers", "mistake:mistake=2"], "mistake"),
+        (["--task", "3m", "--teachers", "phase"], "phase"),
+        (["--task", "Cheetah"], "'Cheetah'"),
+        (["--dry-run"], "lacks seed"),
+    ],
+)
+def test_wrong_names_are_refused_before_a_dataset_is_recorded(tmp_path, mapt, arguments, message):
+    registered = [*table_arguments(tmp_path / "datasets", tmp_path / "out"), "--task", "HalfCheetah-6x1"]
+    refused = mapt(*registered, *arguments)
+    assert refused.status == 2
+    assert message in refused.errors
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_dataset_records_a_dataset_per_seed(tmp_path, mapt):
     counts = ["--steps", "4096", "--segment-steps", "20", "--segments", "10"]
     recorded = mapt("dataset", "--task", "HalfCheetah-2x3", "--seeds", "2", *counts, "--output", tmp_path)
@@ -200,7 +220,7 @@ def test_invalid_arguments_of_train_are_refused_in_one_line(mapt, tmp_path, argu
     assert refused.status == 2
     assert message in refused.errors
     assert refused.errors.count("\n") == 1
-    assert not (tmp_path / "run" / "seed-0" / "run.json").exists()
+    assert not (tmp_path / "run").exists(), "nothing is left behind"
 
 
 def test_a_folder_with_another_run_is_refused(mapt, tmp_path):
