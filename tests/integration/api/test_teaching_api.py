@@ -16,7 +16,7 @@ from accord.store.tables import LabelRow, QueryRow, SegmentRow
 from mapt.errors import InvalidTeacher, MissingArray
 from mapt.preferences.teachers import RULES, TeacherView, make_teacher, teacher_names
 from support.api_in_thread import ApiServer
-from support.sample_experiments import AGENTS, NQ, NV, OBSERVATION, STEPS, SampleExperiment, create_sample
+from support.sample_experiments import AGENTS, OBSERVATION, STEPS, SampleExperiment, create_sample
 
 N_LABELS = 12
 
@@ -29,13 +29,15 @@ def teacher_api(api: ApiServer) -> Generator[Api]:
 
 
 def moving_segment(rng: np.random.Generator) -> NewSegment:
-    """A segment in which all signals that rules read vary."""
+    """A segment in which all signals that rules read vary, with simulator states of two ants and a board."""
+    turn = rng.normal(size=(STEPS, 4)) * 0.1 + [1, 0, 0, 0]
+    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
     return NewSegment(
         observations=rng.normal(size=(STEPS, AGENTS, OBSERVATION)),
         actions=rng.normal(size=(STEPS, AGENTS, 1)),
         rewards=rng.normal(5, 1, size=STEPS) + rng.normal(),
-        qpos=np.zeros((STEPS, NQ)),
-        qvel=np.zeros((STEPS, NV)),
+        qpos=np.hstack((rng.normal(size=(STEPS, 33)), turn)),
+        qvel=rng.normal(size=(STEPS, 34)),
         policy_iteration=0,
         policy_steps=0,
     )
