@@ -70,9 +70,9 @@ soak: $(INSTALLED) system-test ## Kill a random process in ROUNDS rounds under l
 learn: $(INSTALLED) ## The long learning runs behind docs/results.md
 	$(BIN)/python -m pytest -m learn tests/learning --timeout 0
 
-$(INSTALLED): pyproject.toml frontend/hatch_build.py frontend/build_page.py $(PAGE_SOURCES) | system
+$(INSTALLED): pyproject.toml constraints.txt frontend/hatch_build.py frontend/build_page.py $(PAGE_SOURCES) | system
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
 	touch $@
 
 system: ## Debian packages that pip cannot bring: EGL, venv
