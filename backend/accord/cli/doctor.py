@@ -24,7 +24,8 @@ from accord.store.database import Database, sqlite_file
 from accord.store.migrate import is_current
 from mapt.cli.options import Json
 
-_PYTHON = (3, 11)
+#: oldest and newest
+_PYTHONS = (3, 11), (3, 13)
 _FREE_BYTES = 2_000_000_000
 _MEMORY_BYTES = 2_000_000_000
 _REINSTALL = "pip install --force-reinstall accord"
@@ -44,9 +45,10 @@ def doctor(*, home: Home = None, port: Port = None, as_json: Json = False) -> No
 def check_python(settings: Settings) -> list[Check]:
     found = sys.version_info[:3]
     detail = ".".join(map(str, found))
-    if found[:2] == _PYTHON:
+    oldest, newest = _PYTHONS
+    if oldest <= found[:2] <= newest:
         return [Check("Python", True, detail)]
-    wanted = ".".join(map(str, _PYTHON))
+    wanted = " to ".join(".".join(map(str, each)) for each in _PYTHONS)
     return [Check("Python", False, detail, f"install Python {wanted} and create a new environment with it")]
 
 

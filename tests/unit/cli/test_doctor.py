@@ -18,7 +18,7 @@ def test_installed_versions_pass_on_this_machine(tmp_path: Path):
 
 
 def test_an_unsupported_python_fails_with_a_fix(monkeypatch, tmp_path: Path):
-    monkeypatch.setattr(doctor, "_PYTHON", (3, 99))
+    monkeypatch.setattr(doctor, "_PYTHONS", ((3, 98), (3, 99)))
     [check] = check_python(Settings(home=tmp_path))
     assert not check.ok
     assert check.fix is not None
