@@ -10,15 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from mapt.cli.output import ProgressBars, on_terminal
+from mapt.device import resolve_device
 from mapt.errors import InvalidConfig, ModelMismatch, NotEnoughPairs
 from mapt.policies import Learner, Policy, PolicyConfig, Rollout, play
 from mapt.preferences.dataset import PreferenceDataset
 from mapt.preferences.segments import cut_rollout
 from mapt.preferences.selection import UniformSelector
 from mapt.preferences.teachers import Teacher, TeacherView, make_teacher
+from mapt.provenance import provenance
 from mapt.rewards.checkpoints import load_reward_model, save_reward_model
 from mapt.rewards.config import PresetName
 from mapt.rewards.model import RewardModel
@@ -97,10 +100,14 @@ class Reward:
     metrics: dict[str, float]
     #: T of the segments that it was trained on
     segment_steps: int
+    #: where it was trained, see `mapt.provenance`; empty if an earlier version saved it
+    provenance: dict[str, object]
 
     def save(self, folder: str | Path) -> None:
         """Write reward.safetensors and reward.json, which `load_reward`, `mapt train` and the wrappers read."""
-        save_reward_model(self.model, self.metrics, segment_steps=self.segment_steps).write(Path(folder))
+        save_reward_model(self.model, self.metrics, segment_steps=self.segment_steps, trained_by=self.provenance).write(
+            Path(folder)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +210,8 @@ def train_reward(
             show(at.epoch, f"hold-out accuracy {at.holdout_accuracy:.1%}")
 
         trained = train_reward_model(data.dataset, config, train, progress=report)
-    return Reward(trained.model, trained.metrics, data.segment_steps)
+    trained_by = provenance(str(resolve_device(device)), torch.get_num_threads())
+    return Reward(trained.model, trained.metrics, data.segment_steps, trained_by)
 
 
 def load_reward(path: str | Path) -> Reward:
@@ -216,7 +224,7 @@ def load_reward(path: str | Path) -> Reward:
     loaded = load_reward_model(*reward_files(Path(path)))
     if loaded.segment_steps is None:
         raise InvalidConfig(f"The reward model in {path} does not say how long its segments were.", "segment_steps")
-    return Reward(loaded.model, loaded.metrics, loaded.segment_steps)
+    return Reward(loaded.model, loaded.metrics, loaded.segment_steps, loaded.provenance)
 
 
 def train_policy(

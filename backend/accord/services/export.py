@@ -6,7 +6,6 @@ consistent, and does not block a running service.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from mapt.errors import AlreadyExists, PreferenceError
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.formats.records import SegmentRecords, concatenate
 from mapt.preferences.formats.tables import LabelRow, QueryRow, SegmentRow, TableWriter
+from mapt.provenance import provenance
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +155,7 @@ def _about(row: ExperimentRow, versions: Sequence[RewardVersionRow]) -> dict[str
         #: every change of a label up to this revision is in the tables
         "label_revision": row.label_revision,
         "exported_at": utc_now().isoformat(),
-        "versions": {name: version(name) for name in ("accord", "mujoco")},
+        "provenance": provenance(),
         "reward_versions": [
             {
                 "id": each.id,

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from mapt.errors import DamagedCheckpoint, InvalidConfig, NewerCheckpoint
 from mapt.io import atomic_write
+from mapt.provenance import provenance
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.model import RewardModel
 from mapt.rewards.registry import build_reward_model
@@ -34,7 +35,8 @@ class SavedRewardModel:
 
     #: safetensors: every parameter and buffer, among them the input and reward statistics
     weights: bytes
-    #: JSON: format and version, polarity, settings, kind of score, reward scale, metrics, SHA-256 of the weights
+    #: JSON: format and version, polarity, settings, kind of score, reward scale, metrics, SHA-256 of the weights,
+    #: provenance
     card: bytes
 
     def write(self, folder: Path) -> None:
@@ -54,15 +56,22 @@ class LoadedRewardModel:
     segment_steps: int | None
     #: SHA-256 of the weights
     sha256: str
+    #: of its training, see `mapt.provenance`; empty for a model of an earlier version
+    provenance: dict[str, object]
 
 
 def save_reward_model(
-    model: RewardModel, metrics: Mapping[str, float], *, segment_steps: int | None = None
+    model: RewardModel,
+    metrics: Mapping[str, float],
+    *,
+    segment_steps: int | None = None,
+    trained_by: Mapping[str, object] | None = None,
 ) -> SavedRewardModel:
     """Serialise a model; a round trip gives the same bits.
 
     Args:
         segment_steps: T of the segments it was trained on, the window for relabelling.
+        trained_by: the provenance of its training; None for that of this process.
     """
     judged = {_JUDGED_PREFIX + name: tensor for name, tensor in (model.judged_weights or {}).items()}
     weights = save({name: tensor.contiguous().cpu() for name, tensor in (model.state_dict() | judged).items()})
@@ -77,6 +86,7 @@ def save_reward_model(
         "metrics": dict(metrics),
         "segment_steps": segment_steps,
         "weights_sha256": hashlib.sha256(weights).hexdigest(),
+        "provenance": dict(trained_by or provenance(str(model.reward_mean.device), torch.get_num_threads())),
     }
     return SavedRewardModel(weights, json.dumps(card, indent=2, sort_keys=True, allow_nan=False).encode())
 
@@ -109,7 +119,7 @@ def load_reward_model(weights: bytes | Path, card: bytes | Path) -> LoadedReward
     model = model_with_weights(config, tensors)
     if judged:
         model.judged_weights = model_with_weights(config, judged).state_dict()
-    return LoadedRewardModel(model, metrics_in(checked), segment_steps, sha256)
+    return LoadedRewardModel(model, metrics_in(checked), segment_steps, sha256, _provenance_in(checked))
 
 
 def read_stored(source: bytes | Path) -> bytes:
@@ -190,3 +200,11 @@ def metrics_in(card: Mapping[str, object]) -> dict[str, float]:
     if not isinstance(metrics, dict) or not all(isinstance(value, int | float) for value in metrics.values()):
         raise DamagedCheckpoint("its card holds no metrics")
     return {str(name): float(value) for name, value in metrics.items()}
+
+
+def _provenance_in(card: Mapping[str, object]) -> dict[str, object]:
+    """The provenance; empty if there is none. Raises DamagedCheckpoint if it is not an object."""
+    found = card.get("provenance", {})
+    if not isinstance(found, dict):
+        raise DamagedCheckpoint("the provenance in its card is not an object")
+    return found

@@ -175,6 +175,11 @@ def find_definition(name: str) -> TaskDefinition:
     return definition
 
 
+def task_files() -> list[str]:
+    """The Python files and modules that MAPT_TASKS names."""
+    return [name for name in os.environ.get(TASK_FILES_VARIABLE, "").split(os.pathsep) if name]
+
+
 def import_task_files() -> None:
     """Import the files and modules that MAPT_TASKS names, each once per process. They call `register_task`.
 
@@ -183,7 +188,7 @@ def import_task_files() -> None:
     """
     # Another thread must not look up a task while this one still imports the file that registers it.
     with _import_lock:
-        for name in filter(None, os.environ.get(TASK_FILES_VARIABLE, "").split(os.pathsep)):
+        for name in task_files():
             if name not in _imported:
                 _imported.add(name)
                 try:

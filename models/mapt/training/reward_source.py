@@ -186,7 +186,9 @@ class RewardFiles:
 
 def save_version(loaded: LoadedRewardModel, folder: Path) -> None:
     """Save a version to a folder, since the files of `RewardFiles` may be replaced later."""
-    save_reward_model(loaded.model, loaded.metrics, segment_steps=loaded.segment_steps).write(folder)
+    save_reward_model(
+        loaded.model, loaded.metrics, segment_steps=loaded.segment_steps, trained_by=loaded.provenance
+    ).write(folder)
 
 
 def reward_files(path: Path) -> tuple[Path, Path]:

@@ -6,23 +6,29 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from mapt.device import resolve_device
-from mapt.errors import DamagedCheckpoint, DamagedRun, RunBusy, RunMismatch, RunNotFound
+from mapt.errors import DamagedCheckpoint, DamagedRun, InvalidConfig, RunBusy, RunMismatch, RunNotFound
 from mapt.io import atomic_write
 from mapt.policies import Policy, PolicyConfig
 from mapt.policies.checkpoint import describe, refusing_mismatch, unflatten, unpack
 from mapt.policies.learner import make_policy
+from mapt.provenance import provenance
 from mapt.tasks import task_spec
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 from mapt.training.evaluation import Evaluation
 from mapt.training.settings import ImitationSettings, RunSettings
 
+_PROVENANCE = "provenance"
+#: parts of run.json that are not settings of the run
+_NOT_SETTINGS = {"format_version", _PROVENANCE}
 _LEARNER = "learner"
 _PROGRESS = "progress"
 _CONTEXT = "context."
@@ -113,11 +119,14 @@ class RunFolder:
             raise RunMismatch(self.path, differences)
 
     def claim(self, settings: RunSettings) -> None:
-        """Write the settings of a new or extended run; raises as `check` does."""
+        """Write the settings of a new or extended run and where it is trained; raises as `check` does."""
         self.check(settings)
+        by = [provenance(str(resolve_device(settings.policy.device)), torch.get_num_threads())]
         if (self.path / RUN_FILE).exists():
             settings = replace(settings, steps=max(settings.steps, self.settings().steps))
-        card = {"format_version": FORMAT_VERSION, **settings.to_dict()}
+            earlier = self.provenance()
+            by = earlier if by[0] in earlier else earlier + by
+        card = {"format_version": FORMAT_VERSION, **settings.to_dict(), _PROVENANCE: by}
         atomic_write(self.path / RUN_FILE, json.dumps(card, indent=2).encode() + b"\n")
 
     def settings(self) -> RunSettings:
@@ -126,17 +135,28 @@ class RunFolder:
         Raises:
             DamagedRun: if they cannot be read.
         """
+        card = self._card()
+        try:
+            return RunSettings.from_dict({name: card[name] for name in card if name not in _NOT_SETTINGS})
+        except InvalidConfig as error:
+            raise DamagedRun(self.path / RUN_FILE, str(error)) from error
+
+    def provenance(self) -> list[dict[str, Any]]:
+        """Where the run was trained, see `mapt.provenance`: an entry for each change. Empty for a run of an earlier
+        version. Raises as `settings`.
+        """
+        return self._card().get(_PROVENANCE, [])
+
+    def _card(self) -> dict[str, Any]:
         path = self.path / RUN_FILE
         try:
             card = json.loads(path.read_bytes())
-            version = card.pop("format_version")
-            if version != FORMAT_VERSION:
-                raise DamagedRun(path, f"it has format {version}, and this version reads format {FORMAT_VERSION}")
-            return RunSettings.from_dict(card)
-        except DamagedRun:
-            raise
-        except (OSError, ValueError, AttributeError, KeyError) as error:
+            version = card["format_version"]
+        except (OSError, ValueError, TypeError, KeyError) as error:
             raise DamagedRun(path, str(error)) from error
+        if version != FORMAT_VERSION:
+            raise DamagedRun(path, f"it has format {version}, and this version reads format {FORMAT_VERSION}")
+        return card
 
     def last_checkpoint(self) -> PolicyCheckpoint | None:
         """The newest checkpoint; None before the first.

@@ -14,6 +14,7 @@ from accord.domain.errors import BlobMissing, ExperimentNotFound, Invalid, Unava
 from accord.services import collect, export, label, lease, publish
 from accord.store.tables import UserRow
 from mapt.preferences.formats.tables import PreferenceTables
+from mapt.provenance import provenance
 from support.sample_experiments import SampleExperiment, create_sample, user
 from support.stores import Stores, open_stores
 
@@ -146,7 +147,7 @@ def test_tables_describe_their_source_without_user_names(stores: Stores, tmp_pat
     tables = exported(stores, sample.experiment.id, tmp_path / "out")
     assert tables.about["experiment_id"] == sample.experiment.id
     assert tables.about["task"] == "HalfCheetah-6x1"
-    assert set(tables.about["versions"]) == {"accord", "mujoco"}
+    assert tables.about["provenance"] == provenance()
     (reward,) = tables.about["reward_versions"]
     assert (reward["number"], reward["metrics"]) == (1, {"loss": 0.5, "accuracy": None})
     for file in (tmp_path / "out").iterdir():
