@@ -3,6 +3,7 @@
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -84,15 +85,15 @@ def test_observations_do_not_depend_on_where_the_team_is(name: str) -> None:
 
 
 @every_team
-def test_reward_is_speed_of_the_board_plus_one_less_the_mean_control_cost(name: str) -> None:
+def test_reward_is_speed_of_the_board_plus_a_fifth_less_the_mean_control_cost(name: str) -> None:
     task = make_task(name, 4, n_threads=1)
     task.reset(5)
     actions = np.random.default_rng(2).uniform(-1, 1, rest(task).shape).astype(np.float32)
     before = porters.board_position(task.simulator_state()[0])[:, 0]
     step = task.step(actions)
     after = porters.board_position(task.simulator_state()[0])[:, 0]
-    cost = 0.1 * np.square(actions.astype(np.float64)).sum(axis=(1, 2)) / task.spec.n_agents
-    np.testing.assert_allclose(step.reward, (after - before) / 0.05 + 1 - cost)
+    cost = 0.02 * np.square(actions.astype(np.float64)).sum(axis=(1, 2)) / task.spec.n_agents
+    np.testing.assert_allclose(step.reward, (after - before) / 0.05 + 0.2 - cost)
 
 
 @every_team
@@ -105,12 +106,40 @@ def test_an_episode_ends_when_the_board_or_an_ant_falls(name: str) -> None:
         assert terminated(name, fallen), index
 
 
-def test_a_board_that_tips_over_ends_the_episode() -> None:
-    task = make_task("Porters-2x8", 4, n_threads=1)
+@every_team
+def test_an_action_sets_how_far_a_joint_is_from_the_standing_pose(name: str) -> None:
+    model = load_model(name)
+    model.opt.gravity[:] = 0.0
+    model.geom_contype[:] = model.geom_conaffinity[:] = 0
+    data = mujoco.MjData(model)
+    joints = model.jnt_qposadr[model.actuator_trnid[:, 0]]
+    standing = porters.TASKS[NAMES.index(name)].mdp.sample_start(np.random.default_rng(0), 1)[0][0]
+    data.qpos[:] = standing
+    data.ctrl[:] = np.random.default_rng(4).uniform(-0.4, 0.4, model.nu)
+    mujoco.mj_step(model, data, 500)
+    moved = data.qpos[joints] - standing[joints]
+    np.testing.assert_allclose(moved, porters.REACH_RADIANS * data.ctrl, atol=porters.START_NOISE + 0.01)
+
+
+def test_untrained_teams_carry_the_board_for_a_second() -> None:
+    task = make_task("Porters-2x8", 8, n_threads=1)
     task.reset(0)
     rng = np.random.default_rng(0)
-    lengths = 0
-    while not (step := task.step(rng.uniform(-1, 1, rest(task).shape))).terminated.any():
-        lengths += 1
-    assert 0 < lengths < 500
-    assert not step.truncated[step.terminated].any()
+    for _ in range(20):
+        step = task.step(0.6 * rng.standard_normal(rest(task).shape))
+        assert not step.terminated.any()
+
+
+def test_a_board_that_slides_off_ends_the_episode() -> None:
+    task = make_task("Porters-2x8", 2, n_threads=1)
+    task.reset(0)
+    snapshot = task.snapshot()
+    snapshot["qpos"][:, -6] += [0.0, 0.7]  # the second board lies beside the saddles
+    snapshot["qpos"][:, -5] += 0.2
+    task.restore(snapshot)
+    for _ in range(60):
+        step = task.step(rest(task))
+        if step.terminated.any():
+            break
+    np.testing.assert_array_equal(step.terminated, [False, True])
+    assert not step.truncated.any()

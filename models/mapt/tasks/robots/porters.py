@@ -2,7 +2,7 @@
 
 A task of our own, for preferences: whether the board stays level and the ants walk in step is easy to see and hard to
 write as a reward. The true reward pays for carrying the board to the right, and for nothing else. The ants are those of
-gymnasium's ant.xml with a saddle on the back. The board lies on the saddles, within rims under it.
+gymnasium's ant.xml with a saddle on the back and a servo in each joint. Rims under the board keep it on the saddles.
 """
 
 # mujoco is compiled and ships no stubs.
@@ -37,19 +37,24 @@ BOARD_NQ, BOARD_NV = 7, 6
 STANDING_METRES = 0.55
 STANDING = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0)
 #: Half sizes in metres of the saddle on a torso, of the board's thickness, and of the rims that keep it on the saddles.
-SADDLE, HALF_THICKNESS, RIM = (0.2, 0.2, 0.02), 0.02, 0.04
+SADDLE, HALF_THICKNESS, RIM = (0.2, 0.3, 0.02), 0.02, 0.06
 SADDLE_METRES = 0.26
-#: Torque of a motor at full control in Nm, a third of gymnasium's: noise of exploration at 150 throws the board off.
-MOTOR_GEAR = 50.0
-#: Small, so that a step with the noise of an untrained policy is worth more than the end of the episode.
-CONTROL_COST_WEIGHT = 0.1
+#: An action moves the servo's target this far from the standing pose. With torques as actions, as in gymnasium, the
+#: noise of exploration throws the board off within seconds, and teams learn to stand still.
+REACH_RADIANS = 0.5
+#: Of the servos, in Nm/rad and Nm s/rad.
+STIFFNESS, DAMPING = 120.0, 10.0
+#: Speed is worth more: a team that stands still gets a fifth of one that walks at 0.8 m/s.
+CARRIED_REWARD = 0.2
+CONTROL_COST_WEIGHT = 0.02
 #: The rims leave a saddle this much room, and the board ends this far from the last ant.
-ROOM_METRES, OVERHANG_METRES = 0.12, 0.4
+ROOM_METRES, OVERHANG_METRES = 0.08, 0.4
 #: The board is translucent, so that labellers see the ants behind it.
 BOARD_DENSITY, BOARD_COLOUR = 4.0, (0.72, 0.5, 0.28, 0.4)
 #: An episode ends when the board's centre is lower, or the board is tilted more than this.
 LOWEST_METRES, STEEPEST_RADIANS = 0.45, 0.6
 START_NOISE = 0.05
+HORIZON_STEPS = 300
 INSTRUCTIONS = (
     "The ants should carry the board to the right without dropping it. "
     "The board should stay level, and the ants should walk in step."
@@ -96,23 +101,39 @@ class Team:
 
 def make_spec(team: Team) -> mujoco.MjSpec:
     """The ants, whose parts are prefixed ant1_, ant2_, ..., and the board."""
-    read = gymnasium_asset("ant.xml")
-    spec = read()
+    spec = _read_ant()
     spec.modelname = "porters"
     for motor in tuple(spec.actuators):
         spec.delete(motor)
     spec.delete(spec.body("torso"))
     for name, (x, y) in zip(_names(team), team.places, strict=True):
-        torso = read().body("torso")
+        torso = _read_ant().body("torso")
         torso.pos = [0.0, 0.0, STANDING_METRES]
         torso.add_geom(
             name="saddle", type=mujoco.mjtGeom.mjGEOM_BOX, size=SADDLE, pos=[0, 0, SADDLE_METRES], density=5.0
         )
         spec.worldbody.add_frame(pos=[x, y, 0.0]).attach_body(torso, f"{name}_", "")
     for motor in spec.actuators:
-        motor.gear[0] = MOTOR_GEAR
+        _make_servo(motor)
     _add_board(spec, team)
     return spec
+
+
+def _read_ant() -> mujoco.MjSpec:
+    spec = gymnasium_asset("ant.xml")()
+    # Four times as fast as the file's RK4.
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    return spec
+
+
+def _make_servo(motor: mujoco.MjsActuator) -> None:
+    """Turn a motor of an ant into a servo, whose controls from -1 to 1 move the target around the standing pose."""
+    joint = motor.target.split("_", 1)[1]
+    standing = STANDING[4 + [each.name for each in ant.JOINTS].index(joint)]
+    motor.gear[0] = 1.0
+    motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    motor.gainprm[0] = STIFFNESS * REACH_RADIANS
+    motor.biasprm[:3] = STIFFNESS * standing, -STIFFNESS, -DAMPING
 
 
 def _add_board(spec: mujoco.MjSpec, team: Team) -> None:
@@ -180,9 +201,9 @@ def board_up(qpos: FloatArray) -> FloatArray:
 
 
 def reward(team: Team, before: Features, after: Features, controls: FloatArray) -> FloatArray:
-    """Speed of the board along x in m/s, plus 1 per step, minus the ants' mean control cost."""
+    """Speed of the board along x in m/s, plus 0.2 per step, minus the ants' mean control cost."""
     speed = (board_position(after["qpos"])[:, 0] - board_position(before["qpos"])[:, 0]) / ant.STEP_SECONDS
-    return speed + 1.0 - CONTROL_COST_WEIGHT * sum_of_squares(controls) / team.n_ants
+    return speed + CARRIED_REWARD - CONTROL_COST_WEIGHT * sum_of_squares(controls) / team.n_ants
 
 
 def terminated(team: Team, features: Features) -> NDArray[np.bool_]:
@@ -260,6 +281,7 @@ def _definition(name: str, team: Team, agent_names: tuple[str, ...]) -> MujocoDe
         ),
         agent_names=agent_names,
         instructions=INSTRUCTIONS,
+        horizon_steps=HORIZON_STEPS,
     )
 
 
