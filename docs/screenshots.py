@@ -22,9 +22,9 @@ import httpx
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from accord.cli.client import Api
 from accord.cli.own_service import OwnService
-from accord.cli.teach import SegmentReader, TeacherChoice, judge
+from accord.cli.teach import TeacherChoice, teach_experiment
+from accord.client import Client
 from accord.domain.enums import Role
 from support.chromium import chromium
 
@@ -294,9 +294,9 @@ def set_up(browser: Browser, service: OwnService) -> Scene:
     """Two experiments with labels of a program and of a person."""
     url = service.url()
     token = service.token("admin", Role.ADMIN)
-    api = Api(url, token)
-    finished = str(api.post("/experiments", FINISHED | {"name": "Cheetah, six agents"})["id"])
-    running = str(api.post("/experiments", RUNNING | {"name": "Cheetah, second run", "seed": 1})["id"])
+    api = Client(url, token)
+    finished = api.create_experiment("Cheetah, six agents", **FINISHED).id
+    running = api.create_experiment("Cheetah, second run", **RUNNING, seed=1).id
     states = {"nobody": None}
     for name, role in (("admin", Role.ADMIN), ("labeller", Role.LABELLER)):
         context = browser.new_context()
@@ -307,11 +307,11 @@ def set_up(browser: Browser, service: OwnService) -> Scene:
     mark_for_practice(url, token, running)
     teach(api, finished, "stochastic", FINISHED["label_budget"])
     for name, (teacher, labels) in TEACHERS.items():
-        teach(Api(url, service.token(name, Role.TEACHER)), running, teacher, labels)
+        teach(Client(url, service.token(name, Role.TEACHER)), running, teacher, labels)
     label_as_person(browser, states["labeller"], f"{url}/experiments/{running}/label", 6)
-    wait(lambda: api.get(f"/experiments/{finished}")["status"] == "finished", "the first experiment to finish")
-    wait(lambda: api.get(f"/experiments/{running}")["reward_version"] is not None, "a reward version")
-    wait(lambda: api.get(f"/experiments/{running}")["labels"]["open_queries"] > 1, "pairs to label")
+    wait(lambda: api.experiment(finished).status == "finished", "the first experiment to finish")
+    wait(lambda: api.experiment(running).reward_version is not None, "a reward version")
+    wait(lambda: api.experiment(running).labels.open_queries > 1, "pairs to label")
     queries = api.get(f"/experiments/{running}/queries", status="closed")["items"]
     pair = next(query["id"] for query in queries if len(query["labels"]) > 1)
     shared = api.post(f"/experiments/{finished}/shares", {"days": 30})["url"]
@@ -321,8 +321,8 @@ def set_up(browser: Browser, service: OwnService) -> Scene:
 
 def mark_for_practice(url: str, token: str, experiment: str) -> None:
     """Makes the first pairs practice pairs; the one with the higher true return is better."""
-    api, path = Api(url, token), f"/experiments/{experiment}"
-    wait(lambda: api.get(path)["labels"]["open_queries"] >= PRACTICE_PAIRS, "clips")
+    api, path = Client(url, token), f"/experiments/{experiment}"
+    wait(lambda: api.experiment(experiment).labels.open_queries >= PRACTICE_PAIRS, "clips")
     for query in api.get(f"{path}/queries", status="open")["items"][-PRACTICE_PAIRS:]:
         first, second = (segment["true_return"] for segment in query["segments"])
         known = {"label": float(first > second), "practice": True, "explanation": "It gets further to the right."}
@@ -330,23 +330,9 @@ def mark_for_practice(url: str, token: str, experiment: str) -> None:
         httpx.put(address, json=known, headers={"Authorization": f"Bearer {token}"}).raise_for_status()
 
 
-def teach(api: Api, experiment: str, name: str, labels: int) -> None:
+def teach(client: Client, experiment: str, name: str, labels: int) -> None:
     """Labels of a scripted teacher."""
-    teacher = TeacherChoice.parse(name).teacher(0)
-    reader, given = SegmentReader(api, teacher), 0
-    while given < labels:
-        wanted = min(10, labels - given)
-        queries = api.post(f"/experiments/{experiment}/queries/next", count=wanted, returns=True)["items"]
-        if not queries:
-            time.sleep(0.5)
-            continue
-        answers = judge(teacher, reader, queries)
-        body = [
-            {"query_id": query["id"], "label": answer, "order": "segments", "teacher": teacher.parameters()}
-            for query, answer in zip(queries, answers, strict=True)
-        ]
-        api.post(f"/experiments/{experiment}/labels", {"labels": body})
-        given += len(body)
+    teach_experiment(client, experiment, TeacherChoice.parse(name).teacher(0), labels)
 
 
 def label_as_person(browser: Browser, state: Any, address: str, labels: int) -> None:

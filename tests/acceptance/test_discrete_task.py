@@ -1,7 +1,6 @@
 """A task with discrete actions and its own drawing, through the whole service."""
 
 from collections.abc import Iterator
-from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -9,8 +8,8 @@ import av
 import pytest
 
 from acceptance.accord_service import Accord, Client
-from accord.cli.client import Api
 from accord.cli.teach import teach_experiment
+from accord.client import Client as RestClient
 from mapt.errors import InvalidTeacher
 from mapt.preferences.teachers import make_teacher
 from support.waiting import until
@@ -49,8 +48,8 @@ def test_an_experiment_on_a_skirmish_runs_from_the_first_clip_to_the_trained_pol
     client.request("PUT", f"/queries/{page[0]['id']}/label", {"label": 1.0})
 
     # A rule about joints is refused, and a teacher that judges rewards gives the other labels.
-    with closing(Api(accord.url, accord.token("tom", "teacher"))) as api:
-        teach = partial(teach_experiment, api, id, labels=11, on_progress=lambda _: None, stopped=lambda: False)
+    with RestClient(accord.url, accord.token("tom", "teacher")) as teacher_client:
+        teach = partial(teach_experiment, teacher_client, id, labels=11)
         with pytest.raises(InvalidTeacher, match="the agents of 3m have none"):
             teach(teacher=make_teacher("phase"))
         assert teach(teacher=make_teacher("best-second")).labels == 11

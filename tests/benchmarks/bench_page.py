@@ -27,8 +27,8 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 
-from accord.cli.client import Api
 from accord.cli.own_service import OwnService
+from accord.client import Client
 from accord.domain.enums import Role
 from support.chromium import chromium
 
@@ -101,7 +101,7 @@ def main() -> None:
     with TemporaryDirectory() as folder, sync_playwright() as playwright:
         service = OwnService(Path(folder), {})
         try:
-            api = Api(service.url(), service.token("admin", Role.ADMIN))
+            api = Client(service.url(), service.token("admin", Role.ADMIN))
             experiment = start(api, arguments.task, arguments.labels)
             browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
             print(f"{arguments.task}, {browser.version}, nice {os.nice(0)}, load {os.getloadavg()[0]:.1f}", flush=True)
@@ -116,7 +116,7 @@ def main() -> None:
             service.close()
 
 
-def start(api: Api, task: str, labels: int) -> str:
+def start(api: Client, task: str, labels: int) -> str:
     """An experiment whose pairs are all ready."""
     settings = {
         "name": "page",
@@ -125,17 +125,17 @@ def start(api: Api, task: str, labels: int) -> str:
         "label_budget": 2 * labels + 40,
         "labels_per_version": labels,
     }
-    experiment = str(api.post("/experiments", settings)["id"])
+    experiment = api.create_experiment(**settings).id
     deadline = time.monotonic() + LONGEST_WAIT_SECONDS
     while time.monotonic() < deadline:
-        counts = api.get(f"/experiments/{experiment}")["labels"]
-        if counts["open_queries"] > labels and counts["rendering_queries"] == 0:
+        counts = api.experiment(experiment).labels
+        if counts.open_queries > labels and counts.rendering_queries == 0:
             return experiment
         time.sleep(1.0)
     raise TimeoutError(f"the clips were not ready within {LONGEST_WAIT_SECONDS:.0f} s: {counts}")
 
 
-def sign_in(browser: Browser, api: Api, name: str, address: str, **options: Any) -> BrowserContext:
+def sign_in(browser: Browser, api: Client, name: str, address: str, **options: Any) -> BrowserContext:
     """The browser of a new labeller who has read the rules of the experiment at this address."""
     context = browser.new_context(viewport={"width": 1280, "height": 800}, **options)
     user = api.post("/users", {"name": name, "role": "labeller"})
@@ -145,7 +145,7 @@ def sign_in(browser: Browser, api: Api, name: str, address: str, **options: Any)
     return context
 
 
-def measure_opening(browser: Browser, api: Api, address: str, megabits: float) -> None:
+def measure_opening(browser: Browser, api: Client, address: str, megabits: float) -> None:
     for coding in ("br", "gzip"):
         found = [open_page(browser, api, f"{coding} {n}", address, coding, megabits) for n in range(OPENINGS)]
         seconds = statistics.median(each.seconds for each in found)
@@ -159,7 +159,7 @@ def measure_opening(browser: Browser, api: Api, address: str, megabits: float) -
         )
 
 
-def open_page(browser: Browser, api: Api, name: str, address: str, coding: str, megabits: float) -> Loaded:
+def open_page(browser: Browser, api: Client, name: str, address: str, coding: str, megabits: float) -> Loaded:
     context = sign_in(browser, api, name, address, extra_http_headers={"Accept-Encoding": coding})
     page = context.new_page()
     network = context.new_cdp_session(page)

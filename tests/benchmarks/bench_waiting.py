@@ -13,11 +13,11 @@ import statistics
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
-from accord.cli.client import Api
+from accord.api.schemas import BatchLabel, Query
 from accord.cli.own_service import OwnService
 from accord.cli.teach import SegmentReader, TeacherChoice, judge
+from accord.client import Client
 from accord.domain.enums import Role
 
 POLL_SECONDS = 0.1
@@ -37,7 +37,7 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         service = OwnService(Path(folder), {})
         try:
-            api = Api(service.url(), service.token("labeller", Role.RESEARCHER))
+            client = Client(service.url(), service.token("labeller", Role.RESEARCHER))
             settings = {
                 "name": "waiting",
                 "task": arguments.task,
@@ -45,16 +45,16 @@ def main() -> None:
                 "initial_labels": max(2, arguments.labels // 6),
                 "labels_per_version": max(1, arguments.labels // 6),
             }
-            experiment = api.post("/experiments", settings)["id"]
-            waits = label(api, experiment, TeacherChoice.parse(arguments.teacher), arguments.labels, arguments.pause)
-            state = api.get(f"/experiments/{experiment}")
-            api.close()
+            experiment = client.create_experiment(**settings).id
+            waits = label(client, experiment, TeacherChoice.parse(arguments.teacher), arguments.labels, arguments.pause)
+            state = client.experiment(experiment)
+            client.close()
         finally:
             service.close()
     first, rest = waits[0], sorted(waits[1:])
     print(
         f"{arguments.task}, {arguments.labels} labels, one every {arguments.pause:g} s; reward versions"
-        f" {state['reward_version']}, {state['steps']:,} steps"
+        f" {state.reward_version}, {state.steps:,} steps"
     )
     print(
         f"wait for the first pair {first:.1f} s; later waits: median {statistics.median(rest):.2f} s,"
@@ -62,26 +62,27 @@ def main() -> None:
     )
 
 
-def label(api: Api, experiment: str, choice: TeacherChoice, labels: int, pause: float) -> list[float]:
+def label(client: Client, experiment: str, choice: TeacherChoice, labels: int, pause: float) -> list[float]:
     """Label one pair at a time; return the seconds of each wait."""
     teacher = choice.teacher(0)
-    reader, waits = SegmentReader(api, teacher), list[float]()
+    reader, waits = SegmentReader(client, teacher), list[float]()
     while len(waits) < labels:
         started = time.perf_counter()
-        query = _next_pair(api, experiment)
-        for side in ("left", "right"):
-            api.get_bytes(query[side]["clip_url"].removeprefix("/api/v1"))
+        query = _next_pair(client, experiment)
+        for side in (query.left, query.right):
+            assert side.clip_url is not None  # the task is rendered
+            client.get_bytes(side.clip_url.removeprefix("/api/v1"))
         waits.append(time.perf_counter() - started)
         time.sleep(pause)
-        body = {"query_id": query["id"], "label": judge(teacher, reader, [query])[0], "order": "segments"}
-        api.post(f"/experiments/{experiment}/labels", {"labels": [body | {"teacher": teacher.parameters()}]})
+        answer = judge(teacher, reader, [query])[0]
+        client.put_labels(experiment, [BatchLabel(query_id=query.id, label=answer, teacher=teacher.parameters())])
     return waits
 
 
-def _next_pair(api: Api, experiment: str) -> dict[str, Any]:
+def _next_pair(client: Client, experiment: str) -> Query:
     deadline = time.monotonic() + LONGEST_WAIT_SECONDS
     while time.monotonic() < deadline:
-        items = api.post(f"/experiments/{experiment}/queries/next", count=1, returns=True)["items"]
+        items = client.next_queries(experiment, returns=True).items
         if items:
             return items[0]
         time.sleep(POLL_SECONDS)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Annotated, cast
 from urllib.parse import urlsplit
 
-from fastapi import Depends, Path, Query, Request
+from fastapi import Depends, Header, Path, Query, Request
 from fastapi.responses import Response
 from pydantic import AfterValidator, BaseModel
 from sqlalchemy.orm import Session
@@ -262,6 +262,17 @@ UserId = Annotated[str, AfterValidator(_user_id), Path(description="The user, us
 WebhookId = Annotated[str, AfterValidator(_webhook_id), Path(description="The webhook, whk_...")]
 TokenId = Annotated[str, AfterValidator(_token_id), Path(description="The token, tok_...")]
 InvitationId = Annotated[str, AfterValidator(_invitation_id), Path(description="The invitation, inv_...")]
+
+
+RewardVersionNumber = Annotated[int, Path(ge=1, le=2**31 - 1, description="Number of the reward version.")]
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        pattern=r"^[A-Za-z0-9._-]{1,64}$",
+        description="Any text that is unique to this experiment. The request can then be repeated if no response "
+        "arrived: the experiment is created once.",
+    ),
+]
 
 
 def base_url(request: Request) -> str:

@@ -13,7 +13,6 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from accord.cli.client import Api
 from accord.cli.demo_runs import (
     PREFERENCES,
     TRUE,
@@ -23,13 +22,13 @@ from accord.cli.demo_runs import (
     RunPlan,
     RunState,
     check_known,
-    experiments_by_name,
     pause_others,
     run_experiment,
 )
 from accord.cli.own_service import OwnService
 from accord.cli.teach import TeacherChoice
-from accord.domain.enums import Role
+from accord.client import Client
+from accord.domain.enums import ExperimentStatus, Role
 from accord.workers.runner import Stop
 from mapt.cli.options import (
     Algorithm,
@@ -143,7 +142,7 @@ def _connect(service: OwnService, teacher: TeacherChoice, stop: Stop, *, quiet: 
     if not quiet:
         log_line(f"service at {url}, data in {service.home}", "demo")
     researcher, labeller = (
-        Api(url, service.token(name, role), stopped=stopped)
+        Client(url, service.token(name, role), stopped=stopped)
         for name, role in (("demo researcher", Role.RESEARCHER), (f"demo {teacher.name}", Role.TEACHER))
     )
     return DemoClients(service, researcher, labeller, teacher, stopped)
@@ -160,7 +159,7 @@ def _run_all(
     quiet: bool,
 ) -> list[DemoRun]:
     """Finished runs in the order of the plans. Figure and table are written again after every run."""
-    known = experiments_by_name(clients.researcher)
+    known = {experiment.name: experiment for experiment in clients.researcher.experiments()}
     check_known(plans, known)
     pause_others(clients.researcher, plans, known)
     finished: dict[str, DemoRun] = {}
@@ -168,7 +167,8 @@ def _run_all(
         for plan in plans:
             bars.add(plan.name, plan.name, plan.total_steps)
         # Those that are finished already come first, so that figure and table always include them.
-        order = sorted(plans, key=lambda plan: known.get(plan.name, {}).get("status") != "finished")
+        over = {name for name, experiment in known.items() if experiment.status is ExperimentStatus.FINISHED}
+        order = sorted(plans, key=lambda plan: plan.name not in over)
         runs = [
             pool.submit(run_experiment, clients, plan, known, folder / _RUNS, _updater(bars, plan), video=video)
             for plan in order

@@ -4,16 +4,17 @@ import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from accord.cli.client import Api
+from accord.api.schemas import Experiment, RewardVersion
 from accord.cli.demo_versions import VersionReport, read_reports, report_versions, write_reports
 from accord.cli.own_service import OwnService
 from accord.cli.teach import TeacherChoice, teach_experiment
+from accord.client import Client
+from accord.domain.enums import ExperimentStatus
 from accord.domain.errors import AccordError, Invalid, Unavailable
 from mapt.cli.output import print_error
 from mapt.errors import RenderingError
@@ -212,9 +213,9 @@ class DemoClients:
 
     service: OwnService
     #: with a researcher's token
-    researcher: Api
+    researcher: Client
     #: with a teacher's token
-    teacher: Api
+    teacher: Client
     choice: TeacherChoice
     #: true ends the runs
     stopped: Callable[[], bool]
@@ -224,17 +225,7 @@ class DemoClients:
         self.teacher.close()
 
 
-def experiments_by_name(api: Api) -> dict[str, dict[str, Any]]:
-    """Every experiment of the service."""
-    found: dict[str, dict[str, Any]] = {}
-    page: dict[str, Any] = {"next_cursor": ""}
-    while (cursor := page["next_cursor"]) is not None:
-        page = api.get("/experiments", limit=100, **({"cursor": cursor} if cursor else {}))
-        found |= {experiment["name"]: experiment for experiment in page["items"]}
-    return found
-
-
-def check_known(plans: Sequence[RunPlan], known: Mapping[str, dict[str, Any]]) -> None:
+def check_known(plans: Sequence[RunPlan], known: Mapping[str, Experiment]) -> None:
     """Check that experiments with the plans' names have the plans' settings.
 
     Raises:
@@ -242,25 +233,25 @@ def check_known(plans: Sequence[RunPlan], known: Mapping[str, dict[str, Any]]) -
     """
     for plan in plans:
         experiment = known.get(plan.name)
-        if experiment and (differences := plan.differences(experiment["config"])):
+        if experiment and (differences := plan.differences(experiment.config)):
             raise Invalid(
                 f"The run {plan.name!r} exists with other settings: {'; '.join(differences)}. "
                 "Use another --output, or the same settings to resume."
             )
 
 
-def pause_others(api: Api, plans: Sequence[RunPlan], known: Mapping[str, dict[str, Any]]) -> None:
+def pause_others(client: Client, plans: Sequence[RunPlan], known: Mapping[str, Experiment]) -> None:
     """Pause running experiments that belong to no plan: nobody labels them, and they would occupy a worker."""
     names = {plan.name for plan in plans}
     for name, experiment in known.items():
-        if experiment["status"] == "running" and name not in names:
-            api.post(f"/experiments/{experiment['id']}/pause")
+        if experiment.status is ExperimentStatus.RUNNING and name not in names:
+            client.pause(experiment.id)
 
 
 def run_experiment(
     clients: DemoClients,
     plan: RunPlan,
-    known: Mapping[str, dict[str, Any]],
+    known: Mapping[str, Experiment],
     root: Path,
     show: Callable[[RunState], None],
     *,
@@ -286,22 +277,21 @@ def run_experiment(
             show(_state(clients.researcher, experiment_id))
 
     if plan.reward_source == PREFERENCES:
-        given = clients.researcher.get(f"/experiments/{experiment_id}")["labels"]["labels"]
+        given = clients.researcher.experiment(experiment_id).labels.labels
         teach_experiment(
             clients.teacher,
             experiment_id,
             clients.choice.teacher(plan.seed),
             plan.label_budget - given,
             on_progress=refresh,
-            stopped=clients.stopped,
         )
-    while (experiment := clients.researcher.get(f"/experiments/{experiment_id}"))["status"] == "running":
+    while (experiment := clients.researcher.experiment(experiment_id)).status is ExperimentStatus.RUNNING:
         if clients.stopped():
             raise Unavailable("Stopped before the experiment was finished. Rerun the command to resume.")
         refresh()
         time.sleep(_POLL_SECONDS)
-    if experiment["status"] != "finished":
-        raise RunFailed(f"{plan.name} is {experiment['status']}: {experiment['phase_detail']}")
+    if experiment.status is not ExperimentStatus.FINISHED:
+        raise RunFailed(f"{plan.name} is {experiment.status}: {experiment.phase_detail}")
     show(_state(clients.researcher, experiment_id))
     run = save_run(clients, plan, experiment, RunFolder(root / plan.folder_name))
     if video:
@@ -309,64 +299,64 @@ def run_experiment(
     return run
 
 
-def _create_or_resume(api: Api, plan: RunPlan, known: dict[str, Any] | None) -> str:
+def _create_or_resume(client: Client, plan: RunPlan, known: Experiment | None) -> str:
     if known is None:
-        return api.post("/experiments", asdict(plan))["id"]
-    if known["status"] in {"paused", "failed"}:
-        api.post(f"/experiments/{known['id']}/resume")
-    return known["id"]
+        return client.create_experiment(**asdict(plan)).id
+    if known.status in {ExperimentStatus.PAUSED, ExperimentStatus.FAILED}:
+        client.resume(known.id)
+    return known.id
 
 
-def _state(api: Api, experiment_id: str) -> RunState:
-    experiment = api.get(f"/experiments/{experiment_id}")
-    curve = _curves(api, experiment_id, ["true_return"]).get("true_return", {})
+def _state(client: Client, experiment_id: str) -> RunState:
+    experiment = client.experiment(experiment_id)
+    curve = _curves(client, experiment_id, ["true_return"]).get("true_return", {})
     return RunState(
-        steps=experiment["steps"],
-        labels=experiment["labels"]["labels"],
-        version=experiment["reward_version"] or 0,
+        steps=experiment.steps,
+        labels=experiment.labels.labels,
+        version=experiment.reward_version or 0,
         true_return=list(curve.values())[-1] if curve else None,
-        detail=experiment["phase_detail"] or experiment["phase"].replace("_", " "),
+        detail=experiment.phase_detail or experiment.phase.replace("_", " "),
     )
 
 
-def save_run(clients: DemoClients, plan: RunPlan, experiment: dict[str, Any], folder: RunFolder) -> DemoRun:
+def save_run(clients: DemoClients, plan: RunPlan, experiment: Experiment, folder: RunFolder) -> DemoRun:
     """Write run.json, metrics.jsonl, checkpoint.safetensors, evaluation.json and versions.csv of a finished experiment.
 
     And teacher-scores.json, if the teacher judges by something else than the true return.
 
     `mapt curves` and `mapt evaluate` read such a folder as they read those of `mapt train`.
     """
-    id = experiment["id"]
+    id = experiment.id
     folder.path.mkdir(parents=True, exist_ok=True)
     folder.claim(plan.settings(clients.choice))
     curves = _curves(clients.researcher, id)
     write_metrics(folder, curves)
     if not folder.checkpoint.exists():
         atomic_write(folder.checkpoint, clients.service.policy_checkpoint(id))
-    evaluation = folder.read_evaluation(experiment["steps"])
+    evaluation = folder.read_evaluation(experiment.steps)
     if evaluation is None:
         # Its curves have the mean, deviation and range of the final evaluation; the folder needs every episode.
         saved = load_policy(folder.path)
         evaluation = evaluate_policy(saved.policy, saved.task, agent_obsk=saved.agent_obsk, seed=plan.seed)
-        folder.write_evaluation(experiment["steps"], evaluation)
-    versions = clients.researcher.get(f"/experiments/{id}/reward-versions")["items"]
-    ended, created = (datetime.fromisoformat(experiment[name]) for name in ("ended_at", "created_at"))
+        folder.write_evaluation(experiment.steps, evaluation)
+    versions = clients.researcher.reward_versions(id)
+    assert experiment.ended_at is not None  # it is finished
     return DemoRun(
         plan=plan,
         folder=folder.path,
-        seconds=(ended - created).total_seconds(),
-        labels=experiment["labels"]["labels"],
-        versions=experiment["reward_version"] or 0,
+        seconds=(experiment.ended_at - experiment.created_at).total_seconds(),
+        labels=experiment.labels.labels,
+        versions=experiment.reward_version or 0,
         untrained=next(iter(curves["true_return_untrained"].values())),
         final=float(np.mean(evaluation.returns)),
-        scores=_teacher_scores(clients.choice, plan, folder, experiment["config"]["segment_steps"]),
+        scores=_teacher_scores(clients.choice, plan, folder, experiment.config["segment_steps"]),
         attention=_attention(versions) if plan.reward_model.startswith("MAPT") else None,
         reports=_version_reports(clients, plan, id, folder),
     )
 
 
-def _attention(versions: Sequence[dict[str, Any]]) -> bool | None:
-    last = versions[-1]["metrics"] if versions else {}
+def _attention(versions: Sequence[RewardVersion]) -> bool | None:
+    last = versions[-1].metrics if versions else {}
     return bool(last["attention"]) if "attention" in last else None
 
 
@@ -440,8 +430,7 @@ def write_metrics(folder: RunFolder, curves: Mapping[str, Mapping[int, float]]) 
     file.close()
 
 
-def _curves(api: Api, experiment_id: str, names: Sequence[str] | None = None) -> dict[str, dict[int, float]]:
+def _curves(client: Client, experiment_id: str, names: Sequence[str] | None = None) -> dict[str, dict[int, float]]:
     """Values by curve and step; all curves without `names`."""
-    query = {} if names is None else {"names": list(names)}
-    found = api.get(f"/experiments/{experiment_id}/metrics", **query)["series"]
-    return {curve["name"]: {point["step"]: point["value"] for point in curve["points"]} for curve in found}
+    found = client.metrics(experiment_id, names).series
+    return {curve.name: {point.step: point.value for point in curve.points} for curve in found}

@@ -1,10 +1,11 @@
-"""Write the generated parts of docs/reference.md: `python -m accord.cli.reference`.
+"""Write the generated parts of docs/reference.md and docs/client.md: `python -m accord.cli.reference`.
 
-Tables of settings are between `<!-- begin NAME -->` and `<!-- end NAME -->`. A table of options is the first table with
-the heading `option` in the section of its command. The rest of the page is written by hand.
+The parts are between `<!-- begin NAME -->` and `<!-- end NAME -->`. A table of options is the first table with the
+heading `option` in the section of its command. The rest of the pages is written by hand.
 """
 
 import argparse
+import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any, get_args
 import typer
 
 from accord.cli.main import app as accord
+from accord.client import Client
 from accord.services.experiment_config import ExperimentConfig
 from accord.settings import Settings as ServiceSettings
 from mapt.cli.main import app as mapt
@@ -22,7 +24,7 @@ from mapt.policies.config import ALGORITHM_DEFAULTS, PolicyConfig
 from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
 from mapt.settings import SettingDescription, Settings, accepted_values, describe
 
-DEFAULT_FILE = Path("docs/reference.md")
+DEFAULT_FOLDER = Path("docs")
 _OPTIONS_HEADING = "| option | default | |\n|---|---|---|\n"
 #: A table of options, with any second column.
 _OPTIONS_TABLE = re.compile(r"\| option \|.*\n\|[-|]+\n(?:\|.*\n)*")
@@ -72,6 +74,24 @@ def training_settings() -> str:
     return f"{_settings(TrainConfig)}\n\nThe presets differ: {_differences(presets)}."
 
 
+def client_methods() -> str:
+    """Methods of the Python client."""
+    methods = {name: method for name, method in vars(Client).items() if not name.startswith("_") and callable(method)}
+    rows = [
+        (f"`{name}({', '.join(_parameters(method))})`", (inspect.getdoc(method) or "").partition("\n\n")[0])
+        for name, method in methods.items()
+    ]
+    return _table(("method", ""), ((name, " ".join(text.split())) for name, text in rows))
+
+
+def _parameters(method: Callable[..., Any]) -> Iterator[str]:
+    """The names of a method's parameters, with simple defaults."""
+    for parameter in list(inspect.signature(method).parameters.values())[1:]:
+        name = f"**{parameter.name}" if parameter.kind is parameter.VAR_KEYWORD else parameter.name
+        simple = isinstance(parameter.default, str | int | None)
+        yield name if parameter.default is parameter.empty or not simple else f"{name}={parameter.default!r}"
+
+
 _NUMBER = re.compile("^a (whole )?number(,| from) ")
 
 PARTS: Mapping[str, Callable[[], str]] = {
@@ -85,18 +105,27 @@ PARTS: Mapping[str, Callable[[], str]] = {
 
 
 def fill(page: str) -> str:
-    """The page with every generated part up to date.
+    """docs/reference.md with every generated part up to date.
 
     Raises:
         ValueError: if the page lacks the markers of a part, or the section of a command.
     """
-    for name, part in PARTS.items():
+    return fill_options(_fill_parts(page, PARTS))
+
+
+def fill_client(page: str) -> str:
+    """docs/client.md with the methods of the client. Raises ValueError if it lacks their markers."""
+    return _fill_parts(page, {"client methods": client_methods})
+
+
+def _fill_parts(page: str, parts: Mapping[str, Callable[[], str]]) -> str:
+    for name, part in parts.items():
         begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
         if begin not in page or end not in page:
             raise ValueError(f"{begin} and {end} are missing from the page.")
         before, _, rest = page.partition(begin)
         page = f"{before}{begin}\n\n{part()}\n\n{end}{rest.partition(end)[2]}"
-    return fill_options(page)
+    return page
 
 
 def commands() -> dict[str, Any]:
@@ -164,9 +193,10 @@ def fill_options(text: str) -> str:
 def main() -> None:
     """The entry point of `python -m accord.cli.reference`."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("file", type=Path, nargs="?", default=DEFAULT_FILE, help="the page (docs/reference.md)")
-    file = parser.parse_args().file
-    atomic_write(file, fill(file.read_text()).encode())
+    parser.add_argument("folder", type=Path, nargs="?", default=DEFAULT_FOLDER, help="the folder of the pages (docs)")
+    folder = parser.parse_args().folder
+    for name, update in (("reference.md", fill), ("client.md", fill_client)):
+        atomic_write(folder / name, update((folder / name).read_text()).encode())
 
 
 def _settings(settings: type[Settings]) -> str:

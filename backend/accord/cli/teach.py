@@ -2,19 +2,17 @@
 
 import json
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from safetensors.numpy import load
 
-from accord.cli.client import Api
+from accord.api.schemas import BatchLabel, Query, SegmentView
 from accord.cli.options import Experiment, Home, Token, Url, load_settings, service_url
+from accord.client import Client, TeachingOutcome
 from accord.workers.runner import Stop
 from mapt.cli.options import Json, Teacher
 from mapt.cli.output import ProgressBars, print_json, print_line
@@ -23,15 +21,8 @@ from mapt.preferences.dataset import NO_AGENT
 from mapt.preferences.teachers import ScriptedTeacher, TeacherView, make_teacher
 from mapt.settings import NamedSettings
 
-#: Queries per request; the API allows no more.
-_QUERIES_PER_REQUEST = 16
-#: Segments whose arrays are cached: a segment is in several queries, usually close together.
-_CACHED_SEGMENTS = 256
 #: Points of the curve of true returns that are averaged, as B-Pref's ten episodes.
 _RETURN_POINTS = 10
-_IDLE_SECONDS = 0.25
-#: Reasons of the API after which no further query comes.
-_FINAL_REASONS = frozenset({"all_labelled", "experiment_over"})
 #: Why a teacher stopped, for people.
 _ENDINGS = {
     "done": "all that were requested",
@@ -62,20 +53,18 @@ def teach(
     choice = TeacherChoice.parse(teacher)
     stop = Stop()
     stop.install()
-    api = Api(url or service_url(load_settings(home)), token, stopped=lambda: stop.requested)
-    counts = api.get(f"/experiments/{experiment}")["labels"]
-    wanted = labels or max(0, counts["budget"] - counts["labels"])
-    with ProgressBars(hidden=as_json) as bars:
+    address = url or service_url(load_settings(home))
+    with Client(address, token, stopped=lambda: stop.requested) as client, ProgressBars(hidden=as_json) as bars:
+        counts = client.experiment(experiment).labels
+        wanted = labels or max(0, counts.budget - counts.labels)
         bars.add("labels", "labels", wanted)
         outcome = teach_experiment(
-            api,
+            client,
             experiment,
             choice.teacher(seed),
             wanted,
             on_progress=lambda given: bars.update("labels", given, f"{given}/{wanted}"),
-            stopped=lambda: stop.requested,
         )
-    api.close()
     if as_json:
         print_json({"labels": outcome.labels, "reason": outcome.reason})
     else:
@@ -118,30 +107,18 @@ class TeacherChoice:
         return make_teacher(self.name, **{"seed": seed, **self.parameters})
 
 
-@dataclass(frozen=True, slots=True)
-class TeachingOutcome:
-    """How many labels a teacher gave, and why it stopped."""
-
-    #: without skips
-    labels: int
-    #: done, stopped, or the API's reason
-    reason: str
-
-
 def teach_experiment(
-    api: Api,
+    client: Client,
     experiment_id: str,
     teacher: ScriptedTeacher,
     labels: int,
     *,
-    on_progress: Callable[[int], None],
-    stopped: Callable[[], bool],
+    on_progress: Callable[[int], None] = lambda _: None,
 ) -> TeachingOutcome:
     """Label the queries of one experiment until `labels` are given or no further query comes.
 
     Args:
         on_progress: called with the number of labels given so far, also while waiting.
-        stopped: checked between requests; true ends the loop.
 
     Raises:
         Refused, Unavailable: if the API refuses a request, or does not respond.
@@ -149,55 +126,47 @@ def teach_experiment(
             its task.
         PreferenceError: if the segments lack what the teacher judges by.
     """
-    reader, given, experiment = SegmentReader(api, teacher), 0, api.get(f"/experiments/{experiment_id}")
-    horizon_steps = experiment["task"]["horizon_steps"]
-    teacher.check_task(experiment["task"]["name"], discrete_actions=experiment["task"]["discrete_actions"])
-    asks_agent = bool(experiment["config"].get("ask_agent"))
-    if teacher.bpref.slight > 0 and experiment["config"].get("answer_scale") != "five":
+    experiment, reader = client.experiment(experiment_id), SegmentReader(client, teacher)
+    teacher.check_task(experiment.task.name, discrete_actions=experiment.task.discrete_actions)
+    asks_agent = bool(experiment.config.get("ask_agent"))
+    if teacher.bpref.slight > 0 and experiment.config.get("answer_scale") != "five":
         raise InvalidTeacher("The teacher gives slight preferences, for which the experiment needs answer_scale five.")
-    while given < labels and not stopped():
-        count = min(_QUERIES_PER_REQUEST, labels - given)
-        path = f"/experiments/{experiment_id}/queries/next"
-        response = api.post(path, count=count, returns=not reader.needs_arrays)
-        if response["items"]:
-            if teacher.uses_episode_return:
-                _update_episode_return(api, experiment_id, teacher, horizon_steps)
-            given += _label(api, experiment_id, teacher, reader, response["items"], asks_agent)
-        on_progress(given)
-        if not response["items"]:
-            if response["reason"] in _FINAL_REASONS:
-                return TeachingOutcome(given, response["reason"])
-            time.sleep(_IDLE_SECONDS)
-    return TeachingOutcome(given, "done" if given >= labels else "stopped")
+
+    def label(queries: Sequence[Query]) -> list[BatchLabel]:
+        if teacher.uses_episode_return:
+            _update_episode_return(client, experiment_id, teacher, experiment.task.horizon_steps)
+        return _labels(teacher, reader, queries, asks_agent=asks_agent)
+
+    return client.label_queries(experiment_id, label, labels, returns=not reader.needs_arrays, on_progress=on_progress)
 
 
 class SegmentReader:
     """Reads what a teacher judges by: true rewards, or all arrays of the segments."""
 
-    def __init__(self, api: Api, teacher: ScriptedTeacher) -> None:
+    def __init__(self, client: Client, teacher: ScriptedTeacher) -> None:
         #: False if true rewards, which come with the queries, are enough
         self.needs_arrays = teacher.rule.reads != ("rewards",)
-        self._arrays = lru_cache(_CACHED_SEGMENTS)(lambda id: load(api.get_bytes(f"/segments/{id}/arrays")))
+        self._client = client
 
-    def read(self, queries: Sequence[dict[str, Any]]) -> tuple[TeacherView, TeacherView]:
+    def read(self, queries: Sequence[Query]) -> tuple[TeacherView, TeacherView]:
         """Segments 0 and segments 1 of these queries, whatever sides they are shown on."""
-        sides = [sorted((query["left"], query["right"]), key=lambda side: side["index"]) for query in queries]
+        sides = [sorted((query.left, query.right), key=lambda side: side.index) for query in queries]
         first, second = (TeacherView.stack([self._segment(pair[index]) for pair in sides]) for index in (0, 1))
         return first, second
 
-    def _segment(self, side: dict[str, Any]) -> Mapping[str, NDArray[np.floating]]:
+    def _segment(self, side: SegmentView) -> Mapping[str, NDArray[np.floating]]:
         if self.needs_arrays:
-            return self._arrays(side["segment_id"])
-        return {"rewards": np.array(side["true_rewards"], dtype=np.float64)}
+            return self._client.segment_arrays(side.segment_id)
+        return {"rewards": np.array(side.true_rewards, dtype=np.float64)}
 
 
-def judge(teacher: ScriptedTeacher, reader: SegmentReader, queries: Sequence[dict[str, Any]]) -> list[float | None]:
+def judge(teacher: ScriptedTeacher, reader: SegmentReader, queries: Sequence[Query]) -> list[float | None]:
     """The teacher's labels, P(segment 0 preferred); None where it skips.
 
     Raises:
         PreferenceError: if the segments lack what the teacher judges by.
     """
-    left_segments = np.array([query["left"]["index"] for query in queries])
+    left_segments = np.array([query.left.index for query in queries])
     labels = teacher.judge(*reader.read(queries), left_segments=left_segments).tolist()
     return [None if math.isnan(label) else label for label in labels]
 
@@ -205,7 +174,7 @@ def judge(teacher: ScriptedTeacher, reader: SegmentReader, queries: Sequence[dic
 def decisive_agents(
     teacher: ScriptedTeacher,
     reader: SegmentReader,
-    queries: Sequence[dict[str, Any]],
+    queries: Sequence[Query],
     labels: Sequence[float | None],
 ) -> list[int | None]:
     """The agent that decided each label; None where the teacher's rule does not tell.
@@ -218,29 +187,20 @@ def decisive_agents(
     return [None if agent == NO_AGENT else agent for agent in agents]
 
 
-def _label(  # noqa: PLR0917 (private)
-    api: Api,
-    experiment_id: str,
-    teacher: ScriptedTeacher,
-    reader: SegmentReader,
-    queries: Sequence[dict[str, Any]],
-    asks_agent: bool,
-) -> int:
-    """Judge these queries and post the labels. Returns how many the service accepted."""
+def _labels(
+    teacher: ScriptedTeacher, reader: SegmentReader, queries: Sequence[Query], *, asks_agent: bool
+) -> list[BatchLabel]:
     parameters, labels = teacher.parameters(), judge(teacher, reader, queries)
     agents = decisive_agents(teacher, reader, queries, labels) if asks_agent else [None] * len(labels)
-    batch = [
-        {"query_id": query["id"], "label": label, "order": "segments", "decisive_agent": agent, "teacher": parameters}
+    return [
+        BatchLabel(query_id=query.id, label=label, decisive_agent=agent, teacher=parameters)
         for query, label, agent in zip(queries, labels, agents, strict=True)
     ]
-    outcomes = api.post(f"/experiments/{experiment_id}/labels", {"labels": batch})["items"]
-    # A query whose lease expired meanwhile is refused, and is offered again.
-    return sum(1 for outcome in outcomes if outcome["ok"] and outcome["label"]["label"] is not None)
 
 
-def _update_episode_return(api: Api, experiment_id: str, teacher: ScriptedTeacher, horizon_steps: int) -> None:
+def _update_episode_return(client: Client, experiment_id: str, teacher: ScriptedTeacher, horizon_steps: int) -> None:
     """Give the teacher the running mean of true episode returns, once there is one."""
-    series = api.get(f"/experiments/{experiment_id}/metrics", names=["true_return"])["series"]
-    points = [point["value"] for curve in series for point in curve["points"]][-_RETURN_POINTS:]
+    series = client.metrics(experiment_id, ["true_return"]).series
+    points = [point.value for curve in series for point in curve.points][-_RETURN_POINTS:]
     if points:
         teacher.set_episode_return(float(np.mean(points)), horizon_steps)

@@ -9,7 +9,7 @@
     ├── NotFound                      the object does not exist
     │   └── ExperimentNotFound, SegmentNotFound, QueryNotFound, ClipNotFound, LabelNotFound, UserNotFound,
     │       CreditNotFound, RewardVersionNotFound, InvitationNotFound, InvitationNotValid, ShareNotFound,
-    │       RecordingNotFound, TokenNotFound, WebhookNotFound
+    │       RecordingNotFound, TokenNotFound, WebhookNotFound, PolicyNotFound
     ├── WrongState                    the object is in a state that does not allow it
     │   └── ExperimentNotActive, ExperimentInUse, QueryClosed, LabelConflict, LabelChanged, NameTaken, OwnAccount
     ├── LeaseLost                     the caller holds no lease on the query
@@ -153,6 +153,16 @@ class RewardVersionNotFound(NotFound):
     def __init__(self, experiment_id: str, number: int | None) -> None:
         version = "reward version yet" if number is None else f"reward version {number}"
         AccordError.__init__(self, f"Experiment {experiment_id!r} has no {version}.")
+        self.id = experiment_id
+
+
+class PolicyNotFound(NotFound):
+    code = "policy_not_found"
+
+    def __init__(self, experiment_id: str) -> None:
+        AccordError.__init__(
+            self, f"The policy of experiment {experiment_id!r} has no checkpoint yet. Try again later."
+        )
         self.id = experiment_id
 
 

@@ -2,10 +2,14 @@
 
 from sqlalchemy.orm import Session
 
+from accord.domain.errors import BlobDamaged
 from accord.domain.ids import new_id
 from accord.services import blob_deletion
 from accord.store import rewards
+from accord.store.blobs import BlobStore
 from accord.store.tables import PolicyCheckpointRow
+from mapt.errors import DamagedCheckpoint
+from mapt.training.policy_checkpoint import PolicyCheckpoint
 
 KEPT = 3
 
@@ -30,6 +34,18 @@ def save(  # noqa: PLR0917 (a row's fields in their order)
 def newest(session: Session, experiment_id: str) -> PolicyCheckpointRow | None:
     found = rewards.checkpoints(session, experiment_id, 1)
     return found[0] if found else None
+
+
+def read_policy(blobs: BlobStore, key: str) -> bytes:
+    """The policy of a stored checkpoint, as `mapt.load_policy` reads it.
+
+    Raises:
+        BlobMissing, BlobDamaged: if it cannot be read.
+    """
+    try:
+        return PolicyCheckpoint.from_bytes(blobs.read(key)).learner
+    except DamagedCheckpoint as error:
+        raise BlobDamaged(key, error.reason) from error
 
 
 def kept(session: Session, experiment_id: str) -> list[PolicyCheckpointRow]:

@@ -6,7 +6,14 @@ from dataclasses import dataclass
 from sqlalchemy.orm import Session
 
 from accord.domain.enums import ExperimentStatus, Phase, QueryStatus, WebhookEvent
-from accord.domain.errors import ExperimentNotActive, ExperimentNotFound, InvalidExperiment, NameTaken, UnknownTask
+from accord.domain.errors import (
+    ExperimentNotActive,
+    ExperimentNotFound,
+    Invalid,
+    InvalidExperiment,
+    NameTaken,
+    UnknownTask,
+)
 from accord.domain.ids import new_id
 from accord.services import webhooks
 from accord.services.experiment_config import ExperimentConfig
@@ -56,6 +63,7 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
     instructions: str | None,
     experiment_id: str | None = None,
     memory_limit_bytes: int = 0,
+    creation_key: str | None = None,
 ) -> ExperimentRow:
     """Creates an experiment, which a policy worker then claims.
 
@@ -63,6 +71,7 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
         instructions: shown to labellers; the task's own if None or empty.
         experiment_id: its id, where blobs of it are stored already; a new one by default.
         memory_limit_bytes: of its training; 0 for the memory of this machine.
+        creation_key: by which `created_by` finds it when the request is repeated.
 
     Raises:
         UnknownTask: if no task has this name.
@@ -89,11 +98,29 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
         config=config.to_dict(),
         instructions=shown,
         owner_id=owner_id,
+        creation_key=creation_key,
     )
     session.add(row)
     session.flush()
     session.add(InstructionRevisionRow(experiment_id=row.id, number=1, text=shown))
     session.flush()
+    return row
+
+
+def created_by(session: Session, owner_id: str, creation_key: str | None, name: str) -> ExperimentRow | None:
+    """The experiment that an earlier request of the user with the same key created.
+
+    Raises:
+        Invalid: if it has another name than this request gives.
+    """
+    if creation_key is None:
+        return None
+    row = experiments.by_creation_key(session, owner_id, creation_key)
+    if row is not None and row.name != check_line(name, "name", 200):
+        raise Invalid(
+            f"This Idempotency-Key created the experiment {row.name!r}. Use a new key for each experiment.",
+            "Idempotency-Key",
+        )
     return row
 
 

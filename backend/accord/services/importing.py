@@ -112,7 +112,14 @@ def _checked(tables: PreferenceTables) -> Imported:
     return Imported(new_id("exp"), config, _instructions(about), {}, queries, kept)
 
 
-def create(session: Session, owner_id: str, name: str, found: Imported, memory_limit_bytes: int = 0) -> None:
+def create(  # noqa: PLR0917 (as `experiments.create`)
+    session: Session,
+    owner_id: str,
+    name: str,
+    found: Imported,
+    memory_limit_bytes: int = 0,
+    creation_key: str | None = None,
+) -> None:
     """Creates the experiment, paused, with the imported segments, queries and labels.
 
     Queries without a label are left out unless their answer is known. The labels of teachers who are users of this
@@ -131,6 +138,7 @@ def create(session: Session, owner_id: str, name: str, found: Imported, memory_l
         found.instructions[0],
         experiment_id=found.experiment_id,
         memory_limit_bytes=memory_limit_bytes,
+        creation_key=creation_key,
     )
     for text in found.instructions[1:]:
         experiments.edit_instructions(session, row.id, text)

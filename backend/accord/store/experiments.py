@@ -50,6 +50,11 @@ def get(session: Session, experiment_id: str) -> ExperimentRow | None:
     return session.get(ExperimentRow, experiment_id)
 
 
+def by_creation_key(session: Session, owner_id: str, key: str) -> ExperimentRow | None:
+    """The experiment that a user created with a request that had this Idempotency-Key."""
+    return session.scalar(select(ExperimentRow).filter_by(owner_id=owner_id, creation_key=key))
+
+
 def lock(session: Session, experiment_id: str) -> ExperimentRow | None:
     """Reads the row again and locks it until the transaction ends."""
     return session.get(ExperimentRow, experiment_id, with_for_update=True, populate_existing=True)

@@ -139,6 +139,7 @@ class TokenRow(Base):
 
 class ExperimentRow(Base):
     __tablename__ = "experiments"
+    __table_args__ = (Index("ix_experiments_creation_key", "owner_id", "creation_key", unique=True),)
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     name: Mapped[str] = mapped_column(String(200), unique=True)
     #: ExperimentConfig.to_dict()
@@ -166,6 +167,8 @@ class ExperimentRow(Base):
     instructions_revision: Mapped[int] = mapped_column(default=1, server_default="1")
     #: labels that were due when webhooks were last told that labels are due
     labels_announced: Mapped[int] = mapped_column(default=0, server_default="0")
+    #: Idempotency-Key of the request that created it, so that a repeated request does not create another one
+    creation_key: Mapped[str | None] = mapped_column(String(64), default=None)
 
 
 class InstructionRevisionRow(Base):

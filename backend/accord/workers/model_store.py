@@ -17,8 +17,8 @@ from mapt.rewards.checkpoints import load_reward_model, save_reward_model
 from mapt.rewards.ensemble import RewardEnsemble, load_reward_ensemble, save_reward_ensemble
 from mapt.rewards.model import RewardModel
 from mapt.tasks import Task
+from mapt.training.policy_checkpoint import PolicyCheckpoint
 from mapt.training.reward_source import Context as RewardContext
-from mapt.training.run_folder import PolicyCheckpoint
 
 log = logging.getLogger(__name__)
 

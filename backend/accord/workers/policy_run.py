@@ -30,10 +30,10 @@ from mapt.policies import Learner, Rollout, evaluate
 from mapt.preferences.segments import StepRange, cut_rollout
 from mapt.tasks import Task, TaskStep, WrappedTask, make_task
 from mapt.training.evaluation import EPISODES, SEED_OF_STARTS
+from mapt.training.policy_checkpoint import PolicyCheckpoint
 from mapt.training.policy_trainer import PolicyTrainer
 from mapt.training.reward_source import Context as RewardContext
 from mapt.training.reward_source import LearnedReward, RewardSource, TrueReward
-from mapt.training.run_folder import PolicyCheckpoint
 from mapt.training.schedule import SEGMENT_STREAM, Progress
 
 log = logging.getLogger(__name__)

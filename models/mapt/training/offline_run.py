@@ -26,8 +26,9 @@ from mapt.preferences.dataset import PreferenceDataset
 from mapt.tasks import make_task
 from mapt.training.evaluation import Evaluation, evaluate_policy
 from mapt.training.metrics import EventFile, Metrics, MetricsFile, read_metrics
+from mapt.training.policy_checkpoint import PolicyCheckpoint
 from mapt.training.policy_trainer import RunCallbacks
-from mapt.training.run_folder import PolicyCheckpoint, RunFolder
+from mapt.training.run_folder import RunFolder
 from mapt.training.settings import ImitationSettings, RunSettings
 
 #: Gradient steps of an iteration: of one line of metrics.

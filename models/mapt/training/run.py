@@ -22,9 +22,10 @@ from mapt.tasks import Task, TaskStep, WrappedTask, make_task
 from mapt.training.evaluation import Evaluation, evaluate_policy
 from mapt.training.metrics import EventFile, Metrics, MetricsFile, read_metrics
 from mapt.training.offline_run import OfflineRun
+from mapt.training.policy_checkpoint import PolicyCheckpoint
 from mapt.training.policy_trainer import PolicyTrainer, RunCallbacks
 from mapt.training.reward_source import LearnedReward, RewardFiles, RewardSource, TrueReward, save_version
-from mapt.training.run_folder import PolicyCheckpoint, RunFolder
+from mapt.training.run_folder import RunFolder
 from mapt.training.settings import ImitationSettings, PreferenceRewardSettings, RunSettings
 from mapt.training.video import record_video
 

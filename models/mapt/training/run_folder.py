@@ -4,15 +4,11 @@ import fcntl
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load, save
 
 from mapt.device import resolve_device
 from mapt.errors import DamagedCheckpoint, DamagedRun, InvalidConfig, RunBusy, RunMismatch, RunNotFound
@@ -24,52 +20,12 @@ from mapt.provenance import provenance
 from mapt.tasks import task_spec
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 from mapt.training.evaluation import Evaluation
+from mapt.training.policy_checkpoint import PolicyCheckpoint
 from mapt.training.settings import ImitationSettings, RunSettings
 
 _PROVENANCE = "provenance"
 #: parts of run.json that are not settings of the run
 _NOT_SETTINGS = {"format_version", _PROVENANCE}
-_LEARNER = "learner"
-_PROGRESS = "progress"
-_CONTEXT = "context."
-
-
-@dataclass(frozen=True, slots=True)
-class PolicyCheckpoint:
-    """The state that training resumes from."""
-
-    #: `Learner.to_bytes`
-    learner: bytes
-    #: `RolloutRelabeller.state_dict`; empty before the first reward version
-    context: dict[str, NDArray[np.generic]]
-    #: JSON-ready state of the run, such as its iteration
-    progress: dict[str, object] = field(default_factory=dict[str, object])
-
-    def to_bytes(self) -> bytes:
-        """Encode as one safetensors file; equal checkpoints give equal bytes."""
-        arrays = {_LEARNER: np.frombuffer(self.learner, dtype=np.uint8)}
-        # `ascontiguousarray` would turn a scalar into an array of one number.
-        arrays |= {_CONTEXT + name: np.asarray(array, order="C") for name, array in self.context.items()}
-        if self.progress:
-            arrays[_PROGRESS] = np.frombuffer(json.dumps(self.progress, sort_keys=True).encode(), dtype=np.uint8)
-        return save(arrays)
-
-    @classmethod
-    def from_bytes(cls, content: bytes) -> "PolicyCheckpoint":
-        """Decode the result of `to_bytes`.
-
-        Raises:
-            DamagedCheckpoint: if it is damaged, or not a checkpoint.
-        """
-        try:
-            arrays = load(content)
-            learner, progress = arrays[_LEARNER].tobytes(), arrays.get(_PROGRESS)
-            run_state = {} if progress is None else json.loads(progress.tobytes())
-        except (SafetensorError, KeyError, ValueError) as error:
-            raise DamagedCheckpoint(repr(error)) from error
-        context = {name.removeprefix(_CONTEXT): array for name, array in arrays.items() if name.startswith(_CONTEXT)}
-        return cls(learner, context, run_state)
-
 
 FORMAT_VERSION = 1
 RUN_FILE = "run.json"

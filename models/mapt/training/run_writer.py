@@ -10,7 +10,8 @@ from mapt.io import atomic_write
 from mapt.policies import Learner
 from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import EventFile, MetricsFile
-from mapt.training.run_folder import RUN_FILE, PolicyCheckpoint, RunFolder
+from mapt.training.policy_checkpoint import PolicyCheckpoint
+from mapt.training.run_folder import RUN_FILE, RunFolder
 from mapt.training.settings import RunSettings
 
 

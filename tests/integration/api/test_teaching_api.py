@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from sqlalchemy import select as sql_select
 
-from accord.cli.client import Api, Refused
 from accord.cli.teach import TeacherChoice, teach_experiment
+from accord.client import Client, Refused
 from accord.domain.enums import Role
 from accord.services import collect, metrics, select
 from accord.services.collect import NewSegment, load_arrays
@@ -22,10 +22,9 @@ N_LABELS = 12
 
 
 @pytest.fixture
-def teacher_api(api: ApiServer) -> Generator[Api]:
-    client = Api(api.url, api.tokens[Role.TEACHER])
-    yield client
-    client.close()
+def teacher_api(api: ApiServer) -> Generator[Client]:
+    with Client(api.url, api.tokens[Role.TEACHER]) as client:
+        yield client
 
 
 def moving_segment(rng: np.random.Generator) -> NewSegment:
@@ -67,13 +66,10 @@ def sample(api: ApiServer) -> SampleExperiment:
 
 
 def teach(
-    api: Api, sample: SampleExperiment, name: str, *parameters: str, labels: int = N_LABELS, seed: int = 0
+    client: Client, sample: SampleExperiment, name: str, *parameters: str, labels: int = N_LABELS, seed: int = 0
 ) -> int:
     teacher = TeacherChoice.parse(":".join((name, *parameters))).teacher(seed)
-    taught = teach_experiment(
-        api, sample.experiment.id, teacher, labels, on_progress=lambda _: None, stopped=lambda: False
-    )
-    return taught.labels
+    return teach_experiment(client, sample.experiment.id, teacher, labels).labels
 
 
 def labelled(api: ApiServer) -> list[tuple[LabelRow, TeacherView, TeacherView]]:
@@ -92,7 +88,7 @@ def labelled(api: ApiServer) -> list[tuple[LabelRow, TeacherView, TeacherView]]:
 
 @pytest.mark.parametrize("name", ["oracle", *(name for name in RULES if name != "return")])
 def test_labels_over_rest_equal_the_judgement_of_each_rule(
-    api: ApiServer, teacher_api: Api, sample: SampleExperiment, name: str
+    api: ApiServer, teacher_api: Client, sample: SampleExperiment, name: str
 ) -> None:
     parameters = ("window_steps=2",) if hasattr(make_teacher(name).rule, "window_steps") else ()
     assert teach(teacher_api, sample, name, *parameters) == N_LABELS
@@ -103,7 +99,7 @@ def test_labels_over_rest_equal_the_judgement_of_each_rule(
 
 
 def test_name_and_parameters_are_stored_with_the_label(
-    api: ApiServer, teacher_api: Api, sample: SampleExperiment
+    api: ApiServer, teacher_api: Client, sample: SampleExperiment
 ) -> None:
     teach(teacher_api, sample, "phase+mistake", "mistake=0.5", "column=3", "want=equal", seed=4)
     expected = make_teacher("phase+mistake", seed=4, mistake=0.5, column=3, want="equal").parameters()
@@ -112,14 +108,16 @@ def test_name_and_parameters_are_stored_with_the_label(
 
 
 @pytest.mark.parametrize("name", [*(name for name in teacher_names() if name not in RULES), "recency+equal"])
-def test_every_preset_labels_over_rest(api: ApiServer, teacher_api: Api, sample: SampleExperiment, name: str) -> None:
+def test_every_preset_labels_over_rest(
+    api: ApiServer, teacher_api: Client, sample: SampleExperiment, name: str
+) -> None:
     parameters = ("window_steps=2",) if name.startswith("recency") else ()
     assert teach(teacher_api, sample, name, *parameters) == N_LABELS
     labels = [row for row, _, _ in labelled(api) if row.state == "label"]
     assert {row.teacher["name"] for row in labels} == {name}
 
 
-def test_skipped_query_is_replaced_by_another(api: ApiServer, teacher_api: Api, sample: SampleExperiment) -> None:
+def test_skipped_query_is_replaced_by_another(api: ApiServer, teacher_api: Client, sample: SampleExperiment) -> None:
     with api.stores.database.transaction() as session:
         sixth_lowest = sorted(session.scalars(sql_select(SegmentRow.true_return)))[5]
         # Episodes have 1000 steps, segments 5. Half of the mean return of 5 steps equals the sixth lowest return.
@@ -131,7 +129,9 @@ def test_skipped_query_is_replaced_by_another(api: ApiServer, teacher_api: Api, 
         assert (row.state == "skip") == (max(first.rewards.sum(), second.rewards.sum()) < sixth_lowest + 1e-4)
 
 
-def test_thresholds_follow_the_recorded_true_return(api: ApiServer, teacher_api: Api, sample: SampleExperiment) -> None:
+def test_thresholds_follow_the_recorded_true_return(
+    api: ApiServer, teacher_api: Client, sample: SampleExperiment
+) -> None:
     with api.stores.database.transaction() as session:
         # With a return of 10^6 per 1000 steps, all differences between segments are below the threshold.
         metrics.record(session, sample.experiment.id, 1, {"true_return": 1e6})
@@ -140,7 +140,7 @@ def test_thresholds_follow_the_recorded_true_return(api: ApiServer, teacher_api:
 
 
 def test_a_rule_that_sums_over_agents_names_the_one_that_decided(
-    api: ApiServer, teacher_api: Api, sample: SampleExperiment
+    api: ApiServer, teacher_api: Client, sample: SampleExperiment
 ) -> None:
     assert teach(teacher_api, sample, "low-effort") == N_LABELS
     rows, teacher = labelled(api), make_teacher("low-effort")
@@ -149,12 +149,12 @@ def test_a_rule_that_sums_over_agents_names_the_one_that_decided(
     assert len(set(expected)) > 1
 
 
-def test_other_rules_name_no_agent(api: ApiServer, teacher_api: Api, sample: SampleExperiment) -> None:
+def test_other_rules_name_no_agent(api: ApiServer, teacher_api: Client, sample: SampleExperiment) -> None:
     teach(teacher_api, sample, "oracle")
     assert {row.decisive_agent for row, _, _ in labelled(api)} == {None}
 
 
-def test_a_teacher_with_slight_preferences_needs_the_scale_for_them(api: ApiServer, teacher_api: Api) -> None:
+def test_a_teacher_with_slight_preferences_needs_the_scale_for_them(api: ApiServer, teacher_api: Client) -> None:
     three = create_sample(api.stores.database, api.stores.blobs)
     with pytest.raises(InvalidTeacher):
         teach(teacher_api, three, "slight")
@@ -164,15 +164,14 @@ def test_a_teacher_with_slight_preferences_needs_the_scale_for_them(api: ApiServ
 
 
 def test_labeller_may_not_run_a_scripted_teacher(api: ApiServer, sample: SampleExperiment) -> None:
-    client = Api(api.url, api.tokens[Role.LABELLER])
-    for name in ("oracle", "phase"):
-        with pytest.raises(Refused) as refused:
-            teach(client, sample, name)
-        assert refused.value.status == 403
-    client.close()
+    with Client(api.url, api.tokens[Role.LABELLER]) as client:
+        for name in ("oracle", "phase"):
+            with pytest.raises(Refused) as refused:
+                teach(client, sample, name)
+            assert refused.value.status == 403
 
 
-def test_error_for_a_missing_column_names_it(api: ApiServer, teacher_api: Api, sample: SampleExperiment) -> None:
+def test_error_for_a_missing_column_names_it(api: ApiServer, teacher_api: Client, sample: SampleExperiment) -> None:
     with pytest.raises(MissingArray) as refused:
         teach(teacher_api, sample, "phase", "column=77")
     assert "column 77" in refused.value.what

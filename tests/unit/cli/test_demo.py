@@ -11,6 +11,7 @@ import pytest
 from matplotlib.image import imread
 from rich.console import Console
 
+from accord.api.schemas import Experiment
 from accord.cli.demo import rows_of, score_table, table, write_results
 from accord.cli.demo_runs import DemoRun, Grid, RunPlan, check_known, write_metrics
 from accord.cli.demo_versions import VersionReport, read_reports, write_reports
@@ -134,9 +135,9 @@ def test_a_grid_of_another_size_has_other_experiments_and_run_settings():
 
 def test_a_run_that_exists_with_other_settings_is_refused():
     [one, other] = [plan(seed, "preferences") for seed in (0, 1)]
-    check_known([one, other], {one.name: {"config": asdict(one)}})
+    check_known([one, other], {one.name: Experiment.model_construct(config=asdict(one))})
     with pytest.raises(Invalid, match=f"total_steps is {STEPS}, not 5000"):
-        check_known([replace(one, total_steps=5000), other], {one.name: {"config": asdict(one)}})
+        check_known([replace(one, total_steps=5000), other], {one.name: Experiment.model_construct(config=asdict(one))})
 
 
 def test_the_table_has_a_line_for_each_row_and_names_its_columns():

@@ -2,10 +2,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accord.cli.client import Api
+from accord.api.schemas import Query, SegmentView
 from accord.cli.demo import describe
 from accord.cli.demo_runs import RunPlan, RunState
 from accord.cli.teach import SegmentReader, TeacherChoice, judge
+from accord.client import Client
 from mapt.errors import InvalidConfig, InvalidTeacher, UnknownTeacher
 from mapt.preferences.teachers import make_teacher
 
@@ -13,17 +14,20 @@ REWARDS = st.lists(st.floats(-10, 10), min_size=3, max_size=3)
 
 
 #: one for all examples: it loads the certificates; no request is sent
-_API = Api("http://localhost", "none")
+_CLIENT = Client("http://localhost", "none")
 
 
-def query(rewards_0: list[float], rewards_1: list[float], left: int) -> dict:
-    sides = [{"index": 0, "true_rewards": rewards_0}, {"index": 1, "true_rewards": rewards_1}]
-    return {"left": sides[left], "right": sides[1 - left]}
+def query(rewards_0: list[float], rewards_1: list[float], left: int) -> Query:
+    sides = [
+        SegmentView.model_construct(index=0, true_rewards=rewards_0),
+        SegmentView.model_construct(index=1, true_rewards=rewards_1),
+    ]
+    return Query.model_construct(left=sides[left], right=sides[1 - left])
 
 
-def labels_of(*queries: dict, name: str = "oracle", **parameters: object) -> list[float | None]:
+def labels_of(*queries: Query, name: str = "oracle", **parameters: object) -> list[float | None]:
     teacher = make_teacher(name, **parameters)
-    return judge(teacher, SegmentReader(_API, teacher), queries)
+    return judge(teacher, SegmentReader(_CLIENT, teacher), queries)
 
 
 @given(REWARDS, REWARDS, st.integers(0, 1))

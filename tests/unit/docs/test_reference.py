@@ -1,18 +1,20 @@
-"""docs/reference.md documents every setting, command and option."""
+"""docs/reference.md documents every setting, command and option, docs/client.md every method of the client."""
 
 from pathlib import Path
 
 import pytest
 
-from accord.cli.reference import commands, fill, options_of
+from accord.cli.reference import commands, fill, fill_client, options_of
 from accord.settings import Settings
 
-REFERENCE = (Path(__file__).parents[3] / "docs" / "reference.md").read_text()
+DOCS = Path(__file__).parents[3] / "docs"
+REFERENCE, CLIENT = ((DOCS / name).read_text() for name in ("reference.md", "client.md"))
 COMMANDS = commands()
 
 
 def test_the_generated_parts_are_up_to_date() -> None:
     assert fill(REFERENCE) == REFERENCE, "run python -m accord.cli.reference"
+    assert fill_client(CLIENT) == CLIENT, "run python -m accord.cli.reference"
 
 
 def test_every_documented_setting_exists() -> None:

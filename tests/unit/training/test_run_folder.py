@@ -6,7 +6,8 @@ import torch
 from mapt.errors import CheckpointError, CheckpointMismatch, RunNotFound
 from mapt.policies import Learner
 from mapt.tasks import make_task
-from mapt.training.run_folder import PolicyCheckpoint, load_policy
+from mapt.training.policy_checkpoint import PolicyCheckpoint
+from mapt.training.run_folder import load_policy
 from support.short_tasks import SHORTEST_NAME
 from support.training_runs import STEPS_PER_ITERATION
 

@@ -2,10 +2,10 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Query
 
 from accord.api import responses, schemas
-from accord.api.dependencies import Auth, AuthDep, CallerSession, ExperimentId, QueryId
+from accord.api.dependencies import Auth, AuthDep, CallerSession, ExperimentId, QueryId, RewardVersionNumber
 from accord.domain.permissions import may_run_experiments, require
 from accord.services import credit, experiments
 from accord.services.credit import Answer
@@ -14,7 +14,6 @@ from accord.store import credits
 
 router = APIRouter(tags=["rewards"])
 VersionNumber = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Reward version; the newest by default.")]
-Number = Annotated[int, Path(ge=1, le=2**31 - 1, description="Number of the reward version.")]
 
 
 @router.put("/queries/{query_id}/credit", summary="Ask what the reward model learned about a query")
@@ -39,7 +38,7 @@ def get_credit(query_id: QueryId, auth: AuthDep, version: VersionNumber = None) 
 
 
 @router.put("/experiments/{experiment_id}/reward-versions/{number}/report", summary="Ask for a report on a version")
-def request_report(experiment_id: ExperimentId, number: Number, auth: AuthDep) -> schemas.RewardReport:
+def request_report(experiment_id: ExperimentId, number: RewardVersionNumber, auth: AuthDep) -> schemas.RewardReport:
     """Asks a reward worker for its predictions of the newest labelled and open queries, their calibration, and the
     distribution of rewards. For researchers and admins. Asking twice changes nothing.
     """
@@ -50,7 +49,7 @@ def request_report(experiment_id: ExperimentId, number: Number, auth: AuthDep) -
 
 
 @router.get("/experiments/{experiment_id}/reward-versions/{number}/report", summary="Get the report on a version")
-def get_report(experiment_id: ExperimentId, number: Number, auth: AuthDep) -> schemas.RewardReport:
+def get_report(experiment_id: ExperimentId, number: RewardVersionNumber, auth: AuthDep) -> schemas.RewardReport:
     """Returns the answer to `PUT`, or its state. For researchers and admins."""
     with auth.reading() as caller:
         _require_researcher(caller)

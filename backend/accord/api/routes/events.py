@@ -178,7 +178,8 @@ async def _stream(
     try:
         while True:
             if look.experiment != sent_experiment:
-                yield ServerSentEvent(look.experiment, event="experiment", id=str(look.newest_id))
+                # The points of this look are not sent yet: a client that is cut off here resumes before them.
+                yield ServerSentEvent(look.experiment, event="experiment", id=str(view.after_id))
             if look.metrics:
                 yield ServerSentEvent(look.metrics, event="metrics", id=str(look.newest_id))
             if look.worker_states != sent_workers:

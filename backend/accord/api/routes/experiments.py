@@ -8,7 +8,7 @@ from pydantic import AfterValidator
 from sqlalchemy.orm import Session
 
 from accord.api import responses, schemas
-from accord.api.dependencies import Auth, AuthDep, ExperimentId, MaxPoints
+from accord.api.dependencies import Auth, AuthDep, ExperimentId, IdempotencyKey, MaxPoints
 from accord.domain.enums import AuditAction, Role
 from accord.domain.errors import Forbidden
 from accord.domain.ids import check_id
@@ -34,20 +34,25 @@ def list_tasks(auth: AuthDep) -> list[schemas.TaskSchema]:
 
 
 @router.post("/experiments", status_code=201, summary="Start an experiment")
-def create_experiment(body: schemas.NewExperiment, auth: AuthDep) -> schemas.Experiment:
+def create_experiment(
+    body: schemas.NewExperiment, auth: AuthDep, idempotency_key: IdempotencyKey = None
+) -> schemas.Experiment:
     """Starts an experiment when a policy worker is free. For researchers and admins."""
     config = read_config(body.settings)
     with auth.writing() as caller:
         require(may_run_experiments(caller.role), caller.role, "start experiments")
-        row = experiments.create(
-            caller.session,
-            caller.user.id,
-            body.name,
-            config,
-            body.instructions,
-            memory_limit_bytes=auth.app.settings.max_training_bytes,
-        )
-        audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_CREATED, row.id, name=row.name)
+        row = experiments.created_by(caller.session, caller.user.id, idempotency_key, body.name)
+        if row is None:
+            row = experiments.create(
+                caller.session,
+                caller.user.id,
+                body.name,
+                config,
+                body.instructions,
+                memory_limit_bytes=auth.app.settings.max_training_bytes,
+                creation_key=idempotency_key,
+            )
+            audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_CREATED, row.id, name=row.name)
         return responses.experiment_response(caller.session, row, caller.role)
 
 

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Query, Request
 from starlette.requests import ClientDisconnect
 
 from accord.api import responses, schemas
-from accord.api.dependencies import Auth, AuthDep
+from accord.api.dependencies import Auth, AuthDep, IdempotencyKey
 from accord.domain.enums import AuditAction
 from accord.domain.errors import BodyTooLarge, Invalid
 from accord.domain.permissions import may_run_experiments, require
@@ -34,12 +34,15 @@ async def import_experiment(
     name: Annotated[str, Query(max_length=200, description="Name of the new experiment.")],
     request: Request,
     auth: AuthDep,
+    idempotency_key: IdempotencyKey = None,
 ) -> schemas.Experiment:
     """Creates a paused experiment with the settings, segments and labels of an export.
 
     Send the ZIP file that an export returns. If the import fails, nothing is left. For researchers and admins.
     """
-    await run_sync(_check, auth, name)
+    created = await run_sync(_check, auth, name, idempotency_key)
+    if created is not None:
+        return created
     with tempfile.TemporaryDirectory(prefix="accord-import-") as folder:
         archive = Path(folder) / "export.zip"
         try:
@@ -48,17 +51,21 @@ async def import_experiment(
                     await run_sync(file.write, chunk)
         except ClientDisconnect as error:
             raise Invalid("The upload was interrupted.") from error
-        return await run_sync(_import, auth, archive, name)
+        return await run_sync(_import, auth, archive, name, idempotency_key)
 
 
-def _check(auth: Auth, name: str) -> None:
-    """Raises what can be known before the upload."""
+def _check(auth: Auth, name: str, key: str | None) -> schemas.Experiment | None:
+    """Raises what can be known before the upload. Returns the experiment if an earlier request created it."""
     with auth.reading() as caller:
         require(may_run_experiments(caller.role), caller.role, "import experiments")
+        row = experiments.created_by(caller.session, caller.user.id, key, name)
+        if row is not None:
+            return responses.experiment_response(caller.session, row, caller.role)
         experiments.require_unused_name(caller.session, name)
+        return None
 
 
-def _import(auth: Auth, archive: Path, name: str) -> schemas.Experiment:
+def _import(auth: Auth, archive: Path, name: str, key: str | None) -> schemas.Experiment:
     """Raises Invalid if the archive is not an export that can be imported."""
     folder = archive.with_suffix("")
     settings = auth.app.settings
@@ -67,7 +74,7 @@ def _import(auth: Auth, archive: Path, name: str) -> schemas.Experiment:
         tables = PreferenceTables.open(folder)
         with importing.storing(auth.app.blobs, tables) as found, auth.writing() as caller:
             require(may_run_experiments(caller.role), caller.role, "import experiments")
-            importing.create(caller.session, caller.user.id, name, found, settings.max_training_bytes)
+            importing.create(caller.session, caller.user.id, name, found, settings.max_training_bytes, key)
             row = experiments.get(caller.session, found.experiment_id)
             audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_IMPORTED, row.id, name=row.name)
             return responses.experiment_response(caller.session, row, caller.role)

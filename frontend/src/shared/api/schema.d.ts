@@ -866,6 +866,70 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/experiments/{experiment_id}/reward-versions/{number}/weights": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get the weights of a reward version
+         * @description Store them as reward.safetensors beside the card as reward.json: `mapt.load_reward` reads that folder.
+         *
+         *     For researchers and admins.
+         */
+        get: operations["get_reward_weights"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/reward-versions/{number}/card": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get the card of a reward version
+         * @description The network's configuration and metrics, without which its weights cannot be read. For researchers and admins.
+         */
+        get: operations["get_reward_card"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/experiments/{experiment_id}/policy": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Get the policy
+         * @description The newest checkpoint of the policy, with which `mapt.load_policy` acts or trains on.
+         *
+         *     For researchers and admins.
+         */
+        get: operations["get_policy"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/experiments/import": {
         parameters: {
             query?: never;
@@ -5349,7 +5413,10 @@ export interface operations {
     create_experiment: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description Any text that is unique to this experiment. The request can then be repeated if no response arrived: the experiment is created once. */
+                "idempotency-key"?: string | null;
+            };
             path?: never;
             cookie?: never;
         };
@@ -6276,13 +6343,116 @@ export interface operations {
             };
         };
     };
+    get_reward_weights: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+                /** @description Number of the reward version. */
+                number: number;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description reward.safetensors of a saved reward model. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/octet-stream": unknown;
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    get_reward_card: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+                /** @description Number of the reward version. */
+                number: number;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description reward.json of a saved reward model. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": unknown;
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
+    get_policy: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                /** @description The experiment, exp_... */
+                experiment_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description A file that `mapt.load_policy` reads. */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/octet-stream": unknown;
+                };
+            };
+            /** @description A stable code, a message, and the invalid field. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ErrorResponse"];
+                };
+            };
+        };
+    };
     import_experiment: {
         parameters: {
             query: {
                 /** @description Name of the new experiment. */
                 name: string;
             };
-            header?: never;
+            header?: {
+                /** @description Any text that is unique to this experiment. The request can then be repeated if no response arrived: the experiment is created once. */
+                "idempotency-key"?: string | null;
+            };
             path?: never;
             cookie?: never;
         };

@@ -1,0 +1,213 @@
+"""The Python client against a real service."""
+
+import asyncio
+import os
+import subprocess
+import sys
+from collections.abc import Generator
+from itertools import combinations
+from pathlib import Path
+
+import httpx
+import pytest
+import torch
+
+import mapt
+from accord.client import AsyncClient, BatchLabel, Client, Experiment, Metrics, Refused, Segment
+from accord.client.http import AsyncConnection
+from accord.domain.enums import Role
+from accord.services import checkpoints, collect, experiments, metrics, publish, select
+from accord.workers.model_store import store_checkpoint, store_reward_model
+from mapt.policies import Learner, PolicyConfig
+from mapt.rewards.config import RewardConfig
+from mapt.rewards.registry import build_reward_model
+from mapt.training.policy_checkpoint import PolicyCheckpoint
+from support.api_in_thread import ApiServer
+from support.sample_experiments import STEPS, create_sample, make_clips, segment
+from support.waiting import until
+
+TASK = "HalfCheetah-6x1"
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+@pytest.fixture
+def client(api: ApiServer) -> Generator[Client]:
+    with Client(api.url, api.tokens[Role.RESEARCHER]) as client:
+        yield client
+
+
+def store_models(api: ApiServer, experiment_id: str) -> tuple[dict[str, torch.Tensor], bytes]:
+    """Store a reward version and a checkpoint as the workers do; return the weights and the policy."""
+    stores, task = api.stores, mapt.make_task(TASK, 1)
+    model = build_reward_model(RewardConfig(task.spec.observation_dim, 1, 6, hidden_dim=8, heads=2))
+    learner = Learner(task, PolicyConfig(n_envs=1, rollout_steps=4, minibatches=1, hidden=(8,)))
+    task.close()
+    weights = store_reward_model(stores.blobs, experiment_id, model, {"loss": 0.5}, STEPS)
+    policy = store_checkpoint(stores.blobs, experiment_id, 4, PolicyCheckpoint(learner.to_bytes(), {}))
+    with stores.database.transaction() as session:
+        publish.publish(
+            session, experiment_id, weights, label_watermark=1, label_count=1, policy_steps=4, metrics={"loss": 0.5}
+        )
+        checkpoints.save(session, experiment_id, 4, 1, policy, None)
+    return model.state_dict(), learner.to_bytes()
+
+
+def test_models_are_downloaded_as_the_library_reads_them(api: ApiServer, client: Client, tmp_path: Path) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    for download in (client.download_reward, client.download_policy):
+        with pytest.raises(Refused) as refused:
+            download(sample.experiment.id, tmp_path / "none")
+        assert refused.value.status == 404
+    assert not (tmp_path / "none").exists()
+    weights, policy = store_models(api, sample.experiment.id)
+    assert client.download_reward(sample.experiment.id, tmp_path / "reward") == 1
+    reward = mapt.load_reward(tmp_path / "reward")
+    assert reward.segment_steps == STEPS
+    for name, tensor in reward.model.state_dict().items():
+        assert torch.equal(tensor, weights[name])
+    client.download_policy(sample.experiment.id, tmp_path / "policy.safetensors")
+    assert (tmp_path / "policy.safetensors").read_bytes() == policy
+    task = mapt.make_task(TASK, 1)
+    assert mapt.load_policy(tmp_path / "policy.safetensors", task).policy.spec.name == TASK
+    task.close()
+    assert [version.number for version in client.reward_versions(sample.experiment.id)] == [1]
+
+
+def test_a_function_of_two_segments_labels_an_experiment(api: ApiServer, client: Client, tmp_path: Path) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs, label_budget=3, initial_labels=2)
+    seen: list[Segment] = []
+
+    def larger(first: Segment, second: Segment) -> float | None:
+        seen.extend((first, second))
+        return None if len(seen) == 2 else float(first.rewards.sum() > second.rewards.sum())
+
+    progress: list[int] = []
+    outcome = client.teach(sample.experiment.id, larger, name="larger", on_progress=progress.append)
+    assert (outcome.labels, outcome.reason, progress[-1]) == (3, "done", 3)
+    assert seen[0].observations.shape[0] == seen[0].actions.shape[0] == STEPS
+    assert {segment.id for segment in seen} <= set(sample.segment_ids)
+    stored = client.get(f"/experiments/{sample.experiment.id}/queries")["items"]
+    labels = {query["id"]: query["labels"][0] for query in stored if query["labels"]}
+    # Segment i has the true return i, and pairs have their segments in this order.
+    assert [label["revisions"][-1]["label"] for label in labels.values()] == [0.0, 0.0, 0.0, None]
+    assert {label["teacher"]["name"] for label in labels.values()} == {"larger"}
+    assert client.experiment(sample.experiment.id).labels.labels == 3
+    client.export(sample.experiment.id, tmp_path / "export.zip")
+    imported = client.import_experiment(tmp_path / "export.zip", "again")
+    assert (imported.status, imported.labels.labels) == ("paused", 3)
+    assert client.experiments()[0].name == "again"
+    assert client.cancel(imported.id).status == "cancelled"
+
+
+def test_a_coroutine_function_labels_an_experiment_and_events_follow_it(api: ApiServer) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs, label_budget=2, initial_labels=2)
+
+    async def equal(_first: Segment, _second: Segment) -> float:
+        await asyncio.sleep(0)
+        return 0.5
+
+    async def run() -> tuple[int, list[object]]:
+        async with AsyncClient(api.url, api.tokens[Role.TEACHER]) as client:
+            outcome = await client.teach(sample.experiment.id, equal)
+            with api.stores.database.transaction() as session:
+                metrics.record(session, sample.experiment.id, 7, {"true_return": 1.5})
+            found: list[object] = []
+            async for change in client.events(sample.experiment.id):
+                found.append(change)
+                if isinstance(change, Metrics):
+                    return outcome.labels, found
+        raise AssertionError
+
+    labels, (experiment, curves) = asyncio.run(run())
+    assert labels == 2
+    assert isinstance(experiment, Experiment)
+    assert experiment.labels.labels == 2
+    assert isinstance(curves, Metrics)
+    assert [(point.step, point.value) for point in curves.series[0].points] == [(7, 1.5)]
+
+
+class Interrupted(AsyncConnection):
+    """Loses the first response to each POST."""
+
+    lost = 0
+
+    async def send(self, method: str, path: str, request: dict) -> httpx.Response:  # type: ignore[override]
+        response = await super().send(method, path, request)
+        if method == "POST" and not self.lost:
+            self.lost += 1
+            await response.aclose()
+            raise httpx.ReadError("lost")
+        return response
+
+
+def test_an_experiment_is_created_once_if_the_response_is_lost(api: ApiServer, tmp_path: Path) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    with Client(api.url, api.tokens[Role.RESEARCHER]) as client:
+        client.put_labels(sample.experiment.id, [BatchLabel(query_id=sample.query_ids[0], label=1.0)])
+        client.export(sample.experiment.id, tmp_path / "export.zip")
+
+    async def create() -> list[Experiment]:
+        created: list[Experiment] = []
+        for import_it in (False, True):
+            async with AsyncClient(api.url, api.tokens[Role.RESEARCHER], connect=Interrupted) as client:
+                if import_it:
+                    created.append(await client.import_experiment(tmp_path / "export.zip", "again"))
+                else:
+                    created.append(await client.create_experiment("once", TASK, label_budget=200))
+        return created
+
+    once, again = asyncio.run(create())
+    assert (once.name, once.config["label_budget"], again.name) == ("once", 200, "again")
+    listed = api.researcher.get("/api/v1/experiments").json()["items"]
+    assert sorted(each["id"] for each in listed) == sorted([once.id, again.id, sample.experiment.id])
+
+
+def test_an_idempotency_key_belongs_to_one_user_and_one_experiment(api: ApiServer) -> None:
+    def create(by: httpx.Client, name: str, key: str) -> httpx.Response:
+        return by.post("/api/v1/experiments", json={"name": name, "task": TASK}, headers={"Idempotency-Key": key})
+
+    first = create(api.researcher, "one", "key")
+    repeated = create(api.researcher, "one", "key")
+    assert (repeated.status_code, repeated.json()["id"]) == (201, first.json()["id"])
+    assert create(api.researcher, "two", "key").status_code == 422
+    assert create(api.admin, "two", "key").status_code == 201
+    assert create(api.researcher, "three", "no key").status_code == 422
+    assert create(api.researcher, "one", "another").status_code == 409
+
+
+def blocks() -> list[str]:
+    return [part.partition("```")[0] for part in (DOCS / "client.md").read_text().split("```python\n")[1:]]
+
+
+def test_the_examples_in_the_documentation_run(api: ApiServer, tmp_path: Path) -> None:
+    code, asynchronous = (block.replace("http://127.0.0.1:8000", api.url) for block in blocks())
+    small = code.replace("label_budget=200", "label_budget=5").replace("total_steps=500_000", "total_steps=5_000")
+    assert small != code
+    small = small.replace("total_steps=5_000", f"total_steps=5_000, initial_labels=2, segment_steps={STEPS}")
+    environment = os.environ | {"ACCORD_TOKEN": api.tokens[Role.RESEARCHER]}
+    command = [sys.executable, "-c", small]
+    with subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True) as example:
+        # The example creates the experiment; the workers' part is done here.
+        [created] = until(
+            lambda: api.researcher.get("/api/v1/experiments").json()["items"] or example.poll() is not None,
+            "the experiment of the example",
+        )
+        store_models(api, created["id"])
+        stored = [
+            collect.store_arrays(api.stores.blobs, created["id"], each)
+            for each in (segment(float(number)) for number in range(5))
+        ]
+        with api.stores.database.transaction() as session:
+            collect.collect(session, created["id"], stored)
+        with api.stores.database.transaction() as session:
+            pairs = list(combinations([each.id for each in stored], 2))
+            select.add_queries(session, experiments.get(session, created["id"]), pairs, "uniform")
+        make_clips(api.stores.database, api.stores.blobs)
+        output, _ = example.communicate()
+    assert example.returncode == 0
+    assert output == "5 labels, version 1\n"
+    assert all((tmp_path / name).is_file() for name in ("reward/reward.json", "policy.safetensors", "quiet.zip"))
+    done = subprocess.run(
+        [sys.executable, "-c", asynchronous], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "running 5\n"
