@@ -217,10 +217,15 @@ def parse_assignment(text: str) -> tuple[str, object]:
     name, written = name.strip(), written.strip()
     if not equals or not name:
         raise InvalidConfig(f"{text!r} is not an assignment. Write NAME=VALUE, for example clip=0.2.")
+    return name, parse_value(written)
+
+
+def parse_value(written: str) -> object:
+    """A number, true, false, null or a list as JSON writes them, or else the text itself without spaces around it."""
     try:
-        return name, json.loads(written)
+        return json.loads(written)
     except ValueError:
-        return name, written
+        return written.strip()
 
 
 def parse_assignments(texts: Iterable[str]) -> dict[str, object]:

@@ -23,6 +23,7 @@ from mapt.io import atomic_write
 from mapt.policies.config import ALGORITHM_DEFAULTS, PolicyConfig
 from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
 from mapt.settings import SettingDescription, Settings, accepted_values, describe
+from mapt.training.run_file import RunFile
 
 DEFAULT_FOLDER = Path("docs")
 _OPTIONS_HEADING = "| option | default | |\n|---|---|---|\n"
@@ -48,6 +49,11 @@ def service_settings() -> str:
 def experiment_settings() -> str:
     """Settings of an experiment."""
     return _settings(ExperimentConfig)
+
+
+def run_file_settings() -> str:
+    """Settings of a run file of `mapt train`."""
+    return _settings(RunFile)
 
 
 def policy_settings() -> str:
@@ -97,6 +103,7 @@ _NUMBER = re.compile("^a (whole )?number(,| from) ")
 PARTS: Mapping[str, Callable[[], str]] = {
     "service settings": service_settings,
     "experiment settings": experiment_settings,
+    "run file settings": run_file_settings,
     "policy settings": policy_settings,
     "imitation settings": imitation_settings,
     "reward network settings": network_settings,

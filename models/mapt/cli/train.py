@@ -1,9 +1,10 @@
 """The subcommand `mapt train`."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated, Any, get_args
 
 import typer
 
@@ -21,7 +22,6 @@ from mapt.cli.options import (
 )
 from mapt.cli.output import ProgressBars, log_line, print_error
 from mapt.errors import InvalidConfig
-from mapt.policies import PolicyConfig
 from mapt.processes import JobResult, cores_per_job, parallel_jobs, run_jobs, stop_requests
 from mapt.rewards.checkpoints import load_reward_model
 from mapt.rewards.model import PolicyReward
@@ -31,15 +31,31 @@ from mapt.training.evaluation import Evaluation
 from mapt.training.metrics import Metrics
 from mapt.training.reward_source import reward_files
 from mapt.training.run import RunJob, RunReport, do_run, do_run_in_worker
+from mapt.training.run_file import RewardChoice, RunFile, Sweep, cells, merged, read_toml, share
 from mapt.training.settings import TRUE, ImitationSettings, LearnedRewardSettings, RunSettings
 
 _STATUS_STOPPED = 130
 _STATUS_FAILED = 2
 #: policy settings that have options of their own
 _OPTIONS = {"algorithm", "seed", "device"}
+#: where options are settings of a run file, if not under their own name
+_PLACES = {
+    "algorithm": "policy.algorithm",
+    "settings": "policy",
+    "evaluate_every": "evaluate_every_steps",
+    "reward": "reward.path",
+    "segment_steps": "reward.segment_steps",
+    "policy_reward": "reward.kind",
+    "credit": "reward.credit",
+}
 
 
 def train(
+    context: typer.Context,
+    run_file: Annotated[
+        Path | None,
+        typer.Argument(help="TOML file with the settings below; options that are given replace those of the file."),
+    ] = None,
     *,
     output: Output,
     task: Task = "HalfCheetah-6x1",
@@ -71,6 +87,20 @@ def train(
     evaluate_every: Annotated[
         int, typer.Option(min=0, help="Environment steps between evaluations; 0 evaluates only at the end.")
     ] = 0,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE,VALUE",
+            help="Train with each value of a setting, in a folder for each; repeatable, for every combination. "
+            "NAME is a setting of the run file, of the policy, or nested as in reward.credit.",
+        ),
+    ] = None,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            metavar="K/N", help="Train the Kth of N shares of the runs, as the Kth task of a SLURM array of N does."
+        ),
+    ] = None,
     checkpoint_minutes: Annotated[
         float, typer.Option(min=0, help="Minutes between checkpoints; 0 saves one after every iteration.")
     ] = 5.0,
@@ -85,24 +115,53 @@ def train(
 
     Rerun the command to resume interrupted runs, or with more --steps to extend finished ones.
     """
-    learned = None if reward == TRUE else _learned_reward(Path(reward), segment_steps, policy_reward, credit)
-    own = _policy_settings(settings or [])
-    runs = [
-        RunSettings(
-            task=task,
-            policy=PolicyConfig.named(algorithm, **own, device=device, seed=seed),
-            steps=steps,
-            reward=learned,
-            agent_obsk=agent_obsk,
-            evaluate_every_steps=evaluate_every,
-        )
-        for seed in parse_numbers("--seeds", seeds, 0)
-    ]
-    task_spec(task, agent_obsk=agent_obsk)  # an unknown task is refused before a folder exists
-    n_workers = parallel_jobs(workers, len(runs))
+    options: dict[str, Any] = {
+        "task": task,
+        "steps": steps,
+        "seeds": parse_numbers("--seeds", seeds, 0),
+        "agent_obsk": agent_obsk,
+        "evaluate_every": evaluate_every,
+        "device": device,
+        "algorithm": algorithm,
+        "settings": _policy_settings(settings or []),
+        "reward": reward,
+        "segment_steps": segment_steps,
+        "policy_reward": policy_reward,
+        "credit": credit,
+    }
+    chosen = _settings_of(options)
+    if run_file is not None:
+        given = {name: value for name, value in options.items() if _is_given(context, name)}
+        chosen = merged(read_toml(run_file), _settings_of(given))
+    top_level = [each.name for each in fields(RunFile)]
+    found = cells(chosen, [Sweep.parse(text) for text in sweep or []], top_level)
+    # Every cell is checked before the first is trained.
+    runs = [(cell.name, run) for cell in found for run in _runs(RunFile.from_dict(cell.settings))]
+    for task_name, obsk in {(run.task, run.agent_obsk) for _, run in runs}:
+        task_spec(task_name, agent_obsk=obsk)  # an unknown task is refused before a folder exists
+    own = runs if only is None else share(runs, only)
+    n_workers = parallel_jobs(workers, len(own))
     threads = physics_threads or cores_per_job(n_workers)
-    jobs = [RunJob(run, output / f"seed-{run.policy.seed}", checkpoint_minutes * 60, video, threads) for run in runs]
+    jobs = [
+        RunJob(run, output / cell / f"seed-{run.policy.seed}", checkpoint_minutes * 60, video, threads, cell)
+        for cell, run in own
+    ]
     train_all(jobs, n_workers)
+
+
+def _is_given(context: typer.Context, option: str) -> bool:
+    """Whether the user wrote the option, rather than its default being used."""
+    source = context.get_parameter_source(option)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def _settings_of(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of the command as settings of a run file."""
+    settings: dict[str, Any] = {}
+    for option, value in options.items():
+        outer, _, inner = _PLACES.get(option, option).partition(".")
+        settings = merged(settings, {outer: {inner: value}} if inner else {outer: value})
+    return settings
 
 
 def _policy_settings(settings: Sequence[str]) -> dict[str, object]:
@@ -113,18 +172,35 @@ def _policy_settings(settings: Sequence[str]) -> dict[str, object]:
     return own
 
 
-def _learned_reward(path: Path, segment_steps: int | None, kind: str, credit: str) -> LearnedRewardSettings:
+def _runs(file: RunFile) -> list[RunSettings]:
+    """A run for each seed. Raises InvalidConfig or CheckpointError as `_learned_reward`."""
+    learned = None if file.reward.path == TRUE else _learned_reward(file.reward)
+    return [
+        RunSettings(
+            task=file.task,
+            policy=file.policy_config(seed),
+            steps=file.steps,
+            reward=learned,
+            agent_obsk=file.agent_obsk,
+            evaluate_every_steps=file.evaluate_every_steps,
+        )
+        for seed in file.seeds
+    ]
+
+
+def _learned_reward(choice: RewardChoice) -> LearnedRewardSettings:
     """The settings of a reward model on disk.
 
     Raises:
-        InvalidConfig: if the segment length is unknown, or a value is out of its range.
+        InvalidConfig: if the segment length is unknown.
         CheckpointError: if the model cannot be read.
     """
+    path = Path(choice.path)
     found = load_reward_model(*reward_files(path)).segment_steps
-    steps = segment_steps or found
+    steps = choice.segment_steps or found
     if steps is None:
         raise InvalidConfig(f"The reward.json of {path} has no segment_steps. Set --segment-steps.")
-    return LearnedRewardSettings(str(path.resolve()), steps, kind, credit)  # pyright: ignore[reportArgumentType]  (validated by the class)
+    return LearnedRewardSettings(str(path.resolve()), steps, choice.kind, choice.credit)
 
 
 def train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
@@ -143,7 +219,7 @@ def train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
             n_finished += done.result is not None
             if done.failure is not None:
                 n_failed += 1
-                print_error(f"seed {done.job.settings.policy.seed}: {done.failure}")
+                print_error(f"{_name_in_sweep(done.job)}: {done.failure}")
     if n_failed:
         raise typer.Exit(_STATUS_FAILED)
     if n_finished < len(jobs):
@@ -171,7 +247,7 @@ class _RunProgress:
     def finish(self, job: RunJob, evaluation: Evaluation | None) -> None:
         self._bars.stop(job)
         if evaluation is not None:
-            log_line(f"seed {job.settings.policy.seed}: {evaluation.describe()}; {job.folder}")
+            log_line(f"{_name_in_sweep(job)}: {evaluation.describe()}; {job.folder}")
 
     def _state(self, job: RunJob, metrics: Metrics) -> str:
         if "true_return" in metrics:
@@ -183,7 +259,12 @@ def _name(job: RunJob) -> str:
     settings = job.settings
     learned_from = settings.reward
     algorithm = learned_from.algorithm if isinstance(learned_from, ImitationSettings) else settings.policy.algorithm
-    return f"{settings.task}, {algorithm}, seed {settings.policy.seed}"
+    return f"{settings.task}, {algorithm}, {_name_in_sweep(job)}"
+
+
+def _name_in_sweep(job: RunJob) -> str:
+    seed = f"seed {job.settings.policy.seed}"
+    return f"{job.cell}, {seed}" if job.cell else seed
 
 
 def _train_in_turn(

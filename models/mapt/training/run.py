@@ -319,6 +319,8 @@ class RunJob:
     video: bool
     #: as `n_threads` of `make_task`
     physics_threads: int
+    #: what distinguishes the runs of a sweep, for messages
+    cell: str = ""
 
 
 def do_run(job: RunJob, on_report: Callable[[RunReport], None], should_stop: Callable[[], bool]) -> Evaluation | None:
