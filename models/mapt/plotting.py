@@ -120,9 +120,11 @@ def format_steps(axes: Axes) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: short_number(value)))
 
 
-def format_thousands(axes: Axes) -> None:
-    """Write the numbers of the y axis with thousands separators."""
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+def format_returns(axes: Axes) -> None:
+    """Write the numbers of the y axis with three digits, from a thousand on whole with separators."""
+    axes.yaxis.set_major_formatter(
+        FuncFormatter(lambda value, _: f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}")
+    )
 
 
 def standardise(values: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -190,7 +192,10 @@ def sample_deviation(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def draw_mean_and_deviation(axes: Axes, curves: Sequence[Curve], style: LineStyle) -> None:
-    """Draw the mean over seeds, a band of one standard deviation and a thin line for each seed."""
+    """Draw the mean over seeds, a band of one standard deviation and a thin line for each seed; one seed as a line.
+
+    `explain_seeds` says in the legend what band and thin lines are.
+    """
     if not any(len(curve.steps) for curve in curves):
         return
     binned = bin_curves(curves)
@@ -198,5 +203,12 @@ def draw_mean_and_deviation(axes: Axes, curves: Sequence[Curve], style: LineStyl
     steps, values = binned.steps[complete], binned.values[:, complete]
     mean, deviation = values.mean(axis=0), sample_deviation(values)
     axes.plot(steps, mean, color=style.colour, linestyle=style.dashes, linewidth=1.8)
-    axes.fill_between(steps, mean - deviation, mean + deviation, color=style.colour, alpha=0.15, linewidth=0)
-    axes.plot(binned.steps, binned.values.T, color=style.colour, linewidth=0.5, alpha=0.4)
+    if len(curves) > 1:
+        axes.fill_between(steps, mean - deviation, mean + deviation, color=style.colour, alpha=0.15, linewidth=0)
+        axes.plot(binned.steps, binned.values.T, color=style.colour, linewidth=0.5, alpha=0.4)
+
+
+def explain_seeds(axes: Axes) -> None:
+    """Add to the legend what the lines of `draw_mean_and_deviation` show of several seeds."""
+    axes.fill_between([], [], [], color=GREY, alpha=0.3, linewidth=0, label="mean ± standard deviation over seeds")
+    axes.plot([], [], color=GREY, linewidth=0.5, label="a single seed")

@@ -9,7 +9,7 @@ Each unit of work is stored when it is complete, so that rerunning `mapt benchma
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mapt.benchmarks.evaluate import ALL_SEGMENTS
@@ -209,7 +209,7 @@ class PaperFolder:
         }
         for folder, recording in recordings.items():
             if folder.exists():
-                _check_recording(RecordedDataset.open(folder), recording)
+                recording.check(RecordedDataset.open(folder))
         return recordings
 
     def model_jobs(self) -> list[CellJob]:
@@ -350,17 +350,6 @@ class PaperFolder:
 
     def _dataset_folder(self, task: str, seed: int) -> Path:
         return dataset_folder(self.path / "datasets" / path_name(task), seed)
-
-
-def _check_recording(dataset: RecordedDataset, recording: Recording) -> None:
-    found: Mapping[str, object] = dataset.origin
-    differences = [
-        f"{name}: {found.get(name)}, not {value}"
-        for name, value in asdict(recording).items()
-        if found.get(name) != value
-    ]
-    if differences:
-        raise InvalidConfig(f"The dataset in {dataset.path} has other settings: {'; '.join(differences)}.")
 
 
 def do_policy_job(job: PolicyJob, parent: ParentConnection) -> Evaluation | None:

@@ -147,6 +147,19 @@ class Recording:
     segments: int
     seed: int
 
+    def check(self, dataset: RecordedDataset) -> None:
+        """Raise InvalidConfig if a dataset was recorded with other settings, or does not tell its settings."""
+        found = dataset.origin
+        differences = [
+            f"{name}: {found.get(name)}, not {value}"
+            for name, value in asdict(self).items()
+            if found.get(name) != value
+        ]
+        if differences:
+            raise InvalidConfig(
+                f"The dataset in {dataset.path} has other settings: {'; '.join(differences)}.", "datasets"
+            )
+
 
 def record_dataset(
     recording: Recording,

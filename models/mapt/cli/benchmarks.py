@@ -155,6 +155,12 @@ def table(
         Path | None,
         typer.Option(help="Folder written by `mapt dataset`.  [default: datasets, in the output folder]"),
     ] = None,
+    as_recorded: Annotated[
+        bool,
+        typer.Option(
+            "--as-recorded", help="Use datasets that were recorded with other settings than those of this command."
+        ),
+    ] = False,
     preset: Preset = RewardPreset.SMALL,
     segment_steps: SegmentSteps = 50,
     steps: Steps = 800_000,
@@ -204,14 +210,17 @@ def table(
         warm_start=warm_start,
     )
     root = datasets or _default_datasets(output)
-    absent = [seed for seed in plan.seeds if not dataset_folder(root, seed).exists()]
+    wanted = {dataset_folder(root, seed): Recording(task, steps, segment_steps, segments, seed) for seed in plan.seeds}
+    absent = {folder: recording for folder, recording in wanted.items() if not folder.exists()}
+    if not as_recorded:
+        _check_recordings({folder: wanted[folder] for folder in wanted.keys() - absent.keys()})
     if absent:
         check_models(plan.models, plan.preset, plan.device, task, segment_steps)
         _check_teachers(plan.teachers, task)
     if absent and dry_run:
-        raise InvalidConfig(f"{root} lacks seed {absent[0]}. Without --dry-run, it is recorded.", "datasets")
-    recordings = {dataset_folder(root, seed): Recording(task, steps, segment_steps, segments, seed) for seed in absent}
-    record_all(recordings, workers, quiet=as_json)
+        lacking = ", ".join(str(recording.seed) for recording in absent.values())
+        raise InvalidConfig(f"{root} lacks seed {lacking}. Without --dry-run, it is recorded.", "datasets")
+    record_all(absent, workers, quiet=as_json)
     found = {seed: RecordedDataset.open(dataset_folder(root, seed)) for seed in plan.seeds}
     jobs = table_jobs(plan, found, output / "models" if keep_models else None)
     folder = CellFolder(output / "cells")
@@ -235,6 +244,17 @@ def check_models(models: Sequence[str], preset: PresetName, device: str, task: s
     for model in models:
         network_of(model, preset, layout)
         training_of(model, preset, 0, device)
+
+
+def _check_recordings(recordings: Mapping[Path, Recording]) -> None:
+    """Raise InvalidConfig if an existing dataset was recorded with other settings."""
+    for folder, recording in recordings.items():
+        try:
+            recording.check(RecordedDataset.open(folder))
+        except InvalidConfig as error:
+            raise InvalidConfig(
+                f"{error} Give these settings, another folder with --datasets, or --as-recorded to use it.", "datasets"
+            ) from error
 
 
 def _check_teachers(teachers: Sequence[str], task: str) -> None:

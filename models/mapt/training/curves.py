@@ -12,8 +12,9 @@ from mapt.plotting import (
     GREY,
     LineStyle,
     draw_mean_and_deviation,
+    explain_seeds,
+    format_returns,
     format_steps,
-    format_thousands,
     line_style,
     panel_grid,
     sample_deviation,
@@ -62,8 +63,12 @@ def _draw_steps(axes: Axes, groups: Sequence[Group]) -> None:
         draw_mean_and_deviation(axes, [run.curve for run in group.runs], style)
         evaluations = [(one.steps, one.mean) for run in group.runs for one in run.evaluations]
         axes.plot(*np.array(evaluations).reshape(-1, 2).T, style.marker, markersize=5, color=style.colour)
+    if any(len(group.runs) > 1 for group in groups):
+        explain_seeds(axes)
+    if any(run.evaluations for group in groups for run in group.runs):
+        axes.plot([], [], "o", color=GREY, markersize=5, label="markers: a seed's evaluation with mean actions")
     format_steps(axes)
-    format_thousands(axes)
+    format_returns(axes)
     axes.set_ylabel("true return of an episode")
     axes.legend(frameon=False, fontsize="small", loc="best")
 
@@ -83,12 +88,15 @@ def _draw_labels(axes: Axes, groups: Sequence[Group]) -> None:
         _draw_baseline(axes, name, returns, line_style(index))
     for index, (name, found) in enumerate(by_model.items()):
         _draw_model(axes, name, found, line_style(index + len(baselines)), shift=1 + _SHIFT * index)
+    if any(len(returns) > 1 for found in (*by_model.values(), dict(baselines)) for returns in found.values()):
+        axes.plot([], [], color=GREY, label="bars and bands: ± standard deviation over seeds")
+        axes.plot([], [], ".", color=GREY, label="a single seed")
     counts = sorted({count for found in by_model.values() for count in found})
     axes.set_xscale("log")
     axes.set_xticks(counts, [f"{count:,}" for count in counts])
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_xlabel("labels")
-    format_thousands(axes)
+    format_returns(axes)
     axes.set_ylabel("true return of the final policy")
     axes.legend(frameon=False, fontsize="small", loc="best")
 
@@ -112,7 +120,8 @@ def _draw_teacher(axes: Axes, rows: Sequence[TeacherRow], styles: Sequence[LineS
 def _draw_baseline(axes: Axes, name: str, returns: Sequence[float], style: LineStyle) -> None:
     mean, deviation = float(np.mean(returns)), float(sample_deviation(returns))
     axes.axhline(mean, color=style.colour, label=name)
-    axes.axhspan(mean - deviation, mean + deviation, color=style.colour, alpha=0.1)
+    if len(returns) > 1:
+        axes.axhspan(mean - deviation, mean + deviation, color=style.colour, alpha=0.1)
 
 
 def _draw_model(axes: Axes, name: str, found: dict[int, list[float]], style: LineStyle, shift: float) -> None:
@@ -120,6 +129,7 @@ def _draw_model(axes: Axes, name: str, found: dict[int, list[float]], style: Lin
     means = [float(np.mean(found[count])) for count in counts]
     deviations = [float(sample_deviation(found[count])) for count in counts]
     positions = np.array(counts) * shift
-    axes.errorbar(positions, means, deviations, fmt=f"{style.marker}-", color=style.colour, capsize=3, label=name)
+    spread = deviations if any(len(returns) > 1 for returns in found.values()) else None
+    axes.errorbar(positions, means, spread, fmt=f"{style.marker}-", color=style.colour, capsize=3, label=name)
     for position, count in zip(positions, counts, strict=True):
         axes.plot([position] * len(found[count]), found[count], ".", color=style.colour, alpha=0.5)

@@ -32,7 +32,7 @@ def datasets(tmp_path_factory) -> Path:
 
 def table_arguments(datasets: Path, output: Path) -> list[str | Path]:
     plan = ["--task", TASK, "--models", MODELS, "--labels", "30", "--seeds", "0,1", "--test-pairs", "100"]
-    return ["table", *plan, "--datasets", datasets, "--output", output]
+    return ["table", *plan, "--datasets", datasets, "--as-recorded", "--output", output]
 
 
 def arrays(output: Path) -> dict[str, bytes]:
@@ -111,6 +111,15 @@ def test_wrong_names_are_refused_before_a_dataset_is_recorded(tmp_path, mapt, ar
     assert refused.status == 2
     assert message in refused.errors
     assert list(tmp_path.iterdir()) == []
+
+
+def test_datasets_recorded_with_other_settings_are_refused_unless_told(tmp_path, datasets, mapt):
+    arguments = [each for each in table_arguments(datasets, tmp_path / "out") if each != "--as-recorded"]
+    refused = mapt(*arguments, "--dry-run")
+    assert refused.status == 2
+    assert "seed-0 has other settings: policy_steps: None, not 800000" in refused.errors
+    assert "--as-recorded" in refused.errors
+    assert not (tmp_path / "out").exists()
 
 
 def test_dataset_records_a_dataset_per_seed(tmp_path, mapt):
