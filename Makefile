@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 CHECKS := check-types check-page check-imports check-style
 
-.PHONY: run test test-slow test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean
+.PHONY: run test test-slow test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean football
 
 run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
 	$(BIN)/accord up --example
@@ -66,6 +66,20 @@ soak: $(INSTALLED) system-test ## Kill a random process in ROUNDS rounds under l
 	$(BIN)/python tests/soak/kills.py --rounds $(ROUNDS) --database postgres
 	$(BIN)/python tests/soak/memory.py --database sqlite
 	$(BIN)/python tests/soak/memory.py --database postgres
+
+football: $(INSTALLED) ## Install the engine of the football tasks, which takes about ten minutes of CPU time, and run their tests
+	@.ci/system-packages football
+	$(BIN)/python -c "import gfootball_engine" 2>/dev/null || $(MAKE) --no-print-directory football-engine
+	$(BIN)/python -m pytest --quiet tests/unit/tasks/test_football_engine.py
+
+# gfootball and gym need old tools to be built, which have an environment of their own.
+FOOTBALL_BUILD := $(VENV)/football-build
+.PHONY: football-engine
+football-engine:
+	$(PYTHON) -m venv $(FOOTBALL_BUILD)
+	$(FOOTBALL_BUILD)/bin/pip install --quiet 'setuptools<65' 'wheel<0.40' psutil six
+	PATH="$(abspath $(FOOTBALL_BUILD))/bin:$$PATH" pip wheel --no-build-isolation --no-deps --constraint constraints.txt --wheel-dir $(FOOTBALL_BUILD)/wheels gfootball gym
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --find-links $(FOOTBALL_BUILD)/wheels gfootball gym six
 
 learn: $(INSTALLED) ## The long learning runs behind docs/results.md
 	$(BIN)/python -m pytest -m learn tests/learning --timeout 0

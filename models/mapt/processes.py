@@ -1,4 +1,4 @@
-"""Child processes: parallel jobs, the division of cores among them, and requests to stop.
+"""Child processes: parallel jobs, processes that keep state, the division of cores, and requests to stop.
 
 Imports neither torch nor anything else of this library, so that every package and command can use it.
 """
@@ -254,6 +254,37 @@ def run_jobs(
         _end(workers)
 
 
+class JobProcess(Generic[J, R]):
+    """A single-threaded process for jobs that one after the other change what their job function holds.
+
+    It ends soon after this process, even if that is killed.
+
+    Args:
+        do_job: a picklable callable, of which the process has a copy. Jobs and results must be picklable, too.
+    """
+
+    def __init__(self, do_job: Callable[[J, ParentConnection], R]) -> None:
+        self._worker: _Worker[J] = _start(do_job)
+
+    def send(self, job: J) -> None:
+        """Start a job. Returns at once."""
+        self._worker.job = job
+        _send(self._worker, job)
+
+    def receive(self) -> JobResult[J, R]:
+        """Wait for the result of the job that was sent."""
+        job, received = self._worker.job, _receive(self._worker)
+        if job is None or isinstance(received, _Message):
+            raise RuntimeError("Send one job, which sends no messages, before each result.")
+        self._worker.job = None
+        return JobResult(job, received.result, received.failure)
+
+
+def end_job_processes(processes: "Sequence[JobProcess[Any, Any]]") -> None:
+    """End these processes. They end at the same time."""
+    _end([process._worker for process in processes])
+
+
 def _start(do_job: Callable[[J, ParentConnection], Any]) -> _Worker[J]:
     ours, theirs = _SPAWN.Pipe()
     process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
@@ -310,6 +341,9 @@ def _work(connection: Connection) -> None:
     None or a closed connection ends the process.
     """
     parent = ParentConnection(connection)
+    # It was started as a daemon, so that it ends with its parent. Daemons may not start processes, which some tasks
+    # need; these end with this one.
+    multiprocessing.current_process().daemon = False
     # The parent may be gone when a job ends, and Ctrl-C reaches all processes of a terminal.
     with suppress(EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
         with uncollected_imports():

@@ -8,7 +8,7 @@ from multiprocessing import active_children
 import pytest
 
 from mapt.errors import InvalidConfig
-from mapt.processes import ParentConnection, run_jobs
+from mapt.processes import JobProcess, ParentConnection, end_job_processes, run_jobs
 
 
 def count(job: int, parent: ParentConnection) -> int:
@@ -93,3 +93,48 @@ def test_leaving_early_ends_the_workers():
     with pytest.raises(RuntimeError, match="enough"):
         list(run_jobs(wait_until_cancelled, ["a"], 1, on_message=leave))
     assert not active_children()
+
+
+class Sum:
+    """A job function that keeps what it was given."""
+
+    def __init__(self, start: int) -> None:
+        self._total = start
+
+    def __call__(self, job: int, parent: ParentConnection) -> int:
+        if job == 0:
+            raise InvalidConfig("Zero adds nothing.")
+        if job < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        self._total += job
+        return self._total
+
+
+def test_a_job_process_keeps_its_state_and_reports_failures():
+    one, other = processes = [JobProcess(Sum(10)), JobProcess(Sum(20))]
+    for process in processes:
+        process.send(1)
+    assert [process.receive().result for process in processes] == [11, 21]
+    one.send(0)
+    assert one.receive().failure == "Zero adds nothing."
+    one.send(5)
+    assert one.receive().result == 16
+    one.send(-1)
+    assert "killed by SIGKILL" in (one.receive().failure or "")
+    other.send(2)
+    assert other.receive().result == 23
+    end_job_processes(processes)
+    assert not active_children()
+
+
+def sum_in_a_process(job: int, parent: ParentConnection) -> int:
+    process = JobProcess(Sum(1))
+    process.send(job)
+    result = process.receive().result
+    end_job_processes([process])
+    return result
+
+
+def test_a_job_may_have_a_process_of_its_own():
+    (done,) = run_jobs(sum_in_a_process, [41], 1)
+    assert (done.result, done.failure) == (42, None)

@@ -23,6 +23,7 @@ from accord.store.blobs import open_blobs
 from accord.store.database import Database, sqlite_file
 from accord.store.migrate import is_current
 from mapt.cli.options import Json
+from mapt.tasks.football import engine as football
 
 #: oldest and newest
 _PYTHONS = (3, 11), (3, 13)
@@ -34,8 +35,8 @@ _REINSTALL = "pip install --force-reinstall accord"
 def doctor(*, home: Home = None, port: Port = None, as_json: Json = False) -> None:
     """Check that this machine can run Accord.
 
-    Checks package versions, rendering, the video encoder, disk, memory, the database, the blobs, the port, the web page
-    and, as `accord verify --quick`, what is stored. Exits with status 1 if a check fails.
+    Checks package versions, the optional football engine, rendering, the video encoder, disk, memory, the database, the
+    blobs, the port, the web page and, as `accord verify --quick`, what is stored. Exits with status 1 if a check fails.
     """
     settings = load_settings(home, port=port)
     checks = [found for check in CHECKS for found in check(settings)]
@@ -61,6 +62,11 @@ def _check_package(name: str) -> Check:
         return Check(name, True, version(name))
     except PackageNotFoundError:
         return Check(name, False, "not installed", _REINSTALL)
+
+
+def check_football(settings: Settings) -> list[Check]:
+    """Whether the engine of the football tasks is installed, which is optional."""
+    return [Check("football", True, "installed" if football.is_installed() else f"optional: {football.INSTALL}")]
 
 
 def check_video(settings: Settings) -> list[Check]:
@@ -161,6 +167,7 @@ def existing_parent(path: Path) -> Path:
 CHECKS: tuple[Callable[[Settings], list[Check]], ...] = (
     check_python,
     check_packages,
+    check_football,
     check_video,
     check_machine,
     check_database,

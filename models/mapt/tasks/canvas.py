@@ -37,6 +37,12 @@ class Canvas:
         self._pixels = np.empty((height, width, 3), dtype=np.float32)
         self._pixels[:] = colour
 
+    def copy(self) -> "Canvas":
+        """Another canvas with the same image."""
+        same = Canvas(0, 0, (0, 0, 0))
+        same.height, same.width, same._pixels = self.height, self.width, self._pixels.copy()
+        return same
+
     def image(self) -> NDArray[np.uint8]:
         """A copy of the image, (H, W, 3)."""
         return (self._pixels + 0.5).astype(np.uint8)

@@ -15,6 +15,7 @@ import numpy as np
 
 from mapt.errors import TaskExists, TaskImportFailed, UnknownTask
 from mapt.tasks import smac_task
+from mapt.tasks.football import task as football
 from mapt.tasks.hands import catch, doors
 from mapt.tasks.protocol import Drawing, DrawnDefinition, Task, TaskDefinition, TaskSpec
 from mapt.tasks.robots import (
@@ -55,7 +56,8 @@ _MODULES = (
     doors,
 )
 _DEFINITIONS: dict[str, TaskDefinition] = {
-    definition.name: definition for definition in chain(skirmish.TASKS, *(module.TASKS for module in _MODULES))
+    definition.name: definition
+    for definition in chain(skirmish.TASKS, football.TASKS, *(module.TASKS for module in _MODULES))
 }
 _imported: set[str] = set()
 #: re-entrant: a task file may look tasks up while it is imported

@@ -4,7 +4,15 @@ from contextlib import closing
 from pathlib import Path
 
 from accord.cli import doctor
-from accord.cli.doctor import check_blobs, check_database, check_machine, check_packages, check_port, check_python
+from accord.cli.doctor import (
+    check_blobs,
+    check_database,
+    check_football,
+    check_machine,
+    check_packages,
+    check_port,
+    check_python,
+)
 from accord.domain.checks import Check
 from accord.settings import Settings
 from accord.store.database import Database
@@ -28,6 +36,14 @@ def test_an_unsupported_python_fails_with_a_fix(monkeypatch, tmp_path: Path):
 def test_a_missing_package_fails_with_a_fix(monkeypatch):
     check = doctor._check_package("no-such-package")
     assert check == Check("no-such-package", False, "not installed", "pip install --force-reinstall accord")
+
+
+def test_a_missing_football_engine_passes_and_says_how_to_get_it(monkeypatch, tmp_path: Path):
+    for installed, detail in ((True, "installed"), (False, "make football")):
+        monkeypatch.setattr(doctor.football, "is_installed", lambda installed=installed: installed)
+        [check] = check_football(Settings(home=tmp_path))
+        assert check.ok
+        assert detail in check.detail
 
 
 def test_too_little_disk_space_fails_and_names_the_folder(monkeypatch, tmp_path: Path):

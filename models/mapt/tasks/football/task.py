@@ -1,0 +1,225 @@
+"""The football tasks: E matches, each on an engine in a process of its own."""
+
+# mujoco is compiled and ships no stubs.
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mapt.errors import InvalidAction, InvalidConfig, InvalidSnapshot, NoSimulator, UnusableEnvironment
+from mapt.processes import JobProcess, end_job_processes
+from mapt.tasks.football.drawing import FootballDrawing
+from mapt.tasks.football.engine import INSTALL, EngineJob, Request, is_installed
+from mapt.tasks.football.features import (
+    N_ACTIONS,
+    available_actions,
+    global_state,
+    global_state_size,
+    observation_size,
+    observations,
+)
+from mapt.tasks.football.match import Match, state_size
+from mapt.tasks.football.reward import team_reward
+from mapt.tasks.football.scenarios import LIMIT_STEPS, SCENARIOS, STEPS_PER_SECOND, Scenario
+from mapt.tasks.protocol import Task, TaskSpec, TaskStep
+from mapt.tasks.snapshot import load_snapshot, take_snapshot
+
+INSTRUCTIONS = (
+    "The numbered agents attack the goal on the right. They should score a goal soon: pass to a free player and shoot "
+    "when they can. An attempt is over when the opponents get the ball or the ball leaves the pitch."
+)
+_SEEDS = 2**31
+_SAVED, _SAVED_BYTES = "saved_matches", "saved_match_bytes"
+
+
+class Football:
+    """A `MaskingTask`: E matches of one scenario.
+
+    An episode terminates with a goal, when the ball leaves the pitch and when it changes teams, and is truncated after
+    400 steps.
+
+    Args:
+        spec: `FootballDefinition.spec`'s result.
+        n_envs: number of environments, and of processes, E.
+        agent_index: append the agent's one-hot index to its observation.
+        dtype: of observations and state.
+
+    Raises:
+        InvalidConfig: if `n_envs` is less than 1.
+        UnusableEnvironment: if the engine is not installed.
+    """
+
+    def __init__(
+        self, spec: TaskSpec, scenario: Scenario, *, n_envs: int, agent_index: bool, dtype: type[np.floating]
+    ) -> None:
+        if n_envs < 1:
+            raise InvalidConfig(f"n_envs must be 1 or more, got {n_envs}.", "n_envs")
+        if not is_installed():
+            raise UnusableEnvironment(
+                f"{spec.name} needs the engine of Google Research Football, which is not installed: {INSTALL}."
+            )
+        self._spec, self._scenario, self._n_envs, self._dtype = spec, scenario, n_envs, dtype
+        index = np.eye(spec.n_agents, spec.n_agents if agent_index else 0)
+        self._index = np.broadcast_to(index, (n_envs, *index.shape))
+        self._states = np.zeros((n_envs, spec.nq))
+        self._available = np.zeros((n_envs, spec.n_agents, N_ACTIONS), bool)
+        #: (E,): of the next episodes
+        self._seeds = np.zeros(n_envs, np.int64)
+        #: bool (E,): the last step scored a goal
+        self.scored = np.zeros(n_envs, bool)
+        self._rng = np.random.default_rng(0)
+        self._engines: list[JobProcess[Request, Any]] = [JobProcess(EngineJob(scenario)) for _ in range(n_envs)]
+
+    @property
+    def spec(self) -> TaskSpec:
+        return self._spec
+
+    @property
+    def n_envs(self) -> int:
+        return self._n_envs
+
+    def reset(self, seed: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        self._rng = np.random.default_rng(seed)
+        first = self._rng.integers(_SEEDS, size=self._n_envs)
+        self._seeds[:] = self._rng.integers(_SEEDS, size=self._n_envs)
+        self._states = np.array(self._ask([("start", each) for each in first.tolist()]))
+        return self._observe(self._states)
+
+    def step(self, actions: NDArray[np.floating]) -> TaskStep:
+        chosen = self._check(actions)
+        played = self._ask(
+            [("step", tuple(own), seed) for own, seed in zip(chosen.tolist(), self._seeds.tolist(), strict=True)]
+        )
+        final = np.array([state for state, _, _ in played])
+        over = np.array([ended for _, ended, _ in played])
+        before, after = Match.of(self._states, self._scenario), Match.of(final, self._scenario)
+        self.scored = after.goals[:, 0] > before.goals[:, 0]
+        truncated = over & (after.elapsed_steps >= LIMIT_STEPS) & (after.goals.sum(axis=1) == 0)
+        reward = team_reward(before, after, over)
+
+        final_observations, final_state = observed, state = self._observe(final)
+        self._states = final
+        if over.any():
+            self._seeds[over] = self._rng.integers(_SEEDS, size=over.sum())
+            self._states = np.array([final if start is None else start for final, _, start in played])
+            observed, state = self._observe(self._states)
+        return TaskStep(observed, state, reward, over & ~truncated, truncated, final_observations, final_state)
+
+    def available_actions(self) -> NDArray[np.bool_]:
+        return self._available.copy()
+
+    def simulator_state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The states (E, nq), see `Match`, and nothing (E, 0)."""
+        return self._states.copy(), np.zeros((self._n_envs, 0))
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        """As of other tasks, and the engines' states: their bytes, one after the other, and the number of each."""
+        saved = self._ask([("save",)] * self._n_envs)
+        own = take_snapshot({"seeds": self._seeds}, self._rng)
+        sizes = np.array([len(each) for each in saved], dtype=np.int64)
+        return {**own, _SAVED: np.frombuffer(b"".join(saved), np.uint8).copy(), _SAVED_BYTES: sizes}
+
+    def restore(self, snapshot: dict[str, np.ndarray]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        own = {name: array for name, array in snapshot.items() if name not in (_SAVED, _SAVED_BYTES)}
+        if len(own) + 2 != len(snapshot) or snapshot[_SAVED].size != snapshot[_SAVED_BYTES].sum():
+            raise InvalidSnapshot(f"The snapshot does not hold the matches of {self._spec.name}.")
+        rng = load_snapshot(own, {"seeds": self._seeds}, self._spec.name)
+        ends = np.cumsum(snapshot[_SAVED_BYTES])[:-1]
+        saved = [each.tobytes() for each in np.split(snapshot[_SAVED], ends)]
+        self._states = np.array(self._ask([("load", each) for each in saved]))
+        self._rng = rng
+        return self._observe(self._states)
+
+    def close(self) -> None:
+        """End the processes."""
+        end_job_processes(self._engines)
+        self._engines = []
+
+    def _ask(self, requests: Sequence[Request]) -> list[Any]:
+        """Send one request to each engine and return their answers.
+
+        Raises:
+            UnusableEnvironment: if an engine failed.
+        """
+        for engine, request in zip(self._engines, requests, strict=True):
+            engine.send(request)
+        answers = [engine.receive() for engine in self._engines]
+        for number, answer in enumerate(answers):
+            if answer.failure is not None:
+                raise UnusableEnvironment(f"The football engine of environment {number} failed: {answer.failure}.")
+        return [answer.result for answer in answers]
+
+    def _check(self, actions: NDArray[np.floating]) -> NDArray[np.int64]:
+        """The number of each agent's action, (E, N)."""
+        expected = self._available.shape
+        if actions.shape != expected or not np.isfinite(actions).all():
+            raise InvalidAction(f"Actions must be finite and have shape {expected}, got {actions.shape}.")
+        chosen = actions.argmax(axis=2)
+        allowed = np.take_along_axis(self._available, chosen[..., None], 2)[..., 0]
+        if not allowed.all():
+            env, agent = np.argwhere(~allowed)[0]
+            raise InvalidAction(
+                f"Action {chosen[env, agent]} of agent {agent} in environment {env} is not available. "
+                "Choose among available_actions()."
+            )
+        return chosen
+
+    def _observe(self, states: NDArray[np.float64]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Observations and state. The available actions become those of these states."""
+        match = Match.of(states, self._scenario)
+        self._available = available_actions(match)
+        own = np.concatenate([observations(match, self._available), self._index], axis=2)
+        return own.astype(self._dtype), global_state(match).astype(self._dtype)
+
+
+@dataclass(frozen=True, slots=True)
+class FootballDefinition:
+    """A `DrawnDefinition` of one scenario. It ignores `agent_obsk` and `n_threads`."""
+
+    scenario: Scenario
+
+    @property
+    def name(self) -> str:
+        return self.scenario.name
+
+    def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
+        """See `TaskDefinition.spec`. Does not need the engine."""
+        n_agents = self.scenario.n_agents
+        return TaskSpec(
+            name=self.name,
+            n_agents=n_agents,
+            observation_dim=observation_size(self.scenario) + n_agents * agent_index,
+            action_dim=N_ACTIONS,
+            state_dim=global_state_size(self.scenario),
+            horizon_steps=LIMIT_STEPS,
+            step_seconds=1 / STEPS_PER_SECOND,
+            agent_names=tuple(f"player {number}" for number in range(1, n_agents + 1)),
+            nq=state_size(self.scenario),
+            nv=0,
+            instructions=INSTRUCTIONS,
+            discrete_actions=True,
+            masks_actions=True,
+        )
+
+    def make(
+        self, n_envs: int, *, n_threads: int, agent_obsk: int | None, agent_index: bool, dtype: type[np.floating]
+    ) -> Task:
+        spec = self.spec(agent_obsk=agent_obsk, agent_index=agent_index)
+        return Football(spec, self.scenario, n_envs=n_envs, agent_index=agent_index, dtype=dtype)
+
+    def load_model(self) -> mujoco.MjModel:
+        raise NoSimulator(self.name)
+
+    def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
+        raise NoSimulator(self.name)
+
+    def drawing(self) -> FootballDrawing:
+        return FootballDrawing(self.scenario)
+
+
+TASKS = tuple(FootballDefinition(scenario) for scenario in SCENARIOS)
