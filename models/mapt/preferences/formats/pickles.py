@@ -2,14 +2,20 @@
 
 It does not call numpy with unchecked values either: the dtype, shape and bytes of an array are recorded while the
 pickle is read, then checked, and made into an array at the end.
+
+A pickle may refer to one object from many places, so that a few bytes stand for an amount of data that nothing could
+compare, copy or print. Keys, which are hashed while the pickle is read, must be simple; of everything else, the extent
+with every reference written out is limited. Python's own unpickler is used, because that in C cannot be told of keys.
 """
 
 import pickle
 import re
+import reprlib
+import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, BinaryIO, ClassVar, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +24,10 @@ from mapt.errors import FileTooLarge, InvalidFile, TruncatedFile, UnsafePickle
 
 #: Limit on the size of a pickle, which is read into memory.
 MAX_BYTES = 8 << 30
+#: Objects that a smaller pickle may stand for, with every reference written out.
+MAX_OBJECTS = 10_000_000
+#: Parts of a tuple, and bits of a whole number, that is a key.
+_MAX_KEY_PARTS, _MAX_KEY_BITS = 16, 64
 #: bool, integers, floats, complex, bytes, text, object
 _DTYPE = re.compile(r"[<>|=]?(?:[biufcSU?]\d{0,9}|O8?)")
 
@@ -40,7 +50,8 @@ def load_pickle(path: Path | str, classes: tuple[str, ...] = (), *, max_bytes: i
         UnsafePickle: if the pickle refers to anything else.
         FileTooLarge: if the file has more than `max_bytes`.
         TruncatedFile: if the file ends too early.
-        InvalidFile: if it is not a pickle, or holds an invalid array.
+        InvalidFile: if it is not a pickle, holds an invalid array, contains itself, or stands for more than
+            `MAX_OBJECTS` objects (or one per byte) or more than `max_bytes` of arrays.
     """
     path = Path(path)
     try:
@@ -48,10 +59,11 @@ def load_pickle(path: Path | str, classes: tuple[str, ...] = (), *, max_bytes: i
         if size > max_bytes:
             raise FileTooLarge(path, f"{size} bytes", max_bytes)
         with path.open("rb") as file:
-            return _Resolving().resolve(_Unpickler(file, path, classes).load())
+            found = _Unpickler(_Limited(file, size), path, classes).load()
+        return _Resolving(max(size, MAX_OBJECTS), max_bytes).resolve(found)
     except OSError as error:
         raise InvalidFile(path, f"cannot be read ({error.strerror})") from error
-    except EOFError as error:
+    except (EOFError, struct.error) as error:
         raise TruncatedFile(path) from error
     except pickle.UnpicklingError as error:
         if "truncated" in str(error):
@@ -87,14 +99,14 @@ class _Dtype:
 
     def __init__(self, code: object, *_flags: object) -> None:
         if not isinstance(code, str) or not _DTYPE.fullmatch(code):
-            raise pickle.UnpicklingError(f"dtype {code!r}")
+            raise pickle.UnpicklingError(f"dtype {reprlib.repr(code)}")
         self.code = code.lstrip("<>|=")
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         # (version, byte order, subarray, names, fields, size, alignment, flags)
         byte_order, *structure = state[1:5]
         if byte_order not in ("<", ">", "|", "=") or any(part is not None for part in structure):
-            raise pickle.UnpicklingError(f"dtype {state!r}")
+            raise pickle.UnpicklingError(f"dtype {reprlib.repr(state)}")
         self.code = byte_order + self.code
 
     @property
@@ -120,7 +132,7 @@ class _Array:
         if not isinstance(dtype, _Dtype) or not isinstance(shape, tuple):
             raise pickle.UnpicklingError("an array without a dtype")
         if not all(isinstance(length, int) and length >= 0 for length in shape):
-            raise pickle.UnpicklingError(f"shape {shape!r}")
+            raise pickle.UnpicklingError(f"shape {reprlib.repr(shape)}")
         return shape, dtype.dtype, bool(fortran), content
 
 
@@ -165,7 +177,7 @@ def _from_buffer(content: object, dtype: object, shape: object, order: object) -
 def _latin1(text: object, encoding: object) -> bytes:
     # Protocols 0 to 2 encode bytes this way.
     if not isinstance(text, str) or encoding != "latin1":
-        raise pickle.UnpicklingError(f"bytes encoded as {encoding!r}")
+        raise pickle.UnpicklingError(f"bytes encoded as {reprlib.repr(encoding)}")
     return text.encode("latin1")
 
 
@@ -180,13 +192,27 @@ def _checked_bytes(content: object) -> bytes | bytearray:
     return content
 
 
+def _checked_key(key: Any) -> Any:
+    """The key of a dict or element of a set, if it is quick to hash and compare."""
+    parts = key if isinstance(key, tuple | frozenset) else (key,)
+    if len(parts) > _MAX_KEY_PARTS or any(isinstance(part, tuple | frozenset) for part in parts):
+        raise pickle.UnpicklingError("a key that holds other containers, or too many values")
+    if any(isinstance(part, int) and part.bit_length() > _MAX_KEY_BITS for part in parts):
+        raise pickle.UnpicklingError(f"a key of more than {_MAX_KEY_BITS} bits")
+    return key
+
+
+def _checked_keys(items: Any) -> list[Any]:
+    return [_checked_key(each) for each in items]
+
+
 _NDARRAY = _Allowed(_refuse)
 _MULTIARRAY = {"_reconstruct": _Allowed(_reconstruct), "scalar": _Allowed(_Scalar)}
 _BUILTINS = {
     "bytes": _Allowed(lambda content=b"": bytes(_checked_bytes(content))),
     "bytearray": _Allowed(lambda content=b"": bytes(_checked_bytes(content))),
-    "set": _Allowed(lambda items=(): set(items)),
-    "frozenset": _Allowed(lambda items=(): frozenset(items)),
+    "set": _Allowed(lambda items=(): set(_checked_keys(items))),
+    "frozenset": _Allowed(lambda items=(): frozenset(_checked_keys(items))),
 }
 _ALLOWED: dict[str, Any] = {
     "numpy.ndarray": _NDARRAY,
@@ -196,63 +222,139 @@ _ALLOWED: dict[str, Any] = {
     "numpy.core.numeric._frombuffer": _Allowed(_from_buffer),
     "numpy._core.numeric._frombuffer": _Allowed(_from_buffer),
     "_codecs.encode": _Allowed(_latin1),
-    "collections.OrderedDict": _Allowed(lambda items=(): dict(items)),
+    "collections.OrderedDict": _Allowed(lambda items=(): {_checked_key(key): value for key, value in items}),
     # Builtins, under their names in Python 3 and Python 2.
     **{f"{module}.{name}": call for module in ("builtins", "__builtin__") for name, call in _BUILTINS.items()},
 }
 
 
-class _Unpickler(pickle.Unpickler):
-    """Finds only the globals in `_ALLOWED`, and the classes that the caller names."""
+class _Limited:
+    """A file that refuses to read more than it holds, instead of allocating it."""
 
-    def __init__(self, file: BinaryIO, path: Path, classes: tuple[str, ...]) -> None:
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self._file, self._size = file, size
+        self.readline = file.readline
+
+    def read(self, n_bytes: int) -> bytes:
+        if n_bytes > self._size - self._file.tell():
+            raise EOFError
+        return self._file.read(n_bytes)
+
+    def readinto(self, _buffer: object) -> NoReturn:
+        raise pickle.UnpicklingError("a buffer")
+
+
+#: by code
+_OPCODES: dict[int, Callable[..., None]] = dict(pickle._Unpickler.dispatch)  # pyright: ignore[reportPrivateUsage]
+
+
+def _with_checked_keys(opcode: bytes, keys: slice) -> Callable[["_Unpickler"], None]:
+    """Python's method for an opcode, after a check of the keys at these places of the stack since the last mark."""
+
+    def load(unpickler: "_Unpickler") -> None:
+        _checked_keys(unpickler.stack[keys])
+        _OPCODES[opcode[0]](unpickler)
+
+    return load
+
+
+class _Unpickler(pickle._Unpickler):  # pyright: ignore[reportPrivateUsage]
+    """Finds only the globals in `_ALLOWED`, and the classes that the caller names. Checks keys before hashing them."""
+
+    stack: list[Any]
+    read: Callable[[int], bytes]
+
+    def __init__(self, file: _Limited, path: Path, classes: tuple[str, ...]) -> None:
         super().__init__(file)
         self._path = path
         self._classes = {name: type("Foreign", (_Foreign,), {"name": name, "__slots__": ()}) for name in classes}
 
-    def find_class(self, module_name: str, global_name: str, /) -> Any:
-        name = f"{module_name}.{global_name}"
+    def find_class(self, module: str, name: str) -> Any:
+        name = f"{module}.{name}"
         found = _ALLOWED.get(name) or self._classes.get(name)
         if found is None:
             raise UnsafePickle(self._path, name)
         return found
 
     def persistent_load(self, pid: object) -> NoReturn:
-        raise UnsafePickle(self._path, f"an object outside the file ({pid!r})")
+        raise UnsafePickle(self._path, f"an object outside the file ({reprlib.repr(pid)})")
+
+    def _bytearray(self) -> None:
+        # The inherited method allocates before it reads.
+        (length,) = struct.unpack("<Q", self.read(8))
+        self.stack.append(bytearray(self.read(length)))
+
+    dispatch: ClassVar[dict[int, Callable[..., None]]] = {
+        **_OPCODES,
+        pickle.SETITEM[0]: _with_checked_keys(pickle.SETITEM, slice(-2, -1)),
+        pickle.SETITEMS[0]: _with_checked_keys(pickle.SETITEMS, slice(0, None, 2)),
+        pickle.DICT[0]: _with_checked_keys(pickle.DICT, slice(0, None, 2)),
+        pickle.ADDITEMS[0]: _with_checked_keys(pickle.ADDITEMS, slice(None)),
+        pickle.FROZENSET[0]: _with_checked_keys(pickle.FROZENSET, slice(None)),
+        pickle.BYTEARRAY8[0]: _bytearray,
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Resolved:
+    """An object, and its extent with every reference written out."""
+
+    value: Any
+    n_objects: int
+    n_bytes: int
 
 
 class _Resolving:
     """Replaces the recorded arrays, scalars and instances by real ones; shared objects stay shared."""
 
-    def __init__(self) -> None:
-        self._done: dict[int, Any] = {}
+    def __init__(self, max_objects: int, max_bytes: int) -> None:
+        self._max_objects, self._max_bytes = max_objects, max_bytes
+        #: by id; None for objects whose parts are being resolved
+        self._done: dict[int, _Resolved | None] = {}
         # Keeps the objects alive, so that their ids stay unique.
         self._seen: list[Any] = []
+        #: extent so far of the object that is being resolved
+        self._n_objects = self._n_bytes = 0
 
     def resolve(self, value: Any) -> Any:
-        if id(value) in self._done:
-            return self._done[id(value)]
+        if id(value) not in self._done:
+            self._done[id(value)] = self._resolved(value)
+        done = self._done[id(value)]
+        if done is None:
+            raise pickle.UnpicklingError("an object that contains itself")
+        self._n_objects += done.n_objects
+        self._n_bytes += done.n_bytes
+        if self._n_objects > self._max_objects or self._n_bytes > self._max_bytes:
+            raise pickle.UnpicklingError(
+                f"objects shared so often that they stand for more than {self._max_objects} objects or "
+                f"{self._max_bytes} bytes"
+            )
+        return done.value
+
+    def _resolved(self, value: Any) -> _Resolved:
         self._seen.append(value)
-        if isinstance(value, list):
-            self._done[id(value)] = value
-            value[:] = [self.resolve(each) for each in value]
-            return value
-        if isinstance(value, dict):
-            self._done[id(value)] = value
-            items = [(self.resolve(key), self.resolve(each)) for key, each in value.items()]
-            value.clear()
-            value.update(items)
-            return value
+        self._done[id(value)] = None
+        outer = self._n_objects, self._n_bytes
+        self._n_objects, self._n_bytes = 1, 0
         made = self._made(value)
-        self._done[id(value)] = made
-        return made
+        if isinstance(made, np.ndarray):
+            self._n_bytes += made.nbytes
+        found = _Resolved(made, self._n_objects, self._n_bytes)
+        self._n_objects, self._n_bytes = outer
+        return found
 
     def _made(self, value: Any) -> Any:
         match value:
+            case list():
+                value[:] = [self.resolve(each) for each in value]
+            case dict():
+                items = [(_checked_key(self.resolve(key)), self.resolve(each)) for key, each in value.items()]
+                value.clear()
+                value.update(items)
             case tuple():
                 return tuple(self.resolve(each) for each in value)
             case set() | frozenset():
-                return type(value)(self.resolve(each) for each in value)
+                return type(value)(_checked_key(self.resolve(each)) for each in value)
             case _Array():
                 return self._array(value)
             case _Scalar():
@@ -261,6 +363,8 @@ class _Resolving:
                 return Record(value.name, self.resolve(value.fields))
             case _Allowed() | _Dtype() | type():
                 raise pickle.UnpicklingError("a function or type instead of data")
+            case _:
+                pass
         return value
 
     def _array(self, array: _Array) -> NDArray[Any]:

@@ -75,11 +75,11 @@ def test_sets_and_ordered_dicts_are_loaded(tmp_path):
     assert load_pickle(write(tmp_path, pickle.dumps(value))) == (frozenset({1}), {2, 3}, {"a": 1}, b"ab")
 
 
-def test_list_that_contains_itself_is_loaded(tmp_path):
+def test_list_that_contains_itself_is_refused(tmp_path):
     value = [1]
     value.append(value)
-    found = load_pickle(write(tmp_path, pickle.dumps(value)))
-    assert found[1] is found
+    with pytest.raises(InvalidFile, match="contains itself"):
+        load_pickle(write(tmp_path, pickle.dumps(value)))
 
 
 class Runs:
@@ -195,9 +195,8 @@ def test_bytearray_of_a_size_allocates_nothing(tmp_path):
         load_pickle(write(tmp_path, pickle.dumps(Runs(bytearray, 1 << 40))))
 
 
-def test_memo_index_of_a_billion_is_refused(tmp_path):
-    with pytest.raises(InvalidFile):
-        load_pickle(write(tmp_path, b"\x80\x02]r\xff\xff\xff\xff."))
+def test_memo_index_of_a_billion_allocates_nothing(tmp_path):
+    assert load_pickle(write(tmp_path, b"\x80\x02]r\xff\xff\xff\xff.")) == []
 
 
 def test_pickle_that_is_nested_too_deeply_is_refused(tmp_path):
@@ -205,11 +204,65 @@ def test_pickle_that_is_nested_too_deeply_is_refused(tmp_path):
         load_pickle(write(tmp_path, b"\x80\x02" + b"]" * 100_000 + b"a" * 99_999 + b"."))
 
 
-def test_shared_lists_are_resolved_once(tmp_path):
-    value = [np.arange(3)]
-    for _ in range(60):
-        value = [value, value]
-    assert len(load_pickle(write(tmp_path, pickle.dumps(value)))) == 2
+def doubled(value, times, pair=lambda each: (each, each)):
+    """Pairs of pairs of pairs ... of one object: a pickle of a few bytes per pair stands for 2 ** times objects."""
+    for _ in range(times):
+        value = pair(value)
+    return value
+
+
+def doubled_pickle(times):
+    """The pickle of `doubled((), times)`, which pickle itself would write after 2 ** times comparisons."""
+    return b"\x80\x04)" + b"".join(b"\x94h%c\x86" % index for index in range(times))
+
+
+def test_shared_lists_stay_shared(tmp_path):
+    first, second = load_pickle(write(tmp_path, pickle.dumps(doubled([np.arange(3)], 16, lambda each: [each, each]))))
+    assert first is second
+
+
+# In their first versions, each of these pickles of less than 500 bytes took minutes and more.
+@pytest.mark.parametrize(
+    "content",
+    [
+        doubled_pickle(60) + b".",
+        b"\x80\x04]" + doubled_pickle(60)[2:] + b"a.",
+        b"\x80\x04}" + doubled_pickle(60)[2:] + b"Ns.",
+        b"\x80\x04}(" + doubled_pickle(60)[2:] + b"Nu.",
+        b"\x80\x04(" + doubled_pickle(60)[2:] + b"Nd.",
+        b"\x80\x04\x8f(" + doubled_pickle(60)[2:] + b"\x90.",
+        b"\x80\x04(" + doubled_pickle(60)[2:] + b"\x91.",
+        b"\x80\x04cbuiltins\nset\n]" + doubled_pickle(60)[2:] + b"a\x85R.",
+        b"\x80\x04ccollections\nOrderedDict\n]" + doubled_pickle(60)[2:] + b"N\x86a\x85R.",
+        b"\x80\x04cnumpy\ndtype\n" + doubled_pickle(60)[2:] + b"\x89\x88\x87R.",
+        b"\x80\x04" + doubled_pickle(60)[2:] + b"Q.",
+    ],
+    ids=["tuple", "list", "key", "keys", "dict", "set", "frozenset", "set call", "dict call", "dtype", "persistent id"],
+)
+def test_a_small_pickle_that_stands_for_a_trillion_objects_is_refused(tmp_path, content):
+    assert len(content) < 500
+    with pytest.raises(InvalidFile):
+        load_pickle(write(tmp_path, content))
+
+
+def test_arrays_that_are_shared_too_often_are_refused(tmp_path):
+    path = write(tmp_path, pickle.dumps([np.zeros(1000)] * 1000))
+    assert len(load_pickle(path)) == 1000
+    with pytest.raises(InvalidFile, match="shared so often"):
+        load_pickle(path, max_bytes=7_999_999)
+
+
+@pytest.mark.parametrize("key", [tuple(range(17)), (1, (2,)), frozenset({(1,)}), 1 << 65])
+def test_keys_that_take_long_to_hash_are_refused(tmp_path, key):
+    for value in ({key: 1}, {key}):
+        with pytest.raises(InvalidFile, match="a key"):
+            load_pickle(write(tmp_path, pickle.dumps(value)))
+    assert load_pickle(write(tmp_path, pickle.dumps({(0, "a"): 1}))) == {(0, "a"): 1}
+
+
+def test_bytearray_that_is_longer_than_the_file_allocates_nothing(tmp_path):
+    with pytest.raises(TruncatedFile):
+        load_pickle(write(tmp_path, b"\x80\x05\x96" + struct.pack("<Q", 1 << 40) + b"."))
 
 
 @given(st.data())
