@@ -59,12 +59,14 @@ def everything_in(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
 
-def made_episodes(
-    lengths: list[int], *, n_agents: int = 1, known: tuple[str, ...] = ("rewards", "qpos", "qvel"), seed: int = 0
-) -> list[Episode]:
+def made_episodes(lengths: list[int], *, n_agents: int = 1, **dimensions: object) -> list[Episode]:
     """Episodes of normal noise."""
     records = made_records(
-        len(lengths), n_steps=max(lengths), n_agents=n_agents, lengths=lengths, known=known, seed=seed
+        len(lengths),
+        n_steps=max(lengths),
+        n_agents=n_agents,
+        lengths=lengths,
+        **dimensions,  # type: ignore[arg-type]
     )
     return list(episodes_of(records))
 

@@ -60,17 +60,19 @@ def finite_doubles(path: Path | str, where: str, values: object, n_dims: int) ->
 
 
 def numbered_actions(path: Path | str, where: str, values: object, n_actions: int) -> FloatArray:
-    """Convert discrete actions, indices (T, N) or (T, N, 1), to one-hot (T, N, A).
+    """Convert discrete actions, indices (T, N) or (T, N, 1) or already one-hot (T, N, A), to one-hot (T, N, A).
 
     Raises:
-        InvalidFile: if an index is not a whole number in [0, `n_actions`).
+        InvalidFile: if an index is not a whole number in [0, `n_actions`), or an action is not one-hot.
     """
     array = as_array(path, where, values)
-    array = numbers(path, where, array[..., 0] if array.ndim == 3 and array.shape[2] == 1 else array, 2)
-    chosen = array.astype(np.int64)
-    if (chosen != array).any():
-        raise InvalidFile(path, f"holds an action that is not a whole number in {where}")
     try:
+        if array.ndim == 3 and array.shape[2] == n_actions > 1:
+            return one_hot_actions(finite_floats(path, where, array, 3), n_actions)
+        array = numbers(path, where, array[..., 0] if array.ndim == 3 and array.shape[2] == 1 else array, 2)
+        chosen = array.astype(np.int64)
+        if (chosen != array).any():
+            raise InvalidFile(path, f"holds an action that is not a whole number in {where}")
         return one_hot_actions(chosen, n_actions)
     except InvalidAction as error:
         raise InvalidFile(path, f"holds an invalid action in {where} ({error})") from error
@@ -95,6 +97,11 @@ class Hdf5File:
     def is_array(self, name: str) -> bool:
         """Whether there is an array with this name."""
         return isinstance(self._find(name), h5py.Dataset)
+
+    def n_dims(self, name: str) -> int | None:
+        """The number of dimensions of an array; None if there is none."""
+        found = self._find(name)
+        return found.ndim if isinstance(found, h5py.Dataset) else None
 
     def attribute(self, name: str) -> object:
         """An attribute of the file, or None."""

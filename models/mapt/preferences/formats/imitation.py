@@ -63,14 +63,18 @@ def read_imitation(path: Path | str, *, n_actions: int | None = None, max_bytes:
     return Comparisons.of_pairs(first, second, labels)
 
 
-def write_imitation(path: Path | str, comparisons: Comparisons) -> None:
+def write_imitation(path: Path | str, comparisons: Comparisons, *, discrete: bool = False) -> None:
     """Write comparisons for `PreferenceDataset.load`, without skips.
 
     The observation after the last action is unknown; the last observation is repeated in its place. Unknown rewards
     are written as 0.
 
+    Args:
+        discrete: actions are one-hot, to be written as indices (T, N).
+
     Raises:
         AlreadyExists: if the file exists.
+        NotOneHot: if discrete actions are not one-hot. No file is left.
     """
     labelled = ~np.isnan(comparisons.labels)
     pairs = comparisons.pairs[labelled]
@@ -78,7 +82,7 @@ def write_imitation(path: Path | str, comparisons: Comparisons) -> None:
     def fragments(side: int) -> Iterator[Record]:
         for segment in pairs[:, side].tolist():
             (episode,) = episodes_of(comparisons.records.take([segment]))
-            yield _fragment(episode)
+            yield _fragment(episode, discrete)
 
     dataset = {
         "fragments1": fragments(0),
@@ -89,11 +93,11 @@ def write_imitation(path: Path | str, comparisons: Comparisons) -> None:
     write_pickle(Path(path), Record(_DATASET, dataset))
 
 
-def _fragment(episode: Episode) -> Record:
+def _fragment(episode: Episode, discrete: bool) -> Record:
     rewards = np.zeros(len(episode)) if episode.rewards is None else episode.rewards
     fields = {
         "obs": episode.observations[episode.steps_with_last_twice],
-        "acts": episode.actions,
+        "acts": episode.action_indices() if discrete else episode.actions,
         "infos": None,
         "terminal": False,
     }
@@ -188,41 +192,49 @@ def read_imitation_trajectories(
                 yield _trajectory(file, batch, index, n_actions)
 
 
-def write_imitation_trajectories(path: Path | str, episodes: Iterable[Episode]) -> None:
+def write_imitation_trajectories(path: Path | str, episodes: Iterable[Episode], *, discrete: bool = False) -> None:
     """Write episodes for `imitation.data.serialize.load`, one in memory at a time.
 
     The observation after the last action is unknown; the last observation is repeated in its place.
 
+    Args:
+        discrete: actions are one-hot, to be written as indices (T, N).
+
     Raises:
         AlreadyExists: if `path` exists.
         ShapeError: if there is no episode, or only some episodes have rewards. Nothing is left.
+        NotOneHot: if discrete actions are not one-hot. Nothing is left.
     """
     folder = Path(path)
     if folder.exists():
         raise AlreadyExists(folder)
     folder.mkdir(parents=True)
     try:
-        _write_trajectories(folder, episodes)
+        _write_trajectories(folder, episodes, discrete)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
 
 
-def _write_trajectories(folder: Path, episodes: Iterable[Episode]) -> None:
+def _write_trajectories(folder: Path, episodes: Iterable[Episode], discrete: bool) -> None:
     parts = iter(episodes)
     first = next(parts, None)
     if first is None:
         raise ShapeError("episodes", (0,), "at least one")
-    columns = {"obs": 3, "acts": 3, "infos": 0, "terminal": 0} | ({} if first.rewards is None else {"rews": 1})
+    columns = {"obs": 3, "acts": 2 if discrete else 3, "infos": 0, "terminal": 0} | (
+        {} if first.rewards is None else {"rews": 1}
+    )
     types = {"infos": pa.list_(pa.string()), "terminal": pa.bool_(), "rews": pa.list_(pa.float64())}
+    if discrete:
+        types["acts"] = _nested(pa.int64(), 2)
     schema = pa.schema([(name, types.get(name) or _nested(pa.float32(), dims)) for name, dims in columns.items()])
     name = "data-00000-of-00001.arrow"
     with pa.OSFile(str(folder / name), "wb") as file, pa.ipc.new_stream(file, schema) as stream:
-        stream.write_batch(_row(first, schema))
+        stream.write_batch(_row(first, schema, discrete))
         for episode in parts:
             if (episode.rewards is None) != (first.rewards is None):
                 raise ShapeError("rewards", (), "an array in every episode or in none")
-            stream.write_batch(_row(episode, schema))
+            stream.write_batch(_row(episode, schema, discrete))
     state = {
         "_data_files": [{"filename": name}],
         "_fingerprint": secrets.token_hex(8),
@@ -232,14 +244,14 @@ def _write_trajectories(folder: Path, episodes: Iterable[Episode]) -> None:
         "_output_all_columns": False,
         "_split": None,
     }
-    atomic_write(folder / _INFO, json.dumps({"features": _features(columns)}).encode())
+    atomic_write(folder / _INFO, json.dumps({"features": _features(columns, discrete)}).encode())
     atomic_write(folder / _STATE, json.dumps(state).encode())
 
 
-def _row(episode: Episode, schema: pa.Schema) -> pa.RecordBatch:
+def _row(episode: Episode, schema: pa.Schema, discrete: bool) -> pa.RecordBatch:
     cells: dict[str, Any] = {
         "obs": episode.observations[episode.steps_with_last_twice].tolist(),
-        "acts": episode.actions.tolist(),
+        "acts": (episode.action_indices() if discrete else episode.actions).tolist(),
         "infos": ["{}"] * len(episode),
         "terminal": False,
         "rews": None if episode.rewards is None else episode.rewards.tolist(),
@@ -253,7 +265,7 @@ def _nested(element: pa.DataType, n_dims: int) -> pa.DataType:
     return element
 
 
-def _features(columns: dict[str, int]) -> dict[str, Any]:
+def _features(columns: dict[str, int], discrete: bool) -> dict[str, Any]:
     """HuggingFace's JSON description of the columns."""
 
     def nested(dtype: str, n_dims: int) -> dict[str, Any]:
@@ -263,6 +275,8 @@ def _features(columns: dict[str, int]) -> dict[str, Any]:
         return feature
 
     types = {"infos": ("string", 1), "terminal": ("bool", 0), "rews": ("float64", 1)}
+    if discrete:
+        types["acts"] = ("int64", 2)
     return {name: nested(*types.get(name, ("float32", n_dims))) for name, n_dims in columns.items()}
 
 

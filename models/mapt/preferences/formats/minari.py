@@ -61,7 +61,7 @@ def read_minari(path: Path | str, *, n_actions: int | None = None, max_bytes: in
             yield _episode(file, group, n_actions)
 
 
-def write_minari(path: Path | str, episodes: Iterable[Episode], *, dataset_id: str) -> None:
+def write_minari(path: Path | str, episodes: Iterable[Episode], *, dataset_id: str, discrete: bool = False) -> None:
     """Write episodes as a dataset that Minari loads, one in memory at a time, with agents agent_0, agent_1, ...
 
     The observation after the last action is unknown; the last observation is repeated in its place.
@@ -70,10 +70,12 @@ def write_minari(path: Path | str, episodes: Iterable[Episode], *, dataset_id: s
         path: the folder of the dataset. `minari.MinariDataset(path / "data")` opens it; so does `minari.load_dataset`
             if it is at `dataset_id` in Minari's folder.
         dataset_id: Minari's identifier, for example "half-cheetah-6x1/replay-v0".
+        discrete: actions are one-hot, to be written as indices of a Discrete space for each agent.
 
     Raises:
         AlreadyExists: if `path` exists.
         ShapeError: if there is no episode, or an episode differs from the first in dimensions. Nothing is left.
+        NotOneHot: if discrete actions are not one-hot. Nothing is left.
     """
     path = Path(path)
     if path.exists():
@@ -81,14 +83,14 @@ def write_minari(path: Path | str, episodes: Iterable[Episode], *, dataset_id: s
     data = path / "data"
     data.mkdir(parents=True)
     try:
-        metadata = _write_episodes(data / _MAIN, episodes)
+        metadata = _write_episodes(data / _MAIN, episodes, discrete)
         atomic_write(data / _METADATA, json.dumps(metadata | {"dataset_id": dataset_id}).encode())
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)
         raise
 
 
-def _write_episodes(path: Path, episodes: Iterable[Episode]) -> dict[str, Any]:
+def _write_episodes(path: Path, episodes: Iterable[Episode], discrete: bool) -> dict[str, Any]:
     shape: tuple[int, ...] | None = None
     n_episodes = n_steps = 0
     with h5py.File(path, "w", track_order=True) as file:
@@ -97,7 +99,7 @@ def _write_episodes(path: Path, episodes: Iterable[Episode]) -> dict[str, Any]:
             shape = shape or found
             if found != shape:
                 raise ShapeError("observations", found, f"agents and dimensions as in the first episode, {shape}")
-            _write_episode(file.create_group(f"episode_{n_episodes}"), n_episodes, episode)
+            _write_episode(file.create_group(f"episode_{n_episodes}"), n_episodes, episode, discrete)
             n_episodes, n_steps = n_episodes + 1, n_steps + len(episode)
     if shape is None:
         raise ShapeError("episodes", (0,), "at least one")
@@ -106,18 +108,19 @@ def _write_episodes(path: Path, episodes: Iterable[Episode]) -> dict[str, Any]:
         "total_episodes": n_episodes,
         "total_steps": n_steps,
         "data_format": "hdf5",
-        "observation_space": json.dumps(_space(n_agents, observation_dim)),
-        "action_space": json.dumps(_space(n_agents, action_dim)),
+        "observation_space": json.dumps(_space(n_agents, _box(observation_dim))),
+        "action_space": json.dumps(_space(n_agents, _discrete(action_dim) if discrete else _box(action_dim))),
         "minari_version": _VERSION,
     }
 
 
-def _write_episode(group: h5py.Group, index: int, episode: Episode) -> None:
+def _write_episode(group: h5py.Group, index: int, episode: Episode, discrete: bool) -> None:
     group.attrs["id"], group.attrs["total_steps"] = index, len(episode)
     states = episode.steps_with_last_twice
+    actions = episode.action_indices() if discrete else episode.actions
     for agent in range(episode.observations.shape[1]):
         group[f"observations/agent_{agent}"] = episode.observations[states, agent]
-        group[f"actions/agent_{agent}"] = episode.actions[:, agent]
+        group[f"actions/agent_{agent}"] = actions[:, agent]
     group["rewards"] = np.zeros(len(episode)) if episode.rewards is None else episode.rewards
     group["terminations"] = np.zeros(len(episode), dtype=np.bool_)
     group["truncations"] = np.arange(len(episode)) == len(episode) - 1
@@ -127,11 +130,20 @@ def _write_episode(group: h5py.Group, index: int, episode: Episode) -> None:
             group[f"infos/{name}"] = values[states]
 
 
-def _space(n_agents: int, size: int) -> dict[str, Any]:
-    """Minari's JSON of a Dict space with one unbounded Box per agent."""
+def _space(n_agents: int, of_agent: dict[str, Any]) -> dict[str, Any]:
+    """Minari's JSON of a Dict space with the same space for each agent."""
+    return {"type": "Dict", "subspaces": {f"agent_{agent}": of_agent for agent in range(n_agents)}}
+
+
+def _box(size: int) -> dict[str, Any]:
+    """Minari's JSON of an unbounded Box."""
     bounds = {"low": [-np.inf] * size, "high": [np.inf] * size}
-    box = {"type": "Box", "dtype": "float32", "shape": [size], **bounds}
-    return {"type": "Dict", "subspaces": {f"agent_{agent}": box for agent in range(n_agents)}}
+    return {"type": "Box", "dtype": "float32", "shape": [size], **bounds}
+
+
+def _discrete(n: int) -> dict[str, Any]:
+    """Minari's JSON of a Discrete space."""
+    return {"type": "Discrete", "dtype": "int64", "start": 0, "n": n}
 
 
 def _n_episodes(folder: Path) -> int:
@@ -184,7 +196,8 @@ def _first(path: Path, where: str, values: Any, rewards: Any) -> Any:
 def _actions(file: Hdf5File, key: str, n_actions: int | None) -> FloatArray:
     if n_actions is None:
         return finite_floats(file.path, key, file.array(key, 2)[()], 2)
-    return numbered_actions(file.path, key, file.array(key, 1)[()][:, None], n_actions)[:, 0]
+    actions = file.array(key, 1 if file.n_dims(key) == 1 else 2)[()]
+    return numbered_actions(file.path, key, actions[:, None], n_actions)[:, 0]
 
 
 def _agents(file: Hdf5File, group: str) -> list[str]:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapt.errors import InvalidFile, ShapeError
 from mapt.preferences.dataset import FloatArray, IntArray, PreferenceDataset, SegmentArrays, SegmentSource, pad
+from mapt.preferences.segments import action_indices
 from mapt.preferences.storage import SegmentFolder, SegmentWriter
 from mapt.preferences.storage_layout import SegmentLayout
 
@@ -216,6 +217,10 @@ class Episode:
     def extras(self) -> dict[str, NDArray[np.float64]]:
         """The known arrays among rewards, qpos and qvel, by name."""
         return _known(self.rewards, self.qpos, self.qvel)
+
+    def action_indices(self) -> NDArray[np.int64]:
+        """The index of each one-hot action, (L, N). Raises NotOneHot."""
+        return action_indices(SegmentArrays.stack([self.observations], [self.actions]))[0]
 
     @property
     def steps_with_last_twice(self) -> IntArray:

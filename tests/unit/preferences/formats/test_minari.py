@@ -128,6 +128,16 @@ def test_minari_loads_what_is_written(tmp_path, monkeypatch):
         assert found.truncations.tolist() == [False] * (len(episode) - 1) + [True]
 
 
+def test_minari_loads_discrete_actions_that_are_written(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    episodes = made_episodes([4, 2], n_agents=2, action_dim=5, discrete=True)
+    write_minari(tmp_path / "test" / "replay-v0", episodes, dataset_id="test/replay-v0", discrete=True)
+    dataset = minari.load_dataset("test/replay-v0")
+    assert dataset.action_space == of_agents(gymnasium.spaces.Discrete(5), ("agent_0", "agent_1"))
+    for found, episode in zip(dataset, episodes, strict=True):
+        np.testing.assert_array_equal(found.actions["agent_1"], episode.actions[:, 1].argmax(axis=-1))
+
+
 def test_episodes_of_different_dimensions_leave_nothing(tmp_path):
     for episodes in ([], [*made_episodes([2]), *made_episodes([2], n_agents=2)]):
         with pytest.raises(ShapeError):
