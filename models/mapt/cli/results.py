@@ -1,5 +1,6 @@
 """The subcommands `mapt evaluate` and `mapt curves`."""
 
+import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +15,7 @@ from mapt.preferences.teachers import make_teacher
 from mapt.settings import NamedSettings
 from mapt.training.curves import draw_curves
 from mapt.training.evaluation import EPISODES, evaluate_policy
-from mapt.training.results import RunResult, find_runs, grouped, markdown, returns_table
+from mapt.training.results import RunResult, find_runs, grouped, markdown, marl_eval_data, returns_table
 from mapt.training.run_folder import SavedPolicy, load_policy
 from mapt.training.teacher_scores import score_policy
 from mapt.training.video import record_video
@@ -79,6 +80,10 @@ def curves(
     *,
     output: Annotated[Path, typer.Option(help="Image to write: png, pdf or svg.")],
     table: Annotated[Path | None, typer.Option(help="Markdown table to write as well.")] = None,
+    marl_eval: Annotated[
+        Path | None,
+        typer.Option("--marl-eval", help="JSON file of all evaluations to write as well, for the tool marl-eval."),
+    ] = None,
     milestones: Annotated[
         str | None,
         typer.Option(
@@ -102,6 +107,10 @@ def curves(
         table.parent.mkdir(parents=True, exist_ok=True)
         atomic_write(table, markdown(groups, steps).encode())
         written.append(table)
+    if marl_eval is not None:
+        marl_eval.parent.mkdir(parents=True, exist_ok=True)
+        atomic_write(marl_eval, json.dumps(marl_eval_data(groups), indent=1).encode())
+        written.append(marl_eval)
     if as_json:
         print_json(returns_table(groups, steps))
     else:

@@ -17,6 +17,8 @@ from mapt.training.teacher_scores import TeacherScores, preference_rate, read_te
 _PER_RUN = frozenset({"policy.seed", "policy.device", "policy.n_threads", "steps", "evaluate_every_steps"})
 #: Parts of an iteration that are timed.
 PARTS = ("physics", "inference", "reward", "update")
+#: names in files for marl-eval
+MARL_EVAL_ENVIRONMENT, MARL_EVAL_METRIC = "Accord", "mean_return"
 _NONE = "-"
 
 
@@ -241,6 +243,31 @@ def _scores_by_seed(group: Group, teacher: str) -> dict[int, TeacherScores]:
     return {
         run.settings.policy.seed: run.teacher_scores[teacher] for run in group.runs if teacher in run.teacher_scores
     }
+
+
+def marl_eval_data(groups: Sequence[Group]) -> dict[str, object]:
+    """Evaluations as marl-eval reads them: by environment, task, algorithm and run, ready for JSON.
+
+    Each evaluation is a step with the mean return of its episodes. The last one also stands for the absolute metric,
+    since no policy but the final one is evaluated again. Runs without an evaluation are left out. marl-eval needs as
+    many evaluations of every run (`mapt train --evaluate-every`).
+    """
+    tasks: dict[str, dict[str, object]] = {}
+    for group in groups:
+        runs = {
+            f"seed_{run.settings.policy.seed}": {
+                **{
+                    f"step_{number}": {"step_count": found.steps, MARL_EVAL_METRIC: [found.mean]}
+                    for number, found in enumerate(run.evaluations)
+                },
+                "absolute_metrics": {MARL_EVAL_METRIC: [run.evaluations[-1].mean]},
+            }
+            for run in group.runs
+            if run.evaluations
+        }
+        if runs:
+            tasks.setdefault(group.task, {})[group.label] = runs
+    return {MARL_EVAL_ENVIRONMENT: tasks}
 
 
 def markdown(groups: Sequence[Group], milestones: Sequence[int] = ()) -> str:

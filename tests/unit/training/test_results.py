@@ -13,7 +13,7 @@ from mapt.plotting import bin_curves
 from mapt.training.curves import draw_curves
 from mapt.training.evaluation import Evaluation, interquartile_mean
 from mapt.training.metrics import MetricsFile
-from mapt.training.results import RunResult, find_runs, grouped, markdown
+from mapt.training.results import RunResult, find_runs, grouped, markdown, marl_eval_data
 from mapt.training.run_folder import RunFolder
 from mapt.training.settings import LearnedRewardSettings, PreferenceRewardSettings, RunSettings
 from mapt.training.teacher_scores import TeacherScores, write_teacher_scores
@@ -119,6 +119,24 @@ def test_the_table_shows_intermediate_steps_and_unfinished_runs(settings, tmp_pa
     assert f"| {second:,} | 1 | 8 | - | 8 | 0: 8 |" in text
     assert f"| {1000 * second:,} | 0 | - | - | - | - |" in text
     assert f"seed 1: {first} of {second} steps" in text
+
+
+def test_marl_eval_gets_every_evaluation(settings, tmp_path):
+    done = write_run(tmp_path / "0", settings(2), [1.0, 2.0], final=[8.0, 10.0])
+    short = write_run(tmp_path / "1", settings(2, policy_seed=1), [1.0], evaluation_mean=7.0, evaluation_iqm=7.0)
+    never = write_run(tmp_path / "2", settings(2, policy_seed=2), [1.0])
+    groups = grouped(read(done, short, never))
+    runs = {
+        "seed_0": {
+            "step_0": {"step_count": 2 * STEPS_PER_ITERATION, "mean_return": [9.0]},
+            "absolute_metrics": {"mean_return": [9.0]},
+        },
+        "seed_1": {
+            "step_0": {"step_count": STEPS_PER_ITERATION, "mean_return": [7.0]},
+            "absolute_metrics": {"mean_return": [7.0]},
+        },
+    }
+    assert marl_eval_data(groups) == {"Accord": {groups[0].task: {"mappo, true reward": runs}}}
 
 
 def test_the_table_and_the_figure_show_scores_by_teachers(settings, tmp_path):
