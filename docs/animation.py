@@ -1,8 +1,9 @@
-"""Joins videos side by side as a GIF, such as that of README.md: an untrained policy beside one taught by 500 labels.
+"""Joins videos side by side as an animation, such as that of README.md, of an untrained policy, one of the true reward,
+and one taught by 500 labels.
 
-mapt train --steps 1 --output untrained
-accord demo --labels 500 --models MAPT --seeds 0 --steps 400000 --no-baseline --video --output taught
-python docs/animation.py untrained/seed-0/final.mp4 taught/runs/*/final.mp4 --output docs/images/taught.gif
+mapt train --task Porters-2x8 --steps 1 --output untrained
+accord demo --task Porters-2x8 --teacher carry --steps 500000 --set learning_rate=5e-4 --video --output taught
+python docs/animation.py untrained/seed-0/final.mp4 taught/runs/*-true-reward/final.mp4 taught/runs/*-MAPT-*/final.mp4
 """
 
 import argparse
@@ -16,16 +17,16 @@ import numpy as np
 from av.video.reformatter import Interpolation
 from numpy.typing import NDArray
 
-#: every second frame of a video of 20 per second, as fast as browsers play GIFs
-EVERY, DURATION_MS = 2, 100
+#: of a frame
+DURATION_MS = 50
 SIZE = (320, 240)
 
 
 def frames(video: Path, start: int, count: int) -> Iterator[NDArray[np.uint8]]:
-    """`count` frames from `start` on, of which every `EVERY`th counts: uint8 (H, W, 3)."""
+    """`count` frames from `start` on: uint8 (H, W, 3)."""
     width, height = SIZE
     with av.open(str(video)) as container:
-        for frame in islice(container.decode(video=0), start, start + EVERY * count, EVERY):
+        for frame in islice(container.decode(video=0), start, start + count):
             picture = frame.to_ndarray(format="rgb24", width=width, height=height, interpolation=Interpolation.AREA)
             yield picture.astype(np.uint8, copy=False)
 
@@ -33,13 +34,13 @@ def frames(video: Path, start: int, count: int) -> Iterator[NDArray[np.uint8]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("videos", type=Path, nargs="+", help="from left to right")
-    parser.add_argument("--output", type=Path, required=True, help="the GIF")
-    parser.add_argument("--start", type=int, default=100, help="first frame of each video")
-    parser.add_argument("--frames", type=int, default=40, help="frames of the GIF")
+    parser.add_argument("--output", type=Path, default=Path("docs/images/porters.webp"), help="a .webp file")
+    parser.add_argument("--start", type=int, default=40, help="first frame of each video")
+    parser.add_argument("--frames", type=int, default=80, help="frames of the animation")
     options = parser.parse_args()
     each = (frames(video, options.start, options.frames) for video in options.videos)
     joined = [np.concatenate(together, axis=1) for together in zip(*each, strict=True)]
-    iio.imwrite(options.output, joined, extension=".gif", duration=DURATION_MS, loop=0)
+    iio.imwrite(options.output, joined, duration=DURATION_MS, loop=0)
 
 
 if __name__ == "__main__":
