@@ -2,7 +2,7 @@
 
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -13,40 +13,53 @@ from accord.store.database import Database
 from accord.store.migrate import migrate
 from mapt.cli.options import Json
 from mapt.cli.output import ProgressBars, print_json, print_line
-from mapt.preferences.formats.tables import PreferenceTables
 
 
 def import_experiment(
-    folder: Annotated[Path, typer.Argument(help="Folder that `accord export` wrote.")],
+    file: Annotated[Path, typer.Argument(help="Folder that `accord export` wrote, or a file of another program.")],
     *,
     name: Annotated[str, typer.Option(help="Name of the new experiment.")],
+    format: Annotated[
+        Literal["tables", "mapt", "imitation", "offline", "minari", "d4rl"],
+        typer.Option(help="Format of the file: see docs/reference.md. tables: `accord export`."),
+    ] = "tables",
+    task: Annotated[
+        str | None,
+        typer.Option(help="Task that the segments come from, for every format but exports of Accord."),
+    ] = None,
+    segment_steps: Annotated[
+        int,
+        typer.Option(min=2, help="Steps of a segment, for formats without segments: minari, d4rl, offline."),
+    ] = importing.DEFAULT_SEGMENT_STEPS,
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Import an exported experiment.
+    """Import an exported experiment, or segments and labels of another program.
 
-    Creates a paused experiment with the settings, the segments and the labels of the export. Resume it on its page: a
-    new policy then trains on the labels, without anyone giving them again. The service may keep running.
+    Creates a paused experiment with the segments and the labels. Resume it on its page: a new policy then trains on
+    the labels, and further pairs are labelled. Episodes without labels become pairs to label. The service may keep
+    running.
     """
     settings = load_settings(home)
-    tables = PreferenceTables.open(folder)
+    source = importing.open_source(file, format, task, segment_steps)
     with closing(Database.open(settings.resolved_database_url)) as database:
         migrate(database)
         # before the arrays are stored, which takes a while and which no row would refer to
         with database.reading() as session:
             experiments.require_unused_name(session, name)
         with ProgressBars(hidden=as_json) as bars:
-            bars.add("segments", "segments", tables.n_segments)
+            bars.add("segments", "segments", source.n_segments)
             storing = importing.storing(
                 open_blobs(settings.resolved_blob_url),
-                tables,
-                lambda count: bars.update("segments", count, f"{count}/{tables.n_segments}"),
+                source,
+                lambda count: bars.update("segments", count, f"{count}/{source.n_segments}"),
+                task=task,
             )
             with storing as found, database.transaction() as session:
                 importing.create(session, accounts.ensure_admin(session).id, name, found)
     counts = {
         "segments": len(found.segments),
-        "queries": len(found.queries),
+        "queries": len(found.queries) + len(found.unlabelled),
         "labels": sum(label.state == "label" for label in found.labels),
     }
     if as_json:

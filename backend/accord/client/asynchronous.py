@@ -263,10 +263,18 @@ class AsyncClient:
         """Write the segments, queries and labels of an experiment as a ZIP file of Parquet tables."""
         await self._download(f"/experiments/{experiment_id}/export", Path(file))
 
-    async def import_experiment(self, file: str | Path, name: str) -> Experiment:
-        """Create a paused experiment with the settings, segments and labels of a ZIP file of `export`."""
+    async def import_experiment(
+        self, file: str | Path, name: str, format: str = "tables", **query: str | int
+    ) -> Experiment:
+        """Create a paused experiment from a ZIP file of `export`, or from a file of another program.
+
+        Args:
+            format: of the file; see docs/reference.md.
+            query: `task` and `segment_steps`, for files of other programs.
+        """
         headers = {"Idempotency-Key": secrets.token_hex(16)}
-        request = {"params": {"name": name}, "headers": headers, "timeout": _LONG_TIMEOUT_SECONDS, "file": Path(file)}
+        params = {"name": name, "format": format, **query}
+        request = {"params": params, "headers": headers, "timeout": _LONG_TIMEOUT_SECONDS, "file": Path(file)}
         return _parse(Experiment, await self._http.request("POST", "/experiments/import", **request))
 
     async def _label(self, query: Query, judge: Judge, name: str) -> BatchLabel:

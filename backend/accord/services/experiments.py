@@ -22,7 +22,7 @@ from accord.services.validation import check_line, check_lines
 from accord.store import attempts, experiments
 from accord.store.tables import ExperimentRow, InstructionRevisionRow, RewardVersionRow, utc_now
 from mapt.errors import UnknownTask as UnknownMaptTask
-from mapt.tasks import task_names, task_spec
+from mapt.tasks import TaskSpec, task_names, task_spec
 
 OVER = frozenset({ExperimentStatus.CANCELLED, ExperimentStatus.FINISHED, ExperimentStatus.FAILED})
 #: characters of the instructions
@@ -80,10 +80,7 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
         Invalid: if a text is empty, too long, or contains characters that are not printable.
     """
     line = require_unused_name(session, name)
-    try:
-        spec = task_spec(config.task)
-    except UnknownMaptTask as error:
-        raise UnknownTask(config.task, task_names()) from error
+    spec = spec_of(config.task)
     if config.segment_steps > spec.horizon_steps:
         raise InvalidExperiment(
             f"segment_steps is {config.segment_steps}; it must be at most {spec.horizon_steps}, the length of an "
@@ -105,6 +102,14 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
     session.add(InstructionRevisionRow(experiment_id=row.id, number=1, text=shown))
     session.flush()
     return row
+
+
+def spec_of(task: str) -> TaskSpec:
+    """Raises UnknownTask if no task has this name."""
+    try:
+        return task_spec(task)
+    except UnknownMaptTask as error:
+        raise UnknownTask(task, task_names()) from error
 
 
 def created_by(session: Session, owner_id: str, creation_key: str | None, name: str) -> ExperimentRow | None:

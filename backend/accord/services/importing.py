@@ -1,10 +1,12 @@
-"""Import of an export: a new experiment begins with the labels of another one, so that nobody gives them again."""
+"""Import of an export, or of another program's segments and labels, as a new experiment."""
 
+import math
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from typing import Any, cast
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, cast
 
 import numpy as np
 from sqlalchemy.orm import Session
@@ -13,24 +15,33 @@ from accord.domain.enums import ExperimentStatus, QueryStatus, Role
 from accord.domain.errors import Invalid
 from accord.domain.ids import new_id
 from accord.domain.label_values import LABEL_VALUES
-from accord.services import accounts, experiments
+from accord.services import accounts, experiments, select
 from accord.services.collect import NewSegment, StoredSegment, collect, store_arrays
 from accord.services.exclusion import recount
 from accord.services.experiment_config import ExperimentConfig, read_config
 from accord.store.blobs import BlobStore
 from accord.store.tables import ClipRow, LabelRevisionRow, LabelRow, QueryRow, utc_now
+from mapt.errors import PreferenceError
 from mapt.preferences.formats import tables as exported
-from mapt.preferences.formats.records import SegmentRecords
+from mapt.preferences.formats.arrays import MAX_BYTES
+from mapt.preferences.formats.reading import ForeignFormat, read_comparisons
+from mapt.preferences.formats.records import Comparisons, SegmentRecords
 from mapt.preferences.formats.tables import PreferenceTables
-from mapt.tasks import task_spec
+from mapt.preferences.selection import UniformSelector
+from mapt.preferences.storage_layout import SegmentLayout
+from mapt.tasks import TaskSpec, task_spec
 
 #: Iteration and steps of the policy that produced imported segments: they are older than all of the new experiment's.
 BEFORE_THE_RUN = -1
+#: tables: an export of Accord. See `ForeignFormat` for the others.
+ImportFormat = Literal["tables"] | ForeignFormat
+#: Steps of the segments that episodes are cut into, unless the caller says otherwise.
+DEFAULT_SEGMENT_STEPS = 50
 
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """The content of an export."""
+    """The content of an export or of another program's file."""
 
     experiment_id: str
     config: ExperimentConfig
@@ -40,11 +51,119 @@ class Imported:
     segments: dict[str, StoredSegment]
     queries: list[exported.QueryRow]
     labels: list[exported.LabelRow]
+    #: pairs of segment ids of the file that are to be labelled
+    unlabelled: list[tuple[str, str]] = field(default_factory=list[tuple[str, str]])
+
+
+@dataclass(frozen=True, slots=True)
+class Foreign:
+    """Another program's segments and labels, in memory, and the settings of an experiment that can hold them."""
+
+    config: ExperimentConfig
+    comparisons: Comparisons
+
+    @property
+    def n_segments(self) -> int:
+        return len(self.comparisons.records)
+
+    def segments(self) -> Iterator[tuple[list[exported.SegmentRow], SegmentRecords]]:
+        """All segments at once, as `PreferenceTables.segments`."""
+        yield [exported.SegmentRow(str(index)) for index in range(self.n_segments)], self.comparisons.records
+
+
+def open_source(
+    path: Path, format: ImportFormat, task: str | None, segment_steps: int, max_bytes: int = MAX_BYTES
+) -> PreferenceTables | Foreign:
+    """Opens a file to import. Arguments and errors are those of `read_foreign`, errors also of `PreferenceTables.open`.
+
+    Raises:
+        Invalid: if the format needs a task and none is given, or the file does not follow the format.
+    """
+    try:
+        if format == "tables":
+            return PreferenceTables.open(path)
+        if task is None:
+            raise Invalid(f"A file of the format {format!r} does not say where it comes from. Name its task.", "task")
+        return read_foreign(path, format, task, segment_steps, max_bytes)
+    except PreferenceError as error:
+        # Whoever sent a file knows neither this server's folders nor that another format was meant.
+        message = str(error).replace(f"{path}/", "").replace(str(path), "The file")
+        raise Invalid(f"{message} It was read with the format {format!r}; check that it has this format.") from error
+
+
+def read_foreign(
+    path: Path, format: ForeignFormat, task: str, segment_steps: int = DEFAULT_SEGMENT_STEPS, max_bytes: int = MAX_BYTES
+) -> Foreign:
+    """Reads a file of another program.
+
+    Args:
+        path: see `read_comparisons`.
+        task: the task that its segments come from.
+        segment_steps: of the segments of files that do not contain them.
+        max_bytes: limit on what the file declares.
+
+    Raises:
+        UnknownTask: if no task has this name.
+        PreferenceError: if the file does not follow the format.
+        Invalid: if its segments do not fit the task, or it holds a label that no answer scale has.
+        InvalidExperiment: if segments have an impossible length.
+    """
+    spec = experiments.spec_of(task)
+    read_config({"task": task, "segment_steps": segment_steps})
+    n_actions = spec.action_dim if spec.discrete_actions else None
+    found = read_comparisons(path, format, segment_steps, n_actions=n_actions, max_bytes=max_bytes)
+    config = _config_for(spec, found.records.layout(), found.labels.tolist())
+    return Foreign(config, found)
+
+
+def _config_for(spec: TaskSpec, layout: SegmentLayout, labels: list[float]) -> ExperimentConfig:
+    """Settings of an experiment that can hold segments and labels which come without settings.
+
+    Raises:
+        Invalid: if they do not fit the task, or a label is on no answer scale.
+        InvalidExperiment: if segments have an impossible length.
+    """
+    found = (layout.n_agents, layout.observation_dim, layout.action_dim)
+    wanted = (spec.n_agents, spec.observation_dim, spec.action_dim)
+    if found != wanted:
+        raise Invalid(
+            f"The numbers of agents, observations and actions in the file are {found}, those of {spec.name} {wanted}. "
+            "Choose the task that the file was recorded in, or add it with a task file of your own.",
+            "task",
+        )
+    states = (layout.qpos_dim, layout.qvel_dim)
+    has_states = states != (0, 0) and spec.nq > 0
+    if has_states and states != (spec.nq, spec.nv):
+        raise Invalid(
+            f"The simulator states in the file have {states[0]} positions and {states[1]} velocities, those of "
+            f"{spec.name} {spec.nq} and {spec.nv}. Choose the task that the file was recorded in.",
+            "task",
+        )
+    scale = next((name for name, known in LABEL_VALUES.items() if set(labels) <= set(known)), None)
+    if scale is None:
+        unknown = min(set(labels) - set(LABEL_VALUES["five"]))
+        raise Invalid(
+            f"The file holds a label of {unknown:g}. Accord stores 1, 0.75, 0.5, 0.25 and 0: round the labels first."
+        )
+    return read_config(
+        {
+            "task": spec.name,
+            "segment_steps": layout.n_steps,
+            # as many as in a new experiment, beside those of the file
+            "label_budget": len(labels) + ExperimentConfig(spec.name).label_budget,
+            "answer_scale": scale,
+            "render_clips": has_states,
+        }
+    )
 
 
 @contextmanager
 def storing(
-    blobs: BlobStore, tables: PreferenceTables, on_segments: Callable[[int], None] = lambda _count: None
+    blobs: BlobStore,
+    source: PreferenceTables | Foreign,
+    on_segments: Callable[[int], None] = lambda _count: None,
+    *,
+    task: str | None = None,
 ) -> Generator[Imported]:
     """Checks an export and stores its arrays, for a transaction in the block that calls `create`.
 
@@ -52,6 +171,7 @@ def storing(
 
     Args:
         on_segments: called with the number of segments stored so far.
+        task: of tables without the settings of an experiment, as `mapt` writes them.
 
     Raises:
         Invalid: if it is not the export of an experiment, is incomplete, or has no labels.
@@ -59,9 +179,9 @@ def storing(
         PreferenceError: if a table is damaged.
         BlobsNotWritable: if the blobs are read-only or full.
     """
-    found = _checked(tables)
+    found = _of_foreign(source) if isinstance(source, Foreign) else _checked(source, task)
     try:
-        for rows, records in tables.segments():
+        for rows, records in source.segments():
             for row, segment in zip(rows, _segments(records), strict=True):
                 stored = store_arrays(blobs, found.experiment_id, segment)
                 found.segments[row.segment_id] = replace(
@@ -75,14 +195,44 @@ def storing(
         raise
 
 
-def _checked(tables: PreferenceTables) -> Imported:
+def _of_foreign(foreign: Foreign) -> Imported:
+    """Labels of one unknown teacher; without labels, pairs for the first round, chosen uniformly."""
+    comparisons, config = foreign.comparisons, foreign.config
+    queries = [
+        exported.QueryRow(str(index), str(first), str(second))
+        for index, (first, second) in enumerate(comparisons.pairs.tolist())
+    ]
+    labels = [
+        exported.LabelRow(str(index), "imported", "label", value)
+        for index, value in enumerate(comparisons.labels.tolist())
+    ]
+    chosen: list[tuple[int, int]] = []
+    if not queries:
+        wanted = config.initial_labels + config.lookahead_queries
+        n_pairs = math.comb(foreign.n_segments, 2)
+        selector = UniformSelector(np.random.default_rng(config.seed))
+        chosen = selector.select(range(foreign.n_segments), [], min(wanted, n_pairs))
+    unlabelled = [(str(first), str(second)) for first, second in chosen]
+    return Imported(new_id("exp"), config, [""], {}, queries, labels, unlabelled)
+
+
+def _checked(tables: PreferenceTables, task: str | None) -> Imported:
     """The content of an export whose rows are complete, without its segments. Raises as `storing`."""
     about = tables.about
-    if not isinstance(about.get("config"), Mapping):
-        raise Invalid("The export does not hold an experiment of Accord: its metadata has no settings.")
-    # Settings of other versions: those that are missing take today's defaults, and all are validated.
-    config = read_config(ExperimentConfig.from_stored(about["config"]).to_dict())
     labels = sorted(tables.labels(), key=lambda label: (label.revision or 0, label.query_id))
+    if isinstance(about.get("config"), Mapping):
+        # Settings of other versions: those that are missing take today's defaults, and all are validated.
+        config = read_config(ExperimentConfig.from_stored(about["config"]).to_dict())
+    elif task is not None:
+        config = _config_for(
+            experiments.spec_of(task), tables.layout, [label.label for label in labels if label.label is not None]
+        )
+    else:
+        raise Invalid(
+            "The tables do not hold an experiment of Accord: their metadata has no settings. Name the task that they "
+            "come from.",
+            "task",
+        )
     labelled = {label.query_id for label in labels if label.state == "label"}
     every = tables.queries()
     unknown = {label.query_id for label in labels} - {query.query_id for query in every}
@@ -201,6 +351,8 @@ def create(  # noqa: PLR0917 (as `experiments.create`)
         session.add(LabelRevisionRow(label_id=label_row.id, **answer))
     row.label_revision = len(found.labels)
     session.flush()
+    pairs = [(found.segments[first].id, found.segments[second].id) for first, second in found.unlabelled]
+    select.add_queries(session, row, pairs, "uniform")
     recount(session, row.id)
 
 
@@ -217,8 +369,8 @@ def _instructions(about: Mapping[str, Any]) -> list[str]:
 
 def _segments(records: SegmentRecords) -> Iterator[NewSegment]:
     """Raises Invalid if there are no true rewards, which every experiment stores."""
-    if records.rewards is None:
-        raise Invalid("The segments of the export have no true rewards.")
+    # Other programs may not know true rewards. Teachers who judge by them find such segments equal.
+    rewards = np.zeros(records.segments.mask.shape) if records.rewards is None else records.rewards
     for index, length in enumerate(records.lengths):
         # A task without MuJoCo states has none.
         states = [
@@ -227,7 +379,7 @@ def _segments(records: SegmentRecords) -> Iterator[NewSegment]:
         yield NewSegment(
             observations=records.segments.observations[index, :length],
             actions=records.segments.actions[index, :length],
-            rewards=records.rewards[index, :length],
+            rewards=rewards[index, :length],
             qpos=states[0],
             qvel=states[1],
             policy_iteration=BEFORE_THE_RUN,

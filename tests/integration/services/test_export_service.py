@@ -13,8 +13,11 @@ from accord.domain.enums import Role
 from accord.domain.errors import BlobMissing, ExperimentNotFound, Invalid, Unavailable
 from accord.services import collect, export, label, lease, publish
 from accord.store.tables import UserRow
+from mapt.preferences.formats.d4rl import write_d4rl
 from mapt.preferences.formats.tables import PreferenceTables
 from mapt.provenance import provenance
+from mapt.tasks import task_spec
+from support.comparisons import made_episodes
 from support.sample_experiments import SampleExperiment, create_sample, user
 from support.stores import Stores, open_stores
 
@@ -215,6 +218,19 @@ def test_commands_export_from_a_home_folder_in_use_and_import_into_a_new_one(tmp
     assert again.returncode == 2
     assert "Choose another folder" in again.stderr
     assert "Traceback" not in again.stderr
+
+
+def test_command_imports_a_file_of_another_program(tmp_path: Path) -> None:
+    spec = task_spec("HalfCheetah-6x1")
+    made = made_episodes([6], n_agents=6, observation_dim=spec.observation_dim, action_dim=1, known=("rewards",))
+    write_d4rl(tmp_path / "steps.hdf5", made)
+    given = ("import", tmp_path / "steps.hdf5", "--name", "theirs", "--format", "d4rl", "--home", tmp_path / "home")
+    imported = command(*given, "--task", "HalfCheetah-6x1", "--segment-steps", 2, "--json")
+    assert json.loads(imported.stdout).items() >= {"segments": 3, "queries": 3, "labels": 0}.items()
+    refused = command(*given, "--task", "Walker2d-2x3", "--segment-steps", 2)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "those of Walker2d-2x3 (2, 14, 3)" in refused.stderr
+    assert "Traceback" not in refused.stderr
 
 
 def test_command_does_not_create_a_database(tmp_path: Path) -> None:

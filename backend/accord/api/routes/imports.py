@@ -1,8 +1,10 @@
-"""Uploads of exports: `accord import` from a browser."""
+"""Uploads of exports and of files of other programs: `accord import` over REST."""
 
 import shutil
 import tempfile
 import zipfile
+import zlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -16,42 +18,74 @@ from accord.domain.enums import AuditAction
 from accord.domain.errors import BodyTooLarge, Invalid
 from accord.domain.permissions import may_run_experiments, require
 from accord.services import audit, experiments, importing
+from accord.services.importing import ImportFormat
 from mapt.errors import PreferenceError
-from mapt.preferences.formats.tables import PreferenceTables
 
 router = APIRouter(tags=["experiments"])
 PATH = "/experiments/import"
 _TABLES = frozenset({"segments.parquet", "queries.parquet", "labels.parquet"})
+#: files in an archive; a dataset has a few
+_MAX_FILES = 1000
 
 
 @router.post(
     PATH,
     status_code=201,
-    openapi_extra={"requestBody": {"required": True, "content": {"application/zip": {}}}},
-    summary="Import an export",
+    openapi_extra={
+        "requestBody": {"required": True, "content": {"application/zip": {}, "application/octet-stream": {}}}
+    },
+    summary="Import segments and labels",
 )
-async def import_experiment(
+async def import_experiment(  # noqa: PLR0917 (FastAPI passes them by name)
     name: Annotated[str, Query(max_length=200, description="Name of the new experiment.")],
     request: Request,
     auth: AuthDep,
+    format: Annotated[
+        ImportFormat,
+        Query(
+            description="tables: the ZIP file of an export. mapt, imitation: their pickle of comparisons, or a ZIP "
+            "file of trajectories saved by imitation. d4rl: an HDF5 file. minari, offline: a ZIP file of the dataset's "
+            "folder; for offline, with the D4RL file and the three pickles."
+        ),
+    ] = "tables",
+    task: Annotated[
+        str | None, Query(max_length=100, description="The task that the segments come from; needed without settings.")
+    ] = None,
+    segment_steps: Annotated[
+        int,
+        Query(ge=2, le=10_000, description="Steps of a segment, for minari, d4rl, offline and saved trajectories."),
+    ] = importing.DEFAULT_SEGMENT_STEPS,
     idempotency_key: IdempotencyKey = None,
 ) -> schemas.Experiment:
-    """Creates a paused experiment with the settings, segments and labels of an export.
+    """Creates a paused experiment with the segments and labels of an export, or of another program's file.
 
-    Send the ZIP file that an export returns. If the import fails, nothing is left. For researchers and admins.
+    An export also has settings. Episodes without labels become pairs to label. If the import fails, nothing is left.
+    For researchers and admins.
     """
     created = await run_sync(_check, auth, name, idempotency_key)
     if created is not None:
         return created
     with tempfile.TemporaryDirectory(prefix="accord-import-") as folder:
-        archive = Path(folder) / "export.zip"
+        upload = Path(folder) / "upload"
         try:
-            with archive.open("wb") as file:
+            with upload.open("wb") as file:
                 async for chunk in request.stream():
                     await run_sync(file.write, chunk)
         except ClientDisconnect as error:
             raise Invalid("The upload was interrupted.") from error
-        return await run_sync(_import, auth, archive, name, idempotency_key)
+        wanted = _Wanted(name, format, task, segment_steps, idempotency_key)
+        return await run_sync(_import, auth, upload, wanted)
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """The parameters of a request."""
+
+    name: str
+    format: ImportFormat
+    task: str | None
+    segment_steps: int
+    key: str | None
 
 
 def _check(auth: Auth, name: str, key: str | None) -> schemas.Experiment | None:
@@ -65,42 +99,64 @@ def _check(auth: Auth, name: str, key: str | None) -> schemas.Experiment | None:
         return None
 
 
-def _import(auth: Auth, archive: Path, name: str, key: str | None) -> schemas.Experiment:
-    """Raises Invalid if the archive is not an export that can be imported."""
-    folder = archive.with_suffix("")
+def _import(auth: Auth, upload: Path, wanted: _Wanted) -> schemas.Experiment:
+    """Raises Invalid if the upload cannot be imported."""
     settings = auth.app.settings
-    _extract(archive, folder, settings.max_import_bytes)
+    folder = upload.with_name("content")
+    if wanted.format == "tables":
+        _extract(upload, folder, settings.max_import_bytes, _TABLES)
+        path = folder
+    elif zipfile.is_zipfile(upload):
+        _extract(upload, folder, settings.max_import_bytes)
+        path = _root(folder)
+    else:
+        path = upload
+    source = importing.open_source(path, wanted.format, wanted.task, wanted.segment_steps, settings.max_import_bytes)
     try:
-        tables = PreferenceTables.open(folder)
-        with importing.storing(auth.app.blobs, tables) as found, auth.writing() as caller:
+        with importing.storing(auth.app.blobs, source, task=wanted.task) as found, auth.writing() as caller:
             require(may_run_experiments(caller.role), caller.role, "import experiments")
-            importing.create(caller.session, caller.user.id, name, found, settings.max_training_bytes, key)
+            importing.create(
+                caller.session, caller.user.id, wanted.name, found, settings.max_training_bytes, wanted.key
+            )
             row = experiments.get(caller.session, found.experiment_id)
             audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_IMPORTED, row.id, name=row.name)
             return responses.experiment_response(caller.session, row, caller.role)
     except PreferenceError as error:
         # The person knows the name of the table, not this server's temporary folder.
-        raise Invalid(str(error).replace(f"{folder}/", "")) from error
+        raise Invalid(str(error).replace(f"{path}/", "")) from error
 
 
-def _extract(archive: Path, folder: Path, limit_bytes: int) -> None:
-    """Extracts the tables of an export, whatever folder of the archive they are in, and nothing else.
+def _root(folder: Path) -> Path:
+    """The folder or the only file in an extracted archive, below folders that hold nothing else."""
+    while folder.is_dir() and len(inside := list(folder.iterdir())) == 1:
+        folder = inside[0]
+    return folder
+
+
+def _extract(archive: Path, folder: Path, limit_bytes: int, names: frozenset[str] | None = None) -> None:
+    """Extracts an archive, or these files of it whatever folder they are in.
 
     Raises:
-        Invalid: if it is not a ZIP file with the three tables.
+        Invalid: if it is not a ZIP file with the files, or has a file outside of its folder.
         BodyTooLarge: if they are larger than an upload may be.
     """
     try:
         with zipfile.ZipFile(archive) as file:
-            found = {Path(info.filename).name: info for info in file.infolist() if not info.is_dir()}
-            missing = sorted(_TABLES - found.keys())
-            if missing:
-                raise Invalid(f"The file is not an export of Accord: it does not contain {missing[0]}.")
-            if sum(found[name].file_size for name in _TABLES) > limit_bytes:
+            infos = [info for info in file.infolist() if not info.is_dir()]
+            if names is None:
+                found = {info.filename: info for info in infos}
+            else:
+                found = {Path(info.filename).name: info for info in infos if Path(info.filename).name in names}
+                if missing := sorted(names - found.keys()):
+                    raise Invalid(f"The file is not an export of Accord: it does not contain {missing[0]}.")
+            if len(found) > _MAX_FILES or sum(info.file_size for info in found.values()) > limit_bytes:
                 raise BodyTooLarge(limit_bytes)
-            folder.mkdir()
-            for name in sorted(_TABLES):
-                with file.open(found[name]) as packed, (folder / name).open("wb") as table:
-                    shutil.copyfileobj(packed, table)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError) as error:
+            for name, info in sorted(found.items()):
+                target = folder / name
+                if not target.resolve().is_relative_to(folder.resolve()):
+                    raise Invalid(f"The ZIP file has a file outside of its folder: {name[:100]!r}.")
+                target.parent.mkdir(parents=True, exist_ok=True)
+                with file.open(info) as packed, target.open("wb") as output:
+                    shutil.copyfileobj(packed, output)
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, zlib.error, OSError) as error:
         raise Invalid(f"The file is not a complete ZIP file: {error}. Export the experiment again.") from error

@@ -940,10 +940,11 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Import an export
-         * @description Creates a paused experiment with the settings, segments and labels of an export.
+         * Import segments and labels
+         * @description Creates a paused experiment with the segments and labels of an export, or of another program's file.
          *
-         *     Send the ZIP file that an export returns. If the import fails, nothing is left. For researchers and admins.
+         *     An export also has settings. Episodes without labels become pairs to label. If the import fails, nothing is left.
+         *     For researchers and admins.
          */
         post: operations["import_experiment"];
         delete?: never;
@@ -6448,6 +6449,12 @@ export interface operations {
             query: {
                 /** @description Name of the new experiment. */
                 name: string;
+                /** @description tables: the ZIP file of an export. mapt, imitation: their pickle of comparisons, or a ZIP file of trajectories saved by imitation. d4rl: an HDF5 file. minari, offline: a ZIP file of the dataset's folder; for offline, with the D4RL file and the three pickles. */
+                format?: "tables" | ("mapt" | "imitation" | "offline" | "minari" | "d4rl");
+                /** @description The task that the segments come from; needed without settings. */
+                task?: string | null;
+                /** @description Steps of a segment, for minari, d4rl, offline and saved trajectories. */
+                segment_steps?: number;
             };
             header?: {
                 /** @description Any text that is unique to this experiment. The request can then be repeated if no response arrived: the experiment is created once. */
@@ -6459,6 +6466,7 @@ export interface operations {
         requestBody: {
             content: {
                 "application/zip": unknown;
+                "application/octet-stream": unknown;
             };
         };
         responses: {

@@ -1,0 +1,219 @@
+"""Files of other programs, uploaded to the service and read back from it."""
+
+import io
+import pickle
+import re
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accord.client import Client, Refused
+from accord.domain.enums import Role
+from mapt.preferences.dataset import SegmentArrays
+from mapt.preferences.formats.d4rl import write_d4rl
+from mapt.preferences.formats.imitation import write_imitation, write_imitation_trajectories
+from mapt.preferences.formats.minari import write_minari
+from mapt.preferences.formats.offline_labels import write_offline_labels
+from mapt.preferences.formats.records import Comparisons, SegmentRecords, episodes_of
+from mapt.preferences.formats.reference import write_reference
+from mapt.preferences.formats.tables import LabelRow, QueryRow, SegmentRow, TableWriter
+from mapt.tasks import task_spec
+from support.api_in_thread import ApiServer
+
+TASK, DISCRETE_TASK = "HalfCheetah-6x1", "3m"
+STEPS = 4
+LABELS = [1.0, 0.0, 0.5]
+
+
+def comparisons(task: str = TASK, *, states: bool = False) -> Comparisons:
+    """One pair for each of `LABELS`. The true return of segment i is i * STEPS, its first observation i."""
+    spec, rng = task_spec(task), np.random.default_rng(0)
+    n_segments = 2 * len(LABELS)
+    steps = (n_segments, STEPS)
+    observations = rng.normal(size=(*steps, spec.n_agents, spec.observation_dim)).astype(np.float32)
+    observations[:, 0, 0, 0] = np.arange(n_segments)
+    actions = rng.normal(size=(*steps, spec.n_agents, spec.action_dim)).astype(np.float32)
+    if spec.discrete_actions:
+        actions = np.eye(spec.action_dim, dtype=np.float32)[actions.argmax(axis=-1)]
+    extras = {"rewards": np.repeat(np.arange(n_segments, dtype=np.float64)[:, None], STEPS, axis=1)}
+    if states:
+        extras |= {"qpos": np.zeros((*steps, spec.nq)), "qvel": np.zeros((*steps, spec.nv))}
+    records = SegmentRecords(SegmentArrays(observations, actions, np.ones(steps, dtype=np.bool_)), **extras)
+    return Comparisons(records, np.arange(n_segments).reshape(-1, 2), np.array(LABELS, dtype=np.float32))
+
+
+def zipped(folder: Path) -> Path:
+    archive = folder.with_suffix(".zip")
+    with zipfile.ZipFile(archive, "w") as file:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file():
+                file.write(path, f"{folder.name}/{path.relative_to(folder)}")
+    return archive
+
+
+def as_mapt(path: Path, made: Comparisons, discrete: bool) -> Path:
+    write_reference(path, made.dataset(), discrete=discrete)
+    return path
+
+
+def as_imitation(path: Path, made: Comparisons, discrete: bool) -> Path:
+    write_imitation(path, made, discrete=discrete)
+    return path
+
+
+def as_offline(path: Path, made: Comparisons, _discrete: bool) -> Path:
+    write_offline_labels(path, made)
+    return zipped(path)
+
+
+def as_trajectories(path: Path, made: Comparisons, discrete: bool) -> Path:
+    write_imitation_trajectories(path, episodes_of(made.records), discrete=discrete)
+    return zipped(path)
+
+
+def as_minari(path: Path, made: Comparisons, discrete: bool) -> Path:
+    write_minari(path, episodes_of(made.records), dataset_id="test/replay-v0", discrete=discrete)
+    return zipped(path)
+
+
+def as_d4rl(path: Path, made: Comparisons, _discrete: bool) -> Path:
+    write_d4rl(path, episodes_of(made.records))
+    return path
+
+
+def as_tables(path: Path, made: Comparisons, discrete: bool) -> Path:
+    with TableWriter(path, made.records.layout(discrete=discrete), about={}) as tables:
+        tables.add_segments([SegmentRow(f"s{index}") for index in range(len(made.records))], made.records)
+        tables.add_queries(QueryRow(f"q{first}", f"s{first}", f"s{second}") for first, second in made.pairs.tolist())
+        tables.add_labels(
+            LabelRow(f"q{first}", "somebody", "label", label)
+            for (first, _), label in zip(made.pairs.tolist(), made.labels.tolist(), strict=True)
+        )
+    return zipped(path)
+
+
+Write = Callable[[Path, Comparisons, bool], Path]
+LABELLED: dict[str, Write] = {"mapt": as_mapt, "imitation": as_imitation, "offline": as_offline, "tables": as_tables}
+UNLABELLED: dict[str, tuple[str, Write]] = {
+    "saved trajectories": ("imitation", as_trajectories),
+    "minari": ("minari", as_minari),
+    "d4rl": ("d4rl", as_d4rl),
+}
+
+
+@pytest.fixture
+def client(api: ApiServer):
+    with Client(api.url, api.tokens[Role.RESEARCHER]) as client:
+        yield client
+
+
+@pytest.mark.parametrize("task", [TASK, DISCRETE_TASK])
+def test_comparisons_of_every_format_become_labels(client: Client, tmp_path: Path, task: str) -> None:
+    discrete = task_spec(task).discrete_actions
+    for format, write in LABELLED.items():
+        made = comparisons(task)
+        file = write(tmp_path / format, made, discrete)
+        found = client.import_experiment(file, format, format, task=task, segment_steps=STEPS)
+        assert (found.status, found.labels.labels, found.config["segment_steps"]) == ("paused", 3, STEPS)
+        assert (found.config["render_clips"], found.config["label_budget"]) == (False, 503)
+        labels: dict[tuple[int, int], float] = {}
+        for query in client.get(f"/experiments/{found.id}/queries")["items"]:
+            arrays = [client.segment_arrays(segment["segment_id"]) for segment in query["segments"]]
+            first, second = (int(each["observations"][0, 0, 0]) for each in arrays)
+            labels[first, second] = query["labels"][0]["revisions"][-1]["label"]
+            np.testing.assert_array_equal(arrays[0]["actions"], made.records.segments.actions[first])
+            # The reference has no rewards.
+            assert arrays[0]["rewards"].tolist() == [0 if format == "mapt" else first] * STEPS
+        assert labels == {(0, 1): 1.0, (2, 3): 0.0, (4, 5): 0.5}
+
+
+@pytest.mark.parametrize("task", [TASK, DISCRETE_TASK])
+def test_episodes_of_every_format_become_pairs_to_label(client: Client, tmp_path: Path, task: str) -> None:
+    for name, (format, write) in UNLABELLED.items():
+        file = write(tmp_path / name, comparisons(task), task_spec(task).discrete_actions)
+        found = client.import_experiment(file, name, format, task=task, segment_steps=STEPS)
+        # All pairs of six segments, which are fewer than the first round would ask about
+        assert (found.status, found.labels.labels, found.labels.open_queries) == ("paused", 0, 15)
+        client.resume(found.id)
+        outcome = client.teach(found.id, lambda first, second: float(first.rewards[0] > second.rewards[0]), 4)
+        assert outcome.labels == 4
+
+
+def test_pairs_with_simulator_states_wait_for_their_clips(client: Client, tmp_path: Path) -> None:
+    for format, write in (("minari", as_minari), ("d4rl", as_d4rl)):
+        file = write(tmp_path / format, comparisons(states=True), False)
+        found = client.import_experiment(file, format, format, task=TASK, segment_steps=2)
+        assert found.config["render_clips"]
+        # Each episode of 4 steps is cut into two segments.
+        assert (found.labels.rendering_queries, found.config["segment_steps"]) == (66, 2)
+
+
+def blobs(api: ApiServer) -> set[Path]:
+    folder = Path(api.stores.blob_url.removeprefix("file://"))
+    return {path for path in folder.rglob("*") if path.is_file()}
+
+
+def archive(**files: bytes) -> bytes:
+    output = io.BytesIO()
+    with zipfile.ZipFile(output, "w") as file:
+        for name, content in files.items():
+            file.writestr(name, content)
+    return output.getvalue()
+
+
+def soft_labels(folder: Path) -> bytes:
+    made = comparisons()
+    made.labels[0] = 0.3
+    return as_imitation(folder / "soft", made, False).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("format", "content", "query", "problem"),
+    [
+        ("imitation", lambda folder: as_imitation(folder / "a", comparisons(), False), {"task": None}, "Name its task"),
+        ("imitation", lambda folder: as_imitation(folder / "a", comparisons(), False), {"task": "Chess"}, "no task"),
+        (
+            "imitation",
+            lambda folder: as_imitation(folder / "a", comparisons(), False),
+            {"task": "Walker2d-2x3"},
+            r"\(6, 15, 1\), those of Walker2d-2x3 \(2, 14, 3\)",
+        ),
+        ("mapt", lambda folder: as_imitation(folder / "a", comparisons(), False), {}, "format 'mapt'; check"),
+        ("imitation", soft_labels, {}, "a label of 0.3"),
+        ("imitation", lambda _: pickle.dumps(print), {}, "print"),
+        ("imitation", lambda _: b"x" * 5000, {}, "is not a pickle"),
+        ("d4rl", lambda _: b"x" * 5000, {}, "is not a complete HDF5 file"),
+        ("d4rl", lambda folder: as_d4rl(folder / "a", comparisons(), False).read_bytes()[:-200], {}, "HDF5"),
+        ("d4rl", lambda folder: as_d4rl(folder / "a", comparisons(), False), {"segment_steps": 5}, "the longest has 4"),
+        ("minari", lambda _: archive(**{"a/b.txt": b"x"}), {}, "metadata.json"),
+        ("minari", lambda _: archive(**{"../escaped": b"x"}), {}, "outside of its folder"),
+        ("offline", lambda _: archive(label_human=b"x"), {}, "HDF5 files"),
+        ("tables", lambda folder: as_tables(folder / "a", comparisons(), False), {"task": None}, "Name the task"),
+    ],
+)
+def test_a_file_that_cannot_be_imported_is_refused_and_leaves_nothing(
+    api: ApiServer, tmp_path: Path, format: str, content: Callable, query: dict, problem: str
+) -> None:
+    made = content(tmp_path)
+    body = made.read_bytes() if isinstance(made, Path) else made
+    parameters = {"name": "one", "format": format, "task": TASK, "segment_steps": STEPS} | query
+    parameters = {name: value for name, value in parameters.items() if value is not None}
+    before = blobs(api)
+    refused = api.researcher.post("/api/v1/experiments/import", params=parameters, content=body)
+    assert refused.status_code == 422, refused.text
+    message = refused.json()["error"]["message"]
+    assert re.search(problem, message), message
+    assert "/tmp" not in message
+    assert blobs(api) == before
+    assert api.researcher.get("/api/v1/experiments").json()["items"] == []
+
+
+def test_only_researchers_import_files(api: ApiServer, tmp_path: Path) -> None:
+    file = as_d4rl(tmp_path / "a", comparisons(), False)
+    for role in (Role.LABELLER, Role.TEACHER):
+        with Client(api.url, api.tokens[role]) as client, pytest.raises(Refused) as refused:
+            client.import_experiment(file, "one", "d4rl", task=TASK, segment_steps=STEPS)
+        assert refused.value.status == 403
