@@ -260,7 +260,8 @@ class JobProcess(Generic[J, R]):
     It ends soon after this process, even if that is killed.
 
     Args:
-        do_job: a picklable callable, of which the process has a copy. Jobs and results must be picklable, too.
+        do_job: a picklable callable, of which the process has a copy. Jobs and results must be picklable, too, and a
+            job must not be None.
     """
 
     def __init__(self, do_job: Callable[[J, ParentConnection], R]) -> None:
