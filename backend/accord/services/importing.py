@@ -88,7 +88,12 @@ def open_source(
     except PreferenceError as error:
         # Whoever sent a file knows neither this server's folders nor that another format was meant.
         message = str(error).replace(f"{path}/", "").replace(str(path), "The file")
-        raise Invalid(f"{message} It was read with the format {format!r}; check that it has this format.") from error
+        kind = "" if task is None else f" for {task}, whose actions are {_kind_of_actions(task)}"
+        raise Invalid(f"{message} It was read with the format {format!r}{kind}. Check that this is right.") from error
+
+
+def _kind_of_actions(task: str) -> str:
+    return "choices" if experiments.spec_of(task).discrete_actions else "continuous"
 
 
 def read_foreign(

@@ -26,6 +26,8 @@ PATH = "/experiments/import"
 _TABLES = frozenset({"segments.parquet", "queries.parquet", "labels.parquet"})
 #: files in an archive; a dataset has a few
 _MAX_FILES = 1000
+#: of names in an archive, such as a file in a file
+_IMPOSSIBLE = (FileExistsError, NotADirectoryError, IsADirectoryError)
 
 
 @router.post(
@@ -149,7 +151,9 @@ def _extract(archive: Path, folder: Path, limit_bytes: int, names: frozenset[str
                 found = {Path(info.filename).name: info for info in infos if Path(info.filename).name in names}
                 if missing := sorted(names - found.keys()):
                     raise Invalid(f"The file is not an export of Accord: it does not contain {missing[0]}.")
-            if len(found) > _MAX_FILES or sum(info.file_size for info in found.values()) > limit_bytes:
+            if len(found) > _MAX_FILES:
+                raise Invalid(f"The ZIP file has more than {_MAX_FILES} files. Send the folder of one dataset.")
+            if sum(info.file_size for info in found.values()) > limit_bytes:
                 raise BodyTooLarge(limit_bytes)
             for name, info in sorted(found.items()):
                 target = folder / name
@@ -158,5 +162,6 @@ def _extract(archive: Path, folder: Path, limit_bytes: int, names: frozenset[str
                 target.parent.mkdir(parents=True, exist_ok=True)
                 with file.open(info) as packed, target.open("wb") as output:
                     shutil.copyfileobj(packed, output)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, zlib.error, OSError) as error:
-        raise Invalid(f"The file is not a complete ZIP file: {error}. Export the experiment again.") from error
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, zlib.error, *_IMPOSSIBLE) as error:
+        problem = str(error).replace(f"{folder}/", "")
+        raise Invalid(f"The file is not a complete ZIP file: {problem}. Export the experiment again.") from error

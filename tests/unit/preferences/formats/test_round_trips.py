@@ -18,8 +18,9 @@ from mapt.preferences.formats.imitation import (
 )
 from mapt.preferences.formats.minari import read_minari, write_minari
 from mapt.preferences.formats.offline_labels import LabelFiles, read_offline_labels, write_offline_labels
-from mapt.preferences.formats.records import Comparisons, Episode
+from mapt.preferences.formats.records import Comparisons, Episode, SegmentRecords
 from mapt.preferences.formats.reference import read_reference, write_reference
+from mapt.preferences.formats.tables import LabelRow, PreferenceTables, QueryRow, SegmentRow, TableWriter
 from support.comparisons import assert_same_episodes, assert_same_segments, made_comparisons, made_episodes
 
 N_ACTIONS = 3
@@ -41,6 +42,22 @@ def through_offline_labels(path: Path, comparisons: Comparisons, *, discrete: bo
     return read_offline_labels(path / "trajectories.hdf5", LabelFiles.find(path), n_steps)
 
 
+def through_tables(path: Path, comparisons: Comparisons, *, discrete: bool) -> Comparisons:
+    records = comparisons.records
+    with TableWriter(path, records.layout(discrete=discrete), about={}) as tables:
+        tables.add_segments([SegmentRow(str(index)) for index in range(len(records))], records)
+        tables.add_queries(
+            QueryRow(str(index), str(first), str(second))
+            for index, (first, second) in enumerate(comparisons.pairs.tolist())
+        )
+        tables.add_labels(
+            LabelRow(str(index), "somebody", "label", label) for index, label in enumerate(comparisons.labels.tolist())
+        )
+    found = PreferenceTables.open(path).load(path.with_name("segments"))
+    everything = found.segments.take(np.arange(len(found.segments)))
+    return Comparisons(SegmentRecords(everything), found.pairs, found.labels)
+
+
 def through_trajectories(path: Path, episodes: list[Episode], *, discrete: bool) -> list[Episode]:
     write_imitation_trajectories(path, episodes, discrete=discrete)
     return list(read_imitation_trajectories(path, n_actions=N_ACTIONS if discrete else None))
@@ -56,7 +73,7 @@ def through_d4rl(path: Path, episodes: list[Episode], *, discrete: bool) -> list
     return list(read_d4rl(path))
 
 
-@pytest.mark.parametrize("through", [through_imitation, through_reference, through_offline_labels])
+@pytest.mark.parametrize("through", [through_imitation, through_reference, through_offline_labels, through_tables])
 @settings(max_examples=15)
 @given(
     st.lists(st.sampled_from([0.0, 0.5, 1.0]), min_size=1, max_size=4),
