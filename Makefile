@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 CHECKS := check-types check-page check-imports check-style
 
-.PHONY: run test test-slow test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean football
+.PHONY: run test test-slow test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean football test-loggers
 
 run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
 	$(BIN)/accord up --example
@@ -71,6 +71,14 @@ football: $(INSTALLED) ## Install the engine of the football tasks, which takes 
 	@.ci/system-packages football
 	$(BIN)/python -c "import gfootball_engine" 2>/dev/null || $(MAKE) --no-print-directory football-engine
 	$(BIN)/python -m pytest --quiet tests/unit/tasks/test_football_engine.py
+
+test-loggers: $(INSTALLED) ## Install the extras wandb and mlflow, and a real MLflow server, some 700 MB, and run their tests
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev,wandb,mlflow]"
+	test -x $(MLFLOW_SERVER)/bin/mlflow || { $(PYTHON) -m venv $(MLFLOW_SERVER) && $(MLFLOW_SERVER)/bin/pip install --quiet "mlflow==$$($(BIN)/python -c 'import mlflow; print(mlflow.__version__)')"; }
+	$(BIN)/python -m pytest --quiet tests/integration/training/test_loggers.py
+
+# The server needs an older pyarrow than Accord.
+MLFLOW_SERVER := $(VENV)/mlflow-server
 
 # gfootball and gym need old tools to be built, which have an environment of their own.
 FOOTBALL_BUILD := $(VENV)/football-build

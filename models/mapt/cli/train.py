@@ -18,6 +18,7 @@ from mapt.cli.options import (
     Steps,
     Task,
     Workers,
+    parse_list,
     parse_numbers,
 )
 from mapt.cli.output import ProgressBars, log_line, print_error
@@ -28,6 +29,7 @@ from mapt.rewards.model import PolicyReward
 from mapt.settings import parse_assignments
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK, task_spec
 from mapt.training.evaluation import Evaluation
+from mapt.training.loggers import LOGGERS, RunLoggers
 from mapt.training.metrics import Metrics
 from mapt.training.reward_source import reward_files
 from mapt.training.run import RunJob, RunReport, do_run, do_run_in_worker
@@ -101,6 +103,10 @@ def train(
             metavar="K/N", help="Train the Kth of N shares of the runs, as the Kth task of a SLURM array of N does."
         ),
     ] = None,
+    log: Annotated[
+        str | None,
+        typer.Option(help=f"Comma-separated loggers of the metrics, beside TensorBoard's files: {', '.join(LOGGERS)}."),
+    ] = None,
     checkpoint_minutes: Annotated[
         float, typer.Option(min=0, help="Minutes between checkpoints; 0 saves one after every iteration.")
     ] = 5.0,
@@ -129,6 +135,7 @@ def train(
         "policy_reward": policy_reward,
         "credit": credit,
     }
+    loggers = RunLoggers(parse_list("--log", log) if log else (), print_error)
     chosen = _settings_of(options)
     if run_file is not None:
         given = {name: value for name, value in options.items() if _is_given(context, name)}
@@ -146,7 +153,7 @@ def train(
         RunJob(run, output / cell / f"seed-{run.policy.seed}", checkpoint_minutes * 60, video, threads, cell)
         for cell, run in own
     ]
-    train_all(jobs, n_workers)
+    train_all(jobs, n_workers, loggers)
 
 
 def _is_given(context: typer.Context, option: str) -> bool:
@@ -203,8 +210,11 @@ def _learned_reward(choice: RewardChoice) -> LearnedRewardSettings:
     return LearnedRewardSettings(str(path.resolve()), steps, choice.kind, choice.credit)
 
 
-def train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
+def train_all(jobs: Sequence[RunJob], n_workers: int, loggers: RunLoggers | None = None) -> None:
     """Train every run; with several workers, a failed run does not affect the others.
+
+    Args:
+        loggers: get the metrics of every run; None for none.
 
     Raises:
         typer.Exit: if a run failed or was stopped.
@@ -212,7 +222,7 @@ def train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
     """
     n_finished = n_failed = 0
     with ProgressBars() as bars, stop_requests() as stopped:
-        progress = _RunProgress(bars)
+        progress = _RunProgress(bars, loggers or RunLoggers((), print_error))
         make = _train_in_turn if n_workers == 1 else partial(_train_in_parallel, n_workers)
         for done in make(jobs, progress, stopped):
             progress.finish(done.job, done.result)
@@ -228,24 +238,27 @@ def train_all(jobs: Sequence[RunJob], n_workers: int) -> None:
 
 
 class _RunProgress:
-    """Draws a progress bar for each run, and logs its evaluation when it finishes."""
+    """Draws a progress bar for each run, gives its metrics to loggers, and prints its evaluation when it finishes."""
 
-    def __init__(self, bars: ProgressBars) -> None:
-        self._bars = bars
+    def __init__(self, bars: ProgressBars, loggers: RunLoggers) -> None:
+        self._bars, self._loggers = bars, loggers
         #: mean return of each run's latest episodes, as text
         self._returns: dict[RunJob, str] = {}
 
     def start(self, job: RunJob) -> None:
         self._bars.add(job, _name(job), job.settings.steps)
+        self._loggers.start(job)
 
     def update(self, job: RunJob, report: RunReport) -> None:
         if isinstance(report, str):
             log_line(f"{_name(job)}: {report}")
         else:
             self._bars.update(job, float(report["steps"]), self._state(job, report))
+            self._loggers.append(job, report)
 
     def finish(self, job: RunJob, evaluation: Evaluation | None) -> None:
         self._bars.stop(job)
+        self._loggers.finish(job, evaluation)
         if evaluation is not None:
             log_line(f"{_name_in_sweep(job)}: {evaluation.describe()}; {job.folder}")
 
