@@ -17,6 +17,7 @@ app = make_app(
         "workers": LazyCommand("accord.cli.up", "workers", "Start only workers, on a further host."),
         "link": LazyCommand("accord.cli.accounts", "link", "Print a new sign-in link for the admin."),
         "user": LazyCommand("accord.cli.accounts", "user", "Manage users and their sign-in links."),
+        "start": LazyCommand("accord.cli.start", "start", "Start experiments from a file."),
         "teach": LazyCommand("accord.cli.teach", "teach", "Label an experiment with a scripted teacher."),
         "demo": LazyCommand("accord.cli.demo", "demo", "Train policies from a scripted teacher's labels."),
         "tasks": LazyCommand("mapt.cli.tasks", "tasks", "List the tasks."),

@@ -211,3 +211,40 @@ def test_the_examples_in_the_documentation_run(api: ApiServer, tmp_path: Path) -
         [sys.executable, "-c", asynchronous], env=environment, capture_output=True, text=True, check=True
     )
     assert done.stdout == "running 5\n"
+
+
+def run_start(api: ApiServer, file: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "accord.cli", "start", str(file), "--url", api.url, *more]
+    token = {"ACCORD_TOKEN": api.tokens[Role.RESEARCHER]}
+    return subprocess.run(command, env=os.environ | token, capture_output=True, text=True, check=False, timeout=120)
+
+
+def test_a_file_starts_an_experiment_for_each_combination_of_a_sweep(
+    api: ApiServer, client: Client, tmp_path: Path
+) -> None:
+    file = tmp_path / "experiment.toml"
+    settings = f'task = "{TASK}"\nlabel_budget = 20\ninitial_labels = 10\n[policy]\nclip = 0.3\n'
+    file.write_text(f'name = "legs"\ninstructions = "Run."\n{settings}')
+    refused = run_start(api, file, "--sweep", "gamma=0.9,2")
+    assert refused.returncode == 2
+    assert "gamma" in refused.stderr
+    assert client.experiments() == []
+
+    done = run_start(api, file, "--sweep", "reward_model=MAPT,MA-MLP", "--sweep", "gamma=0.9,0.95")
+    assert done.returncode == 0, done.stderr
+    found = {each.name: each for each in client.experiments()}
+    assert set(found) == {
+        f"legs, reward_model={model},gamma={gamma}" for model in ("MAPT", "MA-MLP") for gamma in (0.9, 0.95)
+    }
+    assert all(each.id in done.stdout for each in found.values())
+    one = found["legs, reward_model=MA-MLP,gamma=0.95"]
+    assert (one.instructions, one.config["reward_model"]) == ("Run.", "MA-MLP")
+    assert one.config["policy"] == {"clip": 0.3, "gamma": 0.95}
+
+
+def test_a_file_without_a_name_is_refused(api: ApiServer, tmp_path: Path) -> None:
+    file = tmp_path / "experiment.toml"
+    file.write_text(f'task = "{TASK}"\n')
+    done = run_start(api, file)
+    assert done.returncode == 2
+    assert "has no name" in done.stderr
