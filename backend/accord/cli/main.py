@@ -22,7 +22,11 @@ app = make_app(
         "demo": LazyCommand("accord.cli.demo", "demo", "Train policies from a scripted teacher's labels."),
         "tasks": LazyCommand("mapt.cli.tasks", "tasks", "List the tasks."),
         "export": LazyCommand("accord.cli.export", "export", "Export an experiment as Parquet tables."),
-        "import": LazyCommand("accord.cli.importing", "import_experiment", "Import an exported experiment."),
+        "import": LazyCommand(
+            "accord.cli.importing",
+            "import_experiment",
+            "Import an exported experiment, or segments and labels of another program.",
+        ),
         "verify": LazyCommand("accord.cli.verify", "verify", "Check that the database and the blobs are complete."),
         "backup": LazyCommand("accord.cli.backup", "backup", "Write a backup of the database and the blobs."),
         "restore": LazyCommand("accord.cli.backup", "restore", "Restore a backup into a new home folder."),
