@@ -133,6 +133,7 @@ def test_a_researcher_creates_a_token_for_a_program_and_revokes_it(service: Serv
     # On a phone, the link is in a menu.
     page.set_viewport_size({"width": 390, "height": 844})
     tokens = page.get_by_role("link", name="Tokens")
+    expect(page.get_by_role("heading", name="Experiments")).to_be_visible()
     expect(page.get_by_role("button", name="Your account")).to_be_visible()
     expect(tokens).to_be_hidden()
     page.get_by_role("button", name="Your account").click()

@@ -213,7 +213,7 @@ def table(
     wanted = {dataset_folder(root, seed): Recording(task, steps, segment_steps, segments, seed) for seed in plan.seeds}
     absent = {folder: recording for folder, recording in wanted.items() if not folder.exists()}
     if not as_recorded:
-        _check_recordings({folder: wanted[folder] for folder in wanted.keys() - absent.keys()})
+        _check_recordings({folder: recording for folder, recording in wanted.items() if folder not in absent})
     if absent:
         check_models(plan.models, plan.preset, plan.device, task, segment_steps)
         _check_teachers(plan.teachers, task)
