@@ -24,7 +24,7 @@ FUTILE_THRESHOLD = 1.0
 MIN_MARKOV_LOSS = 0.1
 
 # Metrics of a version.
-#: 1 if its rewards depend on the attention path, else 0
+#: 1 if its rewards depend on the attention path, else 0; no metric of a network without attention
 IN_USE = "attention"
 #: of the latest trial: mean reduction of the held-out loss in nats, its standard error, and the pairs it is a mean over
 GAIN, GAIN_ERROR, GAIN_PAIRS = "attention_gain", "attention_gain_error", "attention_gain_pairs"
@@ -58,17 +58,15 @@ class AttentionTrial:
         }
 
 
-def trial_metrics(
-    trial: AttentionTrial | None, in_use: bool, initial: Mapping[str, float | None] | None
-) -> dict[str, float]:
-    """The metrics of a version, with those of the latest trial if this version made none.
+def trial_metrics(trial: AttentionTrial | None, initial: Mapping[str, float | None] | None) -> dict[str, float]:
+    """The metrics of a version about trials, with those of the latest trial if this version made none.
 
     Args:
         initial: metrics of the version that it continues from.
     """
     earlier = {name: value for name in _KEPT if (value := (initial or {}).get(name)) is not None}
     latest = earlier if trial is None else trial.metrics()
-    return {IN_USE: float(in_use), TRIAL_SECONDS: 0.0 if trial is None else trial.seconds, **latest}
+    return {TRIAL_SECONDS: 0.0 if trial is None else trial.seconds, **latest}
 
 
 def is_due(labels: int, initial: Mapping[str, float | None] | None, growth: float, latest: str = TRIAL_LABELS) -> bool:

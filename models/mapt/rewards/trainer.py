@@ -16,7 +16,7 @@ from mapt.device import resolve_device, seeded
 from mapt.errors import ModelMismatch
 from mapt.preferences.dataset import BoolArray, PreferenceDataset, SegmentSource
 from mapt.rewards import attention_trial
-from mapt.rewards.attention_trial import RESTART_LABELS, AttentionTrial, cross_selected, trial_metrics
+from mapt.rewards.attention_trial import IN_USE, RESTART_LABELS, AttentionTrial, cross_selected, trial_metrics
 from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.data import (
     MarkovScorer,
@@ -366,7 +366,9 @@ def train_reward_model(
         "holdout_reliable": float(fold.is_reliable),
         "refit": float(model is not judged),
         "stopped": float(log.stopped),
-        **trial_metrics(trial, not model.is_markov, initial_metrics),
+        **trial_metrics(trial, initial_metrics),
+        # MA-LSTM has no attention that could be in use.
+        IN_USE: math.nan if config.architecture == "lstm" else float(not model.is_markov),
         RESTART_LABELS: math.nan if judged.is_markov else trainer.restarted_on(initial_metrics),
         "seconds": log.seconds,
     }

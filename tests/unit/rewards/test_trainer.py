@@ -394,6 +394,11 @@ def accepted(monkeypatch, n_pairs=80):
     return trained
 
 
+def test_a_network_without_attention_does_not_report_it():
+    config = replace(CONFIG, architecture="lstm", temporal="lstm", markov_path=False)
+    assert "attention" not in train_reward_model(preferences(40), config, QUICK).metrics
+
+
 def test_attention_in_use_is_trained_further_without_a_trial(monkeypatch):
     first = accepted(monkeypatch)
     second = train_reward_model(preferences(120), CONFIG, QUICK, initial=first.model, initial_metrics=first.metrics)
