@@ -49,11 +49,12 @@ from mapt.tasks import frame_rate_hz, task_names, task_spec
 @cache
 def task_response(name: str) -> schemas.TaskSchema:
     spec = task_spec(name)
+    drawn = [agent_colour(agent) for agent in range(spec.n_agents)]
     return schemas.TaskSchema(
         name=spec.name,
         n_agents=spec.n_agents,
         agent_names=list(spec.agent_names),
-        agent_colours=[agent_colour(agent) for agent in range(spec.n_agents)],
+        agent_colours=list(spec.agent_colours) if spec.renders_itself else drawn,
         cameras=[ClipCamera(camera) for camera in cameras_of(name)[1:]],
         observation_dim=spec.observation_dim,
         action_dim=spec.action_dim,
@@ -343,7 +344,7 @@ def recordings_response(session: Session, row: ExperimentRow) -> schemas.Recordi
     spec = task_spec(row.config["task"])
     rendered = recordings.rendered(session, row.id)
     return schemas.Recordings(
-        available=spec.nq > 0,
+        available=not spec.renders_itself,
         items=[
             schemas.Recording(
                 id=found.row.id,

@@ -282,7 +282,9 @@ class TaskSchema(Schema):
     name: str = Field(description="For example HalfCheetah-6x1.")
     n_agents: int = Field(description="Agents in the team, N.")
     agent_names: list[str] = Field(description="Names of the agents, in agent order.")
-    agent_colours: list[str] = Field(description="CSS colours of the agents in the clips, in agent order.")
+    agent_colours: list[str] = Field(
+        description="CSS colours of the agents in the clips, in agent order; empty if they are not known."
+    )
     cameras: list[ClipCamera] = Field(
         description="Cameras from which clips can be requested, beside the one that suits the task."
     )

@@ -365,7 +365,7 @@ class PolicyRun:
     def _record_start(self, reward_version_id: str | None) -> None:
         """Store the first steps of an episode of the current policy, whose last update used this reward version."""
         trainer, context = self._trainer, self._context
-        if trainer.learner.task.spec.nq == 0:
+        if trainer.learner.task.spec.renders_itself:
             return  # there are no states to render
         with context.database.reading() as session:
             if recordings.has(session, self._id, trainer.steps, reward_version_id):

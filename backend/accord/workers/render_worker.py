@@ -130,7 +130,7 @@ class RenderWorker:
             lambda session: clip_views.heartbeat(session, job, context.holder, lease),
         ):
             try:
-                if task_spec(job.task).nq == 0:
+                if task_spec(job.task).renders_itself:
                     raise RenderFailed(f"{job.task} renders itself, from one direction.")
                 made = self._render_states(
                     process, job.task, job.states_blob_key, job.folder, job.replaces, camera=job.camera.value
@@ -150,7 +150,7 @@ class RenderWorker:
                 context.blobs.delete(made.blob_key)
 
     def _render_and_store(self, process: RenderProcess, job: ClipJob) -> StoredClip:
-        if task_spec(job.task).nq == 0:
+        if task_spec(job.task).renders_itself:
             return self._replayed_clip(job)
         return self._render_states(
             process, job.task, job.segment_blob_key, clips_folder(job.experiment_id), job.replaces

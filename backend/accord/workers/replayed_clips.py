@@ -28,7 +28,7 @@ def needs_replay(task: Task) -> bool:
     Raises:
         NoSimulator: if the task has no simulator state and does not render itself either.
     """
-    if task.spec.nq > 0:
+    if not task.spec.renders_itself:
         return False
     if not isinstance(task, RenderableTask):
         raise NoSimulator(task.spec.name)

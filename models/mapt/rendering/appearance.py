@@ -41,6 +41,8 @@ START_COLOUR = "#7E8A97"
 STRIPE_COLOURS = ("#14191F", "#FFFFFF")
 
 
+#: of geoms to which a model gives no colour
+_MUJOCO_COLOUR = (0.5, 0.5, 0.5, 1.0)
 #: shapes of limbs that can have rings and stripes
 ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 #: cosine above which two directions are the same
@@ -125,9 +127,13 @@ def _colour_geoms(model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]]) -
                 raise ValueError(f"Agent {agent} moves geom {geom}, but the model has {model.ngeom} geoms.")
     solid = np.flatnonzero(model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
     body = moving_geoms(model)
+    fixed = np.setdiff1d(solid, body)
+    of_material = solid[model.geom_matid[solid] >= 0]
+    model.geom_rgba[of_material] = model.mat_rgba[model.geom_matid[of_material]]
     model.geom_matid[solid] = -1  # a material's texture changes the colour
-    model.geom_rgba[np.setdiff1d(solid, body)] = rgba(POST_COLOUR)
-    # A target or an object to push is not part of the robot and keeps its own colour.
+    # A goal that is fixed to the world, a target or an object to push keep the colours that the model gives them.
+    colourless = (model.geom_rgba[fixed] == _MUJOCO_COLOUR).all(axis=1)
+    model.geom_rgba[fixed[colourless]] = rgba(POST_COLOUR)
     roots = model.body_rootid[model.geom_bodyid]
     of_robot = np.isin(roots[body], roots[[geom for geoms in agent_geoms for geom in geoms]])
     model.geom_rgba[body[of_robot]] = rgba(BODY_COLOUR)

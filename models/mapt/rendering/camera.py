@@ -270,7 +270,9 @@ def cameras_of(task_name: str) -> tuple[Camera, ...]:
     Raises:
         mapt.tasks.UnknownTask: if no task has this name.
     """
-    if task_spec(task_name).nq == 0 or find_drawing(task_name) is not None:  # it renders itself, or has a drawing
+    if (
+        task_spec(task_name).renders_itself or find_drawing(task_name) is not None
+    ):  # it renders itself, or has a drawing
         return ("follow",)
     body = BodyKinematics(load_model(task_name))
     lowest, highest = body.extents(body.model.qpos0[None], np.eye(3))

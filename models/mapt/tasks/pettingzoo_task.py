@@ -7,6 +7,7 @@ given their seed and actions: a snapshot stores both for the running episodes, a
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +22,7 @@ from mapt.tasks.protocol import Task, TaskSpec, TaskStep
 from mapt.tasks.snapshot import load_snapshot, take_snapshot
 
 _SEEDS = 2**31
+_COLOUR = re.compile("#[0-9A-Fa-f]{6}")
 #: The two entries of an observation with an action mask, by PettingZoo's convention.
 _OBSERVATION, _MASK = "observation", "action_mask"
 
@@ -226,12 +228,15 @@ class PettingZooDefinition:
     step_seconds: float
     #: The team's goal, in plain words for a labeller.
     instructions: str
+    #: `#RRGGBB` of each agent in the images of the environment, for the page's legend; empty for none.
+    agent_colours: tuple[str, ...] = ()
 
     def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
         """See `TaskDefinition.spec`. The first call makes an environment to find its dimensions.
 
         Raises:
-            UnusableEnvironment: if agents differ in kind or number of discrete actions.
+            UnusableEnvironment: if agents differ in kind or number of discrete actions, or `agent_colours` is not a
+                colour for each.
         """
         fields = self._spec_fields
         return TaskSpec(**{**fields, "observation_dim": fields["observation_dim"] + fields["n_agents"] * agent_index})
@@ -262,6 +267,11 @@ class PettingZooDefinition:
             raise UnusableEnvironment(
                 f"The agents of {self.name} must all have the same number of discrete actions, or all continuous ones."
             )
+        colours = self.agent_colours
+        if colours and (len(colours) != len(agents) or not all(map(_COLOUR.fullmatch, colours))):
+            raise UnusableEnvironment(
+                f"agent_colours of {self.name} must have a colour such as #0072B2 for each of its {len(agents)} agents."
+            )
         limit = (
             1.0 if discrete[0] else float(max(np.abs([space.low.max(), space.high.max()]).max() for space in spaces))
         )
@@ -284,4 +294,5 @@ class PettingZooDefinition:
             "action_limit": limit,
             "agent_action_dims": () if discrete[0] else sizes,
             "masks_actions": masks,
+            "agent_colours": colours,
         }

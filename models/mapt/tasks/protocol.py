@@ -51,6 +51,14 @@ class TaskSpec:
     masks_actions: bool = False
     #: False if no episode ever terminates. Then a constant added to every reward does not change the optimal policy.
     can_terminate: bool = True
+    #: `#RRGGBB` of each agent in the images of a task that renders itself; empty if they are not known. In clips of
+    #: other tasks, agents have the colours of `mapt.rendering.appearance.agent_colour`.
+    agent_colours: tuple[str, ...] = ()
+
+    @property
+    def renders_itself(self) -> bool:
+        """Whether clips are the task's own images, because there is no state to render them from."""
+        return self.nq == 0
 
 
 @dataclass(slots=True)

@@ -37,7 +37,7 @@ def record_video(policy: Policy, task_name: str, path: Path, *, agent_obsk: int,
     try:
         if isinstance(task, RenderableTask):
             _record_frames(policy, task, path, seed)
-        elif task.spec.nq == 0:
+        elif task.spec.renders_itself:
             raise NoRenderer(f"{task_name} has no simulator state to render, and does not render itself.")
         else:
             states = [task.simulator_state() for _ in _episode(policy, task, seed)]

@@ -1,5 +1,6 @@
 """Colours and limbs of the styled model."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -87,6 +88,25 @@ def test_target_keeps_its_colour_and_arm_has_its_agents_colour() -> None:
     np.testing.assert_allclose(model.geom_rgba[target], given.geom_rgba[target])
     np.testing.assert_allclose(model.geom_rgba[tip], rgba(AGENT_COLOURS[1]), rtol=1e-6)
     np.testing.assert_allclose(model.geom_rgba[wall], rgba(POST_COLOUR), rtol=1e-6)
+
+
+def test_a_goal_that_is_fixed_to_the_world_keeps_its_colour_and_a_wall_without_one_is_grey() -> None:
+    given = mujoco.MjModel.from_xml_string("""
+        <mujoco>
+          <asset><material name="green" rgba="0 1 0 1"/></asset>
+          <worldbody>
+            <geom name="wall" type="box" size="1 1 1"/>
+            <geom name="goal" type="sphere" size="0.1" rgba="1 0 0 1"/>
+            <body name="flag"><geom name="cloth" type="box" size="0.1 0.1 0.1" material="green"/></body>
+            <body><joint type="slide"/><geom name="agent" type="sphere" size="0.1" rgba="0 0 1 1"/></body>
+          </worldbody>
+        </mujoco>
+    """)
+    model = styled_model(given, [[given.geom("agent").id]], RenderSettings())
+    colours = {name: model.geom_rgba[given.geom(name).id] for name in ("wall", "goal", "cloth", "agent")}
+    wanted = {"wall": rgba(POST_COLOUR), "goal": (1, 0, 0, 1), "cloth": (0, 1, 0, 1), "agent": rgba(AGENT_COLOURS[0])}
+    for name, colour in wanted.items():
+        np.testing.assert_allclose(colours[name], colour, rtol=1e-6, err_msg=name)
 
 
 def test_objects_keep_their_transparency() -> None:

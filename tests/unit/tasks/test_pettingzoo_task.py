@@ -1,13 +1,14 @@
 """PettingZoo environments as tasks: one of MaMuJoCo's, and a small one with masked discrete actions."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from gymnasium_robotics import mamujoco_v1
 
-from mapt.errors import NotRenderable, TaskExists
+from mapt.errors import NotRenderable, TaskExists, UnusableEnvironment
 from mapt.tasks import MaskingTask, RenderableTask, Task, make_task, register_task, task_names
 from mapt.tasks.pettingzoo_task import PettingZooDefinition
 from support.levers import Levers, RenderableLevers
@@ -102,6 +103,15 @@ def test_render_shows_the_current_state() -> None:
     task.step(one_hot([[1, 1], [2, 1]]))
     assert [int(task.render(env).max()) for env in range(2)] == [11, 12]
     assert task.render(0).shape == (2, 3, 3)
+
+
+def test_agents_have_the_colours_that_the_definition_says() -> None:
+    assert LEVERS.spec(agent_obsk=None, agent_index=False).agent_colours == ()
+    coloured = replace(LEVERS, agent_colours=("#0072B2", "#D55E00"))
+    assert coloured.spec(agent_obsk=None, agent_index=False).agent_colours == ("#0072B2", "#D55E00")
+    for colours in (("#0072B2",), ("#0072B2", "red")):
+        with pytest.raises(UnusableEnvironment, match="a colour such as #0072B2 for each of its 2 agents"):
+            replace(LEVERS, agent_colours=colours).spec(agent_obsk=None, agent_index=False)
 
 
 def test_registered_name_is_known_and_unique() -> None:

@@ -4280,7 +4280,7 @@ export interface components {
             agent_names: string[];
             /**
              * Agent Colours
-             * @description CSS colours of the agents in the clips, in agent order.
+             * @description CSS colours of the agents in the clips, in agent order; empty if they are not known.
              */
             agent_colours: string[];
             /**

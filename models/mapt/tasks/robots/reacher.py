@@ -1,5 +1,9 @@
 """Reacher with one agent per joint: gymnasium's Reacher-v5 with MaMuJoCo's partition."""
 
+# mujoco is compiled and ships no stubs.
+# pyright: reportAttributeAccessIssue=false
+
+import mujoco
 import numpy as np
 
 from mapt.tasks.mujoco_definition import Features, FloatArray, MujocoMdp, Robot, gymnasium_asset, sum_of_squares
@@ -12,6 +16,15 @@ TARGET_RADIUS_METRES = 0.2
 #: Two angles of the arm and the target's x and y.
 NQ = NV = 4
 FINGERTIP, TARGET = 3, 4
+
+
+def make_spec() -> mujoco.MjSpec:
+    """Gymnasium's reacher. Its pink border gets MuJoCo's default colour, in which clips show surroundings."""
+    spec = gymnasium_asset("reacher.xml")()
+    for geom in spec.worldbody.geoms:
+        if geom.type != mujoco.mjtGeom.mjGEOM_PLANE:
+            geom.rgba = [0.5, 0.5, 0.5, 1.0]
+    return spec
 
 
 def sample_start(rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
@@ -61,7 +74,7 @@ _PARTITION = Partition(
 TASKS = (
     MujocoDefinition(
         name="Reacher-2x1",
-        robot=Robot(gymnasium_asset("reacher.xml"), NQ, NV, 0.01, _PARTITION),
+        robot=Robot(make_spec, NQ, NV, 0.01, _PARTITION),
         mdp=MujocoMdp(
             frame_skip=2,
             sample_start=sample_start,
