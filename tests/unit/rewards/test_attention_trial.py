@@ -51,10 +51,9 @@ def test_first_trial_is_due():
 
 def test_metrics_of_the_latest_trial_are_kept():
     trial = AttentionTrial(True, torch.tensor([0.1, 0.3]), labels=100, seconds=7.0)
-    first = trial_metrics(trial, True, None)
+    first = trial_metrics(trial, None)
     assert first == pytest.approx(
         {
-            "attention": 1,
             "attention_trial_seconds": 7,
             "attention_gain": 0.2,
             "attention_gain_error": 0.1,
@@ -62,5 +61,5 @@ def test_metrics_of_the_latest_trial_are_kept():
             "attention_trial_labels": 100,
         }
     )
-    assert trial_metrics(None, True, first) == {**first, "attention_trial_seconds": 0.0}
-    assert trial_metrics(None, False, None) == {"attention": 0.0, "attention_trial_seconds": 0.0}
+    assert trial_metrics(None, first) == {**first, "attention_trial_seconds": 0.0}
+    assert trial_metrics(None, None) == {"attention_trial_seconds": 0.0}
