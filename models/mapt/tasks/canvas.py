@@ -3,6 +3,7 @@
 Positions and lengths are in pixels; x points right and y down, and (0, 0) is the upper left corner of the image.
 """
 
+import copy
 import math
 
 import numpy as np
@@ -39,8 +40,8 @@ class Canvas:
 
     def copy(self) -> "Canvas":
         """Another canvas with the same image."""
-        same = Canvas(0, 0, (0, 0, 0))
-        same.height, same.width, same._pixels = self.height, self.width, self._pixels.copy()
+        same = copy.copy(self)
+        same._pixels = self._pixels.copy()
         return same
 
     def image(self) -> NDArray[np.uint8]:

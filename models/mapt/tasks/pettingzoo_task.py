@@ -4,21 +4,17 @@ This module does not import PettingZoo; it uses the methods of `ParallelEnv` onl
 given their seed and actions: a snapshot stores both for the running episodes, and restoring replays them.
 """
 
-# mujoco is compiled and ships no stubs.
-# pyright: reportAttributeAccessIssue=false
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.errors import InvalidAction, InvalidConfig, NoSimulator, NotRenderable, UnusableEnvironment
-from mapt.tasks.protocol import Task, TaskSpec, TaskStep
+from mapt.errors import InvalidConfig, NotRenderable, UnusableEnvironment
+from mapt.tasks.protocol import Task, TaskSpec, TaskStep, WithoutModel, check_actions
 from mapt.tasks.snapshot import load_snapshot, take_snapshot
 
 _SEEDS = 2**31
@@ -98,9 +94,7 @@ class PettingZooTask:
         return self._observations.copy(), self._state.copy()
 
     def step(self, actions: NDArray[np.floating]) -> TaskStep:
-        expected = self._available.shape
-        if actions.shape != expected or not np.isfinite(actions).all():
-            raise InvalidAction(f"Actions must be finite and have shape {expected}, got {actions.shape}.")
+        check_actions(actions, self._available.shape)
         reward, terminated = np.zeros(self._n_envs), np.zeros(self._n_envs, dtype=bool)
         truncated = np.zeros_like(terminated)
         for index in range(self._n_envs):
@@ -217,7 +211,7 @@ def state_of(env: ParallelEnv, own: NDArray[np.floating]) -> NDArray[np.floating
 
 
 @dataclass(frozen=True)
-class PettingZooDefinition:
+class PettingZooDefinition(WithoutModel):
     """A `TaskDefinition` of any `pettingzoo.ParallelEnv`. It ignores `agent_obsk`."""
 
     name: str
@@ -247,12 +241,6 @@ class PettingZooDefinition:
         """See `make_task`. The environments are stepped in the calling thread."""
         spec = self.spec(agent_obsk=agent_obsk, agent_index=agent_index)
         return PettingZooTask(spec, self.make_env, n_envs=n_envs, agent_index=agent_index, dtype=dtype)
-
-    def load_model(self) -> mujoco.MjModel:
-        raise NoSimulator(self.name)
-
-    def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
-        raise NoSimulator(self.name)
 
     @cached_property
     def _spec_fields(self) -> dict[str, Any]:

@@ -14,6 +14,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from mapt.errors import InvalidAction, NoSimulator
+
 
 @dataclass(frozen=True, slots=True)
 class TaskSpec:
@@ -235,6 +237,20 @@ class TaskDefinition(Protocol):
         ...
 
 
+class WithoutModel:
+    """The part of a `TaskDefinition` that tasks have in common which MuJoCo does not simulate."""
+
+    __slots__ = ()
+
+    def load_model(self: TaskDefinition) -> mujoco.MjModel:
+        """See `TaskDefinition.load_model`."""
+        raise NoSimulator(self.name)
+
+    def agent_geoms(self: TaskDefinition) -> tuple[tuple[int, ...], ...]:
+        """See `TaskDefinition.agent_geoms`."""
+        raise NoSimulator(self.name)
+
+
 @runtime_checkable
 class DrawnDefinition(TaskDefinition, Protocol):
     """A definition of a task whose states are drawn. `nq` of its spec is the size of a state, and `nv` may be 0."""
@@ -242,6 +258,34 @@ class DrawnDefinition(TaskDefinition, Protocol):
     def drawing(self) -> Drawing:
         """The drawing of this task's states."""
         ...
+
+
+def check_actions(actions: NDArray[np.floating], shape: tuple[int, ...]) -> None:
+    """Raise InvalidAction unless actions are finite numbers of this shape, (E, N, A)."""
+    if actions.shape != shape or not np.isfinite(actions).all():
+        raise InvalidAction(f"Actions must be finite and have shape {shape}, got {actions.shape}.")
+
+
+def chosen_actions(actions: NDArray[np.floating], available: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The number of each agent's discrete action, (E, N).
+
+    Args:
+        actions: one-hot (E, N, A).
+        available: (E, N, A), as `MaskingTask.available_actions`.
+
+    Raises:
+        InvalidAction: as `check_actions`, or if an action is not available.
+    """
+    check_actions(actions, available.shape)
+    chosen = actions.argmax(axis=2)
+    allowed = np.take_along_axis(available, chosen[..., None], 2)[..., 0]
+    if not allowed.all():
+        env, agent = np.argwhere(~allowed)[0]
+        raise InvalidAction(
+            f"Action {chosen[env, agent]} of agent {agent} in environment {env} is not available. "
+            "Choose among available_actions()."
+        )
+    return chosen
 
 
 class WrappedTask:

@@ -4,9 +4,6 @@ SMAC (https://github.com/oxwhirl/smac) and StarCraft II are not installed with A
 after the other; each has a process of the game.
 """
 
-# mujoco is compiled and ships no stubs.
-# pyright: reportAttributeAccessIssue=false
-
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,12 +11,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.errors import InvalidAction, InvalidConfig, InvalidSnapshot, NoSimulator, UnusableEnvironment
-from mapt.tasks.protocol import Task, TaskSpec, TaskStep
+from mapt.errors import InvalidConfig, InvalidSnapshot, UnusableEnvironment
+from mapt.tasks.protocol import Task, TaskSpec, TaskStep, WithoutModel, check_actions
 from mapt.tasks.skirmish.maps import LOOPS_PER_SECOND, LOOPS_PER_STEP
 
 PREFIX = "SMAC-"
@@ -88,9 +84,7 @@ class SmacTask:
         return self._observe()
 
     def step(self, actions: NDArray[np.floating]) -> TaskStep:
-        expected = (self._n_envs, self._spec.n_agents, self._spec.action_dim)
-        if actions.shape != expected or not np.isfinite(actions).all():
-            raise InvalidAction(f"Actions must be finite and have shape {expected}, got {actions.shape}.")
+        check_actions(actions, (self._n_envs, self._spec.n_agents, self._spec.action_dim))
         reward, terminated = np.zeros(self._n_envs), np.zeros(self._n_envs, bool)
         truncated = np.zeros_like(terminated)
         for number, (env, chosen) in enumerate(zip(self._envs, actions.argmax(axis=2).tolist(), strict=True)):
@@ -136,7 +130,7 @@ class SmacTask:
 
 
 @dataclass(frozen=True, slots=True)
-class SmacDefinition:
+class SmacDefinition(WithoutModel):
     """A `TaskDefinition` of one of SMAC's maps. It ignores `agent_obsk` and `n_threads`."""
 
     map_name: str
@@ -174,12 +168,6 @@ class SmacDefinition:
     ) -> Task:
         spec = self.spec(agent_obsk=agent_obsk, agent_index=agent_index)
         return SmacTask(spec, self._make_env, n_envs=n_envs, agent_index=agent_index, dtype=dtype)
-
-    def load_model(self) -> mujoco.MjModel:
-        raise NoSimulator(self.name)
-
-    def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
-        raise NoSimulator(self.name)
 
     def _make_env(self, seed: int) -> SmacEnv:
         folder = Path(os.environ.get(PATH_VARIABLE, DEFAULT_PATH)).expanduser()

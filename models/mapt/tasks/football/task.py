@@ -1,17 +1,13 @@
 """The football tasks: E matches, each on an engine in a process of its own."""
 
-# mujoco is compiled and ships no stubs.
-# pyright: reportAttributeAccessIssue=false
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.errors import InvalidAction, InvalidConfig, InvalidSnapshot, NoSimulator, UnusableEnvironment
+from mapt.errors import InvalidConfig, InvalidSnapshot, UnusableEnvironment
 from mapt.processes import JobProcess, end_job_processes
 from mapt.tasks.football.drawing import FootballDrawing
 from mapt.tasks.football.engine import INSTALL, EngineJob, Request, is_installed
@@ -26,7 +22,7 @@ from mapt.tasks.football.features import (
 from mapt.tasks.football.match import Match, state_size
 from mapt.tasks.football.reward import team_reward
 from mapt.tasks.football.scenarios import LIMIT_STEPS, SCENARIOS, STEPS_PER_SECOND, Scenario
-from mapt.tasks.protocol import Task, TaskSpec, TaskStep
+from mapt.tasks.protocol import Task, TaskSpec, TaskStep, WithoutModel, chosen_actions
 from mapt.tasks.snapshot import load_snapshot, take_snapshot
 
 INSTRUCTIONS = (
@@ -91,7 +87,7 @@ class Football:
         return self._observe(self._states)
 
     def step(self, actions: NDArray[np.floating]) -> TaskStep:
-        chosen = self._check(actions)
+        chosen = chosen_actions(actions, self._available)
         played = self._ask(
             [("step", tuple(own), seed) for own, seed in zip(chosen.tolist(), self._seeds.tolist(), strict=True)]
         )
@@ -154,21 +150,6 @@ class Football:
                 raise UnusableEnvironment(f"The football engine of environment {number} failed: {answer.failure}.")
         return [answer.result for answer in answers]
 
-    def _check(self, actions: NDArray[np.floating]) -> NDArray[np.int64]:
-        """The number of each agent's action, (E, N)."""
-        expected = self._available.shape
-        if actions.shape != expected or not np.isfinite(actions).all():
-            raise InvalidAction(f"Actions must be finite and have shape {expected}, got {actions.shape}.")
-        chosen = actions.argmax(axis=2)
-        allowed = np.take_along_axis(self._available, chosen[..., None], 2)[..., 0]
-        if not allowed.all():
-            env, agent = np.argwhere(~allowed)[0]
-            raise InvalidAction(
-                f"Action {chosen[env, agent]} of agent {agent} in environment {env} is not available. "
-                "Choose among available_actions()."
-            )
-        return chosen
-
     def _observe(self, states: NDArray[np.float64]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Observations and state. The available actions become those of these states."""
         match = Match.of(states, self._scenario)
@@ -178,7 +159,7 @@ class Football:
 
 
 @dataclass(frozen=True, slots=True)
-class FootballDefinition:
+class FootballDefinition(WithoutModel):
     """A `DrawnDefinition` of one scenario. It ignores `agent_obsk` and `n_threads`."""
 
     scenario: Scenario
@@ -211,12 +192,6 @@ class FootballDefinition:
     ) -> Task:
         spec = self.spec(agent_obsk=agent_obsk, agent_index=agent_index)
         return Football(spec, self.scenario, n_envs=n_envs, agent_index=agent_index, dtype=dtype)
-
-    def load_model(self) -> mujoco.MjModel:
-        raise NoSimulator(self.name)
-
-    def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
-        raise NoSimulator(self.name)
 
     def drawing(self) -> FootballDrawing:
         return FootballDrawing(self.scenario)

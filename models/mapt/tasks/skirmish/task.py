@@ -3,17 +3,13 @@
 The agents control one unit each. The enemies are scripted by us, not by StarCraft II: see `Battle`.
 """
 
-# mujoco is compiled and ships no stubs.
-# pyright: reportAttributeAccessIssue=false
-
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.errors import InvalidAction, InvalidConfig, NoSimulator
-from mapt.tasks.protocol import Task, TaskSpec, TaskStep
+from mapt.errors import InvalidConfig
+from mapt.tasks.protocol import Task, TaskSpec, TaskStep, WithoutModel, chosen_actions
 from mapt.tasks.skirmish.battle import NOBODY, Battle
 from mapt.tasks.skirmish.drawing import DRAWN_NUMBERS, SkirmishDrawing
 from mapt.tasks.skirmish.features import FIRST_TARGET, MOVES, NORTH, Features, View
@@ -85,7 +81,7 @@ class Skirmish:
         return self._observe(np.arange(self._n_envs))
 
     def step(self, actions: NDArray[np.floating]) -> TaskStep:
-        chosen = self._check(actions)
+        chosen = chosen_actions(actions, self._available)
         battle, enemies = self._battle, slice(self._spec.n_agents, None)
         before, alive_before = battle.health + battle.shield, battle.health > 0
         self._fight(chosen)
@@ -133,21 +129,6 @@ class Skirmish:
         own = {"elapsed_steps": self._elapsed_steps, "last_actions": self._last_actions}
         return {**self._battle.arrays(), **own}
 
-    def _check(self, actions: NDArray[np.floating]) -> NDArray[np.int64]:
-        """The number of each agent's action, (E, N)."""
-        expected = self._available.shape
-        if actions.shape != expected or not np.isfinite(actions.sum()):
-            raise InvalidAction(f"Actions must be finite and have shape {expected}, got {actions.shape}.")
-        chosen = actions.argmax(axis=2)
-        allowed = np.take_along_axis(self._available, chosen[..., None], 2)[..., 0]
-        if not allowed.all():
-            env, agent = np.argwhere(~allowed)[0]
-            raise InvalidAction(
-                f"Action {chosen[env, agent]} of agent {agent} in environment {env} is not available. "
-                "Choose among available_actions()."
-            )
-        return chosen
-
     def _fight(self, chosen: NDArray[np.int64]) -> None:
         """Carry out the agents' actions for the game loops of one step."""
         battle, n = self._battle, self._spec.n_agents
@@ -180,7 +161,7 @@ class Skirmish:
 
 
 @dataclass(frozen=True, slots=True)
-class SkirmishDefinition:
+class SkirmishDefinition(WithoutModel):
     """A `DrawnDefinition` of one map. It ignores `agent_obsk` and `n_threads`."""
 
     map: SkirmishMap
@@ -212,12 +193,6 @@ class SkirmishDefinition:
     ) -> Task:
         spec = self.spec(agent_obsk=agent_obsk, agent_index=agent_index)
         return Skirmish(spec, self.map, n_envs=n_envs, agent_index=agent_index, dtype=dtype)
-
-    def load_model(self) -> mujoco.MjModel:
-        raise NoSimulator(self.name)
-
-    def agent_geoms(self) -> tuple[tuple[int, ...], ...]:
-        raise NoSimulator(self.name)
 
     def drawing(self) -> SkirmishDrawing:
         return SkirmishDrawing(self.map)
