@@ -34,7 +34,7 @@ from mapt.training.metrics import Metrics
 from mapt.training.reward_source import reward_files
 from mapt.training.run import RunJob, RunReport, do_run, do_run_in_worker
 from mapt.training.run_file import RewardChoice, RunFile, Sweep, cells, merged, read_toml, share
-from mapt.training.settings import TRUE, ImitationSettings, LearnedRewardSettings, RunSettings
+from mapt.training.settings import TRUE, LearnedRewardSettings, RunSettings
 
 _STATUS_STOPPED = 130
 _STATUS_FAILED = 2
@@ -229,7 +229,7 @@ def train_all(jobs: Sequence[RunJob], n_workers: int, loggers: RunLoggers | None
             n_finished += done.result is not None
             if done.failure is not None:
                 n_failed += 1
-                print_error(f"{_name_in_sweep(done.job)}: {done.failure}")
+                print_error(f"{done.job.name_in_sweep}: {done.failure}")
     if n_failed:
         raise typer.Exit(_STATUS_FAILED)
     if n_finished < len(jobs):
@@ -246,12 +246,12 @@ class _RunProgress:
         self._returns: dict[RunJob, str] = {}
 
     def start(self, job: RunJob) -> None:
-        self._bars.add(job, _name(job), job.settings.steps)
+        self._bars.add(job, job.name, job.settings.steps)
         self._loggers.start(job)
 
     def update(self, job: RunJob, report: RunReport) -> None:
         if isinstance(report, str):
-            log_line(f"{_name(job)}: {report}")
+            log_line(f"{job.name}: {report}")
         else:
             self._bars.update(job, float(report["steps"]), self._state(job, report))
             self._loggers.append(job, report)
@@ -260,24 +260,12 @@ class _RunProgress:
         self._bars.stop(job)
         self._loggers.finish(job, evaluation)
         if evaluation is not None:
-            log_line(f"{_name_in_sweep(job)}: {evaluation.describe()}; {job.folder}")
+            log_line(f"{job.name_in_sweep}: {evaluation.describe()}; {job.folder}")
 
     def _state(self, job: RunJob, metrics: Metrics) -> str:
         if "true_return" in metrics:
             self._returns[job] = f"return {float(metrics['true_return']):,.0f}, "
         return f"{self._returns.get(job, '')}{float(metrics['steps_per_second']):,.0f} steps/s"
-
-
-def _name(job: RunJob) -> str:
-    settings = job.settings
-    learned_from = settings.reward
-    algorithm = learned_from.algorithm if isinstance(learned_from, ImitationSettings) else settings.policy.algorithm
-    return f"{settings.task}, {algorithm}, {_name_in_sweep(job)}"
-
-
-def _name_in_sweep(job: RunJob) -> str:
-    seed = f"seed {job.settings.policy.seed}"
-    return f"{job.cell}, {seed}" if job.cell else seed
 
 
 def _train_in_turn(

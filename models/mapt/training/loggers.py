@@ -47,7 +47,7 @@ class WandbLogger:
         self._run: Any = wandb.init(
             project=os.environ.get("WANDB_PROJECT", _PROJECT),
             id=_stored_id(job.folder, "wandb", partial(secrets.token_hex, 4)),
-            name=_name(job),
+            name=job.name,
             group=job.settings.task,
             config=dict(job.settings.flat()),
             dir=job.folder,
@@ -77,7 +77,7 @@ class MlflowLogger:
         found = self._client.get_experiment_by_name(name)
         experiment = found.experiment_id if found else self._client.create_experiment(name)
         self._id = _stored_id(
-            job.folder, "mlflow", lambda: self._client.create_run(experiment, run_name=_name(job)).info.run_id
+            job.folder, "mlflow", lambda: self._client.create_run(experiment, run_name=job.name).info.run_id
         )
         self._client.update_run(self._id, status="RUNNING")
         settings = job.settings.flat()
@@ -151,7 +151,7 @@ class RunLoggers:
             yield
         except Exception as error:  # noqa: BLE001 (the training goes on, and its folder has every number)
             self._of.get(job, {}).pop(name, None)
-            self._on_problem(f"{_name(job)} is no longer logged to {name}: {error}")
+            self._on_problem(f"{job.name} is no longer logged to {name}: {error}")
 
 
 def _check(names: Sequence[str]) -> None:
@@ -173,11 +173,6 @@ def numbers(values: Metrics) -> dict[str, float]:
         for name, value in values.items()
         if name not in _COORDINATES and not isinstance(value, str)
     }
-
-
-def _name(job: RunJob) -> str:
-    seed = f"seed {job.settings.policy.seed}"
-    return f"{job.settings.task}, {job.settings.policy.algorithm}, {f'{job.cell}, ' if job.cell else ''}{seed}"
 
 
 def _stored_id(folder: Path, logger: str, make: Callable[[], str]) -> str:

@@ -319,8 +319,21 @@ class RunJob:
     video: bool
     #: as `n_threads` of `make_task`
     physics_threads: int
-    #: what distinguishes the runs of a sweep, for messages
+    #: what distinguishes the runs of a sweep
     cell: str = ""
+
+    @property
+    def name_in_sweep(self) -> str:
+        """What distinguishes it from the other runs of its command, for people."""
+        seed = f"seed {self.settings.policy.seed}"
+        return f"{self.cell}, {seed}" if self.cell else seed
+
+    @property
+    def name(self) -> str:
+        """Task, algorithm and `name_in_sweep`, for people."""
+        settings, learned_from = self.settings, self.settings.reward
+        algorithm = learned_from.algorithm if isinstance(learned_from, ImitationSettings) else settings.policy.algorithm
+        return f"{settings.task}, {algorithm}, {self.name_in_sweep}"
 
 
 def do_run(job: RunJob, on_report: Callable[[RunReport], None], should_stop: Callable[[], bool]) -> Evaluation | None:
