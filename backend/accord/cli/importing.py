@@ -2,7 +2,7 @@
 
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -20,7 +20,7 @@ def import_experiment(
     *,
     name: Annotated[str, typer.Option(help="Name of the new experiment.")],
     format: Annotated[
-        Literal["tables", "mapt", "imitation", "offline", "minari", "d4rl"],
+        importing.ImportFormat,
         typer.Option(help="Format of the file: see docs/reference.md. tables: `accord export`."),
     ] = "tables",
     task: Annotated[

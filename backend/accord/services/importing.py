@@ -34,7 +34,7 @@ from mapt.tasks import TaskSpec, task_spec
 #: Iteration and steps of the policy that produced imported segments: they are older than all of the new experiment's.
 BEFORE_THE_RUN = -1
 #: tables: an export of Accord. See `ForeignFormat` for the others.
-ImportFormat = Literal["tables"] | ForeignFormat
+ImportFormat = Literal["tables", ForeignFormat]
 #: Steps of the segments that episodes are cut into, unless the caller says otherwise.
 DEFAULT_SEGMENT_STEPS = 50
 
@@ -137,7 +137,7 @@ def _config_for(spec: TaskSpec, layout: SegmentLayout, labels: list[float]) -> E
             "task",
         )
     states = (layout.qpos_dim, layout.qvel_dim)
-    has_states = states != (0, 0) and spec.nq > 0
+    has_states = states != (0, 0) and not spec.renders_itself
     if has_states and states != (spec.nq, spec.nv):
         raise Invalid(
             f"The simulator states in the file have {states[0]} positions and {states[1]} velocities, those of "
@@ -319,7 +319,7 @@ def create(  # noqa: PLR0917 (as `experiments.create`)
             )
         )
     session.flush()
-    if found.config.render_clips and task_spec(found.config.task).nq > 0:
+    if found.config.render_clips and not task_spec(found.config.task).renders_itself:
         shown = {each for query in found.queries for each in (query.segment_0_id, query.segment_1_id)}
         session.add_all(
             ClipRow(id=new_id("clp"), experiment_id=row.id, segment_id=found.segments[each].id)
