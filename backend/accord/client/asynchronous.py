@@ -251,8 +251,9 @@ class AsyncClient:
         path, folder = f"/experiments/{experiment_id}/reward-versions/{number}", Path(folder)
         card, weights = await self.get_bytes(f"{path}/card"), await self.get_bytes(f"{path}/weights")
         folder.mkdir(parents=True, exist_ok=True)
-        atomic_write(folder / "reward.json", card)
         atomic_write(folder / "reward.safetensors", weights)
+        # The card last: where a policy already trains on this folder, it completes the new version.
+        atomic_write(folder / "reward.json", card)
         return number
 
     async def download_policy(self, experiment_id: str, file: str | Path) -> None:
