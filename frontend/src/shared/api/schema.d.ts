@@ -6450,7 +6450,7 @@ export interface operations {
                 /** @description Name of the new experiment. */
                 name: string;
                 /** @description tables: the ZIP file of an export. mapt, imitation: their pickle of comparisons, or a ZIP file of trajectories saved by imitation. d4rl: an HDF5 file. minari, offline: a ZIP file of the dataset's folder; for offline, with the D4RL file and the three pickles. */
-                format?: "tables" | ("mapt" | "imitation" | "offline" | "minari" | "d4rl");
+                format?: "tables" | "mapt" | "imitation" | "offline" | "minari" | "d4rl";
                 /** @description The task that the segments come from; needed without settings. */
                 task?: string | null;
                 /** @description Steps of a segment, for minari, d4rl, offline and saved trajectories. */
