@@ -7,7 +7,10 @@ They put the parts of the library together for one process and data that fit int
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import torch
@@ -32,6 +35,7 @@ from mapt.training.evaluation import EPISODES, SEED_OF_STARTS, Evaluation
 from mapt.training.policy_trainer import PolicyTrainer
 from mapt.training.preference_loop import RewardSettings, Segment, labelled_dataset
 from mapt.training.reward_source import LearnedReward, TrueReward, dimensions, reward_files
+from mapt.training.run_folder import CHECKPOINT_FILE, POLICY_FILE, learner_bytes
 
 #: Labels pairs of segments: P(segment 0 preferred) of each, (B,), NaN for pairs to skip.
 LabelFunction = Callable[[TeacherView, TeacherView], NDArray[np.floating]]
@@ -102,12 +106,30 @@ class Reward:
     segment_steps: int
     #: where it was trained, see `mapt.provenance`; empty if an earlier version saved it
     provenance: dict[str, object]
+    #: name of the task that it was trained on; None if an earlier version saved it
+    task: str | None = None
 
     def save(self, folder: str | Path) -> None:
         """Write reward.safetensors and reward.json, which `load_reward`, `mapt train` and the wrappers read."""
-        save_reward_model(self.model, self.metrics, segment_steps=self.segment_steps, trained_by=self.provenance).write(
-            Path(folder)
+        saved = save_reward_model(
+            self.model,
+            self.metrics,
+            segment_steps=self.segment_steps,
+            trained_by=self.provenance,
+            task=self.task,
         )
+        saved.write(Path(folder))
+
+    def push_to_hub(self, repo_id: str, *, private: bool | None = None, token: str | None = None) -> str:
+        """Upload to a model repository of the Hugging Face Hub, with a model card; see `mapt.hub.push`."""
+        with TemporaryDirectory() as folder:
+            self.save(folder)
+            return _hub().push(Path(folder), repo_id, private=private, token=token)
+
+    @classmethod
+    def from_pretrained(cls, repo_id: str, *, revision: str | None = None, token: str | None = None) -> "Reward":
+        """Download from a repository of the Hub; raises as `mapt.hub.download` and `load_reward`."""
+        return load_reward(_hub().download(repo_id, revision=revision, token=token))
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +147,26 @@ class TrainedPolicy:
     def save(self, path: str | Path) -> None:
         """Write a checkpoint, with which `load_policy` continues the training bit for bit."""
         self.learner.save(Path(path))
+
+    def push_to_hub(self, repo_id: str, *, private: bool | None = None, token: str | None = None) -> str:
+        """Upload to a model repository of the Hugging Face Hub, with a model card; see `mapt.hub.push`."""
+        with TemporaryDirectory() as folder:
+            file = Path(folder, POLICY_FILE)
+            self.save(file)
+            return _hub().push(file, repo_id, private=private, token=token)
+
+    @classmethod
+    def from_pretrained(
+        cls, repo_id: str, task: Task, *, revision: str | None = None, token: str | None = None
+    ) -> "TrainedPolicy":
+        """Download from a repository of the Hub that holds a policy or a run of `mapt train`.
+
+        Args:
+            task: as in `load_policy`. Raises as `load_policy` and `mapt.hub.download`.
+        """
+        folder = _hub().download(repo_id, revision=revision, token=token)
+        file = folder / POLICY_FILE
+        return load_policy(file if file.exists() else folder / CHECKPOINT_FILE, task)
 
 
 def collect(task: Task, policy: TrainedPolicy | Policy | None = None, *, steps: int = 400, seed: int = 0) -> Replay:
@@ -211,7 +253,7 @@ def train_reward(
 
         trained = train_reward_model(data.dataset, config, train, progress=report)
     trained_by = provenance(str(resolve_device(device)), torch.get_num_threads())
-    return Reward(trained.model, trained.metrics, data.segment_steps, trained_by)
+    return Reward(trained.model, trained.metrics, data.segment_steps, trained_by, data.spec.name)
 
 
 def load_reward(path: str | Path) -> Reward:
@@ -224,7 +266,7 @@ def load_reward(path: str | Path) -> Reward:
     loaded = load_reward_model(*reward_files(Path(path)))
     if loaded.segment_steps is None:
         raise InvalidConfig(f"The reward model in {path} does not say how long its segments were.", "segment_steps")
-    return Reward(loaded.model, loaded.metrics, loaded.segment_steps, loaded.provenance)
+    return Reward(loaded.model, loaded.metrics, loaded.segment_steps, loaded.provenance, loaded.task)
 
 
 def train_policy(
@@ -269,7 +311,7 @@ def train_policy(
 
 
 def load_policy(path: str | Path, task: Task) -> TrainedPolicy:
-    """Read a policy that `TrainedPolicy.save` wrote.
+    """Read a policy that `TrainedPolicy.save` wrote, or a checkpoint in the folder of a run.
 
     Args:
         task: of the same name and with as many environments as in its training.
@@ -277,7 +319,7 @@ def load_policy(path: str | Path, task: Task) -> TrainedPolicy:
     Raises:
         CheckpointError: if the file is damaged, or of another task.
     """
-    return TrainedPolicy(Learner.load(Path(path), task), ())
+    return TrainedPolicy(Learner.from_bytes(learner_bytes(Path(path)), task), ())
 
 
 def evaluate(
@@ -303,6 +345,11 @@ def evaluate(
         if own is not None:
             own.close()
     return Evaluation(tuple(played.returns.tolist()), tuple(played.lengths.tolist()))
+
+
+def _hub() -> Any:
+    # Its client is an extra.
+    return import_module("mapt.hub")
 
 
 def _reward_source(reward: Reward | None, task: Task, config: PolicyConfig) -> TrueReward | LearnedReward:

@@ -52,6 +52,10 @@ MaptError
 │   ├── RunBusy
 │   ├── RunNotFound
 │   └── DamagedRun
+├── HubError
+│   ├── HubNotFound
+│   ├── HubDenied
+│   └── HubUnreachable
 └── BenchmarkError
     ├── DatasetError
     │   ├── DatasetNotFound
@@ -447,6 +451,22 @@ class DamagedRun(RunError):
         super().__init__(f"{path} cannot be read ({reason}).")
         self.path = path
         self.reason = reason
+
+
+class HubError(MaptError):
+    """A repository of the Hugging Face Hub cannot be read or written. Nothing was uploaded, or written to a folder."""
+
+
+class HubNotFound(HubError):
+    """The repository, its revision or what was expected in it does not exist, or a token is needed to see it."""
+
+
+class HubDenied(HubError):
+    """The Hub needs a token, or does not allow this one."""
+
+
+class HubUnreachable(HubError):
+    """The Hub does not answer, answers with an error, or HF_HUB_OFFLINE is set."""
 
 
 class BenchmarkError(MaptError, ValueError):

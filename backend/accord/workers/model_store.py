@@ -24,14 +24,20 @@ log = logging.getLogger(__name__)
 
 
 def store_reward_model(
-    blobs: BlobStore, experiment_id: str, model: RewardModel, metrics: Mapping[str, float], segment_steps: int
+    blobs: BlobStore,
+    experiment_id: str,
+    model: RewardModel,
+    metrics: Mapping[str, float],
+    segment_steps: int,
+    *,
+    task: str | None = None,
 ) -> str:
     """Write a model's weights and card. Returns the key of the weights, for the row of the reward version.
 
     Raises:
         BlobsNotWritable: if the blobs are read-only or full.
     """
-    saved = save_reward_model(model, metrics, segment_steps=segment_steps)
+    saved = save_reward_model(model, metrics, segment_steps=segment_steps, task=task)
     # One checksum for both: the row names the weights, and the key of the card follows.
     key = with_checksum(f"rewards/{experiment_id}/{new_id('rwb')}.safetensors", saved.weights, saved.card)
     blobs.put(card_key(key), saved.card)

@@ -167,7 +167,8 @@ class RewardWorker:
         if len(labels.items) < 2:
             return False
         dataset, reliabilities = self._segments.dataset(row.id, labels.items), list[LabellerReliability]()
-        if experiments.config_of(row).weight_labellers:
+        config = experiments.config_of(row)
+        if config.weight_labellers:
             weighted = weight_labels(dataset, readable(labels.items, dataset), labels.gold)
             dataset, reliabilities = weighted.dataset, weighted.reliabilities
         trained = self._fit(row, dataset, newest, claim, number)
@@ -179,7 +180,7 @@ class RewardWorker:
             claim.check()
             return False
         key = store_reward_model(
-            context.blobs, row.id, trained.model, trained.metrics, experiments.config_of(row).segment_steps
+            context.blobs, row.id, trained.model, trained.metrics, config.segment_steps, task=config.task
         )
         with context.database.transaction() as session:
             claim.check_within(session)

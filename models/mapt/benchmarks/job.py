@@ -234,14 +234,15 @@ def make_cell(cells: Path, job: CellJob, parent: ParentConnection) -> None:
     Stops if the parent cancels the job.
     """
     dataset, code = RecordedDataset.open(job.dataset), code_fingerprint()
-    keep = partial(_save_model, job.model, dataset.source.n_steps)
+    keep = partial(_save_model, job.model, dataset)
     for settings, result in run_versions(job.settings, dataset, parent.cancelled, keep):
         CellFolder(cells).write(settings, result, code)
 
 
-def _save_model(folder: Path | None, segment_steps: int, trained: TrainedReward) -> None:
+def _save_model(folder: Path | None, dataset: RecordedDataset, trained: TrainedReward) -> None:
     if folder is not None:
-        save_reward_model(trained.model, trained.metrics, segment_steps=segment_steps).write(folder)
+        task, segment_steps = dataset.origin.get("task"), dataset.source.n_steps
+        save_reward_model(trained.model, trained.metrics, segment_steps=segment_steps, task=task).write(folder)
 
 
 def network_of(model: str, preset: PresetName, segments: SegmentLayout) -> RewardConfig:

@@ -22,6 +22,12 @@ app = make_app(
         "table": LazyCommand("mapt.cli.benchmarks", "table", "Compare reward models on recorded datasets."),
         "benchmark": LazyCommand("mapt.cli.paper", "benchmark", "Repeat published experiments."),
         "report": LazyCommand("mapt.cli.benchmarks", "report", "Describe trained reward models in an HTML report."),
+        "push": LazyCommand(
+            "mapt.cli.hub", "push", "Upload a reward model, a run or a policy to the Hugging Face Hub."
+        ),
+        "pull": LazyCommand(
+            "mapt.cli.hub", "pull", "Download a reward model, a run or a policy from the Hugging Face Hub."
+        ),
     },
 )
 

@@ -35,7 +35,7 @@ class SavedRewardModel:
 
     #: safetensors: every parameter and buffer, among them the input and reward statistics
     weights: bytes
-    #: JSON: format and version, polarity, settings, kind of score, reward scale, metrics, SHA-256 of the weights,
+    #: JSON: format and version, polarity, settings, kind of score, reward scale, metrics, task, SHA-256 of the weights,
     #: provenance
     card: bytes
 
@@ -58,6 +58,8 @@ class LoadedRewardModel:
     sha256: str
     #: of its training, see `mapt.provenance`; empty for a model of an earlier version
     provenance: dict[str, object]
+    #: name of the task whose segments it was trained on; None if the card does not have it
+    task: str | None = None
 
 
 def save_reward_model(
@@ -66,12 +68,14 @@ def save_reward_model(
     *,
     segment_steps: int | None = None,
     trained_by: Mapping[str, object] | None = None,
+    task: str | None = None,
 ) -> SavedRewardModel:
     """Serialise a model; a round trip gives the same bits.
 
     Args:
         segment_steps: T of the segments it was trained on, the window for relabelling.
         trained_by: the provenance of its training; None for that of this process.
+        task: name of the task whose segments it was trained on.
     """
     judged = {_JUDGED_PREFIX + name: tensor for name, tensor in (model.judged_weights or {}).items()}
     weights = save({name: tensor.contiguous().cpu() for name, tensor in (model.state_dict() | judged).items()})
@@ -85,6 +89,7 @@ def save_reward_model(
         "reward_deviation": model.reward_deviation.item(),
         "metrics": dict(metrics),
         "segment_steps": segment_steps,
+        "task": task,
         "weights_sha256": hashlib.sha256(weights).hexdigest(),
         "provenance": dict(trained_by or provenance(str(model.reward_mean.device), torch.get_num_threads())),
     }
@@ -110,6 +115,9 @@ def load_reward_model(weights: bytes | Path, card: bytes | Path) -> LoadedReward
     segment_steps = checked.get("segment_steps")
     if segment_steps is not None and not (isinstance(segment_steps, int) and segment_steps >= 1):
         raise DamagedCheckpoint(f"its segment_steps is {segment_steps!r}")
+    task = checked.get("task")
+    if task is not None and not isinstance(task, str):
+        raise DamagedCheckpoint(f"its task is {task!r}")
     tensors, config = load_tensors(weight_bytes), config_in(checked)
     judged = {
         name.removeprefix(_JUDGED_PREFIX): tensors.pop(name)
@@ -119,7 +127,7 @@ def load_reward_model(weights: bytes | Path, card: bytes | Path) -> LoadedReward
     model = model_with_weights(config, tensors)
     if judged:
         model.judged_weights = model_with_weights(config, judged).state_dict()
-    return LoadedRewardModel(model, metrics_in(checked), segment_steps, sha256, _provenance_in(checked))
+    return LoadedRewardModel(model, metrics_in(checked), segment_steps, sha256, _provenance_in(checked), task)
 
 
 def read_stored(source: bytes | Path) -> bytes:

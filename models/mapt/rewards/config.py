@@ -151,6 +151,12 @@ class RewardConfig(Settings):
         return cls.from_dict({**sized.to_dict(), "discrete_actions": discrete_actions, **_NAMED[name]})
 
     @property
+    def model_name(self) -> str:
+        """The model of `MODEL_NAMES` that this is, or that it differs from in the fewest settings."""
+        fitting = [name for name in _NAMED if all(getattr(self, key) == value for key, value in _NAMED[name].items())]
+        return max(fitting, key=lambda name: len(_NAMED[name]))
+
+    @property
     def dimensions(self) -> tuple[int, int, int]:
         """(N, C, A)."""
         return self.n_agents, self.observation_dim, self.action_dim

@@ -187,7 +187,11 @@ class RewardFiles:
 def save_version(loaded: LoadedRewardModel, folder: Path) -> None:
     """Save a version to a folder, since the files of `RewardFiles` may be replaced later."""
     save_reward_model(
-        loaded.model, loaded.metrics, segment_steps=loaded.segment_steps, trained_by=loaded.provenance
+        loaded.model,
+        loaded.metrics,
+        segment_steps=loaded.segment_steps,
+        trained_by=loaded.provenance,
+        task=loaded.task,
     ).write(folder)
 
 

@@ -30,6 +30,8 @@ _NOT_SETTINGS = {"format_version", _PROVENANCE}
 FORMAT_VERSION = 1
 RUN_FILE = "run.json"
 CHECKPOINT_FILE = "checkpoint.safetensors"
+#: name of a policy's file where it has no run, in a repository of the Hub
+POLICY_FILE = "policy.safetensors"
 METRICS_FILE = "metrics.jsonl"
 EVALUATION_FILE = "evaluation.json"
 TEACHER_SCORES_FILE = "teacher-scores.json"
