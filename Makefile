@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 CHECKS := check-types check-page check-imports check-style
 
-.PHONY: run test test-slow test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean football test-loggers
+.PHONY: run test test-slow test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean football test-loggers test-ray
 
 run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
 	$(BIN)/accord up --example
@@ -76,6 +76,12 @@ test-loggers: $(INSTALLED) ## Install the extras wandb and mlflow, and a real ML
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev,wandb,mlflow]"
 	test -x $(MLFLOW_SERVER)/bin/mlflow || { $(PYTHON) -m venv $(MLFLOW_SERVER) && $(MLFLOW_SERVER)/bin/pip install --quiet "mlflow==$$($(BIN)/python -c 'import mlflow; print(mlflow.__version__)')"; }
 	$(BIN)/python -m pytest --quiet tests/integration/training/test_loggers.py
+
+test-ray: $(INSTALLED) ## Install the extra ray, 277 MB, and run its tests
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev,ray]"
+	$(BIN)/python -m pytest --quiet $(RAY_TESTS)
+
+RAY_TESTS := tests/integration/cluster
 
 # The server needs an older pyarrow than Accord.
 MLFLOW_SERVER := $(VENV)/mlflow-server

@@ -183,7 +183,9 @@ class _Message:
 
 
 @dataclass(frozen=True, slots=True)
-class _Outcome:
+class Outcome:
+    """What a job function returned, or why it failed."""
+
     result: Any = None
     failure: str | None = None
 
@@ -314,12 +316,12 @@ def _send(worker: _Worker[J], job: J | Callable[[J, ParentConnection], Any] | No
         worker.connection.send(job)
 
 
-def _receive(worker: _Worker[Any]) -> _Message | _Outcome:
+def _receive(worker: _Worker[Any]) -> _Message | Outcome:
     try:
         return worker.connection.recv()
     except (EOFError, ConnectionResetError):
         worker.process.join(_END_SECONDS)
-        return _Outcome(failure=f"its worker process died ({describe_exit(worker.process.exitcode)})")
+        return Outcome(failure=f"its worker process died ({describe_exit(worker.process.exitcode)})")
 
 
 @contextmanager
@@ -350,14 +352,15 @@ def _work(connection: Connection) -> None:
         with uncollected_imports():
             do_job = connection.recv()
         while (job := connection.recv()) is not None:
-            connection.send(_outcome(do_job, job, parent))
+            connection.send(outcome_of(do_job, job, parent))
 
 
-def _outcome(do_job: Callable[[Any, ParentConnection], object], job: object, parent: ParentConnection) -> _Outcome:
+def outcome_of(do_job: Callable[[Any, ParentConnection], object], job: object, parent: ParentConnection) -> Outcome:
+    """Do a job. An error that it raises becomes a sentence."""
     try:
-        return _Outcome(do_job(job, parent))
+        return Outcome(do_job(job, parent))
     except Exception as error:  # noqa: BLE001  (one job's failure must not end the others)
-        return _Outcome(failure=_describe_error(error))
+        return Outcome(failure=_describe_error(error))
 
 
 def _describe_error(error: Exception) -> str:

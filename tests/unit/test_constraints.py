@@ -18,7 +18,12 @@ PINS = {
     )
 }
 #: extras that are large or compiled for minutes, and are not part of `dev`, by the command that installs them
-OPTIONAL = {"football": "make football", "wandb": "make test-loggers", "mlflow": "make test-loggers"}
+OPTIONAL = {
+    "football": "make football",
+    "wandb": "make test-loggers",
+    "mlflow": "make test-loggers",
+    "ray": "make test-ray",
+}
 COMMANDS = {
     str(Requirement(line)): command
     for extra, command in OPTIONAL.items()

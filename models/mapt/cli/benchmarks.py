@@ -38,6 +38,8 @@ from mapt.cli.options import (
     Models,
     Output,
     Preset,
+    Ray,
+    RayGpus,
     RewardPreset,
     Seeds,
     Segments,
@@ -48,14 +50,15 @@ from mapt.cli.options import (
     Teachers,
     TestPairs,
     Workers,
+    job_pool,
     parse_list,
     parse_numbers,
 )
 from mapt.cli.output import ProgressBars, log_line, print_error, print_json, print_paths
+from mapt.cluster import JobPool
 from mapt.errors import InvalidConfig
 from mapt.io import atomic_write
 from mapt.preferences.teachers import make_teacher
-from mapt.processes import cores_per_job, parallel_jobs, run_jobs
 from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model
 from mapt.rewards.config import MODEL_NAMES, PresetName
 from mapt.rewards.model import RewardModel
@@ -82,6 +85,8 @@ def dataset(
         ),
     ] = None,
     workers: Workers = 0,
+    ray: Ray = None,
+    ray_gpus: RayGpus = 0.0,
 ) -> None:
     """Record a dataset of segments per seed.
 
@@ -89,16 +94,17 @@ def dataset(
     states, for scripted teachers to label and for `mapt imitate` to learn from. Each seed has its own folder, such as
     OUTPUT/seed-0.
     """
+    pool, output = job_pool(output, workers, ray, ray_gpus)
     recordings: list[Recording | PolicyRecording] = [
         Recording(task, steps, segment_steps, segments, seed)
         if policy is None
         else PolicyRecording(str(policy.resolve()), segment_steps, segments, seed)
         for seed in parse_numbers("--seeds", seeds, 0)
     ]
-    record_all({dataset_folder(output, recording.seed): recording for recording in recordings}, workers)
+    record_all({dataset_folder(output, recording.seed): recording for recording in recordings}, pool)
 
 
-def record_all(recordings: Mapping[Path, Recording | PolicyRecording], workers: int, *, quiet: bool = False) -> None:
+def record_all(recordings: Mapping[Path, Recording | PolicyRecording], pool: JobPool, *, quiet: bool = False) -> None:
     """Record datasets in parallel, with a progress bar for each.
 
     Args:
@@ -107,8 +113,7 @@ def record_all(recordings: Mapping[Path, Recording | PolicyRecording], workers: 
     Raises:
         typer.Exit: if a recording failed; the others are completed first.
     """
-    n_workers = parallel_jobs(workers, len(recordings))
-    threads = cores_per_job(n_workers)
+    threads = pool.cores_per_job(len(recordings))
     jobs = [RecordingJob(recording, folder, threads) for folder, recording in recordings.items()]
     failed = False
     with ProgressBars(_LOG_EVERY, hidden=quiet) as bars:
@@ -121,7 +126,7 @@ def record_all(recordings: Mapping[Path, Recording | PolicyRecording], workers: 
         def update(job: RecordingJob, progress: RecordingProgress) -> None:
             bars.update(job, progress.done, f"mean true reward {progress.reward:.2f}")
 
-        for done in run_jobs(run_recording, jobs, n_workers, on_start=start, on_message=update):
+        for done in pool.run(run_recording, jobs, on_start=start, on_message=update):
             bars.stop(done.job)
             if done.failure is not None:
                 failed = True
@@ -168,6 +173,8 @@ def table(
     test_pairs: TestPairs = 4000,
     device: Device = "cpu",
     workers: Workers = 0,
+    ray: Ray = None,
+    ray_gpus: RayGpus = 0.0,
     warm_start: Annotated[
         bool,
         typer.Option(
@@ -209,7 +216,8 @@ def table(
         baseline=baseline or ("MA-MLP" if "MA-MLP" in names else names[0]),
         warm_start=warm_start,
     )
-    root = datasets or _default_datasets(output)
+    pool, output = job_pool(output, workers, ray, ray_gpus)
+    root = pool.path(datasets) if datasets else _default_datasets(output)
     wanted = {dataset_folder(root, seed): Recording(task, steps, segment_steps, segments, seed) for seed in plan.seeds}
     absent = {folder: recording for folder, recording in wanted.items() if not folder.exists()}
     if not as_recorded:
@@ -220,12 +228,12 @@ def table(
     if absent and dry_run:
         lacking = ", ".join(str(recording.seed) for recording in absent.values())
         raise InvalidConfig(f"{root} lacks seed {lacking}. Without --dry-run, it is recorded.", "datasets")
-    record_all(absent, workers, quiet=as_json)
+    record_all(absent, pool, quiet=as_json)
     found = {seed: RecordedDataset.open(dataset_folder(root, seed)) for seed in plan.seeds}
     jobs = table_jobs(plan, found, output / "models" if keep_models else None)
     folder = CellFolder(output / "cells")
     if not dry_run:
-        train_cells(jobs, folder, workers, same_code, quiet=as_json)
+        train_cells(jobs, folder, pool, same_code, quiet=as_json)
     cells = (folder.read(settings) for job in jobs for settings in job.settings.versions)
     summary = summarise(plan, [cell for cell in cells if cell is not None])
     paths = write(summary, output)
@@ -282,24 +290,22 @@ def _default_datasets(output: Path) -> Path:
     return earlier if earlier.exists() else output / "datasets"
 
 
-def train_cells(jobs: Sequence[CellJob], folder: CellFolder, workers: int, same_code: bool, *, quiet: bool) -> None:
+def train_cells(jobs: Sequence[CellJob], folder: CellFolder, pool: JobPool, same_code: bool, *, quiet: bool) -> None:
     """Compute the missing results in parallel, with a progress bar.
 
     Args:
         same_code: compute those again that another version of the code produced.
     """
     wanted = [job for job in jobs if not _finished(job, folder, same_code)]
-    n_workers, n_done = parallel_jobs(workers, len(wanted)), len(jobs) - len(wanted)
+    n_done = len(jobs) - len(wanted)
     if not quiet:
-        log_line(f"{len(jobs)} models to train, {n_done} of them done; {n_workers} in parallel")
+        log_line(f"{len(jobs)} models to train, {n_done} of them done; {pool.parallel(len(wanted))} in parallel")
     started: dict[str, float] = {}
     # Each finished model logs a line of its own.
     with ProgressBars(log_every=2.0, hidden=quiet) as bars:
         bars.add("models", "models", len(jobs), n_done)
         train = partial(make_cell, folder.path)
-        for done in run_jobs(
-            train, wanted, n_workers, on_start=lambda job: started.update({job.settings.key: time.time()})
-        ):
+        for done in pool.run(train, wanted, on_start=lambda job: started.update({job.settings.key: time.time()})):
             settings = done.job.settings
             model = f"{settings.task}, {settings.model}"
             name = f"{model}, {settings.teacher}, {settings.labels:,} labels, seed {settings.seed}"

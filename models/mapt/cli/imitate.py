@@ -8,7 +8,18 @@ import typer
 
 from mapt.benchmarks.evaluate import ALL_SEGMENTS, DatasetTeacher, split_dataset
 from mapt.benchmarks.recorded_dataset import RecordedDataset
-from mapt.cli.options import Device, Output, PairDistance, Seeds, Teacher, Workers, parse_numbers
+from mapt.cli.options import (
+    Device,
+    Output,
+    PairDistance,
+    Ray,
+    RayGpus,
+    Seeds,
+    Teacher,
+    Workers,
+    job_pool,
+    parse_numbers,
+)
 from mapt.cli.output import log_line
 from mapt.cli.train import train_all
 from mapt.errors import DatasetNotFound, InvalidConfig
@@ -17,7 +28,6 @@ from mapt.imitation.demonstrations import NamedData, open_segments
 from mapt.policies import PolicyConfig
 from mapt.preferences.storage import SegmentFolder
 from mapt.preferences.storage_layout import MANIFEST
-from mapt.processes import cores_per_job, parallel_jobs
 from mapt.settings import parse_assignments
 from mapt.tasks import task_spec
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
@@ -84,6 +94,8 @@ def imitate(
     physics_threads: Annotated[
         int, typer.Option(min=0, help="Simulator threads per seed; 0 divides the cores among the workers.")
     ] = 0,
+    ray: Ray = None,
+    ray_gpus: RayGpus = 0.0,
     video: Annotated[bool, typer.Option(help="Record a video of the final policy.")] = True,
 ) -> None:
     """Train a policy per seed on stored behaviour, evaluate it and record a video.
@@ -117,10 +129,10 @@ def imitate(
     ]
     for each in named:
         log_line(f"data: {each.describe()}")
-    n_workers = parallel_jobs(workers, len(runs))
-    threads = physics_threads or cores_per_job(n_workers)
+    pool, output = job_pool(output, workers, ray, ray_gpus, physics_threads)
+    threads = physics_threads or pool.cores_per_job(len(runs))
     jobs = [RunJob(run, output / f"seed-{run.policy.seed}", checkpoint_minutes * 60, video, threads) for run in runs]
-    train_all(jobs, n_workers)
+    train_all(jobs, pool)
 
 
 def _split(settings: Sequence[str]) -> tuple[dict[str, object], dict[str, object]]:

@@ -6,6 +6,7 @@ from typing import Annotated, get_args
 
 import typer
 
+from mapt.cluster import JobPool, RayCluster
 from mapt.errors import InvalidConfig
 from mapt.policies import Algorithm as AlgorithmName
 from mapt.preferences.teachers import teacher_names
@@ -57,7 +58,29 @@ Teacher = Annotated[
 ]
 Teachers = Annotated[str, typer.Option(help="Comma-separated scripted teachers; NAME:KEY=VALUE sets a parameter.")]
 TestPairs = Annotated[int, typer.Option(min=1, help="Pairs of segments to test each model on.")]
-Workers = Annotated[int, typer.Option(min=0, help="Parallel worker processes; 0 for one per core.")]
+Ray = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Run the jobs as tasks of a Ray cluster, whose nodes share the output folder: auto, HOST:PORT, or local "
+        "for a cluster on this machine. Needs the extra ray.",
+    ),
+]
+RayGpus = Annotated[float, typer.Option("--ray-gpus", min=0.0, help="GPUs of each job on a Ray cluster, such as 0.25.")]
+Workers = Annotated[int, typer.Option(min=0, help="Jobs at a time; 0 for one per core, or with --ray as many as fit.")]
+
+
+def job_pool(output: Path, workers: int, ray: str | None, gpus: float, threads: int = 0) -> tuple[JobPool, Path]:
+    """Where the jobs of a command run, and its output folder, which on a cluster exists and is absolute.
+
+    Args:
+        threads: simulator threads of a job; 0 for the default.
+    """
+    if ray is None:
+        return JobPool(workers), output
+    output = output.resolve()
+    output.mkdir(parents=True, exist_ok=True)
+    return JobPool(workers, RayCluster(ray, output, job_cpus=max(1, threads), job_gpus=gpus)), output
 
 
 def parse_list(option: str, text: str) -> tuple[str, ...]:

@@ -18,19 +18,23 @@ from mapt.cli.options import (
     Output,
     PairDistance,
     Preset,
+    Ray,
+    RayGpus,
     RewardPreset,
     Seeds,
     Segments,
     SegmentSteps,
     TestPairs,
     Workers,
+    job_pool,
     parse_list,
     parse_numbers,
 )
 from mapt.cli.output import ProgressBars, log_line, print_error, print_json, print_paths
+from mapt.cluster import JobPool
 from mapt.io import atomic_write
 from mapt.policies import Algorithm
-from mapt.processes import cores_per_job, parallel_jobs, run_jobs, stop_requests
+from mapt.processes import stop_requests
 from mapt.rewards.config import MODEL_NAMES
 from mapt.training.run import RunReport
 from mapt.training.run_folder import RunFolder
@@ -91,6 +95,8 @@ def paper(
     physics_threads: Annotated[
         int, typer.Option(min=0, help="Simulator threads per policy; 0 divides the cores among the workers.")
     ] = 0,
+    ray: Ray = None,
+    ray_gpus: RayGpus = 0.0,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Train nothing; write the tables from the existing results.")
     ] = False,
@@ -121,16 +127,17 @@ def paper(
         imitation_steps=imitation_steps,
     )
     _check(plan)
+    pool, output = job_pool(output, workers, ray, ray_gpus, physics_threads)
     n_baselines = len(plan.tasks) * len(plan.policies) * len(plan.seeds)
     folder = PaperFolder(
         output,
         plan,
         checkpoint_seconds=checkpoint_minutes * 60,
-        physics_threads=physics_threads or cores_per_job(parallel_jobs(workers, n_baselines)),
+        physics_threads=physics_threads or pool.cores_per_job(n_baselines),
     )
     if not dry_run:
         with RunFolder(output).locked():
-            _do_all(folder, workers, quiet=as_json)
+            _do_all(folder, pool, quiet=as_json)
     results, paths = write(folder)
     if as_json:
         print_json([row_values(row) for row in results.rows])
@@ -151,23 +158,23 @@ def _check(plan: PaperPlan) -> None:
         plan.imitation_config(name)
 
 
-def _do_all(folder: PaperFolder, workers: int, *, quiet: bool) -> None:
+def _do_all(folder: PaperFolder, pool: JobPool, *, quiet: bool) -> None:
     """Do what is missing, in ascending order of pairs, so that an unfinished benchmark has whole tables."""
     absent = {path: recording for path, recording in folder.recordings().items() if not path.exists()}
-    record_all(absent, workers, quiet=quiet)
-    _train_policies(folder.baseline_jobs(), workers, quiet=quiet)
+    record_all(absent, pool, quiet=quiet)
+    _train_policies(folder.baseline_jobs(), pool, quiet=quiet)
     experts = {path: recording for path, recording in folder.expert_recordings().items() if not path.exists()}
-    record_all(experts, workers, quiet=quiet)
-    _train_policies(folder.imitation_jobs(), workers, quiet=quiet)
+    record_all(experts, pool, quiet=quiet)
+    _train_policies(folder.imitation_jobs(), pool, quiet=quiet)
     models = folder.model_jobs()
     for pairs in sorted(folder.plan.pairs):
         wanted = [job for job in models if job.settings.labels == pairs]
-        train_cells(wanted, folder.cells, workers, same_code=False, quiet=quiet)
+        train_cells(wanted, folder.cells, pool, same_code=False, quiet=quiet)
         trained = [job for job, _ in folder.trained(wanted)]
-        _train_policies([*folder.imitation_jobs(pairs), *folder.policy_jobs(trained)], workers, quiet=quiet)
+        _train_policies([*folder.imitation_jobs(pairs), *folder.policy_jobs(trained)], pool, quiet=quiet)
 
 
-def _train_policies(jobs: Sequence[PolicyJob], workers: int, *, quiet: bool) -> None:
+def _train_policies(jobs: Sequence[PolicyJob], pool: JobPool, *, quiet: bool) -> None:
     """Train the policies that are missing, in parallel, with a progress bar for each that runs.
 
     Raises:
@@ -186,8 +193,7 @@ def _train_policies(jobs: Sequence[PolicyJob], workers: int, *, quiet: bool) -> 
             state = f"return {float(report['true_return']):,.0f}" if "true_return" in report else ""
             bars.update(job, float(report["steps"]), state)
 
-        n_workers = parallel_jobs(workers, len(absent))
-        for done in run_jobs(do_policy_job, absent, n_workers, on_start=start, on_message=update, should_stop=stopped):
+        for done in pool.run(do_policy_job, absent, on_start=start, on_message=update, should_stop=stopped):
             bars.remove(done.job)
             if done.failure is not None:
                 print_error(f"{done.job.name}: {done.failure}")

@@ -14,16 +14,20 @@ from mapt.cli.options import (
     Device,
     Output,
     PolicySettings,
+    Ray,
+    RayGpus,
     Seeds,
     Steps,
     Task,
     Workers,
+    job_pool,
     parse_list,
     parse_numbers,
 )
 from mapt.cli.output import ProgressBars, log_line, print_error
+from mapt.cluster import JobPool
 from mapt.errors import InvalidConfig
-from mapt.processes import JobResult, cores_per_job, parallel_jobs, run_jobs, stop_requests
+from mapt.processes import JobResult, stop_requests
 from mapt.rewards.checkpoints import load_reward_model
 from mapt.rewards.model import PolicyReward
 from mapt.settings import parse_assignments
@@ -115,6 +119,8 @@ def train(
     physics_threads: Annotated[
         int, typer.Option(min=0, help="Simulator threads per seed; 0 divides the cores among the workers.")
     ] = 0,
+    ray: Ray = None,
+    ray_gpus: RayGpus = 0.0,
     video: Annotated[bool, typer.Option(help="Record a video of the final policy.")] = True,
 ) -> None:
     """Train a policy per seed, evaluate it and record a video.
@@ -147,13 +153,13 @@ def train(
     for task_name, obsk in {(run.task, run.agent_obsk) for _, run in runs}:
         task_spec(task_name, agent_obsk=obsk)  # an unknown task is refused before a folder exists
     own = runs if only is None else share(runs, only)
-    n_workers = parallel_jobs(workers, len(own))
-    threads = physics_threads or cores_per_job(n_workers)
+    pool, output = job_pool(output, workers, ray, ray_gpus, physics_threads)
+    threads = physics_threads or pool.cores_per_job(len(own))
     jobs = [
         RunJob(run, output / cell / f"seed-{run.policy.seed}", checkpoint_minutes * 60, video, threads, cell)
         for cell, run in own
     ]
-    train_all(jobs, n_workers, loggers)
+    train_all(jobs, pool, loggers)
 
 
 def _is_given(context: typer.Context, option: str) -> bool:
@@ -210,20 +216,21 @@ def _learned_reward(choice: RewardChoice) -> LearnedRewardSettings:
     return LearnedRewardSettings(str(path.resolve()), steps, choice.kind, choice.credit)
 
 
-def train_all(jobs: Sequence[RunJob], n_workers: int, loggers: RunLoggers | None = None) -> None:
-    """Train every run; with several workers, a failed run does not affect the others.
+def train_all(jobs: Sequence[RunJob], pool: JobPool, loggers: RunLoggers | None = None) -> None:
+    """Train every run; with several workers or on a cluster, a failed run does not affect the others.
 
     Args:
         loggers: get the metrics of every run; None for none.
 
     Raises:
         typer.Exit: if a run failed or was stopped.
-        MaptError: with one worker, if a run fails; see `do_run`.
+        MaptError: with one worker of this machine, if a run fails; see `do_run`.
     """
     n_finished = n_failed = 0
     with ProgressBars() as bars, stop_requests() as stopped:
         progress = _RunProgress(bars, loggers or RunLoggers((), print_error))
-        make = _train_in_turn if n_workers == 1 else partial(_train_in_parallel, n_workers)
+        in_turn = pool.cluster is None and pool.parallel(len(jobs)) == 1
+        make = _train_in_turn if in_turn else partial(_train_in_parallel, pool)
         for done in make(jobs, progress, stopped):
             progress.finish(done.job, done.result)
             n_finished += done.result is not None
@@ -280,9 +287,7 @@ def _train_in_turn(
 
 
 def _train_in_parallel(
-    n_workers: int, jobs: Sequence[RunJob], progress: _RunProgress, stopped: Callable[[], bool]
+    pool: JobPool, jobs: Sequence[RunJob], progress: _RunProgress, stopped: Callable[[], bool]
 ) -> Iterator[JobResult[RunJob, Evaluation | None]]:
-    """Train the runs in worker processes."""
-    return run_jobs(
-        do_run_in_worker, jobs, n_workers, on_start=progress.start, on_message=progress.update, should_stop=stopped
-    )
+    """Train the runs in worker processes or on a cluster."""
+    return pool.run(do_run_in_worker, jobs, on_start=progress.start, on_message=progress.update, should_stop=stopped)
