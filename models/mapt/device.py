@@ -3,26 +3,62 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
 from mapt.errors import InvalidConfig
+from mapt.processes import worker_slot
 
 
 def resolve_device(name: str) -> torch.device:
     """The device called `name`; "auto" is CUDA if it is available, else the CPU.
 
+    Args:
+        name: a device of torch, such as cuda:1, or several separated by commas, of which the worker processes of
+            `mapt.processes` and of the service take turns: the nth worker has the nth one.
+
     Raises:
-        InvalidConfig: if the device does not exist or is not available.
+        InvalidConfig: if one of the devices does not exist.
     """
+    devices = [_existing(each.strip(), name) for each in name.split(",")]
+    return devices[worker_slot() % len(devices)]
+
+
+def _existing(name: str, setting: str) -> torch.device:
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    known = existing_devices()
     try:
         device = torch.device(name)
-    except RuntimeError as error:
-        raise InvalidConfig(f"device is {name!r}; it must be auto, cpu or cuda.", "device") from error
-    if device.type == "cuda" and not torch.cuda.is_available():
-        raise InvalidConfig(f"device is {name!r}, but no CUDA device is available; use auto or cpu.", "device")
+    except RuntimeError:
+        device = None
+    if device is None or str(device) not in known | {each.partition(":")[0] for each in known}:
+        raise InvalidConfig(
+            f"device is {setting!r}, but here is no device {name!r}. This machine has {', '.join(sorted(known))}; auto "
+            "uses CUDA if there is any.",
+            "device",
+        )
     return device
+
+
+def existing_devices() -> set[str]:
+    """Names of the devices that torch can compute on: cpu, and every accelerator by its number."""
+    accelerator = torch.accelerator.current_accelerator(check_available=True)
+    if accelerator is None:
+        return {"cpu"}
+    return {"cpu", *(f"{accelerator.type}:{number}" for number in range(torch.accelerator.device_count()))}
+
+
+def to_device(array: NDArray[np.generic], device: torch.device) -> Tensor:
+    """An array as a tensor on `device`: on the CPU the same memory, on CUDA a copy that does not block.
+
+    The memory of the array may be changed once this returns.
+    """
+    tensor = torch.from_numpy(array)
+    # CUDA reads pinned memory without a copy of its own, while this thread goes on.
+    return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -38,6 +38,9 @@ _END_SECONDS = 10.0
 _POLL_SECONDS = 0.2
 _PR_SET_PDEATHSIG = 1
 
+#: environment variable with the number of a worker among those that run side by side; see `worker_slot`
+WORKER_SLOT_VARIABLE = "MAPT_WORKER_SLOT"
+
 J = TypeVar("J")
 R = TypeVar("R")
 
@@ -50,6 +53,11 @@ def parallel_jobs(requested: int, n_jobs: int) -> int:
 def cores_per_job(n_parallel: int) -> int:
     """Cores for each of `n_parallel` jobs, at least 1."""
     return max(1, (os.cpu_count() or 1) // n_parallel)
+
+
+def worker_slot() -> int:
+    """Number of this worker process among those that run side by side, from 0; 0 in any other process."""
+    return int(os.environ.get(WORKER_SLOT_VARIABLE, "0"))
 
 
 @contextmanager
@@ -224,7 +232,7 @@ def run_jobs(
     if n_workers < 1:
         raise ValueError(f"n_workers must be 1 or more, got {n_workers}.")
     waiting = list(reversed(jobs))
-    workers: list[_Worker[J]] = [_start(do_job) for _ in range(min(n_workers, len(jobs)))]
+    workers: list[_Worker[J]] = [_start(do_job, slot) for slot in range(min(n_workers, len(jobs)))]
     try:
         stopping = False
         while True:
@@ -250,7 +258,8 @@ def run_jobs(
                     continue
                 worker.job = None
                 if not worker.process.is_alive() and waiting and not stopping:
-                    workers[workers.index(worker)] = _start(do_job)
+                    slot = workers.index(worker)
+                    workers[slot] = _start(do_job, slot)
                 yield JobResult(job, received.result, received.failure)
     finally:
         _end(workers)
@@ -267,7 +276,7 @@ class JobProcess(Generic[J, R]):
     """
 
     def __init__(self, do_job: Callable[[J, ParentConnection], R]) -> None:
-        self._worker: _Worker[J] = _start(do_job)
+        self._worker: _Worker[J] = _start(do_job, worker_slot())
 
     def send(self, job: J) -> None:
         """Start a job. Returns at once."""
@@ -288,10 +297,10 @@ def end_job_processes(processes: "Sequence[JobProcess[Any, Any]]") -> None:
     _end([process._worker for process in processes])
 
 
-def _start(do_job: Callable[[J, ParentConnection], Any]) -> _Worker[J]:
+def _start(do_job: Callable[[J, ParentConnection], Any], slot: int) -> _Worker[J]:
     ours, theirs = _SPAWN.Pipe()
     process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
-    with _environment():
+    with _environment({**_WORKER_ENVIRONMENT, WORKER_SLOT_VARIABLE: str(slot)}):
         process.start()
     theirs.close()
     worker = _Worker[J](process, ours)
@@ -325,9 +334,9 @@ def _receive(worker: _Worker[Any]) -> _Message | Outcome:
 
 
 @contextmanager
-def _environment() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _WORKER_ENVIRONMENT}
-    os.environ.update(_WORKER_ENVIRONMENT)
+def _environment(changes: Mapping[str, str]) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in changes}
+    os.environ.update(changes)
     try:
         yield
     finally:

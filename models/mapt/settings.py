@@ -63,6 +63,15 @@ def setting(
     )
 
 
+DEVICE_DESCRIPTION = (
+    "Where the networks run: auto uses CUDA if there is any; otherwise cpu, or a device of torch such as cuda:1. With "
+    "a list such as cuda:0,cuda:1, parallel workers take turns."
+)
+_ONE_DEVICE = r"(auto|cpu|(cuda|mps|xpu)(:[0-9]+)?)"
+#: A torch device, or a comma-separated list of which worker processes take turns; see `mapt.device.resolve_device`.
+Device = Annotated[str, Field(pattern=f"^{_ONE_DEVICE}(,{_ONE_DEVICE})*$")]
+
+
 class Settings:
     """Base class of a frozen dataclass of settings. Creating an instance validates it.
 

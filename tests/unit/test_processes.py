@@ -8,7 +8,7 @@ from multiprocessing import active_children
 import pytest
 
 from mapt.errors import InvalidConfig
-from mapt.processes import JobProcess, ParentConnection, end_job_processes, run_jobs
+from mapt.processes import JobProcess, ParentConnection, end_job_processes, run_jobs, worker_slot
 
 
 def count(job: int, parent: ParentConnection) -> int:
@@ -76,6 +76,22 @@ def test_a_killed_worker_fails_only_its_own_job():
 
 def return_or_wait(job: str, parent: ParentConnection) -> str:
     return job if job == "quick" else wait_until_cancelled(job, parent)
+
+
+def slot_of_two(job: int, parent: ParentConnection) -> int:
+    parent.send(job)
+    while not parent.cancelled():
+        time.sleep(0.01)
+    return worker_slot()
+
+
+def test_workers_that_run_side_by_side_have_different_slots():
+    started: list[int] = []
+    both = run_jobs(
+        slot_of_two, [0, 1], 2, on_message=lambda job, _: started.append(job), should_stop=lambda: len(started) == 2
+    )
+    assert sorted((done.job, done.result) for done in both) == [(0, 0), (1, 1)]
+    assert worker_slot() == 0
 
 
 def test_closing_the_iterator_ends_the_workers():

@@ -34,7 +34,7 @@ from accord.workers.runner import Stop
 from accord.workers.supervisor import ChildSpec, Supervisor
 from mapt.cli.output import log_line, on_terminal, out, print_line
 from mapt.io import atomic_write
-from mapt.processes import SHARED_CORES_ENVIRONMENT, follow_parent
+from mapt.processes import SHARED_CORES_ENVIRONMENT, WORKER_SLOT_VARIABLE, follow_parent
 
 log = logging.getLogger(__name__)
 
@@ -204,12 +204,16 @@ def child_specs(ready: Ready) -> list[ChildSpec]:
         api = [ChildSpec("api", arguments, environment=environment | one_thread, descriptors=(descriptor,))]
     counts = {"policy": settings.policy_workers, "reward": settings.reward_workers, "render": settings.render_workers}
     threads = {"policy": settings.torch_threads, "reward": settings.torch_threads, "render": 1}
+    # Reward workers continue the numbers of the policy workers, so that one of each has two devices of a list.
+    first_number = {"policy": 0, "reward": settings.policy_workers, "render": 0}
     workers = [
         ChildSpec(
             f"{role}-{slot}",
             (f"accord.workers.{role}_worker", "--slot", str(slot)),
             role=role,
-            environment=environment | SHARED_CORES_ENVIRONMENT | {"OMP_NUM_THREADS": str(threads[role])},
+            environment=environment
+            | SHARED_CORES_ENVIRONMENT
+            | {"OMP_NUM_THREADS": str(threads[role]), WORKER_SLOT_VARIABLE: str(first_number[role] + slot)},
             nice=_RENDER_NICE if role == "render" else 0,
         )
         for role, count in counts.items()

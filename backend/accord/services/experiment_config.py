@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 
 from accord.domain.errors import InvalidExperiment
 from mapt.errors import InvalidConfig
-from mapt.policies.config import Device, PolicyConfig
-from mapt.settings import Settings, setting, within
+from mapt.policies.config import PolicyConfig
+from mapt.settings import DEVICE_DESCRIPTION, Device, Settings, setting, within
 from mapt.training.schedule import LabelSchedule, LabelScheduleName
 
 Pacing = Literal["wait", "free"]
@@ -207,7 +207,7 @@ class ExperimentConfig(Settings):
         dict[str, object],
         setting("Settings of the policy that differ from the algorithm's defaults.", overrides=PolicyConfig),
     ] = field(default_factory=dict[str, object])
-    device: Annotated[Device, setting("Where policy and reward model run; auto uses a GPU if there is one.")] = "auto"
+    device: Annotated[Device, setting(DEVICE_DESCRIPTION)] = "auto"
     seed: Annotated[int, setting("Seed of all random numbers of the run.", ge=0, le=2**31 - 1)] = 0
 
     def check(self) -> None:

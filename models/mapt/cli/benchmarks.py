@@ -56,6 +56,7 @@ from mapt.cli.options import (
 )
 from mapt.cli.output import ProgressBars, log_line, print_error, print_json, print_paths
 from mapt.cluster import JobPool
+from mapt.device import resolve_device
 from mapt.errors import InvalidConfig
 from mapt.io import atomic_write
 from mapt.preferences.teachers import make_teacher
@@ -216,6 +217,8 @@ def table(
         baseline=baseline or ("MA-MLP" if "MA-MLP" in names else names[0]),
         warm_start=warm_start,
     )
+    if ray is None:
+        resolve_device(device)
     pool, output = job_pool(output, workers, ray, ray_gpus)
     root = pool.path(datasets) if datasets else _default_datasets(output)
     wanted = {dataset_folder(root, seed): Recording(task, steps, segment_steps, segments, seed) for seed in plan.seeds}

@@ -22,6 +22,7 @@ from mapt.cli.options import (
 )
 from mapt.cli.output import log_line
 from mapt.cli.train import train_all
+from mapt.device import resolve_device
 from mapt.errors import DatasetNotFound, InvalidConfig
 from mapt.imitation.config import NEEDS_REWARDS, OFFLINE, imitation_config
 from mapt.imitation.demonstrations import NamedData, open_segments
@@ -129,6 +130,8 @@ def imitate(
     ]
     for each in named:
         log_line(f"data: {each.describe()}")
+    if ray is None:
+        resolve_device(device)
     pool, output = job_pool(output, workers, ray, ray_gpus, physics_threads)
     threads = physics_threads or pool.cores_per_job(len(runs))
     jobs = [RunJob(run, output / f"seed-{run.policy.seed}", checkpoint_minutes * 60, video, threads) for run in runs]

@@ -10,6 +10,7 @@ from mapt.cluster import JobPool, RayCluster
 from mapt.errors import InvalidConfig
 from mapt.policies import Algorithm as AlgorithmName
 from mapt.preferences.teachers import teacher_names
+from mapt.settings import DEVICE_DESCRIPTION
 
 
 class RewardPreset(StrEnum):
@@ -23,7 +24,7 @@ AgentObsk = Annotated[
     int, typer.Option("--agent-obsk", min=0, help="How many joints away an agent observes; MuJoCo tasks only.")
 ]
 Algorithm = Annotated[str, typer.Option(help=f"Policy algorithm: {', '.join(get_args(AlgorithmName))}.")]
-Device = Annotated[str, typer.Option(help="Device of the networks: cpu, cuda or auto.")]
+Device = Annotated[str, typer.Option(help=DEVICE_DESCRIPTION)]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 LabelCounts = Annotated[str, typer.Option("--labels", help="Comma-separated numbers of labels.")]
 Models = Annotated[str, typer.Option(help="Comma-separated reward models.")]

@@ -32,6 +32,7 @@ from mapt.cli.options import (
 )
 from mapt.cli.output import ProgressBars, log_line, print_error, print_json, print_paths
 from mapt.cluster import JobPool
+from mapt.device import resolve_device
 from mapt.io import atomic_write
 from mapt.policies import Algorithm
 from mapt.processes import stop_requests
@@ -127,6 +128,8 @@ def paper(
         imitation_steps=imitation_steps,
     )
     _check(plan)
+    if ray is None:
+        resolve_device(device)
     pool, output = job_pool(output, workers, ray, ray_gpus, physics_threads)
     n_baselines = len(plan.tasks) * len(plan.policies) * len(plan.seeds)
     folder = PaperFolder(

@@ -26,6 +26,7 @@ from mapt.cli.options import (
 )
 from mapt.cli.output import ProgressBars, log_line, print_error
 from mapt.cluster import JobPool
+from mapt.device import resolve_device
 from mapt.errors import InvalidConfig
 from mapt.processes import JobResult, stop_requests
 from mapt.rewards.checkpoints import load_reward_model
@@ -152,6 +153,9 @@ def train(
     runs = [(cell.name, run) for cell in found for run in _runs(RunFile.from_dict(cell.settings))]
     for task_name, obsk in {(run.task, run.agent_obsk) for _, run in runs}:
         task_spec(task_name, agent_obsk=obsk)  # an unknown task is refused before a folder exists
+    if ray is None:  # the devices of a cluster are those of its nodes
+        for each in {run.policy.device for _, run in runs}:
+            resolve_device(each)
     own = runs if only is None else share(runs, only)
     pool, output = job_pool(output, workers, ray, ray_gpus, physics_threads)
     threads = physics_threads or pool.cores_per_job(len(own))

@@ -135,7 +135,9 @@ class DiscriminatorReward:
             torch.manual_seed(seed)
             self.discriminators = Discriminators(spec, config.hidden).to(self._device)
         self.discriminators.normaliser.update(data.observations)
-        self._optimiser = torch.optim.Adam(self.discriminators.parameters(), config.learning_rate, betas=BETAS)
+        self._optimiser = torch.optim.Adam(
+            self.discriminators.parameters(), config.learning_rate, betas=BETAS, fused=self._device.type == "cuda"
+        )
         self._metrics: dict[str, float] = {}
         if context:
             self._restore({name: torch.from_numpy(array) for name, array in context.items()})

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
 from mapt.errors import InvalidConfig
-from mapt.settings import Settings, setting
+from mapt.settings import DEVICE_DESCRIPTION, Device, Settings, setting
 
 Algorithm = Literal["mappo", "happo", "mat", "mat_dec"]
 Activation = Literal["tanh", "relu"]
-Device = Literal["auto", "cpu", "cuda"]
 
 #: Defaults of each algorithm that differ from MAPPO's, tuned on HalfCheetah-6x1 with one seed and a million steps.
 #: Transformers need a smaller learning rate than small perceptrons. MAT and HAPPO change the policy more per pass than
@@ -117,7 +116,7 @@ class PolicyConfig(Settings):
             le=1024,
         ),
     ] = 1
-    device: Annotated[Device, setting("Where the networks run; auto uses a GPU if there is one.")] = "auto"
+    device: Annotated[Device, setting(DEVICE_DESCRIPTION)] = "auto"
 
     def check(self) -> None:
         """Check divisibility, the standard deviation, and that happo's actors are separate. Raises InvalidConfig."""

@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from mapt.device import to_device
 from mapt.policies.config import PolicyConfig
 from mapt.policies.distributions import (
     ActionDistribution,
@@ -150,7 +151,7 @@ class Policy(nn.Module, ABC):
 
     def agent_first(self, array: NDArray[np.generic]) -> Tensor:
         """(E, N, ...) -> (N, E, ...) on this policy's device."""
-        return torch.from_numpy(array).to(self.device).transpose(0, 1)
+        return to_device(array, self.device).transpose(0, 1)
 
 
 class Actors(nn.Module):

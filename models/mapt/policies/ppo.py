@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from mapt.device import to_device
 from mapt.errors import InvalidRollout, TrainingDiverged
 from mapt.policies.config import PolicyConfig
 from mapt.policies.kernels import Adam, clip_grad_norm_
@@ -360,7 +361,7 @@ def raw_inputs(policy: Policy, rollout: Rollout) -> tuple[Tensor, Tensor]:
 
 def _flat(policy: Policy, array: NDArray[np.generic]) -> Tensor:
     """(L, E, ...) -> (B, ...)."""
-    return torch.from_numpy(array).flatten(0, 1).to(policy.device)
+    return to_device(array, policy.device).flatten(0, 1)
 
 
 def _agent_first(policy: Policy, array: NDArray[np.generic]) -> Tensor:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal, get_args
 
 from mapt.errors import InvalidConfig
-from mapt.settings import Settings, setting
+from mapt.settings import DEVICE_DESCRIPTION, Device, Settings, setting
 
 Architecture = Literal["mapt", "mlp", "lstm", "transformer"]
 TemporalEncoder = Literal["attention", "lstm", "none"]
@@ -259,7 +259,7 @@ class TrainConfig(Settings):
         ),
     ] = True
     seed: Annotated[int, setting("Seed of weights, batches, dropout and hold-out.", ge=0)] = 0
-    device: Annotated[str, setting("Torch device; auto uses CUDA if available.")] = "auto"
+    device: Annotated[Device, setting(DEVICE_DESCRIPTION)] = "auto"
     precision: Annotated[Precision, setting("Dtype of matrix products; auto uses bfloat16 where it is faster.")] = (
         "auto"
     )

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from mapt.device import resolve_device
+from mapt.device import resolve_device, to_device
 from mapt.errors import InvalidConfig, InvalidRollout, ModelMismatch
 from mapt.rewards.config import Precision
 from mapt.rewards.kernels import BandedAttention, KVCache, resolve_precision
@@ -24,6 +24,8 @@ Credit = Literal["shared", "individual"]
 # Agent-steps in one forward pass, few enough that activations stay in the CPU's cache and that memory does not grow
 # with the number of environments.
 AGENT_STEPS_PER_PASS = 1 << 13
+# An accelerator needs larger passes to be busy. Not measured; it bounds activations to tens of megabytes each.
+ACCELERATOR_AGENT_STEPS_PER_PASS = 1 << 16
 # Episode number of context that is still empty.
 NO_EPISODE = -1
 
@@ -67,6 +69,8 @@ class RolloutRelabeller:
             if choice not in known:
                 raise InvalidConfig(f"{name} is {choice!r}; it must be one of {', '.join(known)}.", name)
         self._device = resolve_device(device)
+        on_cpu = self._device.type == "cpu"
+        self._steps_per_pass = AGENT_STEPS_PER_PASS if on_cpu else ACCELERATOR_AGENT_STEPS_PER_PASS
         self._kind: PolicyReward = kind
         self._window = window
         self._credit = credit
@@ -109,10 +113,10 @@ class RolloutRelabeller:
         steps = self._context.extended(observations, actions, episode_start)
         length = len(steps.episode) - (self._window - 1)
         by_env = (
-            torch.as_tensor(array, device=self._device).transpose(0, 1)
+            to_device(array, self._device).transpose(0, 1)
             for array in (steps.observations, steps.actions, steps.episode)
         )
-        envs_per_pass = max(1, AGENT_STEPS_PER_PASS // (len(steps.episode) * self._model.config.n_agents))
+        envs_per_pass = max(1, self._steps_per_pass // (len(steps.episode) * self._model.config.n_agents))
         passes = zip(*(tensor.split(envs_per_pass) for tensor in by_env), strict=True)
         with autocast(self._dtype, self._device):
             rewards = torch.cat([self._rewards(*part, length=length) for part in passes]).float()
@@ -139,7 +143,7 @@ class RolloutRelabeller:
         env = torch.arange(len(episode), device=episode.device)[:, None, None]
         env, index = env.expand_as(index).flatten(0, 1), index.flatten(0, 1)
         mask = torch.arange(window, device=episode.device) < n_real.flatten()[:, None]
-        per_pass = max(1, AGENT_STEPS_PER_PASS // (window * observations.shape[2]))
+        per_pass = max(1, self._steps_per_pass // (window * observations.shape[2]))
         rewards = [
             self._model.policy_rewards(observations[e, i], actions[e, i], real, self._kind)
             for e, i, real in zip(env.split(per_pass), index.split(per_pass), mask.split(per_pass), strict=True)
@@ -214,8 +218,8 @@ class RewardStream:
         if self._cache is None:
             return self._relabeller.relabel(observed[None], acted[None], start[None])[0]
         if start.any():
-            self._cache.start_episode(torch.as_tensor(start, device=self._device))
-        now = [torch.as_tensor(array, device=self._device)[:, None] for array in (observed, acted)]
+            self._cache.start_episode(to_device(start, self._device))
+        now = [to_device(array, self._device)[:, None] for array in (observed, acted)]
         rewards = self._model.agent_rewards(now[0], now[1], self._cache)[:, 0]
         if self._credit == "shared":
             rewards = rewards.mean(dim=1)

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from mapt.errors import InvalidConfig
-from mapt.policies.config import Device, PolicyConfig
+from mapt.policies.config import PolicyConfig
 from mapt.rewards.model import PolicyReward
 from mapt.rewards.relabelling import Credit
-from mapt.settings import Settings, parse_value, setting
+from mapt.settings import DEVICE_DESCRIPTION, Device, Settings, parse_value, setting
 from mapt.tasks.registry import DEFAULT_AGENT_OBSK
 from mapt.training.settings import TRUE
 
@@ -56,7 +56,7 @@ class RunFile(Settings):
     evaluate_every_steps: Annotated[
         int, setting("Environment steps between evaluations; 0 evaluates only at the end.", ge=0, unit="steps")
     ] = 0
-    device: Annotated[Device, setting("Device of the networks.")] = "auto"
+    device: Annotated[Device, setting(DEVICE_DESCRIPTION)] = "auto"
     policy: Annotated[
         dict[str, Any],
         setting("`algorithm`, and policy settings that differ from its defaults.", overrides=PolicyConfig),

@@ -3250,18 +3250,16 @@ export interface components {
                  */
                 n_threads: number;
                 /**
-                 * @description Where the networks run; auto uses a GPU if there is one.
+                 * @description Where the networks run: auto uses CUDA if there is any; otherwise cpu, or a device of torch such as cuda:1. With a list such as cuda:0,cuda:1, parallel workers take turns.
                  * @default auto
-                 * @enum {string}
                  */
-                device: "auto" | "cpu" | "cuda";
+                device: string;
             };
             /**
-             * @description Where policy and reward model run; auto uses a GPU if there is one.
+             * @description Where the networks run: auto uses CUDA if there is any; otherwise cpu, or a device of torch such as cuda:1. With a list such as cuda:0,cuda:1, parallel workers take turns.
              * @default auto
-             * @enum {string}
              */
-            device: "auto" | "cpu" | "cuda";
+            device: string;
             /**
              * @description Seed of all random numbers of the run.
              * @default 0
