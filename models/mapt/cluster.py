@@ -8,6 +8,7 @@ what its folder holds.
 import logging
 import os
 import socket
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -143,6 +144,12 @@ def _require_server(address: str) -> None:
             pass
 
 
+def connected() -> Any | None:
+    """The package `ray` if this process belongs to a cluster, else None. Does not load it."""
+    ray = sys.modules.get("ray")
+    return ray if ray is not None and ray.is_initialized() else None
+
+
 class _Started:
     """The first message of a job."""
 
@@ -228,7 +235,7 @@ def _run_tasks(
         num_cpus=cluster.job_cpus,
         num_gpus=cluster.job_gpus,
         max_retries=MAX_RETRIES,
-        runtime_env={"env_vars": _task_environment(cluster.job_cpus)},
+        runtime_env={"env_vars": task_environment(cluster.job_cpus)},
     )
     waiting = deque(enumerate(jobs))
     running: dict[Any, int] = {}
@@ -277,7 +284,8 @@ def _start_mailbox(ray: Any) -> Any:
     return ray.remote(_Mailbox).options(num_cpus=0, scheduling_strategy=placed).remote()
 
 
-def _task_environment(cpus: int) -> dict[str, str]:
+def task_environment(cpus: int) -> dict[str, str]:
+    """Environment of a process on the cluster that computes with this many threads."""
     own = {name: os.environ[name] for name in (TASK_FILES_VARIABLE,) if name in os.environ}
     return SHARED_CORES_ENVIRONMENT | {"OMP_NUM_THREADS": str(cpus)} | own
 

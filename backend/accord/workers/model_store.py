@@ -3,7 +3,7 @@
 import logging
 import secrets
 import threading
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 
 from accord.domain.errors import BlobDamaged
@@ -68,8 +68,10 @@ def store_checkpoint(blobs: BlobStore, experiment_id: str, steps: int, checkpoin
     return put_with_checksum(blobs, key, checkpoint.to_bytes())
 
 
-def read_checkpoint(blobs: BlobStore, key: str, task: Task) -> tuple[RewardContext, Learner]:
-    """The context of the reward source and the learner of a stored checkpoint.
+def read_checkpoint(
+    blobs: BlobStore, key: str, task: Task, make_task: Callable[[], Task] | None = None
+) -> tuple[RewardContext, Learner]:
+    """The context of the reward source and the learner of a stored checkpoint; see `Learner` for `make_task`.
 
     Raises:
         BlobMissing, BlobDamaged: if it cannot be read.
@@ -78,7 +80,7 @@ def read_checkpoint(blobs: BlobStore, key: str, task: Task) -> tuple[RewardConte
     content = blobs.read(key)
     with _named(key):
         stored = PolicyCheckpoint.from_bytes(content)
-        return stored.context, Learner.from_bytes(stored.learner, task)
+        return stored.context, Learner.from_bytes(stored.learner, task, make_task)
 
 
 @contextmanager

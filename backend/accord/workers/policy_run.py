@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from accord.workers.model_store import read_checkpoint, read_reward_model, store
 from accord.workers.recording import play_start
 from accord.workers.replayed_clips import RolloutReplay, needs_replay
 from accord.workers.runner import Context
+from mapt.errors import InvalidConfig
 from mapt.policies import Learner, Rollout, evaluate
 from mapt.preferences.segments import StepRange, cut_rollout
 from mapt.tasks import Task, TaskStep, WrappedTask, make_task
@@ -77,8 +79,8 @@ class PolicyRun:
     def __init__(self, context: Context, experiment_id: str, config: ExperimentConfig, claim: Claim) -> None:
         """
         Raises:
-            InvalidConfig: if the device is not available, or another version of Accord stored settings that are not
-                valid in this one.
+            InvalidConfig: if the device is not available, if several collectors step a task that renders itself, or if
+                another version of Accord stored settings that are not valid in this one.
             CheckpointsUnreadable: if there are checkpoints, but none can be read.
             CheckpointError: if the checkpoint belongs to another task or a later version of Accord.
         """
@@ -91,6 +93,12 @@ class PolicyRun:
         shows_clips = config.reward_source == "preferences" and config.render_clips
         #: whether this worker must make the clips, because the task only renders itself
         self._replays = shows_clips and needs_replay(self._trainer.learner.task)
+        if self._replays and self._trainer.learner.config.collectors:
+            self.close()
+            raise InvalidConfig(
+                "policy.collectors must be 0 for a task that renders itself: its clips need one rollout.",
+                "policy.collectors",
+            )
         #: collected, but not learned from yet
         self._rollout: Rollout | None = None
         self._saved_at = time.monotonic()
@@ -148,15 +156,16 @@ class PolicyRun:
 
     def _start_or_restore(self) -> PolicyTrainer:
         settings = self._config.policy_config(self._context.settings.torch_threads)
-        task = make_task(self._config.task, settings.n_envs, n_threads=settings.n_threads)
+        make = partial(make_task, self._config.task, settings.envs_per_collector, n_threads=settings.n_threads)
+        task = make()
         with self._context.database.reading() as session:
             rows = checkpoints.kept(session, self._id)
         if not rows:
-            return PolicyTrainer(Learner(task, settings), self._reward_source(settings.n_envs, None, {}))
+            return PolicyTrainer(Learner(task, settings, make), self._reward_source(settings.n_envs, None, {}))
         unreadable: list[BlobUnreadable] = []
         for row in rows:
             try:
-                context, learner = read_checkpoint(self._context.blobs, row.blob_key, task)
+                context, learner = read_checkpoint(self._context.blobs, row.blob_key, task, make)
             except BlobUnreadable as error:
                 # The iterations since an older checkpoint are repeated; that is better than to stop.
                 log.exception("Experiment %s cannot resume from its checkpoint at step %d", self._id, row.steps)

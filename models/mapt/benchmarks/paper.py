@@ -366,7 +366,7 @@ def do_policy_job(job: PolicyJob, parent: ParentConnection) -> Evaluation | None
 def _evaluate_untrained(job: RunJob) -> Evaluation:
     """Evaluate the policy with which the run of these settings starts."""
     settings = job.settings
-    task = make_task(settings.task, settings.policy.n_envs, n_threads=1, agent_obsk=settings.agent_obsk)
+    task = make_task(settings.task, settings.policy.envs_per_collector, n_threads=1, agent_obsk=settings.agent_obsk)
     try:
         policy = Learner(task, settings.policy).policy
     finally:

@@ -195,7 +195,7 @@ def record_dataset(
     _check_empty(path)
     rng = np.random.default_rng([recording.seed, 3])
     about = asdict(recording) | {"policy": config.to_dict()}
-    task = make_task(recording.task, config.n_envs, n_threads=physics_threads)
+    task = make_task(recording.task, config.envs_per_collector, n_threads=physics_threads)
     partial = path.with_name(f".{path.name}.partial")
     try:
         # A killed recording may have left it.

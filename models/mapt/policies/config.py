@@ -42,6 +42,15 @@ class PolicyConfig(Settings):
         ),
     ] = "mappo"
     n_envs: Annotated[int, setting("Environments stepped in parallel, E.", ge=1, le=8192)] = 32
+    collectors: Annotated[
+        int,
+        setting(
+            "Slots that the environments are divided into, each with random numbers of its own; must divide n_envs. "
+            "On a Ray cluster, a process for each collects its part of a rollout. 0: all share one random stream.",
+            ge=0,
+            le=1024,
+        ),
+    ] = 0
     rollout_steps: Annotated[
         int, setting("Steps of each environment between updates, L.", ge=1, le=100_000, unit="steps")
     ] = 128
@@ -122,6 +131,11 @@ class PolicyConfig(Settings):
         """Check divisibility, the standard deviation, and that happo's actors are separate. Raises InvalidConfig."""
         self._require(self.width % self.heads == 0, "heads", f"{self.heads}; it must divide width ({self.width})")
         self._require(
+            self.n_envs % max(1, self.collectors) == 0,
+            "collectors",
+            f"{self.collectors}; it must divide n_envs ({self.n_envs})",
+        )
+        self._require(
             self.steps_per_rollout % self.minibatches == 0,
             "minibatches",
             f"{self.minibatches}; it must divide n_envs * rollout_steps ({self.steps_per_rollout})",
@@ -141,6 +155,11 @@ class PolicyConfig(Settings):
     def steps_per_rollout(self) -> int:
         """Environment steps of one rollout, E * L."""
         return self.n_envs * self.rollout_steps
+
+    @property
+    def envs_per_collector(self) -> int:
+        """Environments of the task that the learner steps: those of one slot, or all."""
+        return self.n_envs // max(1, self.collectors)
 
     @classmethod
     def named(cls, algorithm: str, **settings: object) -> Self:

@@ -4,6 +4,8 @@ It never reads the task's own reward. The networks of the algorithms are in `net
 in `ppo`.
 """
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -22,6 +24,7 @@ from mapt.policies.networks import ActorCritic, Actors, Policy, StateCritic
 from mapt.policies.normalisation import ValueRescaler
 from mapt.policies.ppo import HAPPOUpdate, Metrics, PPOUpdate, Update, make_batch, raw_inputs, team_rewards
 from mapt.policies.rollout import Collector, Rollout
+from mapt.policies.slots import RemoteSlots, SlotCollector
 from mapt.tasks import Task, TaskSpec
 
 #: Fraction of the learning rate that is left when annealing ends.
@@ -57,16 +60,21 @@ class Learner:
     """Trains the policy of one task.
 
     Args:
-        task: has `config.n_envs` environments; is reset with `config.seed`.
+        task: has `config.envs_per_collector` environments; is reset.
         config: settings.
+        make_task: makes such a task in another process, for the collectors of a Ray cluster; picklable. None collects
+            every rollout in this process.
 
     Raises:
         InvalidConfig: if the task has another number of environments, or the device does not exist.
     """
 
-    def __init__(self, task: Task, config: PolicyConfig) -> None:
-        if task.n_envs != config.n_envs:
-            raise InvalidConfig(f"n_envs is {config.n_envs}, but the task has {task.n_envs} environments.", "n_envs")
+    def __init__(self, task: Task, config: PolicyConfig, make_task: Callable[[], Task] | None = None) -> None:
+        if task.n_envs != config.envs_per_collector:
+            slots = f" in {config.collectors} slots" if config.collectors else ""
+            raise InvalidConfig(
+                f"n_envs is {config.n_envs}{slots}, but the task has {task.n_envs} environments.", "n_envs"
+            )
         self.task, self.config = task, config
         self.device = resolve_device(config.device)
         #: Environment steps collected so far.
@@ -76,8 +84,15 @@ class Learner:
         self._generator = torch.Generator().manual_seed(config.seed)
         self.policy = untrained_policy(task.spec, config).to(self.device)
         self._update = make_update(self.policy, config)
-        self._collector = Collector(task, config.seed)
+        self._collector = Collector(task, config.seed) if config.collectors == 0 else self._slots(make_task)
         self._value_rescaler = ValueRescaler(config, task.spec.horizon_steps)
+
+    def _slots(self, make_task: Callable[[], Task] | None) -> SlotCollector:
+        remote = None
+        if make_task is not None:
+            make_policy = partial(untrained_policy, self.task.spec, self.config)
+            remote = RemoteSlots(make_task, make_policy, self.config.n_threads)
+        return SlotCollector(self.task, self.config.collectors, self.config.seed, remote)
 
     def collect(self) -> Rollout:
         """Step the task `rollout_steps` times with the current policy."""
@@ -180,14 +195,14 @@ class Learner:
         return checkpoint.pack(self.state_dict(), {"task": self.task.spec.name, "config": self.config.to_dict()})
 
     @classmethod
-    def from_bytes(cls, content: bytes, task: Task) -> Self:
-        """The learner stored by `to_bytes`.
+    def from_bytes(cls, content: bytes, task: Task, make_task: Callable[[], Task] | None = None) -> Self:
+        """The learner stored by `to_bytes`; see `Learner` for `make_task`.
 
         Raises:
             CheckpointError: if the checkpoint is damaged, or belongs to another task.
         """
         tensors, config = checkpoint.unpack(content, task.spec.name)
-        learner = cls(task, PolicyConfig.from_dict(config))
+        learner = cls(task, PolicyConfig.from_dict(config), make_task)
         learner.load_state_dict(tensors)
         return learner
 

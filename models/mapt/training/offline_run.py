@@ -85,7 +85,7 @@ class OfflineRun:
         folder.check(settings)
         config = settings.policy
         # The task gives the learner its dimensions; training does not step it.
-        task = make_task(settings.task, config.n_envs, n_threads=1, agent_obsk=settings.agent_obsk)
+        task = make_task(settings.task, config.envs_per_collector, n_threads=1, agent_obsk=settings.agent_obsk)
         try:
             stored = folder.last_checkpoint()
             self.learner = Learner.from_bytes(stored.learner, task) if stored else Learner(task, config)

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Self
 
@@ -79,9 +79,14 @@ class Run:
         self._settings, self._folder, self._callbacks = settings, folder, callbacks
         self._checkpoint_seconds, self._physics_threads = checkpoint_seconds, physics_threads
         folder.check(settings)
-        self._task = TimedTask(
-            make_task(settings.task, settings.policy.n_envs, n_threads=physics_threads, agent_obsk=settings.agent_obsk)
+        self._make_task = partial(
+            make_task,
+            settings.task,
+            settings.policy.envs_per_collector,
+            n_threads=physics_threads,
+            agent_obsk=settings.agent_obsk,
         )
+        self._task = TimedTask(self._make_task())
         #: number of reward versions so far, and the files with the newest
         self._reward_number = 0
         self._reward_files: RewardFiles | None = None
@@ -150,10 +155,10 @@ class Run:
         settings = self._settings
         stored = self._folder.last_checkpoint()
         if stored is None:
-            stored, learner = PolicyCheckpoint(b"", {}), Learner(self._task, settings.policy)
+            stored, learner = PolicyCheckpoint(b"", {}), Learner(self._task, settings.policy, self._make_task)
             self._clone_first(learner)
         else:
-            learner = Learner.from_bytes(stored.learner, self._task)
+            learner = Learner.from_bytes(stored.learner, self._task, self._make_task)
         iteration, number = (stored.progress.get(name, 0) for name in ("iteration", "reward_version"))
         self._reward_number = number if isinstance(number, int) else 0
         return PolicyTrainer(learner, self._reward_source(stored), iteration if isinstance(iteration, int) else 0)

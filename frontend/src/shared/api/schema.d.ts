@@ -3131,6 +3131,11 @@ export interface components {
                  */
                 n_envs: number;
                 /**
+                 * @description Slots that the environments are divided into, each with random numbers of its own; must divide n_envs. On a Ray cluster, a process for each collects its part of a rollout. 0: all share one random stream.
+                 * @default 0
+                 */
+                collectors: number;
+                /**
                  * @description Steps of each environment between updates, L.
                  * @default 128
                  */

@@ -17,6 +17,7 @@ const LABELS: Readonly<Record<string, string>> = {
   credit: "Reward per agent",
   show_credit: "Show labellers what was learned",
   "policy.n_envs": "Parallel environments",
+  "policy.collectors": "Collectors",
   "policy.n_threads": "Threads",
   "policy.gamma": "Discount factor",
   "policy.gae_lambda": "GAE lambda",
