@@ -3,12 +3,16 @@
 import time
 from pathlib import Path
 
+import numpy as np
 from playwright.sync_api import Browser, expect
 
 from browser.accessibility import violations_of
 from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS, Labeller
-from browser.service import Service
+from browser.service import SMALL, Service
+from mapt.preferences.formats.d4rl import write_d4rl
+from mapt.preferences.formats.records import Episode
+from mapt.tasks import task_spec
 from support.waiting import PATIENCE_SECONDS
 
 
@@ -42,6 +46,50 @@ def test_a_read_only_link_works_without_an_account_until_it_is_revoked(
     context.close()
 
 
+def test_an_imported_pair_of_another_program_is_labelled_in_the_browser(
+    service: Service, researcher: str, sign_in: SignIn, tmp_path: Path
+) -> None:
+    recorded = tmp_path / "recorded.hdf5"
+    write_d4rl(recorded, _episodes())
+    page = sign_in("Rosa", "researcher")
+    page.get_by_role("button", name="Import").click()
+    form = page.get_by_role("form", name="Import an experiment")
+    form.get_by_label("Format").select_option("D4RL")
+    form.get_by_label("File", exact=True).set_input_files(recorded)
+    form.get_by_label("Name of the new experiment").fill("From D4RL")
+    form.get_by_label("Task").select_option("Walker2d-2x3")
+    form.get_by_label("Steps of a segment").fill("20")
+    form.get_by_role("button", name="Import").click()
+    expect(form.get_by_role("alert")).to_contain_text("Walker2d-2x3")
+    form.get_by_label("Task").select_option(SMALL["task"])
+    form.get_by_role("button", name="Import").click()
+    expect(page.get_by_role("heading", name="From D4RL")).to_be_visible(timeout=PATIENCE_MS)
+    imported = page.url.rpartition("/")[2]
+    page.get_by_role("button", name="Resume").click()
+    page.get_by_role("dialog").get_by_role("button", name="Resume").click()
+    expect(page.get_by_role("button", name="Pause")).to_be_visible(timeout=PATIENCE_MS)
+
+    labeller = Labeller(page)
+    labeller.open(service.url, imported)
+    query = labeller.press("ArrowLeft").query
+    stored = service.rows("select state, value from labels where query_id = ?", query)
+    with service.api(researcher) as api:
+        api.post(f"/experiments/{imported}/cancel")
+    [(state, value)] = stored
+    assert state == "label"
+    assert value in (0.0, 1.0), "which segment is on the left is random"
+
+
+def _episodes() -> list[Episode]:
+    """Two episodes of 40 steps with simulator states: four segments of 20 steps, in which the robot moves forward."""
+    spec, steps = task_spec("HalfCheetah-6x1"), 40
+    qpos = np.zeros((steps, spec.nq))
+    qpos[:, 0] = np.linspace(0, 2, steps)
+    observations = np.zeros((steps, spec.n_agents, spec.observation_dim), dtype=np.float32)
+    actions = np.zeros((steps, spec.n_agents, spec.action_dim), dtype=np.float32)
+    return [Episode(observations, actions, qpos=qpos, qvel=np.zeros((steps, spec.nv)))] * 2
+
+
 def test_an_export_downloaded_from_the_page_can_be_uploaded_again(
     service: Service, new_experiment: NewExperiment, sign_in: SignIn, tmp_path: Path
 ) -> None:
@@ -61,11 +109,11 @@ def test_an_export_downloaded_from_the_page_can_be_uploaded_again(
     form = page.get_by_role("form", name="Import an experiment")
     damaged = tmp_path / "damaged.zip"
     damaged.write_bytes(archive.read_bytes()[:1000])
-    form.get_by_label("Export").set_input_files(damaged)
+    form.get_by_label("File", exact=True).set_input_files(damaged)
     form.get_by_label("Name of the new experiment").fill("Imported")
     form.get_by_role("button", name="Import").click()
     expect(form.get_by_role("alert")).to_contain_text("Nothing was imported")
-    form.get_by_label("Export").set_input_files(archive)
+    form.get_by_label("File", exact=True).set_input_files(archive)
     form.get_by_role("button", name="Import").click()
     expect(page.get_by_role("heading", name="Imported")).to_be_visible(timeout=PATIENCE_MS)
     expect(page.get_by_role("button", name="Resume")).to_be_visible()

@@ -1,7 +1,8 @@
-import { useQueryClient } from "@tanstack/react-query";
+import { useQuery, useQueryClient } from "@tanstack/react-query";
 import { type FormEvent, useEffect, useRef, useState } from "react";
 import { errorMessage } from "@/shared/api/errors";
-import { experimentsKey } from "@/shared/api/queries";
+import { experimentsKey, tasksQuery } from "@/shared/api/queries";
+import type { operations } from "@/shared/api/schema";
 import { sendFile } from "@/shared/api/transfer";
 import type { Experiment } from "@/shared/api/types";
 import { paths } from "@/shared/routing/paths";
@@ -9,9 +10,56 @@ import { navigate } from "@/shared/routing/router";
 import { Alert } from "@/shared/ui/Message";
 import { ProgressBar } from "@/shared/ui/ProgressBar";
 
-/** A form that creates a paused experiment from an exported one. */
+type Format = NonNullable<operations["import_experiment"]["parameters"]["query"]["format"]>;
+
+interface FormatText {
+  title: string;
+  /** what to choose, and what becomes of it */
+  help: string;
+  /** whether the file has episodes, which are cut into segments */
+  episodes?: boolean;
+}
+
+const FORMATS: Record<Format, FormatText> = {
+  tables: {
+    title: "Export of Accord",
+    help: "Choose the ZIP file of an export. The new experiment begins with its settings, segments and labels.",
+  },
+  mapt: {
+    title: "MAPT, reference code",
+    help: "Choose its pickle of labelled pairs.",
+  },
+  imitation: {
+    title: "imitation",
+    help: "Choose a pickle of its PreferenceDataset, or a ZIP file of saved trajectories, which become pairs to label.",
+    episodes: true,
+  },
+  offline: {
+    title: "Preference Transformer, Clean-Offline-RLHF",
+    help: "Choose a ZIP file with the D4RL file and the three pickles of labels.",
+    episodes: true,
+  },
+  minari: {
+    title: "Minari",
+    help: "Choose a ZIP file of the dataset's folder. Its episodes become pairs to label.",
+    episodes: true,
+  },
+  d4rl: {
+    title: "D4RL",
+    help: "Choose an HDF5 file. Its episodes become pairs to label.",
+    episodes: true,
+  },
+};
+const FORMAT_NAMES = Object.keys(FORMATS) as Format[];
+const DEFAULT_SEGMENT_STEPS = "50";
+
+/** A form that creates a paused experiment from an export, or from a file of another program. */
 export function ImportExperiment({ onClose }: { onClose: () => void }) {
+  const tasks = useQuery(tasksQuery);
+  const [format, setFormat] = useState<Format>("tables");
   const [name, setName] = useState("");
+  const [task, setTask] = useState("");
+  const [segmentSteps, setSegmentSteps] = useState(DEFAULT_SEGMENT_STEPS);
   const [file, setFile] = useState<File | null>(null);
   /** the share of the file that was sent; null while nothing is */
   const [sent, setSent] = useState<number | null>(null);
@@ -19,6 +67,7 @@ export function ImportExperiment({ onClose }: { onClose: () => void }) {
   const running = useRef<AbortController>(null);
   const cache = useQueryClient();
   useEffect(() => () => running.current?.abort(), []);
+  const { help, episodes } = FORMATS[format];
   const submit = async (event: FormEvent) => {
     event.preventDefault();
     if (!file) return;
@@ -27,8 +76,15 @@ export function ImportExperiment({ onClose }: { onClose: () => void }) {
     setError(null);
     setSent(0);
     try {
-      const path = `/api/v1/experiments/import?name=${encodeURIComponent(name)}`;
-      const created = await sendFile<Experiment>(path, file, setSent, abort.signal);
+      const query = new URLSearchParams({ name, format });
+      if (task) query.set("task", task);
+      if (episodes) query.set("segment_steps", segmentSteps);
+      const created = await sendFile<Experiment>(
+        `/api/v1/experiments/import?${query}`,
+        file,
+        setSent,
+        abort.signal,
+      );
       void cache.invalidateQueries({ queryKey: experimentsKey });
       navigate(paths.experiment(created.id));
     } catch (failure) {
@@ -47,16 +103,30 @@ export function ImportExperiment({ onClose }: { onClose: () => void }) {
       onSubmit={(event) => void submit(event)}
     >
       <h2 id="import-title">Import an experiment</h2>
-      <p className="muted">
-        Choose the ZIP file of an export. The new experiment begins with its settings, segments and labels,
-        and is paused until you resume it.
-      </p>
-      {error && <Alert>{error} Nothing was imported.</Alert>}
+      <div>
+        <label>
+          Format{" "}
+          <select
+            value={format}
+            disabled={sent !== null}
+            aria-describedby="import-format-help"
+            onChange={(event) => setFormat(event.target.value as Format)}
+          >
+            {FORMAT_NAMES.map((each) => (
+              <option key={each} value={each}>
+                {FORMATS[each].title}
+              </option>
+            ))}
+          </select>
+        </label>
+        <p className="muted" id="import-format-help">
+          {help} The experiment is paused until you resume it.
+        </p>
+      </div>
       <label>
-        Export{" "}
+        File{" "}
         <input
           type="file"
-          accept=".zip,application/zip"
           required
           disabled={sent !== null}
           onChange={(event) => setFile(event.target.files?.[0] ?? null)}
@@ -73,6 +143,41 @@ export function ImportExperiment({ onClose }: { onClose: () => void }) {
           onChange={(event) => setName(event.target.value)}
         />
       </label>
+      <label>
+        Task of the segments{" "}
+        <select
+          required={format !== "tables"}
+          value={task}
+          disabled={sent !== null}
+          onChange={(event) => setTask(event.target.value)}
+        >
+          <option value="">{format === "tables" ? "As in the export" : "Choose a task"}</option>
+          {tasks.data?.map((each) => (
+            <option key={each.name}>{each.name}</option>
+          ))}
+        </select>
+      </label>
+      {episodes && (
+        <div>
+          <label>
+            Steps of a segment{" "}
+            <input
+              type="number"
+              required
+              min={2}
+              max={10_000}
+              value={segmentSteps}
+              disabled={sent !== null}
+              aria-describedby="import-steps-help"
+              onChange={(event) => setSegmentSteps(event.target.value)}
+            />
+          </label>
+          <p className="muted" id="import-steps-help">
+            Episodes are cut into segments of this length. Segments in the file keep theirs.
+          </p>
+        </div>
+      )}
+      {error && <Alert>{error} Nothing was imported.</Alert>}
       {sent !== null && (
         <div role="status">
           <ProgressBar
