@@ -148,6 +148,22 @@ class Settings(BaseSettings):
     render_workers: int = Field(default=1, ge=0, le=256, description="Render processes that `accord up` keeps running.")
     reward_workers: int = Field(default=1, ge=0, le=256, description="Reward processes that `accord up` keeps running.")
     policy_workers: int = Field(default=1, ge=0, le=256, description="Policy processes that `accord up` keeps running.")
+    ray_resources: bool = Field(
+        default=False,
+        description="With --ray: place workers only on nodes with the custom resources policy, reward and render, one "
+        "for each worker.",
+    )
+    ray_policy_gpus: float = Field(
+        default=0.0, ge=0, le=64, description="With --ray: GPUs of each policy worker; may be a fraction."
+    )
+    ray_reward_gpus: float = Field(
+        default=0.0, ge=0, le=64, description="With --ray: GPUs of each reward worker; may be a fraction."
+    )
+    ray_autoscale: bool = Field(
+        default=False,
+        description="With --ray: run only as many workers as have something to do, up to the numbers above and at "
+        "least one of each role; Ray's autoscaler then adds and removes nodes.",
+    )
     render_timeout_seconds: float = Field(
         default=60.0,
         gt=0,

@@ -7,11 +7,14 @@ what its folder holds.
 
 import logging
 import os
+import signal
 import socket
 import sys
+import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -122,18 +125,30 @@ def connect(address: str) -> Any:
     ray = load_ray()
     if ray.is_initialized():
         return ray
-    quiet: dict[str, Any] = {"logging_level": logging.WARNING, "log_to_driver": False}
+    options: dict[str, Any] = {"logging_level": logging.WARNING, "log_to_driver": False}
     if address == LOCAL:
         # Ray would give its processes the least priority but four, so that any other program comes first.
         os.environ.setdefault("RAY_worker_niceness", "0")
-        ray.init("local", include_dashboard=False, object_store_memory=_LOCAL_STORE_BYTES, **quiet)
-        return ray
+        options |= {"include_dashboard": False, "object_store_memory": _LOCAL_STORE_BYTES}
     try:
         _require_server(address)
-        ray.init(address, **quiet)
+        with _signal_handlers_kept():
+            ray.init(address, **options)
     except (OSError, RuntimeError, ValueError) as error:
         raise InvalidConfig(f"No Ray cluster answers at {address!r}: {error}", "ray") from error
     return ray
+
+
+@contextmanager
+def _signal_handlers_kept() -> Generator[None]:
+    """Undo that Ray handles SIGTERM, by which commands stop in order."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
 def _require_server(address: str) -> None:
@@ -278,10 +293,13 @@ def _run_tasks(
 
 def _start_mailbox(ray: Any) -> Any:
     """The mailbox, on this node: if another node died with it, every job would end."""
-    here = ray.get_runtime_context().get_node_id()
+    return ray.remote(_Mailbox).options(num_cpus=0, scheduling_strategy=here(ray)).remote()
+
+
+def here(ray: Any) -> Any:
+    """The scheduling strategy that places an actor on the node of this process."""
     strategies = import_module("ray.util.scheduling_strategies")
-    placed = strategies.NodeAffinitySchedulingStrategy(here, soft=False)
-    return ray.remote(_Mailbox).options(num_cpus=0, scheduling_strategy=placed).remote()
+    return strategies.NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
 
 
 def task_environment(cpus: int) -> dict[str, str]:

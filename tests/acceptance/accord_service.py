@@ -5,7 +5,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -59,18 +59,25 @@ class Accord:
         self._absent: set[str] = set()
         self._seen: dict[int, psutil.Process] = {}
 
-    def start(self, environment: Mapping[str, str] | None = None, without: Collection[str] = (), port: int = 0) -> None:
+    def start(
+        self,
+        environment: Mapping[str, str] | None = None,
+        without: Collection[str] = (),
+        port: int = 0,
+        more: Sequence[str] = (),
+    ) -> None:
         """Start the service and wait until the API responds.
 
         Args:
             port: 0 for a free one.
+            more: further arguments of `accord up`.
             without: roles for which no worker starts, because each costs seconds of CPU time.
         """
         self._absent = set(without)
         no_workers = {f"ACCORD_{role.upper()}_WORKERS": "0" for role in without}
         (self.home / "url").unlink(missing_ok=True)
         command = [sys.executable, "-m", "accord.cli", "up", "--home", str(self.home), "--no-example"]
-        command += ["--port", str(port)]
+        command += ["--port", str(port), *more]
         with self.log.open("ab") as log:
             self._supervisor = psutil.Popen(
                 command, env=os.environ | ENVIRONMENT | no_workers | dict(environment or {}), stdout=log, stderr=log

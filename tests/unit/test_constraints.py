@@ -23,6 +23,7 @@ OPTIONAL = {
     "wandb": "make test-loggers",
     "mlflow": "make test-loggers",
     "ray": "make test-ray",
+    "kuberay": "make test-ray",
 }
 COMMANDS = {
     str(Requirement(line)): command

@@ -21,6 +21,15 @@ Token = Annotated[
     typer.Option(envvar="ACCORD_TOKEN", help="Bearer token, as printed by `accord user add NAME --role teacher`."),
 ]
 Experiment = Annotated[str, typer.Option(help="Id of the experiment, exp_...")]
+RayAddress = Annotated[
+    str | None,
+    typer.Option(
+        "--ray",
+        metavar="ADDRESS",
+        help="Run the workers as actors of a Ray cluster: auto, HOST:PORT, or local for a cluster on this machine. "
+        "Needs the extra ray.",
+    ),
+]
 Port = Annotated[int | None, typer.Option(min=0, max=65535, help="Port; 0 for any free one.  [default: 8000]")]
 
 

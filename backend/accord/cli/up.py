@@ -5,9 +5,9 @@ import logging
 import os
 import socket
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, TextIO
 
@@ -19,10 +19,12 @@ from accord import logs
 from accord.api.listener import listen, require_protection
 from accord.cli.api_watch import ApiWatch
 from accord.cli.checks import print_check
-from accord.cli.options import Home, Port, address_file, load_settings, url_of
+from accord.cli.options import Home, Port, RayAddress, address_file, load_settings, url_of
 from accord.cli.worker_status import SUPERVISOR, LogLine, WorkerStatus
+from accord.domain.enums import WorkerRole
 from accord.domain.errors import AccordError, NameTaken, Unavailable
 from accord.services import accounts, experiments
+from accord.services import workers as worker_rows
 from accord.services.experiment_config import ExperimentConfig
 from accord.services.verification import verify, verify_file
 from accord.settings import Settings
@@ -30,9 +32,11 @@ from accord.store.blobs import open_blobs
 from accord.store.database import Database, sqlite_file
 from accord.store.home import keep_new_files_private, make_private
 from accord.store.migrate import is_new, migrate, require_current
+from accord.workers.ray_supervisor import RaySupervisor
 from accord.workers.runner import Stop
 from accord.workers.supervisor import ChildSpec, Supervisor
 from mapt.cli.output import log_line, on_terminal, out, print_line
+from mapt.cluster import LOCAL
 from mapt.io import atomic_write
 from mapt.processes import SHARED_CORES_ENVIRONMENT, WORKER_SLOT_VARIABLE, follow_parent
 
@@ -44,6 +48,8 @@ _TICK_SECONDS = 0.2
 _CHECKED_AT_START_BYTES = 256_000_000
 #: Time that the processes have to start, before the stored data are checked beside them.
 _CHECK_AFTER_SECONDS = 10.0
+#: Begin of variables that clients of S3 and PostgreSQL read.
+_STORE_VARIABLES = ("AWS_", "PG")
 #: Rendering may be late; labels and policy updates should not.
 _RENDER_NICE = 5
 
@@ -74,6 +80,7 @@ def up(
             "set ACCORD_PUBLIC_URL instead.",
         ),
     ] = False,
+    ray: RayAddress = None,
     example: Annotated[bool, typer.Option(help="Create an example experiment at the first start.")] = True,
     parent: Annotated[int, typer.Option(hidden=True, help="Exit when the process with this id exits; 0 for none.")] = 0,
 ) -> None:
@@ -82,20 +89,24 @@ def up(
     Prints a link that signs the admin in. Ctrl-C stops the service; a second Ctrl-C stops it at once.
     """
     stop = _begin(parent)
-    ready = prepare(load_settings(home, host, port, allow_plain_http=True if allow_plain_http else None))
+    settings = load_settings(home, host, port, allow_plain_http=True if allow_plain_http else None)
+    if ray not in (None, LOCAL):
+        _require_shared(settings)
+    ready = prepare(settings)
     with _closing(ready):
         announce(ready, example)
         # Beside the service, because it takes longer the more is stored. It only reads, so nobody waits for its end.
         threading.Thread(target=_warn_of_faults, args=(ready, stop), daemon=True).start()
-        _serve(ready, stop)
+        _serve(ready, stop, ray)
 
 
 def workers(
     *,
     home: Home = None,
+    ray: RayAddress = None,
     parent: Annotated[int, typer.Option(hidden=True, help="Exit when the process with this id exits; 0 for none.")] = 0,
 ) -> None:
-    """Start only workers, on a further host.
+    """Start only workers, on a further host or on a Ray cluster.
 
     The service needs PostgreSQL and S3, whose ACCORD_DATABASE_URL and ACCORD_BLOB_URL are set here too.
     ACCORD_POLICY_WORKERS and the like say how many workers start. When another host dies, its work is taken over after
@@ -105,7 +116,7 @@ def workers(
     ready = prepare_workers(load_settings(home))
     with _closing(ready):
         print_line(f"[bold]Workers[/bold] of {escape(ready.settings.worker_host)} are starting. Ctrl-C stops them.")
-        _serve(ready, stop)
+        _serve(ready, stop, ray)
 
 
 def _begin(parent: int) -> Stop:
@@ -156,12 +167,14 @@ def _warn_of_faults(ready: Ready, stop: Stop) -> None:
             print_check(check)
 
 
-def _serve(ready: Ready, stop: Stop) -> None:
+def _serve(ready: Ready, stop: Stop, ray: str | None) -> None:
     log_line = _log_lines(ready.settings)
     status = WorkerStatus(ready.settings, ready.database, log_line)
     specs = child_specs(ready)
     status.reset(specs)
-    supervisor = Supervisor(specs, ready.settings.home / "logs", status.record_death)
+    here = [spec for spec in specs if ray is None or not spec.role]
+    supervisor = Supervisor(here, ready.settings.home / "logs", status.record_death)
+    workers = supervisor if ray is None else _on_ray(ray, ready, [spec for spec in specs if spec.role], status)
     api = ApiWatch(url_of(ready.settings.host, ready.settings.port), ready.settings.api_timeout_seconds)
     spinner = out.status("starting", refresh_per_second=2) if on_terminal() else None
     try:
@@ -169,9 +182,11 @@ def _serve(ready: Ready, stop: Stop) -> None:
             spinner.start()
         while not stop.wait(_TICK_SECONDS):
             supervisor.tick()
+            if workers is not supervisor:
+                workers.tick()
             line = status.poll()
             for name, pid, age_seconds in status.hanging():
-                if supervisor.kill(name, pid):
+                if workers.kill(name, pid):
                     log_line(f"killed, because it has not reported for {age_seconds:.0f} s", name)
             pid = supervisor.pids().get("api")
             if pid is not None and api.hangs(pid) and supervisor.kill("api", pid):
@@ -182,8 +197,29 @@ def _serve(ready: Ready, stop: Stop) -> None:
         if spinner:
             spinner.stop()
         log_line("stopping; press Ctrl-C again to kill the remaining processes", SUPERVISOR)
-        killed = supervisor.shutdown(stop)
+        killed = workers.shutdown(stop)
+        if workers is not supervisor:
+            killed += supervisor.shutdown(stop)
         log_line(f"stopped; killed: {', '.join(killed)}" if killed else "stopped", SUPERVISOR)
+
+
+def _on_ray(address: str, ready: Ready, specs: Sequence[ChildSpec], status: WorkerStatus) -> RaySupervisor:
+    """The workers as actors of a cluster. They get the settings of this host, its name, and its access to S3."""
+    settings, database = ready.settings, ready.database
+    own = {name: value for name, value in os.environ.items() if name.startswith(_STORE_VARIABLES)}
+    own["ACCORD_HOST_NAME"] = settings.worker_host
+
+    def demand() -> Mapping[WorkerRole, int]:
+        with database.reading() as session:
+            return worker_rows.demand(session)
+
+    return RaySupervisor(
+        address,
+        [replace(spec, environment={**spec.environment, **own}) for spec in specs],
+        settings,
+        status.record_death,
+        demand=demand if settings.ray_autoscale else None,
+    )
 
 
 def _log_lines(settings: Settings) -> LogLine:
@@ -305,11 +341,7 @@ def prepare_workers(settings: Settings) -> Ready:
         NothingShared, HomeNotWritable, HomeInUse, BlobsNotWritable, BlobsUnreachable, DatabaseTooNew, DatabaseTooOld,
         DatabaseUnreachable: with what to do about it.
     """
-    if not (settings.shares_database and settings.blob_url):
-        raise NothingShared(
-            "Workers on a further host need the database and the blobs of the service. Set ACCORD_DATABASE_URL and "
-            "ACCORD_BLOB_URL as there; without PostgreSQL and S3, `accord up` starts the workers."
-        )
+    _require_shared(settings)
     make_home(settings)
     with ExitStack() as opened:
         lock = opened.enter_context(lock_home(settings.home))
@@ -318,6 +350,15 @@ def prepare_workers(settings: Settings) -> Ready:
         require_current(database)
         opened.pop_all()
     return Ready(settings, database, None, lock)
+
+
+def _require_shared(settings: Settings) -> None:
+    """Raises NothingShared."""
+    if not (settings.shares_database and settings.blob_url):
+        raise NothingShared(
+            "Workers on a further host need the database and the blobs of the service. Set ACCORD_DATABASE_URL and "
+            "ACCORD_BLOB_URL as there; without PostgreSQL and S3, `accord up` starts the workers."
+        )
 
 
 def _require_intact(database: Database, url: str) -> None:

@@ -1,15 +1,18 @@
 """Worker processes: the state they report, and the leases (claims) by which one worker at a time does a job."""
 
+import math
 from datetime import timedelta
 
 from sqlalchemy.orm import Session
 
-from accord.domain.enums import WorkerRole, WorkerState
+from accord.domain.enums import ExperimentStatus, Phase, WorkerRole, WorkerState
 from accord.services.lease import now_and_end
-from accord.store import workers
+from accord.store import clips, experiments, workers
 from accord.store.tables import WorkerRow, utc_now
 
 _FORGOTTEN_AFTER = timedelta(days=1)
+#: another render worker starts for this many clips, which one renders in about ten seconds
+_CLIPS_PER_WORKER = 20
 
 
 def report(  # noqa: PLR0917 (a row's fields in their order)
@@ -39,6 +42,25 @@ def report(  # noqa: PLR0917 (a row's fields in their order)
     row.role, row.state, row.detail, row.heartbeat_at = role.value, state.value, detail, now
     if restarts is not None:
         row.restarts = restarts
+
+
+def count_restart(session: Session, worker_id: str, role: WorkerRole, detail: str) -> None:
+    """Records that a worker died and starts again."""
+    row = workers.worker(session, worker_id)
+    restarts = 1 if row is None else row.restarts + 1
+    report(session, worker_id, role, 0, WorkerState.RESTARTING, detail, restarts)
+
+
+def demand(session: Session) -> dict[WorkerRole, int]:
+    """How many workers of each role would have something to do now."""
+    phases = [row.phase for row in experiments.with_status(session, ExperimentStatus.RUNNING)]
+    clip_queue = sum(clips.pending_counts(session).values())
+    return {
+        WorkerRole.POLICY: sum(phase != Phase.WAITING_FOR_LABELS for phase in phases),
+        # A reward worker serves all experiments in turn; a second one helps where several experiments train.
+        WorkerRole.REWARD: len(phases),
+        WorkerRole.RENDER: math.ceil(clip_queue / _CLIPS_PER_WORKER),
+    }
 
 
 def all(session: Session) -> list[WorkerRow]:

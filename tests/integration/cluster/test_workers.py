@@ -1,0 +1,118 @@
+"""`accord up --ray` on a cluster with a node for each role, of which one is lost while the policy trains."""
+
+import os
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import text
+
+from acceptance.accord_service import STEPS_PER_ITERATION, Accord, Client
+from accord.domain.enums import WorkerRole
+from accord.settings import Settings
+from accord.store.database import Database
+from accord.workers.ray_supervisor import RaySupervisor
+from accord.workers.runner import Stop
+from accord.workers.supervisor import ChildSpec, Death
+from integration.cluster.conftest import NODE
+from support.store_fixtures import postgres_server
+from support.stores import PostgresServer, migrated_postgres_database
+from support.waiting import until
+
+__all__ = ["postgres_server"]
+
+BUDGET = 12
+#: one reward version, so that the policy's curve depends on nothing but the rows
+EXPERIMENT: dict[str, Any] = {
+    "label_budget": BUDGET,
+    "initial_labels": BUDGET,
+    "total_steps": 60 * STEPS_PER_ITERATION,
+}
+
+
+@pytest.fixture
+def database(postgres_server: PostgresServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Database]:
+    """A database and a folder of blobs that all nodes share, which the environment names."""
+    with migrated_postgres_database(postgres_server.url, "ray") as url, closing(Database.open(url)) as opened:
+        monkeypatch.setenv("ACCORD_DATABASE_URL", url)
+        monkeypatch.setenv("ACCORD_BLOB_URL", f"file://{tmp_path}/blobs")
+        yield opened
+
+
+def rows(database: Database, statement: str, **values: object) -> list[tuple[Any, ...]]:
+    with database.reading() as session:
+        return [tuple(row) for row in session.execute(text(statement), values)]
+
+
+def curve(database: Database, id: str) -> list[tuple[Any, ...]]:
+    """Step, name and value of every metric but the speed."""
+    statement = "SELECT step, name, value FROM metrics WHERE experiment_id = :id AND name <> 'steps_per_second'"
+    return rows(database, f"{statement} ORDER BY step, name", id=id)
+
+
+def iterations(database: Database, id: str) -> int:
+    return len({step for step, name, _ in curve(database, id) if name == "learned_return"})
+
+
+def test_an_experiment_goes_on_when_the_node_of_its_policy_is_lost(
+    cluster: Any, database: Database, tmp_path: Path
+) -> None:
+    nodes = {role.value: cluster.add_node(**NODE, resources={role.value: 1}) for role in WorkerRole}
+    accord = Accord(tmp_path / "web", os.environ["ACCORD_DATABASE_URL"])
+    try:
+        settings = {"ACCORD_HOST_NAME": "lab", "ACCORD_RAY_RESOURCES": "true"}
+        accord.start(settings, more=["--ray", cluster.address])
+        client = Client(accord, accord.token("ada", "researcher"))
+        curves: list[list[tuple[Any, ...]]] = []
+        for name in ("undisturbed", "disturbed"):
+            id = client.create_experiment(**EXPERIMENT, name=name)
+            acknowledged: dict[str, float] = {}
+
+            def enough(id: str = id, acknowledged: dict[str, float] = acknowledged) -> bool:
+                acknowledged.update(client.label_some(id))
+                return len(acknowledged) >= BUDGET
+
+            until(enough, "the labels")
+            if name == "disturbed":
+                until(lambda id=id: iterations(database, id) >= 5, "some iterations")
+                cluster.remove_node(nodes["policy"], allow_graceful=False)
+                assert iterations(database, id) < 60
+                nodes["policy"] = cluster.add_node(**NODE, resources={"policy": 1})
+            until(lambda id=id: client.experiment(id)["status"] == "finished", "the experiment finishes")
+            stored = rows(database, "SELECT query_id, value FROM labels WHERE experiment_id = :id", id=id)
+            assert acknowledged == dict(stored)
+            curves.append(curve(database, id))
+        assert iterations(database, id) == 60
+        assert curves[0] == curves[1]
+        workers = {worker["id"]: worker["restarts"] for worker in client.request("GET", "/workers")}
+        assert workers == {"policy-0@lab": 1, "render-0@lab": 0, "reward-0@lab": 0}
+    finally:
+        accord.kill_everything()
+        for node in nodes.values():
+            cluster.remove_node(node)
+
+
+def test_workers_start_and_stop_with_what_is_due_and_a_failing_one_restarts(
+    cluster: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The loops fail at once, because there is no such module."""
+    node = cluster.add_node(**NODE | {"num_cpus": 2})
+    monkeypatch.setattr("accord.workers.ray_supervisor._SCALE_SECONDS", 0.0)
+    due = {WorkerRole.RENDER: 1}
+    deaths: list[Death] = []
+    specs = [ChildSpec(f"render-{slot}", ("nowhere", "--slot", str(slot)), role="render") for slot in range(2)]
+    supervisor = RaySupervisor(cluster.address, specs, Settings(), deaths.append, demand=lambda: due)
+
+    def died(name: str) -> bool:
+        supervisor.tick()
+        return any(death.name == name for death in deaths)
+
+    until(lambda: died("render-0"), "the first worker's failure")
+    assert "nowhere" in deaths[0].description
+    assert not died("render-1")
+    due[WorkerRole.RENDER] = 7
+    until(lambda: died("render-1"), "the second worker's failure")
+    assert supervisor.shutdown(Stop()) == []
+    cluster.remove_node(node)

@@ -1,0 +1,34 @@
+"""Workers' rows: restarts, and how many workers have something to do."""
+
+from accord.domain.enums import Phase, WorkerRole, WorkerState
+from accord.services import experiments, workers
+from support.sample_experiments import create_sample
+from support.stores import Stores
+
+
+def demand(stores: Stores) -> list[int]:
+    """Of policy, reward and render workers."""
+    with stores.database.reading() as session:
+        found = workers.demand(session)
+    return [found[role] for role in (WorkerRole.POLICY, WorkerRole.REWARD, WorkerRole.RENDER)]
+
+
+def test_demand_follows_the_experiments_that_can_train_and_the_clips_that_are_due(stores: Stores) -> None:
+    assert demand(stores) == [0, 0, 0]
+    samples = [create_sample(stores.database, stores.blobs, ready=ready) for ready in (True, False)]
+    assert demand(stores) == [2, 2, 1]
+    with stores.database.transaction() as session:
+        experiments.report(session, samples[0].experiment.id, phase=Phase.WAITING_FOR_LABELS, steps=0)
+    assert demand(stores) == [1, 2, 1]
+    with stores.database.transaction() as session:
+        experiments.finish(session, samples[1].experiment.id)
+    assert demand(stores)[:2] == [0, 1]
+
+
+def test_restarts_of_a_worker_are_counted_from_its_row(stores: Stores) -> None:
+    for restarts in (1, 2):
+        with stores.database.transaction() as session:
+            workers.count_restart(session, "policy-0@lab", WorkerRole.POLICY, "Its node died.")
+        with stores.database.reading() as session:
+            [row] = workers.all(session)
+            assert (row.restarts, row.state, row.detail) == (restarts, WorkerState.RESTARTING, "Its node died.")
