@@ -12,6 +12,8 @@ from mapt.errors import ShapeError
 # less become denormal numbers in the backward pass, on which a CPU is about ten times slower: with 1,050 oracle labels
 # and score differences of up to 200, they took half of the training time.
 MAX_LOGIT = 30.0
+# Untrained models give every step nearly the same reward.
+SMALLEST_VARIANCE = 1e-8
 
 
 def preference_loss(
@@ -76,11 +78,12 @@ def decisive_agent_losses(shares: Tensor, label: Tensor, agent: Tensor) -> Tenso
 
 
 def smoothness_penalty(rewards: Tensor, mask: Tensor) -> Tensor:
-    """Mean squared change of reward from a step to the next, (); 0 if no segment has two steps.
+    """Mean squared change of reward from a step to the next over the variance of rewards, (); 0 without changes.
 
     Preferences between whole segments say little about how a return is spread over the steps: r_t and
     r_t + phi_(t+1) - phi_t have nearly equal sums for any phi. Of the rewards that explain the preferences, this
-    penalty chooses a smooth one (regularisation along the time axis, as in Zhang et al., 2024, arXiv 2409.00717).
+    penalty chooses a smooth one (regularisation along the time axis, as in Zhang et al., 2024, arXiv 2409.00717). It
+    does not depend on the scale of rewards, which grows as preferences become certain.
 
     Args:
         rewards: of the team, (S, T).
@@ -88,7 +91,10 @@ def smoothness_penalty(rewards: Tensor, mask: Tensor) -> Tensor:
     """
     both_real = mask[:, 1:] & mask[:, :-1]
     changes = (rewards[:, 1:] - rewards[:, :-1]) * both_real
-    return changes.square().sum() / both_real.sum().clamp(min=1)
+    n_steps = mask.sum().clamp(min=1)
+    centred = (rewards - (rewards * mask).sum() / n_steps) * mask
+    variance = (centred.square().sum() / n_steps).clamp(min=SMALLEST_VARIANCE)
+    return changes.square().sum() / both_real.sum().clamp(min=1) / variance
 
 
 def _log_likelihood(logits: Tensor, noise: float | Tensor) -> Tensor:

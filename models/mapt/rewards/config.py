@@ -235,14 +235,23 @@ class TrainConfig(Settings):
         float, setting("Fraction of the labels that the loss assumes to be wrong.", ge=0, le=0.49)
     ] = 0.0
     weight_decay: Annotated[float, setting("AdamW's weight decay for the whole network.", ge=0, le=10)] = 1.0
-    markov_weight_decay: Annotated[float, setting("AdamW's weight decay for the Markov path alone.", ge=0, le=10)] = 3.0
+    markov_weight_decay: Annotated[
+        float,
+        setting(
+            "AdamW's weight decay for the Markov path alone, with up to 400 training pairs; with more, it falls in "
+            "inverse proportion to them.",
+            ge=0,
+            le=10,
+        ),
+    ] = 3.0
     markov_smoothness: Annotated[
         float,
         setting(
-            "Weight of the mean squared change of reward between neighbouring steps in the loss of the Markov path.",
+            "Weight in the Markov path's loss of the mean squared change of reward between neighbouring steps, divided "
+            "by the variance of rewards; it falls with the training pairs as markov_weight_decay does.",
             ge=0,
         ),
-    ] = 0.003
+    ] = 0.1
     decisive_weight: Annotated[
         float,
         setting(

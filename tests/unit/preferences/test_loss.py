@@ -1,5 +1,6 @@
 import math
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
@@ -79,11 +80,18 @@ def test_confident_errors_have_the_full_gradient(sign, label):
     assert logit.grad.tolist() == [sign, sign]
 
 
-def test_smoothness_penalty_is_the_mean_squared_change_between_real_steps():
+def test_smoothness_penalty_compares_changes_between_real_steps_with_the_variance():
     rewards = torch.tensor([[1.0, 3.0, 3.0, 9.0], [2.0, 1.0, 0.0, 50.0]])
     mask = torch.tensor([[True, True, True, True], [True, True, False, False]])
-    assert smoothness_penalty(rewards, mask).item() == pytest.approx((4 + 0 + 36 + 1) / 4)
-    assert smoothness_penalty(rewards + 7, mask).item() == pytest.approx((4 + 0 + 36 + 1) / 4)
+    expected = (4 + 0 + 36 + 1) / 4 / np.var([1, 3, 3, 9, 2, 1])
+    for scaled in (rewards, 3 * rewards + 7):
+        assert smoothness_penalty(scaled, mask).item() == pytest.approx(expected)
+
+
+def test_equal_rewards_have_no_smoothness_penalty_and_a_finite_gradient():
+    rewards = torch.full((2, 3), 0.5, requires_grad=True)
+    smoothness_penalty(rewards, torch.ones(2, 3, dtype=torch.bool)).backward()
+    assert rewards.grad.tolist() == [[0.0] * 3] * 2
 
 
 def test_segments_of_one_step_have_no_smoothness_penalty():

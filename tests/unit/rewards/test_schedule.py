@@ -32,6 +32,13 @@ def test_warm_stages_have_their_own_epochs():
     assert warm is None
 
 
+def test_more_pairs_weaken_the_regularisation_of_the_markov_path():
+    settings = TrainConfig(markov_weight_decay=2.0, markov_smoothness=0.1)
+    few, many = (markov_stage(settings, n_pairs, warm=False) for n_pairs in (50, 1600))
+    assert (few.weight_decay, few.smoothness) == (2.0, 0.1)
+    assert (many.weight_decay, many.smoothness) == pytest.approx((0.5, 0.025))
+
+
 def test_constant_gain_is_significant_and_a_single_outlier_is_not():
     assert is_significant(torch.tensor([0.2, 0.1, 0.3, 0.2]))
     assert not is_significant(torch.tensor([1.0, -0.5, 0.1, -0.1, 0.0, 0.0, 0.0, 0.0]))

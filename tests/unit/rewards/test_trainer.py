@@ -199,7 +199,7 @@ def test_smoothness_credits_the_steps_that_earn_the_return():
             learned = model.agent_rewards(*inputs).mean(dim=2).numpy()
         return correlation(*((steps - steps.mean(axis=1, keepdims=True)).ravel() for steps in (learned, true)))
 
-    assert within_segments(0.003) > within_segments(0.0) + 0.03
+    assert within_segments(0.1) > within_segments(0.0) + 0.03
 
 
 def test_reward_that_keeps_its_mean_makes_a_further_step_worth_something():
@@ -260,9 +260,10 @@ def test_warm_start_keeps_warm_share_of_the_markov_path():
 
 
 def test_significantly_worse_markov_path_does_not_replace_the_initial_model():
-    first = train_reward_model(preferences(80), CONFIG, TrainConfig(max_epochs=2))
-    divergent = TrainConfig(warm_markov_epochs=1, lr=1e-8, markov_lr=1.0, markov_weight_decay=0.0, warm_share=0.0)
-    second = train_reward_model(preferences(80), CONFIG, divergent, initial=first.model)
+    first = train_reward_model(preferences(200), CONFIG, TrainConfig(max_epochs=2))
+    unregularised = TrainConfig(markov_weight_decay=0.0, markov_smoothness=0.0)
+    divergent = replace(unregularised, warm_markov_epochs=1, lr=1e-8, markov_lr=1.0, warm_share=0.0)
+    second = train_reward_model(preferences(200), CONFIG, divergent, initial=first.model)
     assert second.metrics["holdout_loss"] == pytest.approx(first.metrics["holdout_loss"], rel=1e-3)
 
 
