@@ -1,5 +1,6 @@
 """Creates the FastAPI application."""
 
+from importlib.metadata import version
 from typing import Any
 
 from fastapi import FastAPI
@@ -64,7 +65,7 @@ def create_app(settings: Settings, database: Database, blobs: BlobStore) -> Fast
     """The application over a migrated database. The caller opens and closes both stores."""
     app = _App(
         title="Accord",
-        version="1",
+        version=version("accord"),
         description=_DESCRIPTION,
         # `documentation` serves them to those who are signed in.
         openapi_url=None,
