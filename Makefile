@@ -15,13 +15,13 @@ unexport PYTHONDONTWRITEBYTECODE
 
 CHECKS := check-types check-page check-imports check-style
 
-.PHONY: run test test-slow test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean football test-loggers test-ray
+.PHONY: run test docs test-docs test-slow test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean football test-loggers test-ray
 
 run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
 	$(BIN)/accord up --example
 
 test: $(INSTALLED) system-test check ## Format, lint, types, import rules, then the tests, in about ten minutes
-	$(BIN)/python -m pytest -m "not benchmark and not learn and not deployment and not slow" $(SIDE_BY_SIDE)
+	$(BIN)/python -m pytest -m "not benchmark and not learn and not deployment and not slow and not docs" $(SIDE_BY_SIDE)
 
 test-slow: $(INSTALLED) system-test ## The tests that start whole services for a quarter of a minute and more; part of CI
 	$(BIN)/python -m pytest --quiet -m slow $(SIDE_BY_SIDE) tests/acceptance tests/browser
@@ -32,6 +32,13 @@ test-avx2: $(INSTALLED) ## The tests of computed numbers again, with AVX2, so th
 test-deployment: $(INSTALLED) ## The steps of the Dockerfile in a chroot, and the service in it; minutes, as root; part of CI
 	@.ci/system-packages deployment
 	$(BIN)/python -m pytest -m deployment tests/deployment
+
+docs: $(INSTALLED) ## Build the documentation into build/site; warnings are errors
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev,docs]"
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --config-file docs/site/mkdocs.yml
+
+test-docs: docs system-test ## Build the documentation, and run the code in it; part of CI
+	$(BIN)/python -m pytest --quiet -m docs $(SIDE_BY_SIDE) tests/docs
 
 check: $(INSTALLED) ## Format, lint, types, import rules, the page; the longest first, two at a time
 	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target $(CHECKS)
@@ -46,12 +53,12 @@ check-imports:
 	$(BIN)/lint-imports --no-logo
 
 check-style:
-	$(BIN)/ruff format --check backend models tests frontend
-	$(BIN)/ruff check backend models tests frontend
+	$(BIN)/ruff format --check backend models tests frontend docs
+	$(BIN)/ruff check backend models tests frontend docs
 
 format: $(INSTALLED) ## Format Python and TypeScript in place
-	$(BIN)/ruff format backend models tests frontend
-	$(BIN)/ruff check --fix backend models tests frontend
+	$(BIN)/ruff format backend models tests frontend docs
+	$(BIN)/ruff check --fix backend models tests frontend docs
 	cd frontend && PATH="$(abspath $(BIN)):$$PATH" npm run --silent format
 
 bench: $(INSTALLED) ## Every benchmark, with its upper bound in the same run

@@ -15,16 +15,16 @@ from support.short_tasks import SHORTEST_HORIZON_STEPS, SHORTEST_NAME
 SEGMENT_STEPS = 10
 
 
-def write_segments(path: Path, segments: int = 24, seed: int = 0) -> Path:
-    """Record segments of an untrained policy in the shortest task."""
+def write_segments(path: Path, segments: int = 24, seed: int = 0, task_name: str = SHORTEST_NAME) -> Path:
+    """Record segments of an untrained policy."""
     config = PolicyConfig(n_envs=4, rollout_steps=8, minibatches=1, hidden=(8,), seed=seed)
-    task = make_task(SHORTEST_NAME, 4)
+    task = make_task(task_name, 4)
     try:
         policy = Learner(task, config).policy
         rollout = Collector(task, seed).collect(policy, 8 * SHORTEST_HORIZON_STEPS, torch.Generator().manual_seed(seed))
     finally:
         task.close()
-    about = {"task": SHORTEST_NAME, "seed": seed}
+    about = {"task": task_name, "seed": seed}
     with SegmentWriter.create(path, layout_of(task.spec, SEGMENT_STEPS), about=about) as writer:
         rng = np.random.default_rng(seed)
         append_segments(writer, rollout, draw_step_ranges(rollout, SEGMENT_STEPS, segments, rng))

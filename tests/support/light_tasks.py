@@ -1,4 +1,4 @@
-"""PettingZoo tasks whose images show their state, as a task file (see docs/tasks.md).
+"""PettingZoo tasks whose images show their state, as a task file (see docs/how-to/task.md).
 
 Two agents each press a button. A light gets brighter with each step in which both press. `Buttons-2` renders and is
 deterministic, `BlindButtons-2` does not render, and `VaryingButtons-2` is not deterministic given its seed.

@@ -1,6 +1,6 @@
 """HalfCheetah tasks with short episodes, for tests that need complete episodes.
 
-This is a task file (see docs/tasks.md): with MAPT_TASKS, all processes of a service know its tasks. Importing it
+This is a task file (see docs/how-to/task.md): with MAPT_TASKS, all processes of a service know its tasks. Importing it
 registers nothing, because some tests are parametrised over all registered tasks.
 """
 

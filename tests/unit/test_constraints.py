@@ -24,6 +24,7 @@ OPTIONAL = {
     "mlflow": "make test-loggers",
     "ray": "make test-ray",
     "kuberay": "make test-ray",
+    "docs": "make docs",
 }
 COMMANDS = {
     str(Requirement(line)): command

@@ -65,7 +65,7 @@ _import_lock = threading.RLock()
 
 
 def register_task(definition: TaskDefinition) -> None:
-    """Add a task to this process's registry. See docs/tasks.md.
+    """Add a task to this process's registry. See docs/how-to/task.md.
 
     Raises:
         TaskExists: if the name is taken.

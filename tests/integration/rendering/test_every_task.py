@@ -139,7 +139,7 @@ def test_floor_moves_past_a_robot_that_travels(drawing: Drawing, task: str) -> N
 
 
 def test_documented_custom_task_is_rendered(drawing: Drawing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    document = (Path(__file__).parents[3] / "docs" / "tasks.md").read_text()
+    document = (Path(__file__).parents[3] / "docs" / "how-to" / "task.md").read_text()
     block = re.search(r"```python\n(.*?)```", document, re.DOTALL)
     assert block is not None
     file = tmp_path / "tug.py"

@@ -1,4 +1,4 @@
-"""The examples of docs/tasks.md work."""
+"""The examples of docs/how-to/task.md work."""
 
 import re
 import sys
@@ -13,7 +13,7 @@ from mapt.errors import TaskImportFailed, UnknownTask
 from mapt.tasks import RenderableTask, agent_geoms, make_task, task_names, task_spec
 from support import light_tasks
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "tasks.md"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "how-to" / "task.md"
 MUJOCO_BLOCK, PETTINGZOO_BLOCK = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
 
 
@@ -45,10 +45,10 @@ def test_documented_pettingzoo_task_works_and_renders(tmp_path: Path, monkeypatc
     game.__dict__["parallel_env"] = parallel_env
     monkeypatch.setitem(sys.modules, "my_game", game)
     file = tmp_path / "my_tasks.py"
-    file.write_text("import my_game\n" + PETTINGZOO_BLOCK)
+    file.write_text(PETTINGZOO_BLOCK)
     monkeypatch.setenv("MAPT_TASKS", str(file))
-    assert task_spec("MyGame-3").instructions == "What the team should achieve."
-    task = make_task("MyGame-3", 2)
+    assert task_spec("MyGame-2").instructions == "What the team should achieve."
+    task = make_task("MyGame-2", 2)
     task.reset(0)
     steps = [task.step(np.tile([0.0, 1.0], (2, 2, 1))) for _ in range(100)]
     assert steps[-1].truncated.all()
