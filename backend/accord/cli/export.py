@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from accord.cli.options import Experiment, Home, load_settings, open_existing
-from accord.services.export import contents, write
+from accord.services.export import ExportFormat, contents, write_as
 from accord.store.blobs import open_blobs
 from mapt.cli.options import Json
 from mapt.cli.output import ProgressBars, print_json, print_line
@@ -16,11 +16,17 @@ from mapt.cli.output import ProgressBars, print_json, print_line
 def export(
     *,
     experiment: Experiment,
-    output: Annotated[Path, typer.Option(help="Folder for the results; it must not exist.")],
+    output: Annotated[
+        Path, typer.Option(help="Folder for the results, or for mapt, imitation and d4rl a file; it must not exist.")
+    ],
+    format: Annotated[
+        ExportFormat,
+        typer.Option(help="tables: Parquet tables. The others are those of other programs: see docs/reference.md."),
+    ] = "tables",
     home: Home = None,
     as_json: Json = False,
 ) -> None:
-    """Export an experiment as Parquet tables.
+    """Export an experiment as Parquet tables, or for other programs.
 
     Writes its segments, queries and labels. The service may keep running.
     """
@@ -29,10 +35,11 @@ def export(
         found = contents(session, experiment)
     with ProgressBars(hidden=as_json) as bars:
         bars.add("segments", "segments", len(found.segments))
-        write(
+        write_as(
             open_blobs(settings.resolved_blob_url),
             found,
             output,
+            format,
             lambda count: bars.update("segments", count, f"{count}/{len(found.segments)}"),
         )
     skips = sum(label.state == "skip" for label in found.labels)

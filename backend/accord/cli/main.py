@@ -21,7 +21,7 @@ app = make_app(
         "teach": LazyCommand("accord.cli.teach", "teach", "Label an experiment with a scripted teacher."),
         "demo": LazyCommand("accord.cli.demo", "demo", "Train policies from a scripted teacher's labels."),
         "tasks": LazyCommand("mapt.cli.tasks", "tasks", "List the tasks."),
-        "export": LazyCommand("accord.cli.export", "export", "Export an experiment as Parquet tables."),
+        "export": LazyCommand("accord.cli.export", "export", "Export an experiment as Parquet tables, or for other programs."),
         "import": LazyCommand(
             "accord.cli.importing",
             "import_experiment",

@@ -260,9 +260,14 @@ class AsyncClient:
         """Write the newest checkpoint of the policy, for `mapt.load_policy(file, task)`."""
         await self._download(f"/experiments/{experiment_id}/policy", Path(file))
 
-    async def export(self, experiment_id: str, file: str | Path) -> None:
-        """Write the segments, queries and labels of an experiment as a ZIP file of Parquet tables."""
-        await self._download(f"/experiments/{experiment_id}/export", Path(file))
+    async def export(self, experiment_id: str, file: str | Path, format: str = "tables") -> None:
+        """Write the segments, queries and labels of an experiment as a ZIP file of Parquet tables.
+
+        Args:
+            format: another program's; see docs/reference.md. `file` is a pickle for mapt and imitation, an HDF5 file
+                for d4rl, and a ZIP file otherwise.
+        """
+        await self._download(f"/experiments/{experiment_id}/export?format={format}", Path(file))
 
     async def import_experiment(
         self, file: str | Path, name: str, format: str = "tables", **query: str | int

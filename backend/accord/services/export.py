@@ -1,4 +1,4 @@
-"""Export of an experiment as Parquet tables: segments with their arrays, queries and labels.
+"""Export of an experiment: segments with their arrays, queries and labels, as Parquet tables or for other programs.
 
 One read-only transaction reads the rows; the arrays are read after it, from blobs that never change. The export is
 consistent, and does not block a running service.
@@ -7,7 +7,8 @@ consistent, and does not block a running service.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
 
 import numpy as np
 from sqlalchemy.orm import Session
@@ -21,9 +22,14 @@ from accord.store.exports import ExportedLabel, ExportedQuery, ExportedSegment
 from accord.store.tables import ExperimentRow, RewardVersionRow, utc_now
 from mapt.errors import AlreadyExists, PreferenceError
 from mapt.preferences.dataset import SegmentArrays
+from mapt.preferences.formats import writing as formats
+from mapt.preferences.formats.reading import ForeignFormat
 from mapt.preferences.formats.records import SegmentRecords, concatenate
-from mapt.preferences.formats.tables import LabelRow, QueryRow, SegmentRow, TableWriter
+from mapt.preferences.formats.tables import LabelRow, PreferenceTables, QueryRow, SegmentRow, TableWriter
 from mapt.provenance import provenance
+
+#: tables: what `accord import` reads back. See `mapt.preferences.formats.writing` for the others.
+ExportFormat = Literal["tables", ForeignFormat]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +91,42 @@ def write(
         raise Invalid(f"The segments of the experiment differ in their dimensions: {error}") from error
     except OSError as error:
         raise Unavailable(f"{folder} cannot be written: {error.strerror}. Choose another folder.") from error
+
+
+def write_as(
+    blobs: BlobStore,
+    found: Contents,
+    path: Path,
+    format: ExportFormat,
+    on_segments: Callable[[int], None] = lambda _count: None,
+) -> None:
+    """Writes tables, or what another program reads; see `mapt.preferences.formats.writing.write_foreign`.
+
+    A file of another program is made of the tables, which are written beside it and deleted again.
+
+    Raises:
+        Invalid: if `path` exists, or the format cannot hold the experiment, or needs labels and there are none.
+        BlobMissing, Unavailable: as `write`. Nothing is left behind.
+    """
+    if format == "tables":
+        write(blobs, found, path, on_segments)
+        return
+    if path.exists():
+        raise Invalid(f"{path} already exists. Choose another path with --output.")
+    spec = experiments.spec_of(found.about["task"])
+    name = f"accord/{found.about['experiment_id']}-v0"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix="accord-export-", dir=path.parent) as scratch:
+            tables = Path(scratch, "tables")
+            write(blobs, found, tables, on_segments)
+            formats.write_foreign(
+                path, PreferenceTables.open(tables), format, discrete=spec.discrete_actions, name=name
+            )
+    except PreferenceError as error:
+        raise Invalid(str(error).replace(f"{path.parent}/", "")) from error
+    except OSError as error:
+        raise Unavailable(f"{path} cannot be written: {error.strerror}. Choose another path.") from error
 
 
 def _write(blobs: BlobStore, found: Contents, folder: Path, on_segments: Callable[[int], None]) -> None:

@@ -6,6 +6,7 @@ import re
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from mapt.preferences.formats.d4rl import write_d4rl
 from mapt.preferences.formats.imitation import write_imitation, write_imitation_trajectories
 from mapt.preferences.formats.minari import write_minari
 from mapt.preferences.formats.offline_labels import write_offline_labels
+from mapt.preferences.formats.reading import ForeignFormat, read_comparisons
 from mapt.preferences.formats.records import Comparisons, SegmentRecords, episodes_of
 from mapt.preferences.formats.reference import write_reference
 from mapt.preferences.formats.tables import LabelRow, QueryRow, SegmentRow, TableWriter
@@ -225,3 +227,58 @@ def test_only_researchers_import_files(api: ApiServer, tmp_path: Path) -> None:
         with Client(api.url, api.tokens[role]) as client, pytest.raises(Refused) as refused:
             client.import_experiment(file, "one", "d4rl", task=TASK, segment_steps=STEPS)
         assert refused.value.status == 403
+
+
+@pytest.mark.parametrize("task", [TASK, DISCRETE_TASK])
+@pytest.mark.parametrize("format", get_args(ForeignFormat))
+def test_an_experiment_is_exported_for_every_program(
+    client: Client, tmp_path: Path, format: ForeignFormat, task: str
+) -> None:
+    made, spec = comparisons(task), task_spec(task)
+    file = as_imitation(tmp_path / "original.pkl", made, spec.discrete_actions)
+    imported = client.import_experiment(file, "original", "imitation", task=task)
+    client.export(imported.id, tmp_path / "exported", format)
+
+    path = tmp_path / "exported"
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(tmp_path / "extracted")
+        path = tmp_path / "extracted" / imported.id
+    n_actions = spec.action_dim if spec.discrete_actions and format not in ("offline", "d4rl") else None
+    found = read_comparisons(path, format, STEPS, n_actions=n_actions, max_bytes=1 << 24)
+    if format in ("minari", "d4rl"):
+        assert (len(found.records), len(found)) == (2 * len(LABELS), 0)
+        assert sorted(found.records.segments.observations[:, 0, 0, 0]) == list(range(2 * len(LABELS)))
+        return
+    # The order of pairs may differ. The first observation of a segment is its number.
+    assert found_labels(found) == found_labels(made)
+    pairs = {found_pair: index for index, found_pair in enumerate(found_labels(found))}
+    for pair, index in zip(found_labels(made), range(len(made)), strict=True):
+        ours, theirs = (
+            each.records.segments.take(each.pairs[at]) for each, at in ((made, index), (found, pairs[pair]))
+        )
+        np.testing.assert_array_equal(ours.observations, theirs.observations)
+        np.testing.assert_array_equal(ours.actions, theirs.actions)
+
+
+def found_labels(of: Comparisons) -> dict[tuple[float, ...], float]:
+    """The label of each pair, by the numbers of its segments."""
+    numbers = of.records.segments.observations[:, 0, 0, 0]
+    return {tuple(numbers[pair]): label for pair, label in zip(of.pairs.tolist(), of.labels.tolist(), strict=True)}
+
+
+def test_an_export_that_a_format_cannot_hold_is_refused(client: Client, tmp_path: Path) -> None:
+    made = comparisons()
+    slight = Comparisons(made.records, made.pairs, np.array([0.75, 0.25, 0.5], dtype=np.float32))
+    file = as_imitation(tmp_path / "slight.pkl", slight, False)
+    imported = client.import_experiment(file, "slight", "imitation", task=TASK)
+    with pytest.raises(Refused) as refused:
+        client.export(imported.id, tmp_path / "exported", "mapt")
+    assert refused.value.status == 422
+    unlabelled = client.import_experiment(
+        as_d4rl(tmp_path / "none.hdf5", made, False), "none", "d4rl", task=TASK, segment_steps=STEPS
+    )
+    with pytest.raises(Refused) as refused:
+        client.export(unlabelled.id, tmp_path / "exported", "imitation")
+    assert refused.value.status == 422
+    assert not (tmp_path / "exported").exists()

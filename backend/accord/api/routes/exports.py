@@ -4,8 +4,9 @@ import shutil
 import tempfile
 import zipfile
 from pathlib import Path
+from typing import Annotated
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, Response
 from starlette.background import BackgroundTask
 
@@ -14,38 +15,57 @@ from accord.domain.enums import AuditAction
 from accord.domain.errors import PolicyNotFound
 from accord.domain.permissions import may_run_experiments, require
 from accord.services import audit, checkpoints, credit, experiments, export
+from accord.services.export import ExportFormat
 from accord.services.publish import card_key
 from accord.store.tables import RewardVersionRow
 
 router = APIRouter(tags=["experiments"])
-_MEDIA_TYPE = "application/zip"
-_SAFETENSORS = "application/octet-stream"
+_ZIP = "application/zip"
+_BYTES = "application/octet-stream"
+#: of the formats that are a file
+_SUFFIXES: dict[ExportFormat, str] = {"mapt": ".pkl", "imitation": ".pkl", "d4rl": ".hdf5"}
 
 
 @router.get(
     "/experiments/{experiment_id}/export",
     response_class=FileResponse,
-    responses={200: {"content": {_MEDIA_TYPE: {}}, "description": "Parquet tables, zipped."}},
+    responses={
+        200: {
+            "content": {_ZIP: {}, _BYTES: {}},
+            "description": "A ZIP file for tables, offline and minari; a pickle for mapt and imitation; HDF5 for d4rl.",
+        }
+    },
     summary="Export an experiment",
 )
-def export_experiment(experiment_id: ExperimentId, auth: AuthDep) -> FileResponse:
-    """Its segments, queries and labels as Parquet tables, zipped; as `accord export`. For researchers and admins."""
+def export_experiment(
+    experiment_id: ExperimentId,
+    auth: AuthDep,
+    format: Annotated[
+        ExportFormat,
+        Query(
+            description="tables: segments, queries and labels as Parquet tables. mapt, imitation, offline: the "
+            "labelled pairs for these programs. minari, d4rl: every segment as an episode, without labels."
+        ),
+    ] = "tables",
+) -> FileResponse:
+    """Its segments, queries and labels, as `accord export` writes them. For researchers and admins."""
     with auth.reading() as caller:
         require(may_run_experiments(caller.role), caller.role, "export experiments")
         found = export.contents(caller.session, experiment_id)
     with auth.writing() as caller:
-        audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_EXPORTED, experiment_id, what="tables")
+        audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_EXPORTED, experiment_id, what=format)
     folder = Path(tempfile.mkdtemp(prefix="accord-export-"))
     try:
-        export.write(auth.app.blobs, found, folder / experiment_id)
-        archive = _zipped(folder / experiment_id)
+        path = folder / f"{experiment_id}{_SUFFIXES.get(format, '')}"
+        export.write_as(auth.app.blobs, found, path, format)
+        file = _zipped(path) if path.is_dir() else path
     except BaseException:
         shutil.rmtree(folder)
         raise
     return FileResponse(
-        archive,
-        media_type=_MEDIA_TYPE,
-        filename=archive.name,
+        file,
+        media_type=_ZIP if file.suffix == ".zip" else _BYTES,
+        filename=file.name,
         background=BackgroundTask(shutil.rmtree, folder),
     )
 
@@ -53,7 +73,7 @@ def export_experiment(experiment_id: ExperimentId, auth: AuthDep) -> FileRespons
 @router.get(
     "/experiments/{experiment_id}/reward-versions/{number}/weights",
     response_class=Response,
-    responses={200: {"content": {_SAFETENSORS: {}}, "description": "reward.safetensors of a saved reward model."}},
+    responses={200: {"content": {_BYTES: {}}, "description": "reward.safetensors of a saved reward model."}},
     summary="Get the weights of a reward version",
 )
 def get_reward_weights(experiment_id: ExperimentId, number: RewardVersionNumber, auth: AuthDep) -> Response:
@@ -65,7 +85,7 @@ def get_reward_weights(experiment_id: ExperimentId, number: RewardVersionNumber,
     with auth.writing() as caller:
         what = {"what": "reward version", "number": number}
         audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_EXPORTED, experiment_id, **what)
-    return Response(auth.app.blobs.read(row.blob_key), media_type=_SAFETENSORS)
+    return Response(auth.app.blobs.read(row.blob_key), media_type=_BYTES)
 
 
 @router.get(
@@ -83,7 +103,7 @@ def get_reward_card(experiment_id: ExperimentId, number: RewardVersionNumber, au
 @router.get(
     "/experiments/{experiment_id}/policy",
     response_class=Response,
-    responses={200: {"content": {_SAFETENSORS: {}}, "description": "A file that `mapt.load_policy` reads."}},
+    responses={200: {"content": {_BYTES: {}}, "description": "A file that `mapt.load_policy` reads."}},
     summary="Get the policy",
 )
 def get_policy(experiment_id: ExperimentId, auth: AuthDep) -> Response:
@@ -99,7 +119,7 @@ def get_policy(experiment_id: ExperimentId, auth: AuthDep) -> Response:
             raise PolicyNotFound(experiment_id)
         key = row.blob_key
         audit.record(caller.session, caller.user, AuditAction.EXPERIMENT_EXPORTED, experiment_id, what="policy")
-    return Response(checkpoints.read_policy(auth.app.blobs, key), media_type=_SAFETENSORS)
+    return Response(checkpoints.read_policy(auth.app.blobs, key), media_type=_BYTES)
 
 
 def _reward_version(auth: Auth, experiment_id: str, number: int) -> RewardVersionRow:
@@ -110,9 +130,9 @@ def _reward_version(auth: Auth, experiment_id: str, number: int) -> RewardVersio
 
 
 def _zipped(folder: Path) -> Path:
-    """A ZIP file beside a folder, with the folder in it. It is not compressed, because Parquet is already."""
+    """A ZIP file beside a folder, with the folder in it. It is not compressed: Parquet is already."""
     archive = folder.with_suffix(".zip")
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_STORED) as file:
-        for path in sorted(folder.iterdir()):
-            file.write(path, f"{folder.name}/{path.name}")
+        for path in sorted(folder.rglob("*")):
+            file.write(path, f"{folder.name}/{path.relative_to(folder)}")
     return archive

@@ -855,7 +855,7 @@ export interface paths {
         };
         /**
          * Export an experiment
-         * @description Its segments, queries and labels as Parquet tables, zipped; as `accord export`. For researchers and admins.
+         * @description Its segments, queries and labels, as `accord export` writes them. For researchers and admins.
          */
         get: operations["export_experiment"];
         put?: never;
@@ -6317,7 +6317,10 @@ export interface operations {
     };
     export_experiment: {
         parameters: {
-            query?: never;
+            query?: {
+                /** @description tables: segments, queries and labels as Parquet tables. mapt, imitation, offline: the labelled pairs for these programs. minari, d4rl: every segment as an episode, without labels. */
+                format?: "tables" | "mapt" | "imitation" | "offline" | "minari" | "d4rl";
+            };
             header?: never;
             path: {
                 /** @description The experiment, exp_... */
@@ -6327,13 +6330,14 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description Parquet tables, zipped. */
+            /** @description A ZIP file for tables, offline and minari; a pickle for mapt and imitation; HDF5 for d4rl. */
             200: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
                     "application/zip": unknown;
+                    "application/octet-stream": unknown;
                 };
             };
             /** @description A stable code, a message, and the invalid field. */

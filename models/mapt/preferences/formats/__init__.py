@@ -8,7 +8,8 @@
 | `offline_labels` | PreferenceTransformer, Clean-Offline-RLHF: pickled indices over D4RL | 0 / 1 / -1 / none |
 | `d4rl`, `minari` | episodes without labels | |
 
-`reading.read_comparisons` reads the files of other programs by the name of their format. Readers treat files as
+`reading.read_comparisons` reads the files of other programs by the name of their format, `writing.write_foreign` writes
+tables for them. Readers treat files as
 untrusted: truncated files, wrong shapes, unknown labels and pickles that would run code raise a `FileError`, and leave
 the disk unchanged.
 """
