@@ -14,14 +14,18 @@ app = make_app(
     "Label pairs of clips in the browser and train multi-agent policies on the preferences.",
     {
         "up": LazyCommand("accord.cli.up", "up", "Start the service: web page, API and workers."),
-        "workers": LazyCommand("accord.cli.up", "workers", "Start only workers, on a further host."),
+        "workers": LazyCommand(
+            "accord.cli.up", "workers", "Start only workers, on a further host or on a Ray cluster."
+        ),
         "link": LazyCommand("accord.cli.accounts", "link", "Print a new sign-in link for the admin."),
         "user": LazyCommand("accord.cli.accounts", "user", "Manage users and their sign-in links."),
         "start": LazyCommand("accord.cli.start", "start", "Start experiments from a file."),
         "teach": LazyCommand("accord.cli.teach", "teach", "Label an experiment with a scripted teacher."),
         "demo": LazyCommand("accord.cli.demo", "demo", "Train policies from a scripted teacher's labels."),
         "tasks": LazyCommand("mapt.cli.tasks", "tasks", "List the tasks."),
-        "export": LazyCommand("accord.cli.export", "export", "Export an experiment as Parquet tables, or for other programs."),
+        "export": LazyCommand(
+            "accord.cli.export", "export", "Export an experiment as Parquet tables, or for other programs."
+        ),
         "import": LazyCommand(
             "accord.cli.importing",
             "import_experiment",
