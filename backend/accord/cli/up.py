@@ -14,6 +14,7 @@ from typing import Annotated, TextIO
 import typer
 from pydantic import SecretStr
 from rich.markup import escape
+from sqlalchemy.exc import SQLAlchemyError
 
 from accord import logs
 from accord.api.listener import listen, require_protection
@@ -210,8 +211,11 @@ def _on_ray(address: str, ready: Ready, specs: Sequence[ChildSpec], status: Work
     own["ACCORD_HOST_NAME"] = settings.worker_host
 
     def demand() -> Mapping[WorkerRole, int]:
-        with database.reading() as session:
-            return worker_rows.demand(session)
+        try:
+            with database.reading() as session:
+                return worker_rows.demand(session)
+        except (AccordError, SQLAlchemyError):
+            return {}  # as many workers as before; their rows say what is wrong
 
     return RaySupervisor(
         address,

@@ -6,6 +6,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from sqlalchemy import text
 
@@ -88,6 +89,9 @@ def test_an_experiment_goes_on_when_the_node_of_its_policy_is_lost(
         assert curves[0] == curves[1]
         workers = {worker["id"]: worker["restarts"] for worker in client.request("GET", "/workers")}
         assert workers == {"policy-0@lab": 1, "render-0@lab": 0, "reward-0@lab": 0}
+        running = [pid for (pid,) in rows(database, "SELECT pid FROM workers")]
+        accord.kill_everything()
+        until(lambda: not any(map(psutil.pid_exists, running)), "the actors of the killed supervisor end")
     finally:
         accord.kill_everything()
         for node in nodes.values():
