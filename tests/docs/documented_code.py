@@ -15,6 +15,7 @@ SMALLER = {
     "label_budget=200": "label_budget=8",
     "steps=1_000_000": "steps=800",
     "steps=500_000": "steps=800",
+    "LabelSchedule(300, initial=100,": "LabelSchedule(12, initial=4,",
     "pairs=300": "pairs=12",
     "100_000, 500,": "2_000, 12,",
     "range(10_000)": "range(10)",

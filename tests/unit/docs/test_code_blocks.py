@@ -3,6 +3,7 @@
 tests/docs runs those in Python.
 """
 
+import ast
 import json
 import re
 import shlex
@@ -15,10 +16,11 @@ import yaml
 from _pytest.mark.structures import ParameterSet
 
 from accord.cli.reference import commands
-from support.markdown import CodeBlock, code_blocks
+from support.markdown import DOCS, CodeBlock, code_blocks
 
 READERS: dict[str, Callable[[str], object]] = {
     "json": json.loads,
+    "py": ast.parse,  # needs other packages
     "python": lambda code: compile(code, "example", "exec"),
     "sh": lambda code: shlex.split(code, comments=True),
     "text": str,
@@ -50,3 +52,24 @@ def test_a_command_has_the_options_and_values_of_the_line(line: str) -> None:
     name = max((name for name in COMMANDS if words[: len(name.split())] == name.split()), key=len)
     with COMMANDS[name].make_context(name, words[len(name.split()) :]):
         pass
+
+
+def statements_by_number(code: str) -> dict[int, int]:
+    """Statements without imports after each comment `# NUMBER`."""
+    numbers = {line: int(text[2:]) for line, text in enumerate(code.splitlines(), 1) if re.fullmatch(r"# \d+", text)}
+    found = dict.fromkeys(numbers.values(), 0)
+    for node in ast.walk(ast.parse(code)):
+        before = [line for line in numbers if isinstance(node, ast.stmt) and line < node.lineno]
+        if before:
+            found[numbers[max(before)]] += 1
+    return found
+
+
+def test_the_comparison_counts_the_statements_of_its_blocks() -> None:
+    blocks = {block.language: block.code for block in code_blocks("python", "py") if block.page == "docs/comparison.md"}
+    rows = re.findall(r"^\| (\d+) \| .+? \| (\d+|—).*? \| (\d+|—)", (DOCS / "comparison.md").read_text(), re.MULTILINE)
+    assert len(rows) == 12
+    ours, theirs = ({int(row[0]): int(row[column]) for row in rows if row[column] != "—"} for column in (1, 2))
+    assert statements_by_number(blocks["py"]) == theirs
+    counted = statements_by_number(blocks["python"])
+    assert counted == {number: ours[number] for number in counted}
