@@ -33,7 +33,7 @@ def test_the_library_trains_a_policy_in_eight_lines(tmp_path: Path) -> None:
     script = (EXAMPLES / "library.py").read_text()
     lines = script.partition("import mapt\n\n")[2].splitlines()
     assert len(lines) == 8
-    [block] = [block for block in code_blocks("python") if block.page == "docs/library.md"]
+    block = next(block for block in code_blocks("python") if block.page == "docs/library.md")
     assert block.code.splitlines()[2:] == lines
     assert "over 32 episodes of 1,000 steps" in run_example("library.py", tmp_path)
     assert (tmp_path / "reward" / "reward.json").is_file()
