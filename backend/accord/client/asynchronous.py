@@ -42,6 +42,7 @@ _QUERIES_PER_REQUEST = 16
 #: Segments whose arrays are kept: a segment is in several queries, usually close together.
 _KEPT_SEGMENTS = 256
 _IDLE_SECONDS = 0.25
+_RECONNECT_SECONDS = 1.0
 #: An import or export of gigabytes responds after this time at the latest.
 _LONG_TIMEOUT_SECONDS = 1800.0
 
@@ -164,6 +165,8 @@ class AsyncClient:
                     newest = fields.get("id", newest)
                     if kind := _EVENTS.get(fields.get("event", "")):
                         yield TypeAdapter[Event](kind).validate_json(fields["data"], extra="ignore")
+            # A proxy may end every stream at once.
+            await self._http.connection.sleep(_RECONNECT_SECONDS)
 
     async def next_queries(self, experiment_id: str, count: int = 1, *, returns: bool = False) -> Queries:
         """Lease up to 16 queries. With `returns`, they have true returns and rewards; not for labellers."""

@@ -164,4 +164,5 @@ def _extract(archive: Path, folder: Path, limit_bytes: int, names: frozenset[str
                     shutil.copyfileobj(packed, output)
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, zlib.error, *_IMPOSSIBLE) as error:
         problem = str(error).replace(f"{folder}/", "")
-        raise Invalid(f"The file is not a complete ZIP file: {problem}. Export the experiment again.") from error
+        again = "Create it again." if names is None else "Export the experiment again."
+        raise Invalid(f"The file is not a complete ZIP file: {problem}. {again}") from error
