@@ -47,7 +47,7 @@ class RewardConfig(Settings):
     action_dim: Annotated[int, setting("Values in one agent's action, or number of discrete actions, A.", ge=1)]
     n_agents: Annotated[int, setting("Agents, N.", ge=1)]
     architecture: Annotated[Architecture, setting("MAPT, or the baseline MA-MLP, MA-LSTM or MA-Transformer.")] = "mapt"
-    discrete_actions: Annotated[bool, setting("Whether actions are one-hot; these are not normalised.")] = False
+    discrete_actions: Annotated[bool, setting("Whether actions are one-hot.")] = False
     hidden_dim: Annotated[int, setting("Width d; a multiple of twice `heads`.", ge=1)] = 64
     temporal: Annotated[TemporalEncoder, setting("How each step's features depend on the past.")] = "attention"
     layers: Annotated[int, setting("Layers of the temporal encoder.", ge=1)] = 1

@@ -171,7 +171,8 @@ class RewardModel(nn.Module, ABC):
     def fit_normalisers(self, observations: Tensor, actions: Tensor, mask: Tensor, *, keep_function: bool) -> None:
         """Set the input statistics from these segments (shapes as in `forward`).
 
-        One-hot actions are not normalised.
+        One-hot actions are normalised, too: few labels show that an action matters only if it varies as much as an
+        observation (docs/results.md, "Skirmishes").
 
         Args:
             keep_function: rescale the layers that read the inputs, so that the outputs do not change (except for
@@ -179,8 +180,7 @@ class RewardModel(nn.Module, ABC):
         """
         observation_layers, action_layers = self._first_layers() if keep_function else ((), ())
         self.observation_normaliser.fit(observations, mask, observation_layers)
-        if not self.config.discrete_actions:
-            self.action_normaliser.fit(actions, mask, action_layers)
+        self.action_normaliser.fit(actions, mask, action_layers)
 
     def with_new_head(self) -> dict[str, Tensor]:
         """A copy of the model's weights with a re-initialised head beside a Markov path whose rewards are zero."""

@@ -267,12 +267,18 @@ def test_scaling_rewards_keeps_the_weights_of_the_steps(name):
 
 
 @names
-def test_one_hot_actions_are_not_normalised(name):
-    model, (observations, _, mask) = random_model(name, discrete_actions=True), inputs(4, 6)
-    actions = torch.nn.functional.one_hot(torch.randint(A, (4, 6, N)), A).float()
+def test_rare_discrete_action_counts_as_much_as_an_observation(name):
+    model, (observations, _, mask) = random_model(name, discrete_actions=True), inputs(40, 6)
+    rare = torch.rand(40, 6, N, generator=torch.Generator().manual_seed(2)) < 0.05
+    actions = torch.nn.functional.one_hot(rare.long(), A).float()
     model.fit_normalisers(observations, actions, mask, keep_function=False)
-    assert torch.equal(model.action_normaliser(actions), actions)
-    assert not torch.equal(model.observation_normaliser(observations), observations)
+    normalised = model.action_normaliser(actions).reshape(-1, A)
+    assert_close(normalised.std(dim=0, correction=0), torch.ones(A))
+    # A version that continues from this one and sees the action more often keeps its rewards.
+    before = model(observations, actions, mask).agent_rewards
+    both = torch.cat((actions, actions.flip(-1)))
+    model.fit_normalisers(observations.repeat(2, 1, 1, 1), both, mask.repeat(2, 1), keep_function=True)
+    assert_close(model(observations, actions, mask).agent_rewards, before)
 
 
 @names

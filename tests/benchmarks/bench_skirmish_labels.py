@@ -1,0 +1,72 @@
+"""How often teams win a skirmish map after training on an oracle's labels: the preference loop without a service.
+
+One process, one thread; MAPPO as in docs/results.md, "Skirmishes". Each seed trains a team and plays 256 episodes with
+mean actions. MODEL is a reward model, or `true` for the task's own reward, which needs no labels.
+
+    python tests/benchmarks/bench_skirmish_labels.py [MODEL] [LABELS] [STEPS] [SEEDS]
+"""
+
+import math
+import sys
+
+import torch
+from bench_skirmish import play
+
+from mapt.policies import Learner, PolicyConfig
+from mapt.preferences.teachers import make_teacher
+from mapt.tasks import make_task
+from mapt.training.policy_trainer import PolicyTrainer
+from mapt.training.preference_loop import PreferenceLoop, RewardSettings
+from mapt.training.schedule import LabelSchedule
+
+MAP = "3m"
+
+
+def policy_config(seed: int) -> PolicyConfig:
+    return PolicyConfig.named(
+        "mappo",
+        n_envs=32,
+        rollout_steps=128,
+        epochs=5,
+        minibatches=4,
+        learning_rate=5e-4,
+        clip=0.2,
+        entropy_weight=0.01,
+        shared_actor=True,
+        activation="relu",
+        seed=seed,
+        device="cpu",
+    )
+
+
+def train(model: str, labels: int, steps: int, seed: int) -> tuple[Learner, float]:
+    """The trained learner, and the held-out accuracy of the last reward version; NaN without one."""
+    config = policy_config(seed)
+    learner = Learner(make_task(MAP, config.n_envs), config)
+    if model == "true":
+        PolicyTrainer(learner).train(steps)
+        return learner, math.nan
+    # The first labels and those of a version, as in `accord demo`.
+    schedule = LabelSchedule(labels, min(labels // 5, 100), steps, per_version=labels // 10)
+    reward = RewardSettings(model=model, seed=seed, device="cpu")
+    loop = PreferenceLoop(learner, make_teacher("oracle", seed=seed), schedule, reward)
+    loop.run()
+    return learner, loop.versions[-1].metrics["holdout_accuracy"]
+
+
+def main() -> int:
+    given = sys.argv[1:]
+    model, labels, steps, seeds = [*given, *("MA-MLP", "400", "300000", "0,1,2")[len(given) :]]
+    torch.set_num_threads(1)
+    print(f"{model}, {labels} labels, {int(steps):,} steps: seed, won, mean return, mean steps, held-out accuracy")
+    for seed in map(int, seeds.split(",")):
+        learner, accuracy = train(model, int(labels), int(steps), seed)
+        won, mean_return, length = play(
+            MAP, lambda _task, seen, free, policy=learner.policy: policy.act(seen, None, free).argmax(axis=2)
+        )
+        print(f"{seed:>4}{won:>6.0%}{mean_return:>8.1f}{length:>7.1f}{accuracy:>8.3f}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
