@@ -268,8 +268,11 @@ def network_of(model: str, preset: PresetName, segments: SegmentLayout) -> Rewar
     return RewardConfig.from_dict(named.to_dict() | own)
 
 
-def training_of(model: str, preset: PresetName, seed: int, device: str) -> TrainConfig:
+def training_of(model: str, preset: PresetName, seed: int, device: str, *, subtract_mean: bool = True) -> TrainConfig:
     """The training of a model: the preset's, with the settings after `train.`, as in `MAPT:train.lr=1e-3`.
+
+    Args:
+        subtract_mean: as in `TrainConfig`, unless the model sets it.
 
     Raises:
         InvalidConfig: if a setting is unknown or out of its range.
@@ -279,7 +282,8 @@ def training_of(model: str, preset: PresetName, seed: int, device: str) -> Train
         for key, value in NamedSettings.parse(model).settings.items()
         if key.startswith(TRAINING_PREFIX)
     }
-    return TrainConfig.from_dict(TrainConfig.preset(preset).to_dict() | own | {"seed": seed, "device": device})
+    preset_values = TrainConfig.preset(preset).to_dict() | {"subtract_mean": subtract_mean}
+    return TrainConfig.from_dict(preset_values | own | {"seed": seed, "device": device})
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,6 +306,8 @@ class TablePlan:
     warm_start: bool = False
     #: of the training pairs; see `random_pairs`
     pair_distance: float = ALL_SEGMENTS
+    #: see `TrainConfig`; only policies that train on the models depend on it
+    subtract_mean: bool = True
 
     def __post_init__(self) -> None:
         for name in ("models", "teachers", "labels", "seeds"):
@@ -362,7 +368,10 @@ def table_jobs(plan: TablePlan, datasets: Mapping[int, RecordedDataset], models:
             replay=fingerprints[seed],
             model=model,
             network=network_of(model, plan.preset, datasets[seed].source.layout).to_dict(),
-            training=_relevant(training_of(model, plan.preset, seed, plan.device), warm_start=plan.warm_start),
+            training=_relevant(
+                training_of(model, plan.preset, seed, plan.device, subtract_mean=plan.subtract_mean),
+                warm_start=plan.warm_start,
+            ),
             teacher=teacher,
             teacher_parameters=DatasetTeacher(teacher, datasets[seed], seed).parameters(),
             labels=labels,

@@ -32,7 +32,7 @@ from mapt.processes import ParentConnection
 from mapt.rewards.checkpoints import CARD_FILE
 from mapt.rewards.config import PresetName
 from mapt.settings import NamedSettings
-from mapt.tasks import make_task
+from mapt.tasks import make_task, task_spec
 from mapt.training.evaluation import Evaluation, evaluate_policy
 from mapt.training.results import RunResult
 from mapt.training.run import RunJob, do_run_in_worker
@@ -238,6 +238,8 @@ class PaperFolder:
                     device=plan.device,
                     baseline=plan.models[0],
                     pair_distance=plan.pair_distance,
+                    # As in the preference loop: where episodes can end, a further step is worth something.
+                    subtract_mean=not task_spec(task).can_terminate,
                 )
                 jobs.extend(table_jobs(table, datasets, self.path / "models" / path_name(task)))
         return sorted(jobs, key=lambda job: job.settings.labels)

@@ -193,6 +193,13 @@ def test_settings_apply_to_the_network_or_its_training():
     assert training_of("MAPT", "paper", 5, "cpu").batch_pairs == TrainConfig.preset("paper").batch_pairs
 
 
+def test_a_model_may_set_whether_the_mean_is_subtracted():
+    kept, own = (
+        training_of(text, "small", 0, "cpu", subtract_mean=False) for text in ("MAPT", "MAPT:train.subtract_mean=true")
+    )
+    assert (kept.subtract_mean, own.subtract_mean) == (False, True)
+
+
 @pytest.mark.parametrize("text", ["Nobody", "MAPT:colour=1", "MAPT:hidden_dim=7"])
 def test_an_unknown_model_or_setting_is_refused(text):
     with pytest.raises(InvalidConfig):

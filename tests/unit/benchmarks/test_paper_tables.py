@@ -5,11 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from mapt.benchmarks.paper import UNTRAINED, PaperPlan, PolicyJob, PolicyResult
+from mapt.benchmarks.paper import UNTRAINED, PaperFolder, PaperPlan, PolicyJob, PolicyResult
 from mapt.benchmarks.paper_tables import PaperResults, markdown, normalised_score, row_values
 from mapt.policies import PolicyConfig
 from mapt.training.run import RunJob
 from mapt.training.settings import TRUE, RunSettings
+from unit.benchmarks.tiny_dataset import write_dataset
 
 FIRST, SECOND = "HalfCheetah-6x1", "Walker2d-2x3"
 PLAN = PaperPlan(
@@ -125,3 +126,11 @@ def test_imitation_has_columns_and_no_results_for_a_policy_without_single_actors
     assert "mat, O-MAPL on 500 pairs" not in page
     assert row_of(found, FIRST, "O-MAPL", 500)["mean"] == 100.0
     assert mat
+
+
+def test_rewards_keep_their_mean_where_episodes_can_end(tmp_path):
+    plan = replace(PLAN, tasks=(FIRST, "3m"), seeds=(0,), pairs=(30,), models=("MAPT",))
+    for task in plan.tasks:
+        write_dataset(tmp_path / "datasets" / task / "seed-0", task=task)
+    jobs = PaperFolder(tmp_path, plan).model_jobs()
+    assert {job.settings.task: job.settings.training["subtract_mean"] for job in jobs} == {FIRST: True, "3m": False}
