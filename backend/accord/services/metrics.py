@@ -26,7 +26,7 @@ _OPEN_VERSION_METRICS = frozenset(
         "holdout_labels",
         "holdout_strict_labels",
         "holdout_reliable",
-        "refit",
+        "networks",
         "ece",
         "seconds",
         "epochs",

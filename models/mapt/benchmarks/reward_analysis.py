@@ -157,7 +157,7 @@ def breadth(rewards: NDArray[np.floating]) -> float:
 @torch.inference_mode()
 def _past_share(model: RewardModel, segments: SegmentArrays, predictions: Predictions) -> float:
     """`past_share` of `analyse`; 1 for a model without a Markov path."""
-    if model.markov is None:
+    if any(network.markov is None for network in model.networks):
         return 1.0
     arrays = (torch.as_tensor(array) for array in (segments.observations, segments.actions))
     parts = zip(*(array.split(EVALUATION_SEGMENTS) for array in arrays), strict=True)

@@ -7,10 +7,10 @@ from torch import Tensor, nn
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.layers import LinearHead, LocalAttention, MarkovPath, TemporalEncoder, drop_context, zero_init
 from mapt.rewards.mapt import TemporalAwareAttention
-from mapt.rewards.model import REWARD_GAIN, FirstLayers, RewardModel
+from mapt.rewards.model import REWARD_GAIN, FirstLayers, RewardNetwork
 
 
-class MarkovRewards(RewardModel):
+class MarkovRewards(RewardNetwork):
     """MA-MLP: each agent's reward depends on its present step alone (Christiano et al., 2017)."""
 
     def __init__(self, config: RewardConfig) -> None:
@@ -25,7 +25,7 @@ class MarkovRewards(RewardModel):
         return self._markov_first_layers()
 
 
-class RecurrentRewards(RewardModel):
+class RecurrentRewards(RewardNetwork):
     """MA-LSTM: each agent's reward depends on its own past through an LSTM (Early et al., 2022)."""
 
     def __init__(self, config: RewardConfig) -> None:
@@ -48,7 +48,7 @@ class RecurrentRewards(RewardModel):
         return (*observation, (self.embedding, 0)), (*action, (self.embedding, self.config.observation_dim))
 
 
-class JointTransformer(RewardModel):
+class JointTransformer(RewardNetwork):
     """MA-Transformer: Preference Transformer (Kim et al., 2023) on the joint trajectory.
 
     A step is the concatenation of all agents' observations and actions. Causal attention encodes the past, one

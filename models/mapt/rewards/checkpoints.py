@@ -15,15 +15,15 @@ from mapt.errors import DamagedCheckpoint, InvalidConfig, NewerCheckpoint
 from mapt.io import atomic_write
 from mapt.provenance import provenance
 from mapt.rewards.config import RewardConfig
-from mapt.rewards.model import RewardModel
+from mapt.rewards.model import MeanReward, RewardModel
 from mapt.rewards.registry import build_reward_model
 
 FORMAT = "mapt.reward"
 # 2 added `architecture` and `discrete_actions` to the settings, 3 `segment_steps`; a model of an earlier format has
-# their defaults. With `segment_steps` 0, it keeps the score that it was trained with, a mean. 4 added
-# `RewardModel.judged_weights`, under names with a prefix; a model without them has none.
-FORMAT_VERSION = 4
-_JUDGED_PREFIX = "judged."
+# their defaults. With `segment_steps` 0, it keeps the score that it was trained with, a mean. 5 added `networks`. A
+# model of format 4 may hold further weights, with a prefix, from which its training would have continued.
+FORMAT_VERSION = 5
+_FORMAT_4_PREFIX = "judged."
 WEIGHTS_FILE = "reward.safetensors"
 CARD_FILE = "reward.json"
 POLARITY = "label is P(segment 0 preferred): 1 segment 0, 0 segment 1, 0.5 equal; P = sigmoid(score_0 - score_1)"
@@ -77,13 +77,13 @@ def save_reward_model(
         trained_by: the provenance of its training; None for that of this process.
         task: name of the task whose segments it was trained on.
     """
-    judged = {_JUDGED_PREFIX + name: tensor for name, tensor in (model.judged_weights or {}).items()}
-    weights = save({name: tensor.contiguous().cpu() for name, tensor in (model.state_dict() | judged).items()})
+    weights = save({name: tensor.contiguous().cpu() for name, tensor in model.state_dict().items()})
     card = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "polarity": POLARITY,
         "config": model.config.to_dict(),
+        "networks": len(model.networks),
         "score": model.config.score,
         "reward_mean": model.reward_mean.item(),
         "reward_deviation": model.reward_deviation.item(),
@@ -118,15 +118,12 @@ def load_reward_model(weights: bytes | Path, card: bytes | Path) -> LoadedReward
     task = checked.get("task")
     if task is not None and not isinstance(task, str):
         raise DamagedCheckpoint(f"its task is {task!r}")
-    tensors, config = load_tensors(weight_bytes), config_in(checked)
-    judged = {
-        name.removeprefix(_JUDGED_PREFIX): tensors.pop(name)
-        for name in sorted(tensors)
-        if name.startswith(_JUDGED_PREFIX)
-    }
-    model = model_with_weights(config, tensors)
-    if judged:
-        model.judged_weights = model_with_weights(config, judged).state_dict()
+    networks = checked.get("networks", 1)
+    if not (isinstance(networks, int) and networks >= 1):
+        raise DamagedCheckpoint(f"its number of networks is {networks!r}")
+    tensors = load_tensors(weight_bytes)
+    state = {name: tensor for name, tensor in tensors.items() if not name.startswith(_FORMAT_4_PREFIX)}
+    model = model_with_weights(config_in(checked), state, networks)
     return LoadedRewardModel(model, metrics_in(checked), segment_steps, sha256, _provenance_in(checked), task)
 
 
@@ -156,16 +153,20 @@ def load_tensors(stored: bytes) -> dict[str, Tensor]:
         raise DamagedCheckpoint(str(error)) from error
 
 
-def model_with_weights(config: RewardConfig, state: Mapping[str, Tensor]) -> RewardModel:
+def model_with_weights(config: RewardConfig, state: Mapping[str, Tensor], networks: int = 1) -> RewardModel:
     """The model of `config` with these weights, in evaluation mode on the CPU.
 
+    Args:
+        networks: number of networks whose mean it is.
+
     Raises:
-        DamagedCheckpoint: if names or shapes do not fit the config.
+        DamagedCheckpoint: if names or shapes do not fit the config and the number of networks.
     """
     try:
         # On the meta device no initial weights are drawn: another thread may draw from torch's generator in a training.
         with torch.device("meta"):
-            model = build_reward_model(config)
+            built = [build_reward_model(config) for _ in range(networks)]
+            model = MeanReward(built) if networks > 1 else built[0]
         model.load_state_dict({name: tensor.clone() for name, tensor in state.items()}, assign=True)
     except InvalidConfig as error:
         raise DamagedCheckpoint(str(error)) from error

@@ -208,6 +208,16 @@ class TrainConfig(Settings):
     trial_folds: Annotated[
         int, setting("Maximum folds over which a trial of the attention path is judged.", ge=1, le=20)
     ] = 5
+    networks: Annotated[
+        int,
+        setting(
+            "Most networks whose mean is the reward model, where attention is in use; each holds out another fold of "
+            "trial_folds. With more than 500 labels there are fewer, at least two. A Markov path has one network.",
+            ge=1,
+            le=20,
+            unit="networks",
+        ),
+    ] = 5
     trial_growth: Annotated[
         float,
         setting(
@@ -275,6 +285,10 @@ class TrainConfig(Settings):
 
     def check(self) -> None:
         """See `Settings.check`."""
+        if self.networks > self.trial_folds:
+            raise InvalidConfig(
+                f"networks is {self.networks}, trial_folds {self.trial_folds}; each network needs a fold.", "networks"
+            )
         for lr, decay in (("lr", "weight_decay"), ("markov_lr", "markov_weight_decay")):
             product = getattr(self, lr) * getattr(self, decay)
             if product >= 1:

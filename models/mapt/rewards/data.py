@@ -3,7 +3,7 @@
 Segments stay on the device when they fit; otherwise each batch is read from disk.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -193,6 +193,13 @@ class PairTensors:
         """The pairs at `index`, (B,)."""
         optional = (None if each is None else each[index] for each in (self.weights, self.agents))
         return PairTensors(self.pairs[index], self.labels[index], *optional)
+
+    @staticmethod
+    def joined_weights(parts: Sequence["PairTensors"]) -> Tensor | None:
+        """The weights of all pairs of `parts`, one after another; None if every weight is 1."""
+        if all(part.weights is None for part in parts):
+            return None
+        return torch.cat([torch.ones_like(part.labels) if part.weights is None else part.weights for part in parts])
 
     @property
     def irreducible_loss(self) -> float:

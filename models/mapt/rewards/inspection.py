@@ -69,10 +69,13 @@ class _Recorded:
 @torch.inference_mode()
 def attention_maps(model: RewardModel, segments: SegmentArrays) -> AttentionMaps:
     """Run `model` on the CPU over segments and record its preference attention weights."""
-    arrays = (segments.observations, segments.actions, segments.mask)
+    arrays = [torch.as_tensor(array) for array in (segments.observations, segments.actions, segments.mask)]
     with _recording(model) as recorded:
-        model(*(torch.as_tensor(array) for array in arrays))
-    agents, steps = (torch.cat(found).numpy() if found else None for found in (recorded.agents, recorded.steps))
+        model(*arrays)
+    # The mean over the model's networks, each of which ran over all segments.
+    agents, steps = (
+        torch.stack(found).mean(dim=0).numpy() if found else None for found in (recorded.agents, recorded.steps)
+    )
     return AttentionMaps(agents, steps)
 
 

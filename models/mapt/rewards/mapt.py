@@ -6,7 +6,7 @@ The forward pass, in the order of the classes below:
 2. `TemporalEncoder` (layers.py): causal self-attention over the steps of each agent.
 3. `CooperationAwareAttention`: attention over agents turns h into individual rewards r-hat (eq. 4).
 4. `TemporalAwareAttention`: attention over steps weighs the team's rewards (eq. 5), and their weighted sum is the
-   segment's score (eq. 6), in `RewardModel.forward`.
+   segment's score (eq. 6), in `RewardNetwork.forward`.
 """
 
 import math
@@ -31,7 +31,7 @@ from mapt.rewards.layers import (
     joint_linear,
     zero_init,
 )
-from mapt.rewards.model import REWARD_GAIN, FirstLayers, RewardModel
+from mapt.rewards.model import REWARD_GAIN, FirstLayers, RewardNetwork
 
 
 class CooperativeEmbedding(nn.Module):
@@ -111,7 +111,7 @@ class TemporalAwareAttention(nn.Module):
             return logits.masked_fill(~mask[:, None], float("-inf")).softmax(dim=-1)
 
 
-class MAPT(RewardModel):
+class MAPT(RewardNetwork):
     """MAPT and its ablations.
 
     Individual rewards are the sum of a Markov path and the paper's attention path, which starts at zero: an untrained

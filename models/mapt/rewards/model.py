@@ -1,15 +1,15 @@
-"""The interface of all reward models, and how individual rewards and step weights become a segment's score."""
+"""The interface of all reward models, how rewards and step weights become a segment's score, and means of networks."""
 
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import torch
 from torch import Tensor, nn
 
-from mapt.errors import ShapeError
+from mapt.errors import InvalidConfig, ModelMismatch, ShapeError
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.layers import (
     InputNormaliser,
@@ -49,27 +49,123 @@ class RewardOutput:
 
 
 class RewardModel(nn.Module, ABC):
-    """Rewards of N agents, learned from preferences between segments.
+    """Rewards of N agents, learned from preferences between segments: a `RewardNetwork`, or the mean of several."""
 
-    A subclass defines `_encode`, the rewards from normalised inputs; `_first_layers`, the layers that read these
-    inputs; and, where steps have different weights, `_step_attention`.
-    """
-
-    #: the path that sees the present step alone, if the model has one; it is trained first
-    markov: MarkovPath | None
     reward_mean: Tensor
     reward_deviation: Tensor
 
     def __init__(self, config: RewardConfig) -> None:
         super().__init__()
         self.config = config
-        self.observation_normaliser = InputNormaliser(config.observation_dim)
-        self.action_normaliser = InputNormaliser(config.action_dim)
         self.register_buffer("reward_mean", torch.zeros(()))
         self.register_buffer("reward_deviation", torch.ones(()))
-        #: weights of the same network that were not trained on the hold-out, from which the next version continues;
-        #: None if its own were not
-        self.judged_weights: dict[str, Tensor] | None = None
+
+    @property
+    @abstractmethod
+    def networks(self) -> Sequence["RewardNetwork"]:
+        """The networks whose mean it is; a network alone is its own mean."""
+
+    @property
+    def is_markov(self) -> bool:
+        """Whether every reward depends on its step alone."""
+        return all(network.is_markov for network in self.networks)
+
+    @property
+    def supports_local_attention(self) -> bool:
+        """Whether r-hat depends on the window of a `LocalAttention` alone."""
+        return all(network.supports_local_attention for network in self.networks)
+
+    @abstractmethod
+    def forward(self, observations: Tensor, actions: Tensor, mask: Tensor) -> RewardOutput:
+        """Score segments.
+
+        Args:
+            observations: float32 (S, T, N, C).
+            actions: float32 (S, T, N, A), one-hot where discrete.
+            mask: bool (S, T), true where the step is real; real steps come first.
+
+        Raises:
+            ShapeError: if a shape does not fit the config.
+        """
+
+    @abstractmethod
+    def agent_rewards(self, observations: Tensor, actions: Tensor, local: LocalAttention | None = None) -> Tensor:
+        """r-hat of every step from its past, or from the part of it that `local` allows: (S, T, N) without the context.
+
+        Raises:
+            ShapeError: if a shape does not fit the config.
+        """
+
+    @abstractmethod
+    def markov_rewards(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """The Markov path's part of r-hat, (S, T, N); zero without such a path."""
+
+    @abstractmethod
+    def policy_rewards(
+        self, observations: Tensor, actions: Tensor, mask: Tensor, kind: PolicyReward = "value"
+    ) -> Tensor:
+        """Each agent's reward for the last real step of windows, (S, N).
+
+        - `value`: r-hat of that step.
+        - `attended`: the output of the temporal attention at that step (paper, eq. 5, x_k of the last k): the mean of
+          the window's r-hat under the last step's attention weights. This is the paper's inference taken literally.
+        - `weighted`: r-hat of that step times its weight (eq. 6) times the number of real steps, so that equal weights
+          give `value`.
+
+        All are linear in r-hat, so that the mean over agents is the shared reward. The window is a segment of its own:
+        its earlier steps see no further back than its first step. Shapes as in `forward`; `normalised` applies to all.
+
+        Raises:
+            ShapeError: if a shape does not fit the config.
+        """
+
+    def score(self, rewards: Tensor, weights: Tensor, mask: Tensor) -> Tensor:
+        """Scores (S,) from rewards, weights and mask, each (S, T): T_real / T times the weighted mean of the rewards.
+
+        T is `segment_steps` of the config. With equal weights, a score is proportional to the sum of the rewards, as
+        teachers judge: a segment that ended early scores less than a whole one of equal rewards. With T = 0, it is the
+        weighted mean.
+        """
+        mean = (weights * rewards).sum(dim=1)
+        return mean * (mask.sum(dim=1) / self.config.segment_steps) if self.config.segment_steps else mean
+
+    def agent_shares(self, agent_rewards: Tensor, weights: Tensor, mask: Tensor) -> Tensor:
+        """The share of each agent in the `score`, (S, N), from individual rewards (S, T, N); the shares sum to it."""
+        shares = (weights[..., None] * agent_rewards).sum(dim=1) / agent_rewards.shape[2]
+        return shares * (mask.sum(dim=1) / self.config.segment_steps)[:, None] if self.config.segment_steps else shares
+
+    def set_reward_scale(self, mean: float, deviation: float) -> None:
+        """Set what `normalised` subtracts from rewards, and the deviation by which it divides them."""
+        self.reward_mean.fill_(mean)
+        self.reward_deviation.fill_(max(deviation, MIN_REWARD_DEVIATION))
+
+    def normalised(self, rewards: Tensor) -> Tensor:
+        """Rewards for the policy: of deviation 1, and of mean 0 unless trained with `subtract_mean=False`.
+
+        Agents share one scale, so that the mean over agents is the shared reward's.
+        """
+        return (rewards - self.reward_mean) / self.reward_deviation
+
+
+class RewardNetwork(RewardModel):
+    """One network.
+
+    A subclass defines `_encode`, the rewards from normalised inputs; `_first_layers`, the layers that read these
+    inputs; and, where steps have different weights, `_step_attention`.
+    """
+
+    #: the path that sees the present step alone, if the network has one; it is trained first
+    markov: MarkovPath | None
+
+    def __init__(self, config: RewardConfig) -> None:
+        super().__init__(config)
+        self.observation_normaliser = InputNormaliser(config.observation_dim)
+        self.action_normaliser = InputNormaliser(config.action_dim)
+
+    @property
+    def networks(self) -> Sequence["RewardNetwork"]:
+        """Itself."""
+        return (self,)
 
     @abstractmethod
     def _encode(self, inputs: tuple[Tensor, Tensor], local: LocalAttention | None) -> tuple[Tensor, Tensor]:
@@ -92,43 +188,15 @@ class RewardModel(nn.Module, ABC):
         return None
 
     def forward(self, observations: Tensor, actions: Tensor, mask: Tensor) -> RewardOutput:
-        """Score segments.
-
-        Args:
-            observations: float32 (S, T, N, C).
-            actions: float32 (S, T, N, A), one-hot where discrete.
-            mask: bool (S, T), true where the step is real; real steps come first.
-
-        Raises:
-            ShapeError: if a shape does not fit the config.
-        """
+        """See `RewardModel.forward`."""
         self._check(observations, actions, mask)
         h, agent_rewards = self._encode(self._normalise_inputs(observations, actions), None)
         rewards = agent_rewards.mean(dim=2)
         weights = _weights(self._step_attention(h, agent_rewards, mask), mask)
         return RewardOutput(agent_rewards, rewards, weights, self.score(rewards, weights, mask))
 
-    def score(self, rewards: Tensor, weights: Tensor, mask: Tensor) -> Tensor:
-        """Scores (S,) from rewards, weights and mask, each (S, T): T_real / T times the weighted mean of the rewards.
-
-        T is `segment_steps` of the config. With equal weights, a score is proportional to the sum of the rewards, as
-        teachers judge: a segment that ended early scores less than a whole one of equal rewards. With T = 0, it is the
-        weighted mean.
-        """
-        mean = (weights * rewards).sum(dim=1)
-        return mean * (mask.sum(dim=1) / self.config.segment_steps) if self.config.segment_steps else mean
-
-    def agent_shares(self, agent_rewards: Tensor, weights: Tensor, mask: Tensor) -> Tensor:
-        """The share of each agent in the `score`, (S, N), from individual rewards (S, T, N); the shares sum to it."""
-        shares = (weights[..., None] * agent_rewards).sum(dim=1) / agent_rewards.shape[2]
-        return shares * (mask.sum(dim=1) / self.config.segment_steps)[:, None] if self.config.segment_steps else shares
-
     def agent_rewards(self, observations: Tensor, actions: Tensor, local: LocalAttention | None = None) -> Tensor:
-        """r-hat of every step from its past, or from the part of it that `local` allows: (S, T, N) without the context.
-
-        Raises:
-            ShapeError: if a shape does not fit the config.
-        """
+        """See `RewardModel.agent_rewards`."""
         self._check(observations, actions)
         # Skip the zero-initialised path when gradients are off: it contributes nothing.
         if self.is_markov and not torch.is_grad_enabled():
@@ -136,26 +204,13 @@ class RewardModel(nn.Module, ABC):
         return self._encode(self._normalise_inputs(observations, actions), local)[1]
 
     def markov_rewards(self, observations: Tensor, actions: Tensor) -> Tensor:
-        """The Markov path's part of r-hat, (S, T, N); zero without such a path."""
+        """See `RewardModel.markov_rewards`."""
         return REWARD_GAIN * self._markov_output(self._normalise_inputs(observations, actions), None)
 
     def policy_rewards(
         self, observations: Tensor, actions: Tensor, mask: Tensor, kind: PolicyReward = "value"
     ) -> Tensor:
-        """Each agent's reward for the last real step of windows, (S, N).
-
-        - `value`: r-hat of that step.
-        - `attended`: the output of the temporal attention at that step (paper, eq. 5, x_k of the last k): the mean of
-          the window's r-hat under the last step's attention weights. This is the paper's inference taken literally.
-        - `weighted`: r-hat of that step times its weight (eq. 6) times the number of real steps, so that equal weights
-          give `value`.
-
-        All are linear in r-hat, so that the mean over agents is the shared reward. The window is a segment of its own:
-        its earlier steps see no further back than its first step. Shapes as in `forward`; `normalised` applies to all.
-
-        Raises:
-            ShapeError: if a shape does not fit the config.
-        """
+        """See `RewardModel.policy_rewards`."""
         self._check(observations, actions, mask)
         h, agent_rewards = self._encode(self._normalise_inputs(observations, actions), None)
         n_real = mask.sum(dim=1)
@@ -216,18 +271,6 @@ class RewardModel(nn.Module, ABC):
         for layer in self._reward_readers():
             layer.weight.div_(factor)
 
-    def set_reward_scale(self, mean: float, deviation: float) -> None:
-        """Set what `normalised` subtracts from rewards, and the deviation by which it divides them."""
-        self.reward_mean.fill_(mean)
-        self.reward_deviation.fill_(max(deviation, MIN_REWARD_DEVIATION))
-
-    def normalised(self, rewards: Tensor) -> Tensor:
-        """Rewards for the policy: of deviation 1, and of mean 0 unless trained with `subtract_mean=False`.
-
-        Agents share one scale, so that the mean over agents is the shared reward's.
-        """
-        return (rewards - self.reward_mean) / self.reward_deviation
-
     @property
     def is_markov(self) -> bool:
         """Whether r-hat is the Markov path's alone: no other path exists, or its head is still zero."""
@@ -269,6 +312,60 @@ class RewardModel(nn.Module, ABC):
             raise ShapeError("actions", tuple(actions.shape), f"{expected}")
         if mask is not None and mask.shape != observations.shape[:2]:
             raise ShapeError("mask", tuple(mask.shape), f"{tuple(observations.shape[:2])}")
+
+
+class MeanReward(RewardModel):
+    """The mean of the rewards and scores of several networks with the same config.
+
+    Trained alike on 500 labels of a teacher of history, networks differ by several points of accuracy, and their mean
+    is better than each of them: docs/results.md, "The mean of networks".
+
+    Raises:
+        InvalidConfig: if there is no network.
+        ModelMismatch: if their configs differ.
+    """
+
+    def __init__(self, networks: Sequence[RewardNetwork]) -> None:
+        if not networks:
+            raise InvalidConfig("The mean of networks needs at least one.", "networks")
+        for network in networks:
+            if network.config != networks[0].config:
+                raise ModelMismatch("settings of a network", networks[0].config, network.config)
+        super().__init__(networks[0].config)
+        self.members = nn.ModuleList(networks)
+
+    @property
+    def networks(self) -> Sequence[RewardNetwork]:
+        """See `RewardModel.networks`."""
+        return cast("Sequence[RewardNetwork]", tuple(self.members))
+
+    def forward(self, observations: Tensor, actions: Tensor, mask: Tensor) -> RewardOutput:
+        """See `RewardModel.forward`.
+
+        Scores and weights are the means of the networks'. So that they and the rewards fit together, the reward of a
+        step is the mean of the networks' weighted by the weight that each gives the step.
+        """
+        outputs = [network(observations, actions, mask) for network in self.networks]
+        weights = torch.stack([output.weights for output in outputs])
+        agent_rewards = torch.stack([output.agent_rewards for output in outputs])
+        shares = weights / weights.sum(dim=0).clamp(min=torch.finfo(weights.dtype).tiny)
+        agent_rewards = (shares[..., None] * agent_rewards).sum(dim=0)
+        score = torch.stack([output.score for output in outputs]).mean(dim=0)
+        return RewardOutput(agent_rewards, agent_rewards.mean(dim=2), weights.mean(dim=0), score)
+
+    def agent_rewards(self, observations: Tensor, actions: Tensor, local: LocalAttention | None = None) -> Tensor:
+        """See `RewardModel.agent_rewards`; `local` must keep nothing from one call to the next."""
+        return torch.stack([each.agent_rewards(observations, actions, local) for each in self.networks]).mean(dim=0)
+
+    def markov_rewards(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """See `RewardModel.markov_rewards`."""
+        return torch.stack([each.markov_rewards(observations, actions) for each in self.networks]).mean(dim=0)
+
+    def policy_rewards(
+        self, observations: Tensor, actions: Tensor, mask: Tensor, kind: PolicyReward = "value"
+    ) -> Tensor:
+        """See `RewardModel.policy_rewards`."""
+        return torch.stack([each.policy_rewards(observations, actions, mask, kind) for each in self.networks]).mean(0)
 
 
 def _weights(attention: Tensor | None, mask: Tensor) -> Tensor:

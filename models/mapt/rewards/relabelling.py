@@ -192,7 +192,8 @@ class RewardStream:
         self._device = self._model.reward_mean.device
         self._credit = credit
         self._shape = (n_envs, model.config.n_agents)
-        self._cache = KVCache(window, n_envs, self._device) if uses_local_attention(model, kind) else None
+        local = uses_local_attention(model, kind)
+        self._caches = [KVCache(window, n_envs, self._device) for _ in model.networks] if local else []
 
     @torch.inference_mode()
     def step(self, observations: ArrayLike, actions: ArrayLike, episode_start: ArrayLike) -> NDArray[np.float32]:
@@ -215,12 +216,17 @@ class RewardStream:
         start = np.asarray(episode_start, dtype=np.bool_)
         if start.shape != self._shape[:1]:
             raise InvalidRollout(f"episode_start has shape {start.shape}, expected {self._shape[:1]}.")
-        if self._cache is None:
+        if not self._caches:
             return self._relabeller.relabel(observed[None], acted[None], start[None])[0]
         if start.any():
-            self._cache.start_episode(to_device(start, self._device))
+            ended = to_device(start, self._device)
+            for cache in self._caches:
+                cache.start_episode(ended)
         now = [to_device(array, self._device)[:, None] for array in (observed, acted)]
-        rewards = self._model.agent_rewards(now[0], now[1], self._cache)[:, 0]
+        pairs = zip(self._model.networks, self._caches, strict=True)
+        rewards = torch.stack([network.agent_rewards(now[0], now[1], cache)[:, 0] for network, cache in pairs]).mean(
+            dim=0
+        )
         if self._credit == "shared":
             rewards = rewards.mean(dim=1)
         return self._model.normalised(rewards).cpu().numpy()

@@ -6,10 +6,11 @@
    and the Markov path does not: a trained Markov path has overfitted preferences that no Markov reward explains, and
    leaves little for attention to learn. The result must win a trial (`attention_trial.py`). With a hold-out that is too
    small, there is none.
-3. The whole network, if it is in use, again on all pairs (`VersionTrainer.refit`).
+3. If the whole network is in use, further networks (`VersionTrainer.further_networks`), each from other initial weights
+   and with another part of the pairs held out. The version is their mean.
 
 A model that continues from an earlier version shrinks the Markov path's weights and perturbs them with new ones
-(`RewardModel.shrink_and_perturb`). It trains the whole network only if the earlier version uses it: from untrained
+(`RewardNetwork.shrink_and_perturb`). It trains the whole network only if the earlier version uses it: from untrained
 weights if the labels have grown (`restart_growth`), further otherwise.
 """
 
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from mapt.rewards.config import RewardConfig, TrainConfig
-from mapt.rewards.model import RewardModel
+from mapt.rewards.model import RewardNetwork
 
 # Minimum number of held-out pairs for comparing weights.
 MIN_HOLD_OUT_PAIRS = 10
@@ -30,6 +31,9 @@ PATIENCE_AT_CHANCE = 20
 # over pairs, so that the weight of a prior falls in inverse proportion to them. docs/results.md, "Credit to single
 # steps": with the full weight, 10,000 labels credit single steps no better than 500.
 FULLY_REGULARISED_PAIRS = 400
+# Most pairs times networks of a version; at least two networks are trained. A network on 2,000 labels takes minutes.
+PAIRS_OF_ALL_NETWORKS = 2500
+FEWEST_NETWORKS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,9 +54,9 @@ class StageSettings:
     decisive: float = 0.0
     #: patience until accuracy is above chance; `patience` if that is more
     patience_at_chance: int = 0
-    #: fraction of the trained weights to start with; see `RewardModel.shrink_and_perturb`
+    #: fraction of the trained weights to start with; see `RewardNetwork.shrink_and_perturb`
     kept_fraction: float = 1.0
-    #: start with `RewardModel.with_new_head`
+    #: start with `RewardNetwork.with_new_head`
     restart: bool = False
 
 
@@ -99,7 +103,12 @@ def _epochs(limit: int, visits: int, n_pairs: int) -> int:
     return min(limit, math.ceil(visits / n_pairs))
 
 
-def start_weights(stage: StageSettings, model: RewardModel) -> dict[str, Tensor] | None:
+def n_networks(config: TrainConfig, n_pairs: int) -> int:
+    """Number of networks whose mean is a version with attention that has `n_pairs` labelled pairs."""
+    return min(config.networks, max(FEWEST_NETWORKS, PAIRS_OF_ALL_NETWORKS // n_pairs))
+
+
+def start_weights(stage: StageSettings, model: RewardNetwork) -> dict[str, Tensor] | None:
     """The weights that a stage starts with, from those of `model`; None for the current ones."""
     if stage.restart:
         return model.with_new_head()

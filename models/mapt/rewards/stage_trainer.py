@@ -18,7 +18,7 @@ from torch.optim.swa_utils import AveragedModel
 from mapt.preferences.loss import decisive_agent_losses, preference_loss
 from mapt.rewards.data import PairTensors, Scorer, TrainingScorer, TrainingScores
 from mapt.rewards.metrics import calibrated_losses, evaluate_logits
-from mapt.rewards.model import RewardModel
+from mapt.rewards.model import RewardNetwork
 from mapt.rewards.schedule import StageSettings, is_above_chance, is_out_of_patience, is_reliable
 
 # Batches of small datasets shrink, down to MIN_BATCH_PAIRS, so that an epoch has about this many steps.
@@ -92,7 +92,7 @@ class Stage:
     #: most pairs in a forward and backward pass; None for the whole batch
     pairs_per_pass: int | None = None
 
-    def training_scores(self, model: RewardModel, index: Tensor) -> TrainingScores:
+    def training_scores(self, model: RewardNetwork, index: Tensor) -> TrainingScores:
         """The scores of the segments at `index` (B,) in a gradient step."""
         if self.training_scorer is None:
             return TrainingScores((score := self.scorer(model, index)), None, score.new_zeros(()))
@@ -120,7 +120,7 @@ class RewardTrainer:
 
     def __init__(
         self,
-        model: RewardModel,
+        model: RewardNetwork,
         train: PairTensors,
         hold_out: PairTensors,
         *,
@@ -173,7 +173,7 @@ class RewardTrainer:
         if stage.start is not None:
             self._model.load_state_dict(stage.start)
         optimiser, average = adamw(stage.parameters, settings), weight_average(self._model)
-        averaged = cast(RewardModel, average.module)
+        averaged = cast(RewardNetwork, average.module)
         for epoch in range(1, settings.max_epochs + 1):
             train_loss = self._train_epoch(stage, optimiser, average)
             if self._log.stopped:
@@ -205,7 +205,7 @@ class RewardTrainer:
             if self._log.stopped:
                 break
             self._log.add(train_loss, math.nan, math.nan)
-        self._model.load_state_dict(self._weights(cast(RewardModel, average.module)))
+        self._model.load_state_dict(self._weights(cast(RewardNetwork, average.module)))
         self._model.eval()
 
     def _train_epoch(self, stage: Stage, optimiser: torch.optim.Optimizer, average: AveragedModel) -> float:
@@ -221,7 +221,7 @@ class RewardTrainer:
         return torch.stack(losses).mean().item()
 
     @staticmethod
-    def _weights(model: RewardModel) -> dict[str, Tensor]:
+    def _weights(model: RewardNetwork) -> dict[str, Tensor]:
         return copy.deepcopy(model.state_dict())
 
 

@@ -31,12 +31,13 @@ from mapt.rewards.data import (
 )
 from mapt.rewards.kernels import resolve_precision
 from mapt.rewards.metrics import calibrated_losses, confidence, counted, evaluate_logits
-from mapt.rewards.model import RewardModel
+from mapt.rewards.model import MeanReward, RewardModel, RewardNetwork
 from mapt.rewards.registry import build_reward_model
 from mapt.rewards.schedule import (
     is_reliable,
     is_significant,
     markov_stage,
+    n_networks,
     network_stage,
     replaces,
     start_weights,
@@ -80,12 +81,11 @@ class Fold:
 
 
 class VersionTrainer:
-    """Trains the models of one version: its own, and those of the trial of its attention path.
+    """Trains the networks of one version, those of the trial of its attention path among them.
 
     Args:
         pairs: all labelled pairs.
         held_out: bool (P,), those of the version's hold-out.
-        first: the version's own fold.
     """
 
     def __init__(
@@ -97,64 +97,81 @@ class VersionTrainer:
         *,
         pairs: PreferenceDataset,
         held_out: BoolArray,
-        first: Fold,
     ) -> None:
         self._config, self._settings, self._segments, self._log = config, train_config, segments, log
-        self._pairs, self._held_out, self._first = pairs, held_out, first
+        self._pairs = pairs
         self._dtype = resolve_precision(train_config.precision, config.hidden_dim, segments.device)
         self._sample = segments.take(evenly_spaced_sample(segments)).inputs
         self._used = torch.as_tensor(np.unique(pairs.pairs), device=segments.device)
-        # Of the training of the whole network on the first fold: the epoch whose weights it has, 0 for those before it,
-        # and whether it continued from a trained network.
-        self._best_epoch, self._warm = 0, False
-        self._restarted = False
+        self._n_networks = n_networks(train_config, len(pairs))
+        #: the version's hold-out, and the pairs outside it in equal parts
+        self.folds = [self._fold(held_out), *self._more_folds(held_out)]
+        self._first = self.folds[0]
+        # Whole networks that a trial trained on the folds after the first.
+        self._tried = list[RewardNetwork]()
+        # Whether the whole network continued from a trained one, and whether it was trained from untrained weights.
+        self._warm = self._restarted = False
 
     def train(
         self, initial: RewardModel | None, initial_metrics: Mapping[str, float | None] | None
-    ) -> tuple[RewardModel, AttentionTrial | None]:
-        """The model of a version that continues from `initial` or starts from scratch, and its trial if it had one.
-
-        It is not trained on the hold-out.
-        """
+    ) -> tuple[RewardNetwork, AttentionTrial | None]:
+        """The network of the first fold, continued from `initial` or from scratch, and its trial if it had one."""
         if initial is None:
             model = self._new_model()
             losses = self._train_markov(model, self._first)
             if not self._config.markov_path:
                 self._train_network(model, self._first)
         else:
-            model = self._copied(initial, initial.judged_weights)
-            if (restarted := self._restart(model, initial_metrics)) is not None:
+            model = self._copied(initial.networks[0])
+            if (restarted := self._restart(model, initial, initial_metrics)) is not None:
                 return restarted, None
-            losses = self._continue(model)
+            losses = self._continue(model, self._first)
         if not self._should_try(model, losses, initial_metrics):
             return model, None
         accepted, trial = self._try_attention(losses)
         return accepted or model, trial
 
-    def refit(self, initial: RewardModel | None) -> RewardModel:
-        """The network of `train`, trained on all pairs for as many epochs as the hold-out chose.
+    def further_networks(self, initial: RewardModel | None) -> list[RewardNetwork]:
+        """Whole networks of the folds after the first; fewer if stopped.
 
-        Of 500 pairs, a hold-out leaves some 370 to train on, which cost six points of accuracy (`recency`). If `train`
-        kept the weights before the training, so does this.
+        Trained alike, networks on a few hundred labels differ by several points of accuracy, and their mean is better
+        than each of them (docs/results.md, "The mean of networks").
         """
-        model = self._copied(initial) if initial is not None and self._warm else self._new_model()
-        everything = PairTensors.of(self._pairs, self._segments.device)
-        if self._best_epoch:
-            trainer = self._trainer(model, Fold(everything, everything.first(0)))
-            trainer.run_epochs(self._network_stage(model, len(everything), warm=self._warm), self._best_epoch)
-        return model
+        networks = list[RewardNetwork]()
+        for number, fold in enumerate(self.folds[1 : self._n_networks]):
+            if number < len(self._tried):
+                networks.append(self._tried[number])
+                continue
+            if initial is not None and self._warm:
+                model = self._copied(initial.networks[number + 1])
+                self._continue(model, fold)
+            else:
+                model = self._new_model()
+                self._train_network(model, fold)
+            if self._log.stopped:
+                break
+            networks.append(model)
+        return networks
 
-    def _restart(self, model: RewardModel, metrics: Mapping[str, float | None] | None) -> RewardModel | None:
+    def _restart(
+        self, model: RewardNetwork, initial: RewardModel, metrics: Mapping[str, float | None] | None
+    ) -> RewardNetwork | None:
         """The whole network trained from untrained weights; None if not due, or significantly worse than `model`.
 
         Trained further and further, a network keeps what it learned from its first few labels. That the new one is
         slightly worse on a few dozen pairs is mostly chance, and the earlier one would learn nothing from new labels.
         """
+        if model.is_markov or not self._first.is_reliable:
+            return None
+        # Of a version with fewer networks, for example of a time when there were fewer folds, not all can continue.
+        incomplete = len(initial.networks) < min(self._n_networks, len(self.folds))
         due = attention_trial.is_due(len(self._pairs), metrics, self._settings.restart_growth, RESTART_LABELS)
-        if model.is_markov or not due or not self._first.is_reliable:
+        if not (incomplete or due):
             return None
         fresh = self._new_model()
         self._train_network(fresh, self._first)
+        if incomplete:
+            return fresh
         return None if is_significant(self._losses(fresh) - self._losses(model)) else fresh
 
     def restarted_on(self, initial_metrics: Mapping[str, float | None] | None) -> float:
@@ -162,19 +179,19 @@ class VersionTrainer:
         earlier = (initial_metrics or {}).get(RESTART_LABELS)
         return float(len(self._pairs)) if self._restarted else math.nan if earlier is None else earlier
 
-    def _continue(self, model: RewardModel) -> Tensor:
-        """Train a model further, unless the result is worse; returns its loss on each evaluated pair."""
-        was_markov, weights, before = model.is_markov, copy.deepcopy(model.state_dict()), self._losses(model)
+    def _continue(self, model: RewardNetwork, fold: Fold) -> Tensor:
+        """Train a network further, unless the result is worse; returns its loss on each evaluated pair."""
+        was_markov, weights, before = model.is_markov, copy.deepcopy(model.state_dict()), self._losses(model, fold)
         # Beside attention, new weights in the Markov path would only disturb it.
         train = self._train_markov if was_markov else self._train_network
-        losses = train(model, self._first, warm=True)
-        if replaces(before, self._losses(model), markov=was_markov):
+        losses = train(model, fold, warm=True)
+        if replaces(before, self._losses(model, fold), markov=was_markov):
             return losses
         model.load_state_dict(weights)
         return before
 
     def _should_try(
-        self, model: RewardModel, losses: Tensor, initial_metrics: Mapping[str, float | None] | None
+        self, model: RewardNetwork, losses: Tensor, initial_metrics: Mapping[str, float | None] | None
     ) -> bool:
         has_attention = self._config.architecture != "mlp"
         return (
@@ -186,35 +203,34 @@ class VersionTrainer:
             and attention_trial.is_due(len(self._pairs), initial_metrics, self._settings.trial_growth)
         )
 
-    def _try_attention(self, losses: Tensor) -> tuple[RewardModel | None, AttentionTrial | None]:
+    def _try_attention(self, losses: Tensor) -> tuple[RewardNetwork | None, AttentionTrial | None]:
         """The version's whole network if a trial accepts it, and the trial; None for a trial that was stopped.
 
         Args:
             losses: of the version's Markov path on each pair of its hold-out.
         """
-        started, candidate, gains = self._log.seconds, None, list[Tensor]()
-        folds, accepted = [self._first, *self._more_folds()], None
-        for number, fold in enumerate(folds, 1):
-            if candidate is not None:
+        started, gains, accepted = self._log.seconds, list[Tensor](), None
+        for number, fold in enumerate(self.folds, 1):
+            if number > 1:
                 losses = self._train_markov(self._new_model(), fold)
             model = self._new_model()
             network_losses = self._train_network(model, fold)
             if self._log.stopped:
                 return None, None
-            candidate = candidate or model
+            self._tried.append(model)
             gains.append(losses - network_losses)
-            accepted = attention_trial.verdict(torch.cat(gains), is_last=number == len(folds))
+            accepted = attention_trial.verdict(torch.cat(gains), is_last=number == len(self.folds))
             if accepted is not None:
                 break
         trial = AttentionTrial(bool(accepted), torch.cat(gains), len(self._pairs), self._log.seconds - started)
-        return (candidate if accepted else None), trial
+        return (self._tried.pop(0) if accepted else None), trial
 
-    def _more_folds(self) -> Iterator[Fold]:
-        """The folds of a trial after the version's own: the pairs outside its hold-out, in equal parts."""
+    def _more_folds(self, held_out: BoolArray) -> Iterator[Fold]:
+        """The folds after the first: the pairs outside its hold-out, in equal parts."""
         n_folds = self._settings.trial_folds - 1
         folds = self._pairs.folds(n_folds, self._settings.seed) if n_folds else np.empty(0, np.int64)
         for number in range(n_folds):
-            fold = self._fold(~self._held_out & (folds == number))
+            fold = self._fold(~held_out & (folds == number))
             if fold.is_reliable:
                 yield fold
 
@@ -223,20 +239,18 @@ class VersionTrainer:
         device = self._segments.device
         return Fold(PairTensors.of(train, device), PairTensors.of(hold_out, device))
 
-    def _copied(self, initial: RewardModel, weights: Mapping[str, Tensor] | None = None) -> RewardModel:
-        """A copy of `initial`, or of the same network with other `weights`, for further training."""
+    def _copied(self, initial: RewardNetwork) -> RewardNetwork:
+        """A copy of `initial` for further training."""
         model = copy.deepcopy(initial).to(self._segments.device)
-        if weights is not None:
-            model.load_state_dict(weights)
         model.fit_normalisers(*self._sample, keep_function=True)
         return model.eval()
 
-    def _new_model(self) -> RewardModel:
+    def _new_model(self) -> RewardNetwork:
         model = build_reward_model(self._config).to(self._segments.device)
         model.fit_normalisers(*self._sample, keep_function=False)
         return model.eval()
 
-    def _train_markov(self, model: RewardModel, fold: Fold, *, warm: bool = False) -> Tensor:
+    def _train_markov(self, model: RewardNetwork, fold: Fold, *, warm: bool = False) -> Tensor:
         """Train the Markov path alone; returns its loss on each evaluated pair, from epochs that other pairs select."""
         stage = markov_stage(self._settings, len(fold.train), warm=warm)
         if stage is None or model.markov is None:
@@ -252,17 +266,16 @@ class VersionTrainer:
         losses = self._trainer(model, fold).run(run)
         return cross_selected((losses.before, *losses.epochs))
 
-    def _train_network(self, model: RewardModel, fold: Fold, *, warm: bool = False) -> Tensor:
+    def _train_network(self, model: RewardNetwork, fold: Fold, *, warm: bool = False) -> Tensor:
         """Train the whole network; returns its loss on each evaluated pair."""
         if self._log.stopped:
             return self._losses(model, fold)
         losses = self._trainer(model, fold).run(self._network_stage(model, len(fold.train), warm=warm))
         if fold is self._first:
-            self._best_epoch, self._warm = losses.best_epoch, warm
-            self._restarted = self._restarted or not warm
+            self._warm, self._restarted = warm, self._restarted or not warm
         return cross_selected(losses.epochs or (losses.before,))
 
-    def _network_stage(self, model: RewardModel, n_pairs: int, *, warm: bool) -> Stage:
+    def _network_stage(self, model: RewardNetwork, n_pairs: int, *, warm: bool) -> Stage:
         settings = network_stage(self._settings, self._config, n_pairs, warm=warm)
         return Stage(
             settings,
@@ -273,7 +286,7 @@ class VersionTrainer:
             pairs_per_pass=pairs_per_pass(self._config, self._segments),
         )
 
-    def _trainer(self, model: RewardModel, fold: Fold) -> RewardTrainer:
+    def _trainer(self, model: RewardNetwork, fold: Fold) -> RewardTrainer:
         return RewardTrainer(model, fold.train, fold.hold_out, seed=self._settings.seed, log=self._log)
 
     def _losses(self, model: RewardModel, fold: Fold | None = None) -> Tensor:
@@ -310,12 +323,12 @@ def train_reward_model(
 
     Returns:
         The model and its metrics: `loss` and `accuracy` on the first 500 training pairs; `holdout_loss`,
-        `holdout_accuracy` and `ece` on the hold-out; `epochs`, `seconds`, `labels`, `holdout_labels`,
-        `holdout_strict_labels` (those that are `counted` and not ties, over which accuracy is measured),
-        `holdout_reliable` (1 if the hold-out was large enough to compare weights by, else 0), `refit` (1 if the model
-        was trained on all pairs in the end, and the figures on the hold-out are those of the same training without it,
-        else 0), `stopped` (1 if `stop` ended the training), and those of `attention_trial`. Losses are means by the
-        labels' weights. Undefined metrics, such as the accuracy over ties alone, are left out.
+        `holdout_accuracy` and `ece` on held-out pairs, each judged by the network that was not trained on it; `epochs`,
+        `seconds`, `labels`, `holdout_labels`, `holdout_strict_labels` (those that are `counted` and not ties, over
+        which accuracy is measured), `holdout_reliable` (1 if the hold-out was large enough to compare weights by, else
+        0), `networks` (those whose mean the model is), `stopped` (1 if `stop` ended the training), and those of
+        `attention_trial`. Losses are means by the labels' weights. Undefined metrics, such as the accuracy over ties
+        alone, are left out.
 
     Raises:
         NotEnoughPairs: with fewer than two pairs.
@@ -326,33 +339,35 @@ def train_reward_model(
         raise ModelMismatch("settings of the initial model", config, initial.config)
     device, log = resolve_device(train_config.device), TrainingLog(progress, stop)
     segments = segment_reader(dataset.segments, device)
-    may_refit = hold_out is None
     if hold_out is None:
         pairs, held_out = dataset, dataset.held_out(train_config.hold_out_fraction, train_config.seed)
-        dataset, hold_out = pairs.separate(held_out)
     else:
         pairs, held_out = dataset.joined(hold_out), np.arange(len(dataset) + len(hold_out)) >= len(dataset)
-    fold = Fold(PairTensors.of(dataset, device), PairTensors.of(hold_out, device))
     with seeded(train_config.seed, device):
-        trainer = VersionTrainer(config, train_config, segments, log, pairs=pairs, held_out=held_out, first=fold)
-        judged, trial = trainer.train(initial, initial_metrics if initial is not None else None)
-        refits = may_refit and fold.is_reliable and not judged.is_markov and not log.stopped
-        refitted = trainer.refit(initial) if refits else None
-    model = judged if refitted is None or log.stopped else refitted
-    scorer, held = network_scorer(segments), fold.hold_out
-    if fold.is_reliable:
-        factor = confidence(held.logits(judged, scorer), held.labels, train_config.label_noise, held.weights)
-        for each in {judged, model}:
-            each.scale_rewards(factor)
-    model.judged_weights = None if model is judged else {name: each.cpu() for name, each in judged.state_dict().items()}
+        trainer = VersionTrainer(config, train_config, segments, log, pairs=pairs, held_out=held_out)
+        first, trial = trainer.train(initial, initial_metrics if initial is not None else None)
+        reliable = trainer.folds[0].is_reliable
+        further = [] if first.is_markov or not reliable else trainer.further_networks(initial)
+    networks = [first, *further]
+    # Each pair that was held out is evaluated with the network that was not trained on it.
+    scorer, held = network_scorer(segments), [fold.hold_out for fold in trainer.folds[: len(networks)]]
+    labels, weights = torch.cat([each.labels for each in held]), PairTensors.joined_weights(held)
+
+    def held_out_logits() -> Tensor:
+        return torch.cat([each.logits(network, scorer) for each, network in zip(held, networks, strict=True)])
+
+    if reliable:
+        factor = confidence(held_out_logits(), labels, train_config.label_noise, weights)
+        for network in networks:
+            network.scale_rewards(factor)
+    model = MeanReward(networks).eval() if further else first
     scaled = segments if reference is None else segment_reader(reference, device)
     rewards = step_rewards(model, scaled, evenly_spaced_sample(scaled))
     mean = float(rewards.mean()) if train_config.subtract_mean else 0.0
     model.set_reward_scale(mean, float(rewards.std()))
-    on_train, on_hold_out = (
-        evaluate_logits(each.logits(evaluated, scorer), each.labels, train_config.label_noise, each.weights)
-        for evaluated, each in ((model, fold.train.first(MAX_EVALUATED_PAIRS)), (judged, held))
-    )
+    train = trainer.folds[0].train.first(MAX_EVALUATED_PAIRS)
+    on_train = evaluate_logits(train.logits(model, scorer), train.labels, train_config.label_noise, train.weights)
+    on_hold_out = evaluate_logits(held_out_logits(), labels, train_config.label_noise, weights)
     metrics = {
         "loss": on_train.loss,
         "accuracy": on_train.accuracy,
@@ -361,15 +376,15 @@ def train_reward_model(
         "ece": on_hold_out.calibration_error,
         "epochs": float(len(log.history)),
         "labels": float(len(pairs)),
-        "holdout_labels": float(len(hold_out)),
-        "holdout_strict_labels": float((counted(held.labels, held.weights) & (held.labels != 0.5)).sum()),
-        "holdout_reliable": float(fold.is_reliable),
-        "refit": float(model is not judged),
+        "holdout_labels": float(len(labels)),
+        "holdout_strict_labels": float((counted(labels, weights) & (labels != 0.5)).sum()),
+        "holdout_reliable": float(reliable),
+        "networks": float(len(networks)),
         "stopped": float(log.stopped),
         **trial_metrics(trial, initial_metrics),
         # MA-LSTM has no attention that could be in use.
         IN_USE: math.nan if config.architecture == "lstm" else float(not model.is_markov),
-        RESTART_LABELS: math.nan if judged.is_markov else trainer.restarted_on(initial_metrics),
+        RESTART_LABELS: math.nan if model.is_markov else trainer.restarted_on(initial_metrics),
         "seconds": log.seconds,
     }
     defined = {name: value for name, value in metrics.items() if math.isfinite(value)}

@@ -1,12 +1,15 @@
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import torch
 
+from mapt.preferences.dataset import SegmentArrays
 from mapt.rewards.config import RewardConfig
 from mapt.rewards.mapt import MAPT
 
 N_AGENTS, OBSERVATION_DIM, ACTION_DIM = 3, 4, 2
+LENGTHS = (7, 4)
 VARIANTS: dict[str, dict[str, object]] = {
     "mapt": {},
     "mapt-tpa": {"tpa": False},
@@ -47,3 +50,13 @@ def build() -> Callable[..., MAPT]:
         return model
 
     return build
+
+
+@pytest.fixture
+def segments() -> SegmentArrays:
+    """Segments of `LENGTHS` steps, padded to the longest."""
+    rng = np.random.default_rng(0)
+    return SegmentArrays.stack(
+        [rng.standard_normal((length, N_AGENTS, OBSERVATION_DIM)) for length in LENGTHS],
+        [rng.standard_normal((length, N_AGENTS, ACTION_DIM)) for length in LENGTHS],
+    )

@@ -4,22 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from mapt.preferences.dataset import SegmentArrays
 from mapt.rewards.inspection import HISTOGRAM_BINS, reward_histograms, segment_credits
 from support.tolerance import assert_float32_close
-from unit.rewards.conftest import ACTION_DIM, N_AGENTS, OBSERVATION_DIM
-
-LENGTHS = (7, 4)
-
-
-@pytest.fixture
-def segments() -> SegmentArrays:
-    """Two segments, the second one padded."""
-    rng = np.random.default_rng(0)
-    return SegmentArrays.stack(
-        [rng.standard_normal((length, N_AGENTS, OBSERVATION_DIM)) for length in LENGTHS],
-        [rng.standard_normal((length, N_AGENTS, ACTION_DIM)) for length in LENGTHS],
-    )
+from unit.rewards.conftest import LENGTHS, N_AGENTS
 
 
 def test_credits_are_the_outputs_of_the_model_on_real_steps(build, segments):

@@ -1,7 +1,9 @@
+import hashlib
 import json
 
 import pytest
 import torch
+from safetensors.torch import save
 
 from mapt.errors import DamagedCheckpoint, NewerCheckpoint
 from mapt.rewards.checkpoints import CARD_FILE, WEIGHTS_FILE, load_reward_model, save_reward_model
@@ -23,23 +25,14 @@ def test_round_trip_gives_the_same_bits(build, variant):
     assert save_reward_model(loaded.model, METRICS) == saved
 
 
-def test_weights_that_a_version_is_judged_by_are_kept(build):
-    model, judged = build(), build()
-    with torch.no_grad():
-        judged.embedding.observation.weight.add_(1)
-    model.judged_weights = judged.state_dict()
+def test_the_further_weights_of_format_4_are_left_out(build):
+    model = build()
+    stored = {**model.state_dict(), **{f"judged.{name}": 2 * tensor for name, tensor in model.state_dict().items()}}
     saved = save_reward_model(model, METRICS)
-    loaded = load_reward_model(saved.weights, saved.card).model
-    assert loaded.judged_weights is not None
-    assert loaded.judged_weights.keys() == model.state_dict().keys()
-    for name, tensor in judged.state_dict().items():
-        assert torch.equal(loaded.judged_weights[name], tensor)
-        assert torch.equal(loaded.state_dict()[name], model.state_dict()[name])
-
-
-def test_model_of_format_3_has_no_other_weights(build):
-    saved = save_reward_model(build(), METRICS)
-    assert load_reward_model(saved.weights, edited(saved.card, format_version=3)).model.judged_weights is None
+    weights = save({name: tensor.contiguous() for name, tensor in stored.items()})
+    card = edited(saved.card, format_version=4, weights_sha256=hashlib.sha256(weights).hexdigest())
+    loaded = load_reward_model(weights, card).model
+    assert all(torch.equal(loaded.state_dict()[name], tensor) for name, tensor in model.state_dict().items())
 
 
 def test_model_loads_from_files(build, tmp_path):
@@ -54,7 +47,7 @@ def test_card_documents_the_model(build):
     model = build()
     model.set_reward_scale(0.5, 2.0)
     card = json.loads(save_reward_model(model, METRICS).card)
-    assert card["format_version"] == 4
+    assert (card["format_version"], card["networks"]) == (5, 1)
     assert "1 segment 0" in card["polarity"]
     assert (card["reward_mean"], card["reward_deviation"]) == (0.5, 2.0)
     assert card["config"]["n_agents"] == 3
@@ -68,7 +61,7 @@ def edited(card: bytes, **changes: object) -> bytes:
 def test_newer_format_is_refused(build):
     saved = save_reward_model(build(), METRICS)
     with pytest.raises(NewerCheckpoint):
-        load_reward_model(saved.weights, edited(saved.card, format_version=5))
+        load_reward_model(saved.weights, edited(saved.card, format_version=6))
 
 
 def test_model_of_format_1_loads(build):

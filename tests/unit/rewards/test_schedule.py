@@ -7,6 +7,7 @@ from mapt.rewards.schedule import (
     is_out_of_patience,
     is_significant,
     markov_stage,
+    n_networks,
     network_stage,
     replaces,
 )
@@ -71,3 +72,9 @@ def test_a_markov_version_that_is_worse_by_chance_replaces_its_parent():
 def test_patience_is_longer_until_accuracy_is_above_chance(waited, above_chance, ends):
     settings = StageSettings(1e-3, 0.0, 32, 60, patience=5, label_noise=0.0, patience_at_chance=20)
     assert is_out_of_patience(settings, waited, above_chance) == ends
+
+
+def test_versions_with_more_labels_have_fewer_networks():
+    config = TrainConfig()
+    assert [n_networks(config, labels) for labels in (20, 500, 501, 833, 1250, 30_000)] == [5, 5, 4, 3, 2, 2]
+    assert n_networks(TrainConfig(networks=1), 20) == 1

@@ -84,12 +84,13 @@ def test_metrics_have_the_documented_names():
     metrics = train_reward_model(preferences(60), CONFIG, QUICK).metrics
     assert set(metrics) == {
         *("loss", "accuracy", "holdout_loss", "holdout_accuracy", "ece", "epochs", "seconds"),
-        *("labels", "holdout_labels", "holdout_strict_labels", "holdout_reliable", "refit", "stopped"),
+        *("labels", "holdout_labels", "holdout_strict_labels", "holdout_reliable", "networks", "stopped"),
         *("attention", "attention_trial_seconds", "attention_trial_labels"),
         *("attention_gain", "attention_gain_error", "attention_gain_pairs", "attention_restart_labels"),
     }
     assert (metrics["labels"], metrics["holdout_reliable"], metrics["attention_trial_labels"]) == (60, 1, 60)
-    assert 10 <= metrics["holdout_labels"] <= metrics["attention_gain_pairs"] <= 60
+    assert 10 <= metrics["holdout_labels"] <= 60
+    assert 10 <= metrics["attention_gain_pairs"] <= 60
     assert (metrics["stopped"], metrics["epochs"] >= 8) == (0, True)
 
 
@@ -268,7 +269,7 @@ def test_significantly_worse_markov_path_does_not_replace_the_initial_model():
 
 
 def test_warm_start_takes_fewer_epochs():
-    settings = TrainConfig(markov_epochs=6, max_epochs=4, warm_markov_epochs=2, warm_epochs=1, device="cpu")
+    settings = TrainConfig(markov_epochs=6, max_epochs=4, warm_markov_epochs=2, warm_epochs=1, networks=1, device="cpu")
     first = train_reward_model(preferences(60), CONFIG, settings)
     # With 66 labels or more, the whole network would restart.
     warm = train_reward_model(preferences(64), CONFIG, settings, initial=first.model, initial_metrics=first.metrics)
@@ -427,19 +428,50 @@ def test_attention_in_use_is_never_replaced_by_a_worse_version(monkeypatch, labe
     assert same_weights(first.model, second.model)
 
 
-def test_model_with_attention_is_trained_on_the_hold_out_too_and_keeps_the_weights_that_were_not(monkeypatch):
-    first = accepted(monkeypatch)
-    assert first.metrics["refit"] == 1
-    assert first.model.judged_weights is not None
-    assert not same_states(first.model.judged_weights, first.model.state_dict())
-
+def test_a_version_with_attention_is_the_mean_of_networks_that_held_out_different_pairs(monkeypatch):
+    version = accepted(monkeypatch)
+    networks = version.model.networks
+    assert (len(networks), version.metrics["networks"]) == (5, 5)
+    assert not same_weights(networks[0], networks[1])
     data = preferences(80)
     held_out = data.held_out(QUICK.hold_out_fraction, QUICK.seed)
-    train, hold_out = (data.take(np.flatnonzero(side)) for side in (~held_out, held_out))
-    separate = train_reward_model(train, CONFIG, QUICK, hold_out=hold_out)
-    assert separate.metrics["refit"] == 0
-    assert separate.model.judged_weights is None
-    assert separate.metrics["holdout_loss"] == first.metrics["holdout_loss"]
+    folds = data.folds(QUICK.trial_folds - 1, QUICK.seed)
+    parts = [held_out, *(~held_out & (folds == number) for number in range(QUICK.trial_folds - 1))]
+    assert version.metrics["holdout_labels"] == 80
+    # Each held-out pair is judged by the network that was not trained on it.
+    segments = segment_reader(data.segments, torch.device("cpu"))
+    logits, labels = [], []
+    for network, part in zip(networks, parts, strict=True):
+        pairs = PairTensors.of(data.take(np.flatnonzero(part)), torch.device("cpu"))
+        logits.append(pairs.logits(network, network_scorer(segments)))
+        labels.append(pairs.labels)
+    losses = preference_losses(torch.cat(logits), torch.cat(labels), 0.0)
+    assert version.metrics["holdout_loss"] == pytest.approx(losses.mean().item(), rel=1e-4)
+
+
+def test_the_networks_of_a_trial_are_used_and_one_network_can_be_asked_for(monkeypatch):
+    monkeypatch.setattr(attention_trial, "verdict", lambda gains, is_last: True if is_last else None)
+    tried, fewer = (train_reward_model(preferences(80), CONFIG, replace(QUICK, networks=n)) for n in (5, 2))
+    assert (tried.metrics["networks"], fewer.metrics["networks"]) == (5, 2)
+    # The trial trains the networks of all folds; none is trained after it.
+    assert tried.metrics["epochs"] == fewer.metrics["epochs"]
+    first, second = (version.model.networks[1].embedding.state_dict() for version in (tried, fewer))
+    assert same_states(first, second)
+    monkeypatch.setattr(attention_trial, "verdict", lambda gains, is_last: True)
+    alone = train_reward_model(preferences(80), CONFIG, replace(QUICK, networks=1))
+    assert (alone.model.networks, alone.metrics["networks"]) == ((alone.model,), 1)
+    assert alone.metrics["holdout_labels"] < tried.metrics["holdout_labels"]
+
+
+def test_each_network_of_a_version_continues_from_its_own(monkeypatch):
+    first = accepted(monkeypatch)
+    further = train_reward_model(preferences(85), CONFIG, QUICK, initial=first.model, initial_metrics=first.metrics)
+    assert (further.metrics["networks"], further.metrics["attention_restart_labels"]) == (5, 80)
+    # A version of a single network cannot continue as five.
+    single = train_reward_model(
+        preferences(85), CONFIG, QUICK, initial=first.model.networks[0], initial_metrics=first.metrics
+    )
+    assert (single.metrics["networks"], single.metrics["attention_restart_labels"]) == (5, 85)
 
 
 def test_network_in_use_restarts_from_untrained_weights_when_labels_have_grown(monkeypatch):
@@ -448,7 +480,6 @@ def test_network_in_use_restarts_from_untrained_weights_when_labels_have_grown(m
     # Weights that say the opposite: further training for one epoch does not mend them.
     opposite = {name: -tensor if "reward.weight" in name else tensor for name, tensor in initial.state_dict().items()}
     initial.load_state_dict(opposite)
-    initial.judged_weights = opposite
     once = replace(QUICK, warm_epochs=1, max_epochs=6)
     losses = {}
     for n_pairs in (85, 110):
@@ -463,8 +494,6 @@ def test_network_from_untrained_weights_replaces_one_that_is_slightly_better_on_
     monkeypatch.setattr(attention_trial, "verdict", lambda gains, is_last: True)
     first = train_reward_model(preferences(80, seed=1), CONFIG, replace(QUICK, max_epochs=6))
     assert first.metrics["attention"] == 1
-    # The weights that were trained on the hold-out, too.
-    first.model.judged_weights = None
     kept, restarted = (
         train_reward_model(
             preferences(100, seed=1),
@@ -479,25 +508,14 @@ def test_network_from_untrained_weights_replaces_one_that_is_slightly_better_on_
     assert restarted.metrics["holdout_loss"] > kept.metrics["holdout_loss"]
 
 
-def test_next_version_is_judged_by_weights_that_were_not_trained_on_the_hold_out(monkeypatch):
-    first = accepted(monkeypatch)
-    initial = copy.deepcopy(first.model)
-    with torch.no_grad():
-        for parameter in initial.parameters():
-            parameter.add_(0.3)
-    once = replace(QUICK, warm_epochs=1)
-    expected, changed = (
-        # Fewer than 1.1 times 80, so that the version continues from these weights.
-        train_reward_model(preferences(85), CONFIG, once, initial=each, initial_metrics=first.metrics)
-        for each in (first.model, initial)
-    )
-    assert changed.metrics["holdout_loss"] == expected.metrics["holdout_loss"]
-    assert not same_weights(changed.model, expected.model)
-
-
-def test_markov_model_is_not_refitted():
+def test_markov_model_is_one_network():
     trained = train_reward_model(preferences(60), CONFIG, replace(QUICK, markov_epochs=20))
-    assert (trained.metrics["attention"], trained.metrics["refit"], trained.model.judged_weights) == (0, 0, None)
+    assert (trained.metrics["attention"], trained.metrics["networks"]) == (0, 1)
+
+
+def test_more_networks_than_folds_are_refused():
+    with pytest.raises(InvalidConfig, match="each network needs a fold"):
+        TrainConfig(networks=6)
 
 
 def test_untrained_markov_scorer_equals_the_network_scorer():

@@ -62,6 +62,7 @@ function Row({ version }: { version: RewardVersion }) {
   const accuracy = heldOutAccuracy(version);
   const ece = versionMetric(version, "ece");
   const loss = versionMetric(version, "holdout_loss");
+  const networks = versionMetric(version, "networks");
   return (
     <tr>
       <th scope="row">{version.number}</th>
@@ -70,8 +71,10 @@ function Row({ version }: { version: RewardVersion }) {
       <td data-uncertain={(accuracy && !accuracy.reliable) || undefined}>
         {accuracy ? heldOutText(accuracy) : "–"}
         {accuracy && <span className="muted cell-note">{heldOutDetail(accuracy)}</span>}
-        {versionMetric(version, "refit") === 1 && (
-          <span className="muted cell-note">measured before these labels were used for training too</span>
+        {networks !== null && networks > 1 && (
+          <span className="muted cell-note">
+            mean of {networks} networks; each judges labels it was not trained on
+          </span>
         )}
       </td>
       <td>{loss === null ? "–" : formatDecimals(loss, 3)}</td>

@@ -28,7 +28,7 @@ export type VersionMetric =
   | "holdout_labels"
   | "holdout_strict_labels"
   | "holdout_reliable"
-  | "refit"
+  | "networks"
   | "ece"
   | "attention"
   | "attention_gain"
