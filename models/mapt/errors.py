@@ -18,7 +18,8 @@ MaptError
 │   ├── NoSimulator
 │   ├── NotRenderable
 │   ├── UnusableEnvironment
-│   └── InvalidSnapshot
+│   ├── InvalidSnapshot
+│   └── MissingFeatures
 ├── RenderingError
 │   ├── ClipNotWritten
 │   ├── ClipNotRead
@@ -200,6 +201,17 @@ class UnusableEnvironment(TaskError):
 
 class InvalidSnapshot(TaskError, ValueError):
     """The snapshot was taken from another task or from another number of environments."""
+
+
+class MissingFeatures(TaskError):
+    """The observations of a whole team do not have everything that its agents observe."""
+
+    def __init__(self, task: str, features: Sequence[str]) -> None:
+        super().__init__(
+            f"The agents of {task} observe {' and '.join(features)}, which observations of the whole team do not have."
+        )
+        self.task = task
+        self.features = tuple(features)
 
 
 class RenderingError(MaptError):

@@ -21,10 +21,10 @@ from accord.services.exclusion import recount
 from accord.services.experiment_config import ExperimentConfig, read_config
 from accord.store.blobs import BlobStore
 from accord.store.tables import ClipRow, LabelRevisionRow, LabelRow, QueryRow, utc_now
-from mapt.errors import PreferenceError
+from mapt.errors import MissingFeatures, PreferenceError
 from mapt.preferences.formats import tables as exported
 from mapt.preferences.formats.arrays import MAX_BYTES
-from mapt.preferences.formats.reading import ForeignFormat, read_comparisons
+from mapt.preferences.formats.reading import ForeignFormat, read_comparisons, split_joint
 from mapt.preferences.formats.records import Comparisons, SegmentRecords
 from mapt.preferences.formats.tables import PreferenceTables
 from mapt.preferences.selection import UniformSelector
@@ -99,7 +99,7 @@ def _kind_of_actions(task: str) -> str:
 def read_foreign(
     path: Path, format: ForeignFormat, task: str, segment_steps: int = DEFAULT_SEGMENT_STEPS, max_bytes: int = MAX_BYTES
 ) -> Foreign:
-    """Reads a file of another program.
+    """Reads a file of another program. Segments of one agent that drives a whole robot are split among its agents.
 
     Args:
         path: see `read_comparisons`.
@@ -117,6 +117,10 @@ def read_foreign(
     read_config({"task": task, "segment_steps": segment_steps})
     n_actions = spec.action_dim if spec.discrete_actions else None
     found = read_comparisons(path, format, segment_steps, n_actions=n_actions, max_bytes=max_bytes)
+    try:
+        found = split_joint(found, task)
+    except MissingFeatures as error:
+        raise Invalid(f"{error} A file of this task needs simulator states (infos/qpos and infos/qvel).") from error
     config = _config_for(spec, found.records.layout(), found.labels.tolist())
     return Foreign(config, found)
 

@@ -10,7 +10,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from mapt.errors import InvalidAction, InvalidConfig
+from mapt.errors import InvalidAction, InvalidConfig, MissingFeatures
 from mapt.tasks.contact_forces import ContactForces
 from mapt.tasks.mujoco_definition import FloatArray, MujocoMdp, Robot, never_terminated
 from mapt.tasks.partition import actuator_index, as_slice, observation_index
@@ -272,6 +272,51 @@ class MujocoDefinition:
             agent_index=agent_index,
             dtype=dtype,
         )
+
+    def split_joint(
+        self,
+        observations: NDArray[np.floating],
+        actions: NDArray[np.floating],
+        states: tuple[FloatArray, FloatArray] | None = None,
+        *,
+        agent_obsk: int,
+        agent_index: bool,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Split observations and actions of the single agent of `agent_obsk=None` among the agents.
+
+        Gymnasium's observations and actions of a robot are those of the single agent.
+
+        Args:
+            observations: (..., D), the state.
+            actions: (..., K), in the order of ctrl.
+            states: qpos (..., nq) and qvel (..., nv), which some agents observe and the state lacks; None if unknown.
+            agent_obsk, agent_index: see `make_task`.
+
+        Returns:
+            Observations (..., N, C) and actions (..., N, A) of the task with these options.
+
+        Raises:
+            MissingFeatures: if agents observe what neither the observations nor the states have.
+        """
+        layout = self.mdp.layout(self.robot.nq, self.robot.nv)
+        agents = AgentIndices.of(self.robot, self.mdp, agent_obsk)
+        known = {layout.zero, *layout.columns(self.mdp.state)}
+        row = np.zeros((*observations.shape[:-1], layout.width + 1), dtype=np.float32)
+        row[..., -1] = 1.0
+        if states is not None:
+            for name, values in zip(("qpos", "qvel"), states, strict=True):
+                part = layout.slices[name]
+                known.update(range(part.start, part.stop))
+                row[..., part] = values
+        row[..., layout.columns(self.mdp.state)] = observations
+        missing = set(agents.observed.ravel().tolist()) - known
+        if missing:
+            features = [name for name, part in layout.slices.items() if missing & set(range(part.start, part.stop))]
+            raise MissingFeatures(self.name, features)
+        observed = agents.with_agent_index(layout.zero, layout.width) if agent_index else agents.observed
+        padding = np.zeros((*actions.shape[:-1], 1), dtype=np.float32)
+        padded = np.concatenate([actions, padding], axis=-1, dtype=np.float32)
+        return row[..., observed], padded[..., agents.actuators]
 
     def load_model(self) -> mujoco.MjModel:
         return self.robot.load_model()

@@ -4,10 +4,14 @@ import io
 import pickle
 import re
 import zipfile
+from collections import defaultdict
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import get_args
 
+import gymnasium
+import h5py
 import numpy as np
 import pytest
 
@@ -153,6 +157,44 @@ def test_pairs_with_simulator_states_wait_for_their_clips(client: Client, tmp_pa
         assert (found.labels.rendering_queries, found.config["segment_steps"]) == (66, 2)
 
 
+def as_recorded_by_gymnasium(path: Path, environment: str, *, states: bool) -> Path:
+    """Two episodes of a robot that one agent drives, in the layout of D4RL's MuJoCo files."""
+    arrays: dict[str, list[object]] = defaultdict(list)
+    with closing(gymnasium.make(environment)) as env:
+        env.action_space.seed(0)
+        for seed in range(2):
+            observation, _ = env.reset(seed=seed)
+            for step in range(STEPS):
+                arrays["observations"].append(observation)
+                arrays["actions"].append(env.action_space.sample())
+                for name in ("qpos", "qvel") if states else ():
+                    arrays[f"infos/{name}"].append(getattr(env.unwrapped.data, name).copy())
+                observation, reward, *_ = env.step(arrays["actions"][-1])
+                arrays["rewards"].append(reward)
+                arrays["terminals"].append(False)
+                arrays["timeouts"].append(step == STEPS - 1)
+    with h5py.File(path, "w") as file:
+        for name, rows in arrays.items():
+            values = np.array(rows)
+            file[name] = values.astype(np.float32) if values.dtype == np.float64 else values
+    return path
+
+
+def test_a_robot_that_one_agent_drove_is_split_among_the_agents_of_its_task(client: Client, tmp_path: Path) -> None:
+    path = as_recorded_by_gymnasium(tmp_path / "medium.hdf5", "HalfCheetah-v5", states=True)
+    found = client.import_experiment(path, "split", "d4rl", task=TASK, segment_steps=STEPS)
+    assert found.labels.rendering_queries == 1
+    (query,) = client.get(f"/experiments/{found.id}/queries")["items"]
+    segment = client.segment_arrays(query["segments"][0]["segment_id"])
+    with h5py.File(path) as file:
+        episodes = np.array(file["actions"]).reshape(2, STEPS, -1)
+        angles = np.array(file["infos/qpos"]).reshape(2, STEPS, -1)[:, :, 3:]
+    joint = segment["actions"].reshape(STEPS, -1)
+    (episode,) = (index for index, actions in enumerate(episodes) if np.array_equal(actions, joint))
+    # Each agent observes the angle of its joint first.
+    np.testing.assert_array_equal(segment["observations"][:, :, 0], angles[episode])
+
+
 def blobs(api: ApiServer) -> set[Path]:
     folder = Path(api.stores.blob_url.removeprefix("file://"))
     return {path for path in folder.rglob("*") if path.is_file()}
@@ -189,6 +231,12 @@ def soft_labels(folder: Path) -> bytes:
             lambda folder: as_imitation(folder / "a", comparisons(), False),
             {"task": DISCRETE_TASK},
             "for 3m, whose actions are choices",
+        ),
+        (
+            "d4rl",
+            lambda folder: as_recorded_by_gymnasium(folder / "a", "Walker2d-v5", states=False),
+            {"task": "Walker2d-2x3"},
+            "observe qvel.*simulator states",
         ),
         ("minari", lambda _: archive(**{f"{n}.txt": b"" for n in range(1001)}), {}, "more than 1000 files"),
         ("imitation", soft_labels, {}, "a label of 0.3"),
@@ -270,15 +318,21 @@ def found_labels(of: Comparisons) -> dict[tuple[float, ...], float]:
 def test_an_export_that_a_format_cannot_hold_is_refused(client: Client, tmp_path: Path) -> None:
     made = comparisons()
     slight = Comparisons(made.records, made.pairs, np.array([0.75, 0.25, 0.5], dtype=np.float32))
-    file = as_imitation(tmp_path / "slight.pkl", slight, False)
-    imported = client.import_experiment(file, "slight", "imitation", task=TASK)
-    with pytest.raises(Refused) as refused:
-        client.export(imported.id, tmp_path / "exported", "mapt")
-    assert refused.value.status == 422
-    unlabelled = client.import_experiment(
-        as_d4rl(tmp_path / "none.hdf5", made, False), "none", "d4rl", task=TASK, segment_steps=STEPS
+    files: dict[ForeignFormat, Path] = {
+        "imitation": as_imitation(tmp_path / "slight", slight, False),
+        "d4rl": as_d4rl(tmp_path / "unlabelled", made, False),
+    }
+    slight_id, unlabelled_id = (
+        client.import_experiment(file, file.name, format, task=TASK, segment_steps=STEPS).id
+        for format, file in files.items()
     )
-    with pytest.raises(Refused) as refused:
-        client.export(unlabelled.id, tmp_path / "exported", "imitation")
-    assert refused.value.status == 422
+    for experiment, format, problem in (
+        (slight_id, "mapt", "'mapt' cannot hold a label of 0.75"),
+        (slight_id, "offline", "'offline' cannot hold a label of 0.25"),
+        (unlabelled_id, "imitation", "the experiment has none yet"),
+    ):
+        with pytest.raises(Refused, match=problem) as refused:
+            client.export(experiment, tmp_path / "exported", format)
+        assert refused.value.status == 422
+        assert "/tmp" not in str(refused.value)
     assert not (tmp_path / "exported").exists()

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from mapt.errors import InvalidAction, InvalidConfig, InvalidSnapshot, UnknownTask
-from mapt.tasks import Task, TaskStep, agent_geoms, load_model, make_task, task_names, task_spec
+from mapt.errors import InvalidAction, InvalidConfig, InvalidSnapshot, MissingFeatures, UnknownTask
+from mapt.tasks import MujocoDefinition, Task, TaskStep, agent_geoms, load_model, make_task, task_names, task_spec
+from mapt.tasks.registry import find_definition
 from support.mujoco_tasks import MUJOCO_TASKS
 
 NAME = "HalfCheetah-6x1"
@@ -251,3 +252,32 @@ def test_welded_geoms_belong_to_the_agent_of_their_limb() -> None:
     model = load_model("Humanoid-9|8")
     _, legs = agent_geoms("Humanoid-9|8")
     assert {model.geom(f"{side}_foot").id for side in ("left", "right")} <= set(legs)
+
+
+@pytest.mark.parametrize(
+    ("name", "agent_index"), [*((name, True) for name in MUJOCO_TASKS if name != "Reacher-2x1"), (NAME, False)]
+)
+def test_vectors_of_the_whole_team_are_split_among_its_agents(name: str, agent_index: bool) -> None:
+    """The agents' task makes the same steps with the split actions, and observes the split observations."""
+    definition = find_definition(name)
+    assert isinstance(definition, MujocoDefinition)
+    whole = make_task(name, 2, n_threads=1, agent_obsk=None, agent_index=False)
+    team = make_task(name, 2, n_threads=1, agent_obsk=1, agent_index=agent_index)
+    joint, _ = whole.reset(0)
+    expected, _ = team.reset(0)
+    for actions in random_actions(whole, seed=1, n_steps=2):
+        split, split_actions = definition.split_joint(
+            joint[:, 0], actions[:, 0], whole.simulator_state(), agent_obsk=1, agent_index=agent_index
+        )
+        np.testing.assert_array_equal(split, expected)
+        joint, expected = whole.step(actions).observations, team.step(split_actions).observations
+
+
+@pytest.mark.parametrize(("name", "feature"), [("Walker2d-2x3", "qvel"), ("Reacher-2x1", "offset")])
+def test_what_the_whole_team_does_not_observe_is_not_made_up(name: str, feature: str) -> None:
+    definition, spec = find_definition(name), task_spec(name, agent_obsk=None, agent_index=False)
+    assert isinstance(definition, MujocoDefinition)
+    joint = np.zeros((3, spec.observation_dim)), np.zeros((3, spec.action_dim))
+    with pytest.raises(MissingFeatures) as refused:
+        definition.split_joint(*joint, agent_obsk=1, agent_index=True)
+    assert refused.value.features == (feature,)

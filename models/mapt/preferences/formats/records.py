@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -97,6 +98,31 @@ class Comparisons:
 
     def __len__(self) -> int:
         return len(self.pairs)
+
+    def with_distinct_segments(self) -> "Comparisons":
+        """Store segments of equal arrays once, however many pairs they are in.
+
+        Many files hold the segments of each pair. As segments of their own, equal ones would be compared with each
+        other again, and a hold-out would have segments of the training pairs. A pair of equal segments, and a pair that
+        occurs again, keep segments of their own: a pair has two segments, and is in a dataset once.
+        """
+        arrays = (self.records.segments.observations, self.records.segments.actions, self.records.segments.mask)
+        arrays = [*arrays, *self.records.extras().values()]
+        first_of: dict[bytes, int] = {}
+        merged = np.array(
+            [
+                first_of.setdefault(sha256(b"".join(array[index].tobytes() for array in arrays)).digest(), index)
+                for index in range(len(self.records))
+            ]
+        )
+        pairs = merged[self.pairs]
+        found: set[tuple[int, int]] = set()
+        for index, (first, second) in enumerate(pairs.tolist()):
+            if first == second or (first, second) in found:
+                pairs[index] = self.pairs[index]
+            found.add((first, second))
+        kept = np.unique(np.concatenate([merged, pairs.reshape(-1)]))
+        return Comparisons(self.records.take(kept), np.searchsorted(kept, pairs), self.labels)
 
     def dataset(self) -> PreferenceDataset:
         """The pairs that were not skipped, for training.

@@ -153,7 +153,10 @@ def test_truncated_and_unsafe_pickles_are_refused(tmp_path, name):
 def test_files_of_both_projects_are_found(tmp_path):
     for names in (
         ("label_human", "indices_num500_q100", "indices_2_num500_q100"),
-        ("x_num_2000_len_200_human_labels.pkl", "x_num_2000_len_200_indices.pkl", "x_num_2000_len_200_indices_2.pkl"),
+        tuple(
+            f"{what}_domain_mujoco_env_halfcheetah-medium-v2_num_2000_len_200_7d2759ef.pkl"
+            for what in ("human_label", "indices_1", "indices_2")
+        ),
     ):
         folder = tmp_path / names[0]
         folder.mkdir()

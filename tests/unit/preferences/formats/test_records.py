@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapt.errors import ShapeError
-from mapt.preferences.formats.records import Episode, concatenate, cut_segments, episodes_of, save_records
+from mapt.preferences.formats.records import Comparisons, Episode, concatenate, cut_segments, episodes_of, save_records
 from support.comparisons import assert_same_episodes, assert_same_segments, everything_in, made_episodes, made_records
 
 
@@ -101,3 +101,21 @@ def test_records_of_different_lengths_are_padded():
     assert joined.lengths.tolist() == [3, 3, 5]
     np.testing.assert_array_equal(joined.rewards[:2, :3], first.rewards)
     np.testing.assert_array_equal(joined.rewards[2], second.rewards[0])
+
+
+def test_a_segment_of_several_pairs_is_stored_once():
+    distinct = made_records(3)
+    # A pair occurs twice, and one has equal segments.
+    pairs, labels = [(0, 1), (1, 2), (0, 1), (2, 2), (1, 0)], np.array([1, 0, 0.5, 0.5, 0], dtype=np.float32)
+    first, second = np.array(pairs).T
+    made = Comparisons.of_pairs(distinct.take(first), distinct.take(second), labels)
+    found = made.with_distinct_segments()
+    assert (len(made.records), len(found.records)) == (10, 3 + 2 + 1)
+    for side in (0, 1):
+        assert_same_segments(
+            found.records.segments.take(found.pairs[:, side]), distinct.segments.take((first, second)[side])
+        )
+        np.testing.assert_array_equal(found.records.qpos[found.pairs[:, side]], distinct.qpos[(first, second)[side]])
+    assert found.labels.tolist() == labels.tolist()
+    assert len(found.dataset()) == len({tuple(pair) for pair in found.pairs.tolist()}) == len(pairs)
+    assert found.pairs[0, 1] == found.pairs[1, 0] == found.pairs[4, 0]
