@@ -199,7 +199,13 @@ PAGES = (
         _with_history,
     ),
     Picture("experiments", "Experiments", "All experiments with their progress and results.", lambda s: "/"),
-    Picture("import", "Import", "An exported experiment becomes a new one.", lambda s: "/", prepare=_with_import),
+    Picture(
+        "import",
+        "Import",
+        "An export, or a file of another program, becomes an experiment.",
+        lambda s: "/",
+        prepare=_with_import,
+    ),
     Picture(
         "new-experiment", "New experiment", "Every setting with its range and default.", lambda s: "/experiments/new"
     ),

@@ -10,10 +10,10 @@ from browser.accessibility import violations_of
 from browser.fixture_types import NewExperiment, SignIn
 from browser.labeller import PATIENCE_MS, Labeller
 from browser.service import SMALL, Service
-from mapt.preferences.formats.d4rl import write_d4rl
+from mapt.preferences.formats.d4rl import read_d4rl, write_d4rl
 from mapt.preferences.formats.records import Episode
 from mapt.tasks import task_spec
-from support.waiting import PATIENCE_SECONDS
+from support.waiting import PATIENCE_SECONDS, until
 
 
 def test_a_read_only_link_works_without_an_account_until_it_is_revoked(
@@ -46,7 +46,7 @@ def test_a_read_only_link_works_without_an_account_until_it_is_revoked(
     context.close()
 
 
-def test_an_imported_pair_of_another_program_is_labelled_in_the_browser(
+def test_data_of_another_program_are_imported_exported_and_labelled_in_the_browser(
     service: Service, researcher: str, sign_in: SignIn, tmp_path: Path
 ) -> None:
     recorded = tmp_path / "recorded.hdf5"
@@ -65,6 +65,19 @@ def test_an_imported_pair_of_another_program_is_labelled_in_the_browser(
     form.get_by_role("button", name="Import").click()
     expect(page.get_by_role("heading", name="From D4RL")).to_be_visible(timeout=PATIENCE_MS)
     imported = page.url.rpartition("/")[2]
+
+    page.get_by_label("Format").select_option("imitation")
+    page.get_by_role("button", name="Export").click()
+    expect(page.get_by_role("alert")).to_contain_text("the experiment has none yet")
+    page.get_by_label("Format").select_option("D4RL")
+    with page.expect_download(timeout=PATIENCE_MS) as download:
+        page.get_by_role("button", name="Export").click()
+    expect(page.get_by_role("alert")).to_have_count(0)
+    assert download.value.suggested_filename == f"{imported}.hdf5"
+    exported = list(read_d4rl(download.value.path()))
+    given = [episode.qpos[first : first + 20] for episode in _episodes() for first in (0, 20)]
+    assert sorted(each.qpos.tobytes() for each in exported) == sorted(each.tobytes() for each in given)
+
     page.get_by_role("button", name="Resume").click()
     page.get_by_role("dialog").get_by_role("button", name="Resume").click()
     expect(page.get_by_role("button", name="Pause")).to_be_visible(timeout=PATIENCE_MS)
@@ -72,7 +85,7 @@ def test_an_imported_pair_of_another_program_is_labelled_in_the_browser(
     labeller = Labeller(page)
     labeller.open(service.url, imported)
     query = labeller.press("ArrowLeft").query
-    stored = service.rows("select state, value from labels where query_id = ?", query)
+    stored = until(lambda: service.rows("select state, value from labels where query_id = ?", query), "a stored label")
     with service.api(researcher) as api:
         api.post(f"/experiments/{imported}/cancel")
     [(state, value)] = stored

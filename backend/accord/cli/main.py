@@ -31,6 +31,7 @@ app = make_app(
             "import_experiment",
             "Import an exported experiment, or segments and labels of another program.",
         ),
+        "push": LazyCommand("accord.cli.push", "push", "Upload a reward version to the Hugging Face Hub."),
         "verify": LazyCommand("accord.cli.verify", "verify", "Check that the database and the blobs are complete."),
         "backup": LazyCommand("accord.cli.backup", "backup", "Write a backup of the database and the blobs."),
         "restore": LazyCommand("accord.cli.backup", "restore", "Restore a backup into a new home folder."),

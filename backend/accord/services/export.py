@@ -20,7 +20,7 @@ from accord.store import exports
 from accord.store.blobs import BlobStore
 from accord.store.exports import ExportedLabel, ExportedQuery, ExportedSegment
 from accord.store.tables import ExperimentRow, RewardVersionRow, utc_now
-from mapt.errors import AlreadyExists, PreferenceError
+from mapt.errors import AlreadyExists, NotEnoughPairs, PreferenceError
 from mapt.preferences.dataset import SegmentArrays
 from mapt.preferences.formats import writing as formats
 from mapt.preferences.formats.reading import ForeignFormat
@@ -123,8 +123,14 @@ def write_as(
             formats.write_foreign(
                 path, PreferenceTables.open(tables), format, discrete=spec.discrete_actions, name=name
             )
+    except NotEnoughPairs as error:
+        raise Invalid(
+            f"A file of the format {format!r} consists of labelled pairs, and the experiment has none yet. Choose "
+            "another format."
+        ) from error
     except PreferenceError as error:
-        raise Invalid(str(error).replace(f"{path.parent}/", "")) from error
+        message = str(error).replace(str(path), f"A file of the format {format!r}").replace(f"{path.parent}/", "")
+        raise Invalid(f"{message} Choose another format.") from error
     except OSError as error:
         raise Unavailable(f"{path} cannot be written: {error.strerror}. Choose another path.") from error
 

@@ -12,6 +12,10 @@ Repository = Annotated[
     str, typer.Argument(metavar="REPOSITORY", help="Model repository of the Hub: ORGANISATION/NAME.")
 ]
 
+Private = Annotated[
+    bool, typer.Option("--private", help="Make a new repository private.  [default: as the organisation sets]")
+]
+
 
 def push(
     path: Annotated[
@@ -19,9 +23,7 @@ def push(
     ],
     repo_id: Repository,
     *,
-    private: Annotated[
-        bool, typer.Option("--private", help="Make a new repository private.  [default: as the organisation sets]")
-    ] = False,
+    private: Private = False,
 ) -> None:
     """Upload a reward model, a run or a policy to the Hugging Face Hub.
 

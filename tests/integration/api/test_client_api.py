@@ -23,6 +23,8 @@ from mapt.rewards.config import RewardConfig
 from mapt.rewards.registry import build_reward_model
 from mapt.training.policy_checkpoint import PolicyCheckpoint
 from support.api_in_thread import ApiServer
+from support.hub_server import TOKEN as HUB_TOKEN
+from support.hub_server import hub_server
 from support.sample_experiments import STEPS, create_sample, make_clips, segment
 from support.waiting import until
 
@@ -71,6 +73,31 @@ def test_models_are_downloaded_as_the_library_reads_them(api: ApiServer, client:
     assert mapt.load_policy(tmp_path / "policy.safetensors", task).policy.spec.name == TASK
     task.close()
     assert [version.number for version in client.reward_versions(sample.experiment.id)] == [1]
+
+
+def test_a_reward_version_is_pushed_to_the_hub(api: ApiServer, client: Client, tmp_path: Path) -> None:
+    sample = create_sample(api.stores.database, api.stores.blobs)
+    store_models(api, sample.experiment.id)
+    with hub_server() as server:
+        environment = os.environ | {
+            "ACCORD_TOKEN": api.tokens[Role.RESEARCHER],
+            "HF_ENDPOINT": server.url,
+            "HF_HOME": str(tmp_path),
+            "HF_TOKEN": HUB_TOKEN,
+            "HF_HUB_DISABLE_XET": "1",
+            "HF_HUB_DISABLE_PROGRESS_BARS": "1",
+        }
+        line = ["accord.cli", "push", "team/cheetah", "--experiment", sample.experiment.id, "--url", api.url]
+        done = subprocess.run(
+            [sys.executable, "-m", *line], env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        repository = server.repositories["team/cheetah"]
+    pushed = repository.commits[repository.head]
+    assert "trained with Accord" in pushed["README.md"].decode()
+    client.download_reward(sample.experiment.id, tmp_path / "reward")
+    for name in ("reward.safetensors", "reward.json"):
+        assert pushed[name] == (tmp_path / "reward" / name).read_bytes()
 
 
 def test_a_function_of_two_segments_labels_an_experiment(api: ApiServer, client: Client, tmp_path: Path) -> None:

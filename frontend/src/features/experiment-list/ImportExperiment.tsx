@@ -7,6 +7,7 @@ import { sendFile } from "@/shared/api/transfer";
 import type { Experiment } from "@/shared/api/types";
 import { paths } from "@/shared/routing/paths";
 import { navigate } from "@/shared/routing/router";
+import { FOREIGN_FORMATS } from "@/shared/ui/foreignFormats";
 import { Alert } from "@/shared/ui/Message";
 import { ProgressBar } from "@/shared/ui/ProgressBar";
 
@@ -26,26 +27,26 @@ const FORMATS: Record<Format, FormatText> = {
     help: "Choose the ZIP file of an export. The new experiment begins with its settings, segments and labels.",
   },
   mapt: {
-    title: "MAPT, reference code",
+    title: FOREIGN_FORMATS.mapt,
     help: "Choose its pickle of labelled pairs.",
   },
   imitation: {
-    title: "imitation",
+    title: FOREIGN_FORMATS.imitation,
     help: "Choose a pickle of its PreferenceDataset, or a ZIP file of saved trajectories, which become pairs to label.",
     episodes: true,
   },
   offline: {
-    title: "Preference Transformer, Clean-Offline-RLHF",
+    title: FOREIGN_FORMATS.offline,
     help: "Choose a ZIP file with the D4RL file and the three pickles of labels.",
     episodes: true,
   },
   minari: {
-    title: "Minari",
+    title: FOREIGN_FORMATS.minari,
     help: "Choose a ZIP file of the dataset's folder. Its episodes become pairs to label.",
     episodes: true,
   },
   d4rl: {
-    title: "D4RL",
+    title: FOREIGN_FORMATS.d4rl,
     help: "Choose an HDF5 file. Its episodes become pairs to label.",
     episodes: true,
   },
