@@ -221,6 +221,7 @@ def _on_ray(address: str, ready: Ready, specs: Sequence[ChildSpec], status: Work
         address,
         [replace(spec, environment={**spec.environment, **own}) for spec in specs],
         settings,
+        settings.home / "logs",
         status.record_death,
         demand=demand if settings.ray_autoscale else None,
     )

@@ -1,7 +1,8 @@
 """Keeps workers running as actors of a Ray cluster: one for each role and slot, which runs the loop of that worker.
 
 Ray places an actor on a node with room, and starts it again elsewhere when its process or its node dies. The rows hold
-the work, so a dead actor is an expired lease and nothing more. `RaySupervisor` has the interface of `Supervisor`.
+the work, so a dead actor is an expired lease and nothing more. `RaySupervisor` has the interface of `Supervisor`, and
+writes the same logs: actors send it what they write to theirs.
 """
 
 import logging
@@ -9,21 +10,24 @@ import os
 import random
 import secrets
 import signal
+import socket
+import stat
 import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from pathlib import Path
+from typing import Any, BinaryIO
 
 from accord.domain.enums import WorkerRole
 from accord.services import workers
 from accord.settings import Settings
 from accord.store.database import Database
 from accord.workers.runner import Backoff, Stop
-from accord.workers.supervisor import ChildSpec, Death
+from accord.workers.supervisor import LOG_BYTES, ChildSpec, Death, last_line, rotate
 from mapt.cluster import connect, here, load_ray, task_environment
 from mapt.processes import uncollected_imports
 
@@ -31,61 +35,108 @@ log = logging.getLogger(__name__)
 
 #: a loop that ran this long has recovered: its next failure counts as the first in a row
 _RECOVERED_SECONDS = 30.0
-#: interval at which actors ask whether they should stop
-_STOP_POLL_SECONDS = 0.5
+#: interval at which actors send their logs and ask whether they should stop, and at which the logs are written
+_REPORT_SECONDS = 0.5
+#: most of a worker's log that waits to be written; what is older is lost
+_WAITING_LOG_BYTES = 1_000_000
 #: interval at which the number of workers is compared with what is due
 _SCALE_SECONDS = 5.0
 #: a worker is stopped when there was too little for it to do for this long
 _IDLE_SECONDS = 60.0
 
 
-class _Stops:
-    """An actor beside the supervisor: which actors should stop, by the key that the supervisor gave them."""
+class _Reports:
+    """An actor beside the supervisor, to which workers report: it takes their logs, and knows which should stop."""
 
     def __init__(self) -> None:
-        self._keys: set[str] = set()
+        self._stopping: set[str] = set()
+        #: by the name of the worker: what was not written yet, and the last line
+        self._logs: dict[str, bytes] = {}
+        self._last_lines: dict[str, str] = {}
 
-    def add(self, key: str) -> None:
-        self._keys.add(key)
+    def stop(self, key: str) -> None:
+        """Let the actor stop to which the supervisor gave this key."""
+        self._stopping.add(key)
 
-    def contains(self, key: str) -> bool:
-        return key in self._keys
+    def report(self, name: str, key: str, log: bytes) -> bool:
+        """Take what a worker has added to its log. Returns whether it should stop."""
+        if log:
+            self._logs[name] = (self._logs.get(name, b"") + log)[-_WAITING_LOG_BYTES:]
+            self._last_lines[name] = last_line(log) or self.last_line(name)
+        return key in self._stopping
+
+    def take_logs(self) -> dict[str, bytes]:
+        """What workers added to their logs since the last call, by name."""
+        taken, self._logs = self._logs, {}
+        return taken
+
+    def last_line(self, name: str) -> str:
+        """The last line of a worker's log; empty if there is none."""
+        return self._last_lines.get(name, "")
 
 
 class _WorkerActor:
     """A worker in a process of the cluster. It runs on the main thread, as in a process of its own."""
 
-    def __init__(self, spec: ChildSpec, key: str, stops: Any) -> None:
-        self._spec, self._key, self._stops = spec, key, stops
+    def __init__(self, spec: ChildSpec, key: str, reports: Any) -> None:
+        self._spec, self._key, self._reports = spec, key, reports
+        self._log: BinaryIO | None = None
 
     def run(self) -> int:
         """Work until the supervisor says to stop, or has ended. Returns the exit status of the worker."""
         ray, spec = load_ray(), self._spec
         os.environ.update(spec.environment)
         os.nice(spec.nice)
+        node = f"{socket.gethostname()}, node {ray.get_runtime_context().get_node_id()[:8]}"
         if ray.get_runtime_context().was_current_actor_reconstructed:
-            _record_restart(spec, ray.get_runtime_context().get_node_id())
-        threading.Thread(target=self._stop_when_told, args=(ray,), name="stops", daemon=True).start()
+            _record_restart(spec, node, ray.get(self._reports.last_line.remote(spec.name)))
+        self._log = _own_log()
+        print(f"{spec.name} starts on {node}", file=sys.stderr, flush=True)
+        threading.Thread(target=self._report_until_told_to_stop, args=(ray,), name="reports", daemon=True).start()
         module, *arguments = spec.arguments
         sys.argv = [module, *arguments]
         with uncollected_imports():
             worker = import_module(module)
-        return worker.main()
-
-    def _stop_when_told(self, ray: Any) -> None:
         try:
-            while not ray.get(self._stops.contains.remote(self._key)):
-                time.sleep(_STOP_POLL_SECONDS)
+            return worker.main()
+        finally:
+            with suppress(ray.exceptions.RayError):  # the supervisor has ended
+                self._report(ray)
+
+    def _report_until_told_to_stop(self, ray: Any) -> None:
+        try:
+            while not self._report(ray):
+                time.sleep(_REPORT_SECONDS)
         except ray.exceptions.RayError:
             log.warning("The supervisor of %s has ended", self._spec.name)
         os.kill(os.getpid(), signal.SIGTERM)
 
+    def _report(self, ray: Any) -> bool:
+        """Send what was added to the log. Returns whether this worker should stop."""
+        added = self._log.read() if self._log is not None else b""
+        return ray.get(self._reports.report.remote(self._spec.name, self._key, added))
 
-def _record_restart(spec: ChildSpec, node: str) -> None:
-    """Count in the worker's row that Ray has started it again."""
+
+def _own_log() -> BinaryIO | None:
+    """What this process writes to standard error from now on, which Ray directs to a file; None if it is no file."""
+    if not stat.S_ISREG(os.fstat(2).st_mode):
+        return None
+    file = open("/dev/fd/2", "rb")  # noqa: SIM115  (as long as the process)
+    file.seek(0, os.SEEK_END)
+    return file
+
+
+def _record_restart(spec: ChildSpec, node: str, logged: str) -> None:
+    """Count in the worker's row that Ray has started it again.
+
+    Args:
+        logged: the last line that it logged.
+    """
     settings = Settings()
+    detail = f"Its process or node died; it starts again on {node}."
+    if logged:
+        detail += f" Last line of its log: {logged}"
     with closing(Database.open(settings.resolved_database_url)) as database, database.transaction() as session:
-        detail = f"Its process or node died; it starts again on node {node[:8]}."
         workers.count_restart(session, settings.worker_id(spec.name), WorkerRole(spec.role), detail)
 
 
@@ -95,7 +146,7 @@ class _Slot:
 
     spec: ChildSpec
     actor: Any = None
-    #: of the actor, for `_Stops`
+    #: of the actor, for `_Reports`
     key: str = ""
     #: of the call of its loop; None without an actor
     loop: Any = None
@@ -116,6 +167,7 @@ class RaySupervisor:
     Args:
         address: see `RayCluster`.
         specs: of workers. Their slots are numbered from 0 in each role.
+        log_folder: gets a log for each worker, as that of a process of this machine.
         demand: number of workers of each role that have something to do; None runs all specs all the time.
 
     Raises:
@@ -127,22 +179,26 @@ class RaySupervisor:
         address: str,
         specs: Sequence[ChildSpec],
         settings: Settings,
+        log_folder: Path,
         on_death: Callable[[Death], None],
         *,
         demand: Callable[[], Mapping[WorkerRole, int]] | None = None,
     ) -> None:
         self._ray = connect(address)
-        self._settings, self._on_death, self._demand = settings, on_death, demand
+        self._settings, self._log_folder, self._on_death, self._demand = settings, log_folder, on_death, demand
         self._slots = {spec.name: _Slot(spec) for spec in specs}
-        self._stops = self._ray.remote(_Stops).options(num_cpus=0, scheduling_strategy=here(self._ray)).remote()
+        self._reports = self._ray.remote(_Reports).options(num_cpus=0, scheduling_strategy=here(self._ray)).remote()
         self._backoff, self._rng = Backoff(), random.Random()
         #: (name, process id) of those that were killed because they hung
         self._killed: set[tuple[str, int]] = set()
-        self._next_scale = 0.0
+        self._next_scale = self._next_log = 0.0
 
     def tick(self) -> None:
-        """Start the workers that are due, and handle those whose loop has ended."""
+        """Start the workers that are due, handle those whose loop has ended, and write their logs."""
         now = time.monotonic()
+        if now >= self._next_log:
+            self._next_log = now + _REPORT_SECONDS
+            self._write_logs()
         if self._demand is not None and now >= self._next_scale:
             self._next_scale = now + _SCALE_SECONDS
             self._scale(self._demand(), now)
@@ -171,11 +227,12 @@ class RaySupervisor:
         """
         running = [slot for slot in self._slots.values() if slot.loop is not None]
         for slot in running:
-            self._stops.add.remote(slot.key)
+            self._reports.stop.remote(slot.key)
         deadline = time.monotonic() + grace_seconds
         alive = running
         while alive and time.monotonic() < deadline and not stop.immediate:
             alive = [slot for slot in alive if not self._ray.wait([slot.loop], timeout=0.05)[0]]
+        self._write_logs()
         for slot in running:
             self._ray.kill(slot.actor)
         self._slots = {}
@@ -191,7 +248,7 @@ class RaySupervisor:
         environment = {"env_vars": task_environment(threads)}
         actor = self._ray.remote(_WorkerActor).options(**options, num_cpus=threads, runtime_env=environment)
         slot.key = secrets.token_hex(4)
-        slot.actor = actor.remote(slot.spec, slot.key, self._stops)
+        slot.actor = actor.remote(slot.spec, slot.key, self._reports)
         slot.loop, slot.started_at, slot.stopping = slot.actor.run.remote(), now, False
 
     def _gpus(self, role: WorkerRole) -> float:
@@ -199,11 +256,13 @@ class RaySupervisor:
         return {WorkerRole.POLICY: settings.ray_policy_gpus, WorkerRole.REWARD: settings.ray_reward_gpus}.get(role, 0.0)
 
     def _handle_end(self, slot: _Slot, now: float) -> None:
+        self._write_logs()
         try:
             reason = f"Its loop ended with status {self._ray.get(slot.loop)}"
         except self._ray.exceptions.RayError as error:
-            lines = str(error).strip().splitlines()
-            reason = f"Its loop failed: {lines[-1] if lines else type(error).__name__}"
+            failure = str(error).encode()
+            self._append(slot.spec.name, failure + b"\n")
+            reason = f"Its loop failed: {last_line(failure) or type(error).__name__}"
         self._ray.kill(slot.actor)
         slot.actor = slot.loop = None
         if slot.stopping:
@@ -214,6 +273,18 @@ class RaySupervisor:
         slot.due_at = now + pause
         spec = slot.spec
         self._on_death(Death(spec.name, spec.role, f"{reason}. It restarts in {pause:.1f} s.", slot.restarts))
+
+    def _write_logs(self) -> None:
+        with suppress(self._ray.exceptions.RayError):  # the cluster has ended
+            for name, added in self._ray.get(self._reports.take_logs.remote()).items():
+                self._append(name, added)
+
+    def _append(self, name: str, added: bytes) -> None:
+        path = self._log_folder / f"{name}.log"
+        with suppress(OSError):  # a full disk must not end the workers
+            rotate(path, LOG_BYTES)
+            with path.open("ab") as file:
+                file.write(added)
 
     def _scale(self, demand: Mapping[WorkerRole, int], now: float) -> None:
         """Start workers when there is more to do, and stop the last ones of a role that had nothing to do for long."""
@@ -227,4 +298,4 @@ class RaySupervisor:
                     slot.spare_since = now
                 elif slot.loop is not None and not slot.stopping and now - slot.spare_since > _IDLE_SECONDS:
                     slot.stopping = True
-                    self._stops.add.remote(slot.key)
+                    self._reports.stop.remote(slot.key)

@@ -15,7 +15,7 @@ from accord.workers.runner import Backoff, Stop
 from mapt.processes import describe_exit
 
 #: a larger log becomes the older log; together they take at most twice as much
-_LOG_BYTES = 10_000_000
+LOG_BYTES = 10_000_000
 #: a process that ran this long has recovered: its next death counts as the first in a row
 _RECOVERED_SECONDS = 30.0
 
@@ -95,8 +95,13 @@ class Child:
         path = self.log_path if self.log_path.exists() else _older(self.log_path)
         with path.open("rb") as log:
             log.seek(max(0, log.seek(0, os.SEEK_END) - 4096))
-            lines = log.read().decode(errors="replace").strip().splitlines()
-        return lines[-1].strip() if lines else ""
+            return last_line(log.read())
+
+
+def last_line(log: bytes) -> str:
+    """The last line of a log that is not empty; empty if there is none."""
+    lines = log.decode(errors="replace").strip().splitlines()
+    return lines[-1].strip() if lines else ""
 
 
 def rotate(log: Path, limit_bytes: int) -> None:
@@ -149,7 +154,7 @@ class Supervisor:
         *,
         backoff: Backoff | None = None,
         rng: random.Random | None = None,
-        log_bytes: int = _LOG_BYTES,
+        log_bytes: int = LOG_BYTES,
     ) -> None:
         self._log_folder = log_folder
         self._on_death = on_death

@@ -29,7 +29,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def cluster() -> Iterator[Any]:
     """A `ray.cluster_utils.Cluster` with a head without cores and no other node."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("RAY_worker_niceness", "5")
+        # By default, Ray's workers come after all other programs.
+        patch.setenv("RAY_worker_niceness", "0")
         # A node that is killed counts as dead after half a second of silence times five, instead of half a minute.
         patch.setenv("RAY_health_check_period_ms", "500")
         patch.setenv("RAY_health_check_initial_delay_ms", "500")

@@ -1,6 +1,7 @@
 """`accord up --ray` on a cluster with a node for each role, of which one is lost while the policy trains."""
 
 import os
+import socket
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -18,27 +19,33 @@ from accord.workers.ray_supervisor import RaySupervisor
 from accord.workers.runner import Stop
 from accord.workers.supervisor import ChildSpec, Death
 from integration.cluster.conftest import NODE
-from support.store_fixtures import postgres_server
+from support.s3_server import S3Server
+from support.store_fixtures import postgres_server, s3_server
 from support.stores import PostgresServer, migrated_postgres_database
 from support.waiting import until
 
-__all__ = ["postgres_server"]
+__all__ = ["postgres_server", "s3_server"]
 
-BUDGET = 12
-#: one reward version, so that the policy's curve depends on nothing but the rows
+N_ITERATIONS = 40
+#: labels of each reward version
+VERSIONS = [8, 10, 12]
 EXPERIMENT: dict[str, Any] = {
-    "label_budget": BUDGET,
-    "initial_labels": BUDGET,
-    "total_steps": 60 * STEPS_PER_ITERATION,
+    "label_budget": VERSIONS[-1],
+    "initial_labels": VERSIONS[0],
+    "labels_per_version": 2,
+    "lookahead_queries": 1,
+    "total_steps": N_ITERATIONS * STEPS_PER_ITERATION,
 }
 
 
 @pytest.fixture
-def database(postgres_server: PostgresServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Database]:
-    """A database and a folder of blobs that all nodes share, which the environment names."""
+def database(
+    postgres_server: PostgresServer, s3_server: S3Server, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Database]:
+    """A database and a bucket that all nodes reach, which the environment names."""
     with migrated_postgres_database(postgres_server.url, "ray") as url, closing(Database.open(url)) as opened:
         monkeypatch.setenv("ACCORD_DATABASE_URL", url)
-        monkeypatch.setenv("ACCORD_BLOB_URL", f"file://{tmp_path}/blobs")
+        monkeypatch.setenv("ACCORD_BLOB_URL", s3_server.url("ray"))
         yield opened
 
 
@@ -57,6 +64,30 @@ def iterations(database: Database, id: str) -> int:
     return len({step for step, name, _ in curve(database, id) if name == "learned_return"})
 
 
+def versions(database: Database, id: str) -> list[int]:
+    """Labels of each reward version."""
+    statement = "SELECT label_count FROM reward_versions WHERE experiment_id = :id ORDER BY number"
+    return [labels for (labels,) in rows(database, statement, id=id)]
+
+
+def details_of_restarts(database: Database) -> list[str]:
+    """What the page shows of the workers that start again."""
+    return [detail for (detail,) in rows(database, "SELECT detail FROM workers WHERE state = 'restarting'")]
+
+
+def label_when_due(database: Database, client: Client, id: str) -> dict[str, float]:
+    """Label a pair if the policy waits for it and the next pair is there, so that timing does not decide the pairs.
+
+    Returns:
+        The label that the service acknowledged, if any.
+    """
+    statement = "SELECT status, count(*) FROM queries WHERE experiment_id = :id GROUP BY status"
+    counts: dict[str, int] = dict(rows(database, statement, id=id))
+    is_next_there = counts.get("open", 0) > 1 or sum(counts.values()) == VERSIONS[-1]
+    waits = client.experiment(id)["waiting_for"] == "labels"
+    return client.label_some(id, most=1) if waits and is_next_there else {}
+
+
 def test_an_experiment_goes_on_when_the_node_of_its_policy_is_lost(
     cluster: Any, database: Database, tmp_path: Path
 ) -> None:
@@ -71,24 +102,33 @@ def test_an_experiment_goes_on_when_the_node_of_its_policy_is_lost(
             id = client.create_experiment(**EXPERIMENT, name=name)
             acknowledged: dict[str, float] = {}
 
-            def enough(id: str = id, acknowledged: dict[str, float] = acknowledged) -> bool:
-                acknowledged.update(client.label_some(id))
-                return len(acknowledged) >= BUDGET
+            def second_version(id: str = id, acknowledged: dict[str, float] = acknowledged) -> bool:
+                acknowledged.update(label_when_due(database, client, id))
+                return len(versions(database, id)) >= 2
 
-            until(enough, "the labels")
+            def finished(id: str = id, acknowledged: dict[str, float] = acknowledged) -> bool:
+                acknowledged.update(label_when_due(database, client, id))
+                return client.experiment(id)["status"] == "finished"
+
+            until(second_version, "the second reward version")
             if name == "disturbed":
-                until(lambda id=id: iterations(database, id) >= 5, "some iterations")
                 cluster.remove_node(nodes["policy"], allow_graceful=False)
-                assert iterations(database, id) < 60
+                assert 1 <= iterations(database, id) < N_ITERATIONS
                 nodes["policy"] = cluster.add_node(**NODE, resources={"policy": 1})
-            until(lambda id=id: client.experiment(id)["status"] == "finished", "the experiment finishes")
+                # For as long as the new process takes to import torch.
+                [detail] = until(lambda: details_of_restarts(database), "the policy worker starts again")
+                assert "Last line of its log: " in detail
+            until(finished, "the experiment finishes")
             stored = rows(database, "SELECT query_id, value FROM labels WHERE experiment_id = :id", id=id)
             assert acknowledged == dict(stored)
+            assert versions(database, id) == VERSIONS
             curves.append(curve(database, id))
-        assert iterations(database, id) == 60
+        assert iterations(database, id) == N_ITERATIONS
         assert curves[0] == curves[1]
         workers = {worker["id"]: worker["restarts"] for worker in client.request("GET", "/workers")}
         assert workers == {"policy-0@lab": 1, "render-0@lab": 0, "reward-0@lab": 0}
+        log = (tmp_path / "web" / "logs" / "policy-0.log").read_text()
+        assert log.count(f"policy-0 starts on {socket.gethostname()}, node ") == 2
         running = [pid for (pid,) in rows(database, "SELECT pid FROM workers")]
         accord.kill_everything()
         until(lambda: not any(map(psutil.pid_exists, running)), "the actors of the killed supervisor end")
@@ -99,7 +139,7 @@ def test_an_experiment_goes_on_when_the_node_of_its_policy_is_lost(
 
 
 def test_workers_start_and_stop_with_what_is_due_and_a_failing_one_restarts(
-    cluster: Any, monkeypatch: pytest.MonkeyPatch
+    cluster: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """The loops fail at once, because there is no such module."""
     node = cluster.add_node(**NODE | {"num_cpus": 2})
@@ -107,7 +147,7 @@ def test_workers_start_and_stop_with_what_is_due_and_a_failing_one_restarts(
     due = {WorkerRole.RENDER: 1}
     deaths: list[Death] = []
     specs = [ChildSpec(f"render-{slot}", ("nowhere", "--slot", str(slot)), role="render") for slot in range(2)]
-    supervisor = RaySupervisor(cluster.address, specs, Settings(), deaths.append, demand=lambda: due)
+    supervisor = RaySupervisor(cluster.address, specs, Settings(), tmp_path, deaths.append, demand=lambda: due)
 
     def died(name: str) -> bool:
         supervisor.tick()
@@ -119,4 +159,7 @@ def test_workers_start_and_stop_with_what_is_due_and_a_failing_one_restarts(
     due[WorkerRole.RENDER] = 7
     until(lambda: died("render-1"), "the second worker's failure")
     assert supervisor.shutdown(Stop()) == []
+    logged = (tmp_path / "render-0.log").read_text()
+    assert logged.startswith(f"render-0 starts on {socket.gethostname()}, node {node.node_id[:8]}")
+    assert logged.endswith("ModuleNotFoundError: No module named 'nowhere'\n")
     cluster.remove_node(node)

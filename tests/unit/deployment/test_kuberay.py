@@ -1,5 +1,6 @@
 """The manifests for KubeRay. No machine of ours runs Kubernetes: fields are compared with those that it publishes."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -85,3 +86,24 @@ def test_each_role_has_a_group_with_room_for_its_workers() -> None:
         assert group["maxReplicas"] * slots >= int(settings[f"ACCORD_{role.upper()}_WORKERS"])
     selected = MANIFESTS["workers.yaml"]["spec"]["clusterSelector"]
     assert selected == {"ray.io/cluster": MANIFESTS["cluster.yaml"]["metadata"]["name"]}
+
+
+def test_the_rules_that_the_operator_checks_hold() -> None:
+    for manifest in all_of():
+        assert re.fullmatch("[a-z]([-a-z0-9]{0,46}[a-z0-9])?", manifest["metadata"]["name"])
+        if manifest["kind"] == "RayJob":
+            spec = manifest["spec"]
+            # A job on an existing cluster has neither retries nor a cluster that ends with it.
+            of_own_cluster = {"rayClusterSpec", "backoffLimit", "shutdownAfterJobFinishes", "ttlSecondsAfterFinished"}
+            assert ("clusterSelector" in spec) != bool(of_own_cluster & spec.keys())
+            assert ("clusterSelector" in spec) != ("rayClusterSpec" in spec)
+    for cluster in clusters():
+        for group in cluster["workerGroupSpecs"]:
+            assert 0 <= group["minReplicas"] <= group["maxReplicas"]
+        for group in (cluster["headGroupSpec"], *cluster["workerGroupSpecs"]):
+            # Resources are in the parameters of Ray; the operator refuses them in both places.
+            assert "resources" not in group
+            pod = group["template"]["spec"]
+            volumes = {volume["name"] for volume in pod.get("volumes", [])}
+            for container in pod["containers"]:
+                assert {mount["name"] for mount in container.get("volumeMounts", [])} <= volumes
