@@ -75,7 +75,9 @@ class ProgressBars:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._progress.stop()
+        # Before version 14.3, rich prints an empty line when a display that is not drawn stops.
+        if not self._progress.disable:
+            self._progress.stop()
 
     def add(self, job: Hashable, name: str, total: float, done: float = 0.0) -> None:
         """Add the bar of a job."""
