@@ -1,10 +1,12 @@
 """One version: of the package, the commands, the API, the page, the citation and the changelog."""
 
 import json
+import os
 import re
 import subprocess
 import sys
 import tomllib
+import zipfile
 from importlib.metadata import version
 from pathlib import Path
 
@@ -40,3 +42,29 @@ def test_the_citation_has_it() -> None:
 def test_the_newest_entry_of_the_changelog_is_about_it() -> None:
     versions = re.findall(r"^## \[(.+?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert versions[0] == VERSION
+
+
+@pytest.mark.slow
+def test_a_wheel_and_what_is_installed_from_it_have_it(tmp_path: Path) -> None:
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    subprocess.run([*pip, "wheel", "--no-deps", "--wheel-dir", tmp_path, ROOT], check=True)
+    wheel = tmp_path / f"accord-{VERSION}-py3-none-any.whl"
+    with zipfile.ZipFile(wheel) as file:
+        metadata = file.read(f"accord-{VERSION}.dist-info/METADATA").decode()
+        assert "accord/static/index.html" in file.namelist()
+    assert f"\nVersion: {VERSION}\n" in metadata
+
+    installed = tmp_path / "installed"
+    subprocess.run([*pip, "install", "--no-deps", "--target", installed, wheel], check=True)
+
+    def run(*line: str) -> str:
+        environment = os.environ | {"PYTHONPATH": str(installed)}
+        return subprocess.run(
+            [sys.executable, *line], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        ).stdout
+
+    assert run("-c", "import accord, mapt; print(accord.__file__, mapt.__file__)").count(str(installed)) == 2
+    assert run("-m", "accord.cli", "--version") == f"accord {VERSION}\n"
+    assert run("-m", "mapt.cli", "--version") == f"mapt {VERSION}\n"
+    run("-m", "accord.api.openapi", "openapi.json")
+    assert json.loads((tmp_path / "openapi.json").read_text())["info"]["version"] == VERSION
