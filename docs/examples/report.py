@@ -9,6 +9,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+import torch
 
 from mapt.benchmarks.recorded_dataset import Recording, record_dataset
 from mapt.benchmarks.report import ReportPlan, make_report
@@ -17,6 +18,8 @@ from mapt.rewards.config import RewardConfig, TrainConfig
 from mapt.rewards.trainer import train_reward_model
 
 TASK, STEPS, PAIRS, MODELS = "HalfCheetah-6x1", 100_000, 500, ("MA-MLP", "MAPT")
+# Networks of this size gain little from several threads, which wait for each other where other programs run.
+torch.set_num_threads(1)
 
 # %% [markdown]
 # Segments of a policy while it trains on the true reward, on disk.
