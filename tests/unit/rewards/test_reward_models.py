@@ -20,8 +20,8 @@ from support.tolerance import assert_float32_close
 pytestmark = pytest.mark.numerics
 
 
-def assert_close(actual: torch.Tensor, expected: torch.Tensor) -> None:
-    assert_float32_close(actual.detach(), expected.detach())
+def assert_close(actual: torch.Tensor, expected: torch.Tensor, terms: torch.Tensor | None = None) -> None:
+    assert_float32_close(actual.detach(), expected.detach(), terms=0.0 if terms is None else terms.detach())
 
 
 N, C, A = 3, 4, 2
@@ -85,9 +85,9 @@ def test_padding_does_not_change_outputs(name, lengths, seed):
     output = model(observations, actions, mask)
     for i, length in enumerate(lengths):
         bare = model(*(tensor[i : i + 1, :length] for tensor in (observations, actions, mask)))
-        assert_close(output.score[i], bare.score[0])
+        assert_close(output.score[i], bare.score[0], output.agent_rewards)
         assert_close(output.weights[i, :length], bare.weights[0])
-        assert_close(output.agent_rewards[i, :length], bare.agent_rewards[0])
+        assert_close(output.agent_rewards[i, :length], bare.agent_rewards[0], output.agent_rewards)
 
 
 @names
@@ -155,16 +155,16 @@ def test_policy_rewards_follow_their_equations(name, lengths, seed):
     value, weighted, attended = (
         model.policy_rewards(observations, actions, mask, kind) for kind in ("value", "weighted", "attended")
     )
-    assert_close(value, output.agent_rewards[last])
+    assert_close(value, output.agent_rewards[last], output.agent_rewards)
     times = torch.tensor(lengths) * output.weights[last]
-    assert_close(weighted, times[:, None] * value)
+    assert_close(weighted, times[:, None] * value, output.agent_rewards)
     low, high = ((output.agent_rewards * mask[..., None] + (~mask * far)[..., None]) for far in (1e9, -1e9))
     assert (attended >= low.amin(dim=1) - 1e-4).all()
     assert (attended <= high.amax(dim=1) + 1e-4).all()
     if name not in HAS_STEP_WEIGHTS:
         mean = (output.agent_rewards * mask[..., None]).sum(dim=1) / torch.tensor(lengths)[:, None]
-        assert_close(attended, mean)
-        assert_close(weighted, value)
+        assert_close(attended, mean, output.agent_rewards)
+        assert_close(weighted, value, output.agent_rewards)
 
 
 @names
@@ -174,10 +174,10 @@ def test_score_is_the_weighted_mean_times_the_fraction_of_real_steps(name, lengt
     model, (observations, actions, mask) = random_model(name), inputs_of_lengths(lengths, seed)
     output = model(observations, actions, mask)
     mean = (output.weights * output.rewards).sum(dim=1)
-    assert_close(output.score, mean * torch.tensor(lengths) / 5)
+    assert_close(output.score, mean * torch.tensor(lengths) / 5, output.agent_rewards)
     averaging = build_reward_model(replace(model.config, segment_steps=0)).eval()
     averaging.load_state_dict(model.state_dict())
-    assert_close(averaging(observations, actions, mask).score, mean)
+    assert_close(averaging(observations, actions, mask).score, mean, output.agent_rewards)
     assert (model.config.score, averaging.config.score) == ("sum", "mean")
 
 
