@@ -13,11 +13,7 @@ _IMAGE = "side => document.querySelector(`[data-testid=clip-${side}]`).toDataURL
 def reference_frames(page: Page, side: str) -> list[npt.NDArray[np.uint8]]:
     """The frames of the clip on one side, decoded by FFmpeg: RGB (H,W,3)."""
     url = page.evaluate(
-        """side => {
-          const [left, right] = performance.getEntriesByType("resource").filter(({ name }) => name.endsWith(".mp4"));
-          return (side === "left" ? left : right).name;
-        }""",
-        side,
+        "side => new URL(document.querySelector(`[data-testid=clip-${side}]`).dataset.clip, origin).href", side
     )
     return list(iio.imread(page.request.get(url).body(), plugin="pyav"))
 

@@ -245,8 +245,10 @@ def test_a_label_given_while_signed_out_is_sent_after_signing_in_again(
     page = labeller.page
     pair = labeller.open(service.url, experiment)
     ((user,),) = service.rows("select user_id from presentations where query_id = ?", pair.query)
+    labeller.wait_until_played()
     page.context.clear_cookies()
-    labeller.press("ArrowRight")
+    # At once: the page notices that it is signed out with its next request.
+    page.keyboard.press("ArrowRight")
     expect(page.get_by_role("heading", name="You are signed out")).to_be_visible()
     expect(page.get_by_test_id("kept-labels")).to_contain_text("1 label")
     other_tab = page.context.new_page()

@@ -80,9 +80,10 @@ export interface PlayerSide {
 /**
  * Plays two clips on one clock: every animation frame draws both from the same position.
  *
- * Data attributes make the synchronisation testable. Each canvas has the index of its frame in `data-frame`, and
- * `data-ended` while the shorter clip waits on its last frame. The nearest `[data-pair]` has the number of loops in
- * `data-loops` and the largest distance between the two clips so far, in frames, in `data-max-drift`.
+ * Data attributes make the synchronisation testable. Each canvas has the URL of its clip in `data-clip`
+ * (`usePairPlayer`), the index of its frame in `data-frame`, and `data-ended` while the shorter clip waits on its last
+ * frame. The nearest `[data-pair]` has the number of loops in `data-loops` and the largest distance between the two
+ * clips so far, in frames, in `data-max-drift`.
  */
 export class PairPlayer {
   readonly clock: PairClock;

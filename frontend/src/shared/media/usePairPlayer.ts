@@ -79,6 +79,8 @@ export function usePairPlayer(
     let retryTimer: ReturnType<typeof setTimeout> | undefined;
     const play = ([leftClip, rightClip]: [Clip, Clip]) => {
       if (unmounted || !leftCanvas.current || !rightCanvas.current) return;
+      leftCanvas.current.dataset.clip = left.url;
+      rightCanvas.current.dataset.clip = right.url;
       player.current = new PairPlayer(
         { canvas: leftCanvas.current, clip: leftClip },
         { canvas: rightCanvas.current, clip: rightClip },
