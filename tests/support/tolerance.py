@@ -19,6 +19,6 @@ def assert_float32_close(
     Args:
         terms: what the numbers are sums of, where all sums may happen to be small.
     """
-    found, expected = np.asarray(found), np.asarray(expected)
+    found, expected, terms = np.asarray(found), np.asarray(expected), np.asarray(terms)
     scale = float(max(np.abs(expected).max(initial=0.0), np.abs(terms).max(initial=0.0)))
     np.testing.assert_allclose(found, expected, rtol=0, atol=relative * scale)
