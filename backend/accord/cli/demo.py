@@ -22,6 +22,7 @@ from accord.cli.demo_runs import (
     RunPlan,
     RunState,
     check_known,
+    check_plans,
     pause_others,
     run_experiment,
 )
@@ -112,6 +113,7 @@ def demo(
         # Experiments of the default algorithm do not name it.
         policy=own if algorithm == _DEFAULT_ALGORITHM else {"algorithm": algorithm} | own,
     ).plans(choice.title)
+    check_plans(plans, choice.teacher(0))
     folder = output or Path(datetime.now().astimezone().strftime("demo-%Y%m%d-%H%M%S"))
     stop = Stop()
     stop.install()

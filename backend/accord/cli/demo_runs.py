@@ -16,11 +16,14 @@ from accord.cli.teach import TeacherChoice, teach_experiment
 from accord.client import Client
 from accord.domain.enums import ExperimentStatus
 from accord.domain.errors import AccordError, Invalid, Unavailable
+from accord.services.experiment_config import read_config
+from accord.services.experiments import spec_of
 from mapt.cli.output import print_error
 from mapt.errors import RenderingError
 from mapt.io import atomic_write
 from mapt.policies import PolicyConfig
 from mapt.policies.learner import untrained_policy
+from mapt.preferences.teachers import ScriptedTeacher
 from mapt.tasks import task_spec
 from mapt.training.evaluation import evaluate_policy
 from mapt.training.metrics import MetricsFile
@@ -223,6 +226,20 @@ class DemoClients:
     def close(self) -> None:
         self.researcher.close()
         self.teacher.close()
+
+
+def check_plans(plans: Sequence[RunPlan], teacher: ScriptedTeacher) -> None:
+    """Check the settings of every run, before a service is started for them.
+
+    Raises:
+        UnknownTask: if no task has the name.
+        InvalidExperiment: if a setting is unknown or out of its range.
+        InvalidTeacher, MissingArray: if the teacher cannot judge the task.
+    """
+    for plan in plans:
+        spec = spec_of(plan.task)
+        read_config({name: value for name, value in asdict(plan).items() if name != "name"})
+        teacher.check_spec(spec)
 
 
 def check_known(plans: Sequence[RunPlan], known: Mapping[str, Experiment]) -> None:

@@ -269,11 +269,10 @@ def _check_recordings(recordings: Mapping[Path, Recording]) -> None:
 
 
 def _check_teachers(teachers: Sequence[str], task: str) -> None:
-    """Raise UnknownTeacher or InvalidTeacher if there is no such teacher, or it does not suit the task."""
+    """Raise UnknownTeacher, InvalidTeacher or MissingArray for a teacher that is unknown or does not suit the task."""
     for teacher in teachers:
         named = NamedSettings.parse(teacher)
-        discrete = task_spec(task).discrete_actions
-        make_teacher(named.name, seed=0, **named.settings).check_task(task, discrete_actions=discrete)
+        make_teacher(named.name, seed=0, **named.settings).check_spec(task_spec(task))
 
 
 def write(summary: Summary, output: Path) -> list[Path]:

@@ -157,6 +157,9 @@ def train(
         for each in {run.policy.device for _, run in runs}:
             resolve_device(each)
     own = runs if only is None else share(runs, only)
+    if not own:
+        log_line(f"--only {only}: there are {len(runs)} runs, none of which is in this share.")
+        return
     pool, output = job_pool(output, workers, ray, ray_gpus, physics_threads)
     threads = physics_threads or pool.cores_per_job(len(own))
     jobs = [

@@ -138,7 +138,7 @@ def read_stored(source: bytes | Path) -> bytes:
     try:
         return source.read_bytes()
     except FileNotFoundError as error:
-        raise DamagedCheckpoint(f"{source.name} is missing") from error
+        raise DamagedCheckpoint(f"{source} is missing") from error
 
 
 def load_tensors(stored: bytes) -> dict[str, Tensor]:

@@ -88,6 +88,12 @@ def test_tasks_of_an_array_train_each_cell_once(run_file: Path, tmp_path: Path) 
     assert [len(metrics_without_timings(folder)) for folder in runs] == [1, 1, 1, 1]
 
 
+def test_a_task_of_a_larger_array_than_there_are_runs_says_so(run_file: Path, tmp_path: Path) -> None:
+    printed = finish(start(run_file, tmp_path / "none", "--only", "5/12"))
+    assert "--only 5/12" in printed
+    assert not (tmp_path / "none").exists()
+
+
 def test_a_sweep_with_an_impossible_value_leaves_nothing_behind(run_file: Path, tmp_path: Path) -> None:
     process = start(run_file, tmp_path / "none", "--sweep", "hidden=[8],[0]")
     printed, _ = process.communicate(timeout=60)

@@ -5,6 +5,7 @@ import math
 from dataclasses import asdict, replace
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +13,12 @@ from matplotlib.image import imread
 from rich.console import Console
 
 from accord.api.schemas import Experiment
-from accord.cli.demo import rows_of, score_table, table, write_results
+from accord.cli.demo import demo, rows_of, score_table, table, write_results
 from accord.cli.demo_runs import DemoRun, Grid, RunPlan, check_known, write_metrics
 from accord.cli.demo_versions import VersionReport, read_reports, write_reports
 from accord.cli.teach import TeacherChoice
-from accord.domain.errors import Invalid
+from accord.domain.errors import Invalid, InvalidExperiment, UnknownTask
+from mapt.errors import MissingArray
 from mapt.training.evaluation import Evaluation
 from mapt.training.results import RunResult, find_runs, grouped
 from mapt.training.run_folder import RunFolder
@@ -138,6 +140,23 @@ def test_a_run_that_exists_with_other_settings_is_refused():
     check_known([one, other], {one.name: Experiment.model_construct(config=asdict(one))})
     with pytest.raises(Invalid, match=f"total_steps is {STEPS}, not 5000"):
         check_known([replace(one, total_steps=5000), other], {one.name: Experiment.model_construct(config=asdict(one))})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error"),
+    [
+        ({"task": "Nope"}, UnknownTask),
+        ({"models": "MAPTT"}, InvalidExperiment),
+        ({"settings": ["learning_rat=1"]}, InvalidExperiment),
+        ({"teacher": "carry"}, MissingArray),
+    ],
+)
+def test_a_wrong_name_or_setting_is_refused_before_a_service_is_started(
+    tmp_path: Path, wrong: dict[str, Any], error: type[Exception]
+) -> None:
+    with pytest.raises(error):
+        demo(output=tmp_path / "demo", **wrong)
+    assert not (tmp_path / "demo").exists()
 
 
 def test_the_table_has_a_line_for_each_row_and_names_its_columns():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapt.errors import InvalidTeacher, ShapeError, UnknownTeacher
+from mapt.errors import InvalidTeacher, MissingArray, ShapeError, UnknownTeacher
 from mapt.preferences.teachers import (
     PRESETS,
     RULES,
@@ -20,6 +20,7 @@ from mapt.preferences.teachers import (
     make_teacher,
     teacher_names,
 )
+from mapt.tasks import task_spec
 
 MANY = 20_000
 
@@ -426,3 +427,14 @@ def test_a_rule_about_joints_refuses_a_task_whose_agents_choose_among_actions() 
             make_teacher(name).check_task("3m", discrete_actions=True)
         assert "best-second" in str(caught.value)
         assert "return" not in str(caught.value)
+
+
+def test_a_rule_is_refused_where_the_task_lacks_what_it_reads() -> None:
+    cheetah = task_spec("HalfCheetah-6x1")
+    for name in teacher_names():
+        if name != "carry":
+            make_teacher(name).check_spec(cheetah)
+    make_teacher("carry").check_spec(task_spec("Porters-2x8"))
+    for teacher in (make_teacher("carry"), make_teacher("phase", column=99), make_teacher("phase", first_agent=6)):
+        with pytest.raises(MissingArray):
+            teacher.check_spec(cheetah)

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Literal, Protocol, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from mapt.preferences.teachers.rules import (
     WorstWindow,
 )
 from mapt.preferences.teachers.view import Float64s, TeacherView
+
+if TYPE_CHECKING:  # mujoco takes longer to import than `accord teach` to start
+    from mapt.tasks import TaskSpec
 
 
 class Teacher(Protocol):
@@ -182,6 +185,27 @@ class ScriptedTeacher:
                 f"{self._record.get('name', type(self.rule).__name__)} judges how the joints of a robot move, but the "
                 f"agents of {task_name} have none. Teachers for it: {', '.join(suited)}."
             )
+
+    def check_spec(self, spec: "TaskSpec") -> None:
+        """Check that the rule can judge a task and finds what it reads, by scoring segments of zeros.
+
+        Raises:
+            InvalidTeacher: as `check_task`.
+            MissingArray: if the task lacks an array, an agent or a column that the rule reads.
+        """
+        self.check_task(spec.name, discrete_actions=spec.discrete_actions)
+
+        def zeros(*size: int) -> NDArray[np.float64]:
+            return np.zeros((1, 2, *size))
+
+        view = TeacherView(
+            zeros(),
+            observations=zeros(spec.n_agents, spec.observation_dim),
+            actions=zeros(spec.n_agents, spec.action_dim),
+            qpos=zeros(spec.nq),
+            qvel=zeros(spec.nv),
+        )
+        self.rule.scores(view)
 
     def judge(
         self, first: TeacherView, second: TeacherView, left_segments: NDArray[np.integer] | None = None
