@@ -1,9 +1,10 @@
 """Files of imitation 1.0: the pickled `PreferenceDataset`, and trajectories saved by HuggingFace datasets.
 
 A trajectory or fragment has `obs` (T + 1, N, C), `acts` (T, N, A), `rews` (T,), `infos` and `terminal`; with one agent,
-`obs` (T + 1, C) and `acts` (T, A), or indices (T,) of discrete actions. A preference is the probability that the first
-fragment is preferred, as here; there are no skips. Saved trajectories are a folder with an Arrow stream, one row per
-trajectory, which pyarrow reads without the datasets package.
+`obs` (T + 1, C) and `acts` (T, A), or indices (T,) of discrete actions. The dict of a step in the `infos` of a fragment
+may have `qpos` and `qvel`: the simulator's state before the action, as `infos/qpos` of D4RL. A preference is the
+probability that the first fragment is preferred, as here; there are no skips. Saved trajectories are a folder with an
+Arrow stream, one row per trajectory, which pyarrow reads without the datasets package.
 
 Sources: https://github.com/HumanCompatibleAI/imitation, algorithms/preference_comparisons.py, data/types.py and
 data/huggingface_utils.py; `save_to_disk` of datasets.
@@ -13,7 +14,9 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +40,8 @@ from mapt.preferences.formats.records import (
 
 _DATASET = "imitation.algorithms.preference_comparisons.PreferenceDataset"
 _FRAGMENT = "imitation.data.types.TrajectoryWithRew"
+#: of a MuJoCo simulation, in the dicts of `infos`
+_STATES = ("qpos", "qvel")
 _KNOWN = "1 (first preferred), 0 (second preferred), 0.5 (equal), or a probability between"
 
 
@@ -59,7 +64,13 @@ def read_imitation(path: Path | str, *, n_actions: int | None = None, max_bytes:
     for index, label in enumerate(labels.tolist()):
         if not 0 <= label <= 1:
             raise UnknownLabel(path, index, label, _KNOWN)
-    first, second = (_side(path, found, name, len(labels), n_actions) for name in ("fragments1", "fragments2"))
+    sides = [_side(path, found, name, len(labels), n_actions) for name in ("fragments1", "fragments2")]
+    # States of some segments only would give some pairs half of their clips.
+    lacking: dict[str, None] = {
+        name: None for name in _STATES if any(name not in episode.extras() for episode in chain(*sides))
+    }
+    sides = [[replace(episode, **lacking) for episode in side] for side in sides]
+    first, second = map(_segments, sides)
     return Comparisons.of_pairs(first, second, labels)
 
 
@@ -67,7 +78,7 @@ def write_imitation(path: Path | str, comparisons: Comparisons, *, discrete: boo
     """Write comparisons for `PreferenceDataset.load`, without skips.
 
     The observation after the last action is unknown; the last observation is repeated in its place. Unknown rewards
-    are written as 0.
+    are written as 0. Known simulator states are in `infos`.
 
     Args:
         discrete: actions are one-hot, to be written as indices (T, N).
@@ -98,17 +109,46 @@ def _fragment(episode: Episode, discrete: bool) -> Record:
     fields = {
         "obs": episode.observations[episode.steps_with_last_twice],
         "acts": episode.action_indices() if discrete else episode.actions,
-        "infos": None,
+        "infos": _infos(episode),
         "terminal": False,
     }
     return Record(_FRAGMENT, fields | {"rews": rewards})
 
 
-def _side(path: Path, dataset: Record, name: str, n_pairs: int, n_actions: int | None) -> SegmentRecords:
+def _infos(episode: Episode) -> NDArray[Any] | None:
+    """A dict for each step, (T,), with the simulator's state before the action; None if it is not known."""
+    states = {name: values for name, values in episode.extras().items() if name in _STATES}
+    if not states:
+        return None
+    infos = np.empty(len(episode), dtype=object)
+    infos[:] = [{name: values[step] for name, values in states.items()} for step in range(len(episode))]
+    return infos
+
+
+def _states(path: Path, where: str, infos: object, n_steps: int) -> dict[str, NDArray[np.float64]]:
+    """Those of `qpos` (T, nq) and `qvel` (T, nv) that every step of a fragment's `infos` has.
+
+    Raises:
+        InvalidFile: if they are not vectors of numbers, or differ in length.
+    """
+    steps = infos.tolist() if isinstance(infos, np.ndarray) else infos
+    if not isinstance(steps, list) or len(steps) != n_steps or not all(isinstance(step, dict) for step in steps):
+        return {}
+    return {
+        name: finite_doubles(path, f"{name} in infos of {where}", [step[name] for step in steps], 2)
+        for name in _STATES
+        if all(name in step for step in steps)
+    }
+
+
+def _side(path: Path, dataset: Record, name: str, n_pairs: int, n_actions: int | None) -> list[Episode]:
     fragments = _part(path, "dataset", dataset, name)
     if not isinstance(fragments, list) or len(fragments) != n_pairs or not fragments:
         raise InvalidFile(path, f"has no list of {n_pairs} fragments, one per preference, in {name}")
-    episodes = [_episode(path, f"{name}[{index}]", each, n_actions) for index, each in enumerate(fragments)]
+    return [_episode(path, f"{name}[{index}]", each, n_actions) for index, each in enumerate(fragments)]
+
+
+def _segments(episodes: Sequence[Episode]) -> SegmentRecords:
     longest = max(len(episode) for episode in episodes)
     return concatenate(list(cut_segments(episodes, longest, keep_short=True)))
 
@@ -117,7 +157,8 @@ def _episode(path: Path, where: str, fragment: object, n_actions: int | None) ->
     if not isinstance(fragment, Record) or fragment.name != _FRAGMENT:
         raise InvalidFile(path, f"has no TrajectoryWithRew in {where}")
     observed, acted, rewarded = (_part(path, where, fragment, name) for name in ("obs", "acts", "rews"))
-    return _checked_episode(path, where, (observed, acted, rewarded), n_actions)
+    episode = _checked_episode(path, where, (observed, acted, rewarded), n_actions)
+    return replace(episode, **_states(path, where, fragment.fields.get("infos"), len(episode)))
 
 
 def _checked_episode(

@@ -17,9 +17,12 @@ from mapt.errors import AlreadyExists
 from mapt.io import atomic_path
 from mapt.preferences.formats.pickles import Record
 
+#: numpy's flags of the dtype of Python objects
+_FLAGS_OF_OBJECTS = np.dtype(object).flags
+
 
 def write_pickle(path: Path, value: object) -> None:
-    """Write None, bool, int, float, str, bytes, list, tuple, dict, numeric arrays and `Record`s of these.
+    """Write None, bool, int, float, str, bytes, list, tuple, dict, arrays of numbers or of these, and `Record`s.
 
     An iterator is written as a list, one element at a time.
 
@@ -85,10 +88,11 @@ def _atom(value: object) -> bytes:
 
 
 def _array(array: NDArray[Any]) -> Iterator[bytes]:
-    """The opcodes of `ndarray.__reduce__`: an empty array, then version, shape, dtype, order and bytes."""
-    if array.dtype.kind not in "biuf":
+    """The opcodes of `ndarray.__reduce__`: an empty array, then version, shape, dtype, order, and bytes or a list."""
+    if array.dtype.kind not in "biufO":
         raise TypeError(f"An array of {array.dtype} cannot be written to a pickle for other programs.")
-    little = array.astype(array.dtype.newbyteorder("<"))
+    objects = array.dtype.kind == "O"
+    little = array if objects else array.astype(array.dtype.newbyteorder("<"))
     # numpy 2 keeps this alias of numpy._core.multiarray for old pickles.
     yield _global("numpy.core.multiarray", "_reconstruct")
     yield pickle.MARK + _global("numpy", "ndarray")
@@ -99,13 +103,13 @@ def _array(array: NDArray[Any]) -> Iterator[bytes]:
     yield from _pieces(1)
     yield from _pieces(array.shape)
     yield _global("numpy", "dtype")
-    yield from _pieces((little.dtype.str[1:], False, True))
+    yield from _pieces(("O8" if objects else little.dtype.str[1:], False, True))
     yield pickle.REDUCE
-    order = "|" if little.dtype.itemsize == 1 else "<"
-    yield from _pieces((3, order, None, None, None, -1, -1, 0))
+    order = "|" if objects or little.dtype.itemsize == 1 else "<"
+    yield from _pieces((3, order, None, None, None, -1, -1, _FLAGS_OF_OBJECTS if objects else 0))
     yield pickle.BUILD
     yield from _pieces(False)
-    yield from _pieces(little.tobytes())
+    yield from _pieces(little.reshape(-1).tolist() if objects else little.tobytes())
     yield pickle.TUPLE + pickle.BUILD
 
 

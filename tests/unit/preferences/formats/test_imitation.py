@@ -141,6 +141,36 @@ def write(folder, first=None, labels=(1.0,), **changes):
     return path
 
 
+def of_objects(values):
+    array = np.empty(len(values), dtype=object)
+    array[:] = values
+    return array
+
+
+STATE = {"qpos": np.zeros(2), "qvel": np.zeros(1), "step": 3}
+
+
+def test_states_in_infos_are_read(tmp_path):
+    infos = of_objects([{**STATE, "qpos": np.array([step, 0.5])} for step in range(3)])
+    path = write(tmp_path, fragment(infos=infos), fragments2=[fragment(infos=[STATE] * 3)])
+    records = read_imitation(path).records
+    assert records.qpos[0].tolist() == [[step, 0.5] for step in range(3)]
+    assert records.qvel.shape == (2, 3, 1)
+
+
+@pytest.mark.parametrize("infos", [None, [], [STATE] * 2, [STATE, STATE, {"step": 3}], [1, 2, 3], np.zeros(3)])
+def test_segments_have_no_states_unless_every_step_has_one(tmp_path, infos):
+    path = write(tmp_path, fragment(infos=infos), fragments2=[fragment(infos=[STATE] * 3)])
+    assert read_imitation(path).records.extras().keys() == {"rewards"}
+
+
+@pytest.mark.parametrize("qpos", ["here", np.zeros(3), np.zeros((2, 1)), np.array([np.nan, 0])])
+def test_states_that_are_not_vectors_of_numbers_are_refused(tmp_path, qpos):
+    with pytest.raises(InvalidFile) as refused:
+        read_imitation(write(tmp_path, fragment(infos=[STATE, STATE, {**STATE, "qpos": qpos}])))
+    assert "qpos in infos of fragments1[0]" in refused.value.problem
+
+
 @pytest.mark.parametrize("label", [-1.0, 1.5, float("nan")])
 def test_unknown_label_is_refused(tmp_path, label):
     with pytest.raises(UnknownLabel) as refused:

@@ -18,7 +18,7 @@ from mapt.preferences.formats.imitation import (
 )
 from mapt.preferences.formats.minari import read_minari, write_minari
 from mapt.preferences.formats.offline_labels import LabelFiles, read_offline_labels, write_offline_labels
-from mapt.preferences.formats.records import Comparisons, Episode, SegmentRecords
+from mapt.preferences.formats.records import Comparisons, Episode, SegmentRecords, episodes_of
 from mapt.preferences.formats.reference import read_reference, write_reference
 from mapt.preferences.formats.tables import LabelRow, PreferenceTables, QueryRow, SegmentRow, TableWriter
 from support.comparisons import assert_same_episodes, assert_same_segments, made_comparisons, made_episodes
@@ -90,6 +90,17 @@ def test_comparisons_are_read_back_equal(
     assert found.labels.tolist() == labels
     order = made.pairs.T.reshape(-1)
     assert_same_segments(found.records.segments.take(found.pairs.T.reshape(-1)), made.records.segments.take(order))
+
+
+@pytest.mark.parametrize("known", [("rewards", "qpos", "qvel"), ("rewards", "qpos")])
+@settings(max_examples=15)
+@given(st.lists(st.tuples(st.integers(1, 4), st.integers(1, 4)), min_size=1, max_size=3), st.integers(0, 99))
+def test_states_are_read_back_equal_from_imitation(tmp_path_factory, known, lengths, seed):
+    steps = [length for pair in lengths for length in pair]
+    made = made_comparisons([1.0] * len(lengths), lengths=steps, n_steps=max(steps), known=known, seed=seed)
+    found = through_imitation(tmp_path_factory.mktemp("states") / "file", made, discrete=False)
+    order = made.pairs.T.reshape(-1)
+    assert_same_episodes(list(episodes_of(found.records)), list(episodes_of(made.records.take(order))))
 
 
 @pytest.mark.parametrize(
