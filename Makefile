@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 CHECKS := check-types check-page check-imports check-style
 
-.PHONY: run test docs test-docs test-slow test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean football test-loggers test-ray
+.PHONY: run test docs test-docs test-slow test-avx2 test-deployment check $(CHECKS) bench screenshots soak learn format system system-test clean football test-loggers test-imitation test-ray
 
 run: $(INSTALLED) ## Start Accord with an example experiment and print a sign-in link
 	$(BIN)/accord up --example
@@ -84,11 +84,19 @@ test-loggers: $(INSTALLED) ## Install the extras wandb and mlflow, and a real ML
 	test -x $(MLFLOW_SERVER)/bin/mlflow || { $(PYTHON) -m venv $(MLFLOW_SERVER) && $(MLFLOW_SERVER)/bin/pip install --quiet "mlflow==$$($(BIN)/python -c 'import mlflow; print(mlflow.__version__)')"; }
 	$(BIN)/python -m pytest --quiet tests/integration/training/test_loggers.py
 
+test-imitation: $(INSTALLED) system-test ## Install imitation, 1.8 GB with another torch, and exchange a dataset with it
+	test -x $(IMITATION)/bin/python || $(PYTHON) -m venv $(IMITATION)
+	$(IMITATION)/bin/pip install --quiet imitation==1.0.1 "torch==$$($(BIN)/python -c 'import torch; print(torch.__version__)')" "mujoco<4" imageio
+	$(BIN)/python -m pytest --quiet tests/browser/test_other_programs.py -k imitation
+
 test-ray: $(INSTALLED) ## Install the extra ray, 277 MB, and run its tests
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev,ray]"
 	$(BIN)/python -m pytest --quiet $(RAY_TESTS)
 
 RAY_TESTS := tests/integration/cluster
+
+# imitation needs an older gymnasium than Accord.
+IMITATION := $(VENV)/imitation
 
 # The server needs an older pyarrow than Accord.
 MLFLOW_SERVER := $(VENV)/mlflow-server

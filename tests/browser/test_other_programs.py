@@ -1,6 +1,10 @@
-"""Data of Minari and of Clean-Offline-RLHF: imported, labelled in the browser, trained on, exported and read back."""
+"""Data of other programs: imported, labelled in the browser, trained on, exported, and read back by the program."""
 
+import json
+import os
 import pickle
+import subprocess
+import sys
 import warnings
 import zipfile
 from collections import defaultdict
@@ -26,6 +30,9 @@ from browser.labeller import PATIENCE_MS, Labeller
 from browser.service import SMALL, Service
 from support.waiting import until
 
+#: Python of imitation's own environment, and what it runs
+IMITATION = Path(sys.prefix, "imitation", "bin", "python")
+PROGRAM = Path(__file__).with_name("imitation_program.py")
 STEPS = 20
 N_SEGMENTS = 15
 #: every pair of the recorded segments: a few more than a new experiment needs for its first reward version
@@ -153,14 +160,59 @@ def import_on_page(page: Page, format: str, archive: Path) -> str:
     return page.url.rpartition("/")[2]
 
 
-def export_on_page(page: Page, format: str, folder: Path) -> Path:
-    """Download an export of the experiment on the page; return its folder."""
+def export_on_page(page: Page, format: str, path: Path) -> Path:
+    """Download an export of the experiment on the page to a new file, or to a new folder if it is a ZIP file."""
     page.get_by_label("Format").select_option(format)
     with page.expect_download(timeout=PATIENCE_MS) as download:
         page.get_by_role("button", name="Export").click()
+    if not download.value.suggested_filename.endswith(".zip"):
+        download.value.save_as(path)
+        return path
     with zipfile.ZipFile(download.value.path()) as archive:
-        archive.extractall(folder)
-    return next(folder.iterdir())
+        archive.extractall(path)
+    return next(path.iterdir())
+
+
+@dataclass(frozen=True, slots=True)
+class Researcher:
+    """Imports, labels and trains on a file, in the browser; and over REST what takes too many clicks."""
+
+    service: Service
+    token: str
+    page: Page
+
+    def work_with(self, format: str, file: Path, labels: int, exported: Path) -> Path:
+        """Import a file, label a pair and wait for a reward version.
+
+        Args:
+            labels: those in the file; without any, a program labels the first round.
+            exported: see `export_on_page`.
+
+        Returns:
+            The export.
+        """
+        service, page = self.service, self.page
+        experiment = import_on_page(page, format, file)
+        with Client(service.url, self.token) as client:
+            assert client.experiment(experiment).labels.labels == labels
+            client.resume(experiment)
+            labeller = Labeller(page)
+            labeller.open(service.url, experiment)
+            labelled = labeller.press("ArrowLeft").query
+            stored = "select state from labels where query_id = ?"
+            until(lambda: service.rows(stored, labelled) == [("label",)], "the label is stored")
+            if not labels:
+                client.teach(experiment, lambda first, second: float(first.rewards.sum() > second.rewards.sum()), 100)
+            version = until(lambda: client.reward_versions(experiment), "a reward version of the labels")[0]
+            assert version.label_count >= 100
+            client.cancel(experiment)
+        page.goto(f"{service.url}/experiments/{experiment}")
+        return export_on_page(page, format, exported)
+
+
+@pytest.fixture
+def rosa(service: Service, researcher: str, sign_in: SignIn) -> Researcher:
+    return Researcher(service, researcher, sign_in("Rosa", "researcher"))
 
 
 @pytest.mark.slow
@@ -168,9 +220,7 @@ def export_on_page(page: Page, format: str, folder: Path) -> Path:
     ("format", "write", "labels"), [("minari", of_minari, 0), ("offline", of_clean_offline_rlhf, len(PAIRS))]
 )
 def test_data_of_a_program_are_labelled_trained_on_and_read_back_by_it(
-    service: Service,
-    researcher: str,
-    sign_in: SignIn,
+    rosa: Researcher,
     recorded: Recorded,
     tmp_path: Path,
     format: str,
@@ -182,24 +232,7 @@ def test_data_of_a_program_are_labelled_trained_on_and_read_back_by_it(
     with zipfile.ZipFile(archive, "w") as file:
         for path in sorted(original.rglob("*")):
             file.write(path, f"original/{path.relative_to(original)}")
-    page = sign_in("Rosa", "researcher")
-    experiment = import_on_page(page, format, archive)
-    with Client(service.url, researcher) as client:
-        assert client.experiment(experiment).labels.labels == labels
-        client.resume(experiment)
-        labeller = Labeller(page)
-        labeller.open(service.url, experiment)
-        labelled = labeller.press("ArrowLeft").query
-        stored = "select state from labels where query_id = ?"
-        until(lambda: service.rows(stored, labelled) == [("label",)], "the label is stored")
-        if not labels:
-            client.teach(experiment, lambda first, second: float(first.rewards.sum() > second.rewards.sum()), 100)
-        version = until(lambda: client.reward_versions(experiment), "a reward version of the labels")[0]
-        assert version.label_count >= 100
-        client.cancel(experiment)
-
-    page.goto(f"{service.url}/experiments/{experiment}")
-    exported = export_on_page(page, format, tmp_path / "exported")
+    exported = rosa.work_with(format, archive, labels, tmp_path / "exported")
     if format == "minari":
         found = segments_in_minari(exported)
         # The last step of the episode is in no segment.
@@ -210,3 +243,31 @@ def test_data_of_a_program_are_labelled_trained_on_and_read_back_by_it(
         for a, b in PAIRS:
             better = [1.0, 0.0] if recorded.returned(a) >= recorded.returned(b) else [0.0, 1.0]
             assert targets[recorded.segment(a), recorded.segment(b)] == better
+
+
+def imitation(action: str, file: Path, *arguments: str) -> str:
+    """Run `imitation_program.py`; returns what it prints."""
+    done = subprocess.run(
+        [IMITATION, PROGRAM, action, file, *arguments],
+        cwd=file.parent,  # MuJoCo writes its warnings there
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not IMITATION.exists(), reason="imitation is not installed (make test-imitation)")
+def test_comparisons_of_imitation_are_labelled_trained_on_and_read_back_by_it(rosa: Researcher, tmp_path: Path) -> None:
+    original = tmp_path / "preferences.pkl"
+    imitation("write", original, str(STEPS), str(len(PAIRS)))
+    given = json.loads(imitation("read", original))
+    assert len(given["labels"]) == len(PAIRS)
+    exported = rosa.work_with("imitation", original, len(PAIRS), tmp_path / "exported.pkl")
+    found = json.loads(imitation("read", exported))
+    assert found["labels"].items() >= given["labels"].items()
+    assert len(found["labels"]) == len(PAIRS) + 1
+    assert found["infos"] == ["qpos", "qvel"]
