@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mapt.rendering.settings import RenderSettings
 
 #: increase it when equal inputs give different frames: a change of colours, camera, scene or encoder
-RENDERER_VERSION = 6
+RENDERER_VERSION = 7
 
 
 def clip_key(

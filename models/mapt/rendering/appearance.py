@@ -43,8 +43,10 @@ STRIPE_COLOURS = ("#14191F", "#FFFFFF")
 
 #: of geoms to which a model gives no colour
 _MUJOCO_COLOUR = (0.5, 0.5, 0.5, 1.0)
-#: shapes of limbs that can have rings and stripes
+#: shapes of limbs that are drawn thicker if they are thin
 ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
+#: shapes of limbs that can have rings and stripes
+RINGED = (*ROUND, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID, mujoco.mjtGeom.mjGEOM_BOX)
 #: cosine above which two directions are the same
 _ALONG = 0.99
 

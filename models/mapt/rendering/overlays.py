@@ -4,6 +4,7 @@
 # pyright: reportAttributeAccessIssue=false
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -41,6 +42,7 @@ MAX_STRIPES, STRIPE_SPACING = 3, 1.6
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
 _CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
 _ELLIPSOID = mujoco.mjtGeom.mjGEOM_ELLIPSOID
+_SPHERE = mujoco.mjtGeom.mjGEOM_SPHERE
 _UPRIGHT = np.eye(3).ravel()
 _SHADOW = np.array(rgba(SHADOW_COLOUR), dtype=np.float32)
 _BACKDROP = np.array(rgba(BACKDROP_COLOUR), dtype=np.float32)
@@ -136,42 +138,69 @@ def add_rings(scene: mujoco.MjvScene, data: mujoco.MjData, movers: Mapping[int, 
     A limb of k agents has k equal parts along its axis, one for each. The first one keeps the limb's own colour.
 
     Args:
-        movers: agents by geom; capsules and cylinders only.
+        movers: agents by geom; of the shapes in `RINGED` only.
     """
     for geom, agents in movers.items():
-        radius, half = data.model.geom_size[geom, :2]
-        axis = data.geom_xmat[geom].reshape(3, 3)[:, 2]
-        part = half / len(agents)
+        limb = _Limb.of(data, geom)
+        radius, part = max(limb.sides), limb.half_length / len(agents)
         for position, agent in enumerate(agents):
-            centre = data.geom_xpos[geom] + half * ((2 * position + 1) / len(agents) - 1) * axis
+            centre = limb.half_length * ((2 * position + 1) / len(agents) - 1)
             if position:
-                _add_ring(scene, data.geom_xmat[geom], centre, (radius * RING_RADIUS, 0.7 * part), agent_colour(agent))
+                limb.add_ring(scene, centre, 0.7 * part, RING_RADIUS, agent_colour(agent))
             colour = stripe_colour(agent)
             if colour is None:
                 continue
             count = max(1, min(MAX_STRIPES, int(2 * part / (STRIPE_SPACING * radius))))
             for stripe in range(count):
-                place = centre + STRIPE_SPACING * radius * (stripe - (count - 1) / 2) * axis
-                _add_ring(scene, data.geom_xmat[geom], place, (radius * STRIPE_RADIUS, STRIPE_WIDTH * radius), colour)
+                place = centre + STRIPE_SPACING * radius * (stripe - (count - 1) / 2)
+                limb.add_ring(scene, place, STRIPE_WIDTH * radius, STRIPE_RADIUS, colour)
 
 
-def _add_ring(
-    scene: mujoco.MjvScene,
-    rotation: NDArray[np.float64],
-    centre: NDArray[np.float64],
-    size: tuple[float, float],
-    colour: str,
-) -> None:
-    """Add a cylinder of a radius and a half length."""
-    radius, half_length = size
-    _add(
-        scene,
-        _CYLINDER,
-        (radius, half_length, 0.0),
-        centre,
-        np.array(rgba(colour), dtype=np.float32),
-        rotation=rotation,
-    )
+@dataclass(frozen=True, slots=True)
+class _Limb:
+    """A geom around which rings can be put."""
+
+    centre: NDArray[np.float64]
+    #: (3, 3), with its axis as the last column
+    frame: NDArray[np.float64]
+    half_length: float
+    #: half sizes across the axis, along the first two columns of the frame
+    sides: tuple[float, float]
+    #: whether it is thinner towards its ends
+    curved: bool
+    #: shape of a ring
+    ring: mujoco.mjtGeom
+
+    @classmethod
+    def of(cls, data: mujoco.MjData, geom: int) -> "_Limb":
+        """The axis of a capsule and a cylinder is z, that of other shapes their longest, x if all are as long."""
+        shape, size = mujoco.mjtGeom(int(data.model.geom_type[geom])), data.model.geom_size[geom]
+        frame = data.geom_xmat[geom].reshape(3, 3)
+        if shape in (_BOX, _ELLIPSOID, _SPHERE):
+            sizes = size[[0, 0, 0]] if shape == _SPHERE else size
+            axis = int(sizes.argmax())
+            others = [(axis + 1) % 3, (axis + 2) % 3]
+            frame, half_length, sides = frame[:, [*others, axis]], sizes[axis], sizes[others]
+        else:
+            half_length, sides = size[1], size[[0, 0]]
+        curved = shape in (_SPHERE, _ELLIPSOID)
+        ring = _BOX if shape == _BOX else _CYLINDER
+        return cls(data.geom_xpos[geom], frame, float(half_length), (float(sides[0]), float(sides[1])), curved, ring)
+
+    def add_ring(self, scene: mujoco.MjvScene, place: float, half_width: float, scale: float, colour: str) -> None:
+        """Add a ring at this distance from the centre along the axis.
+
+        Args:
+            scale: its size over that of the limb there.
+        """
+        if self.curved:
+            widest = min(1.0, max(0.0, abs(place) - half_width) / self.half_length)
+            scale *= np.sqrt(1 - widest**2)
+        size = (scale * self.sides[0], scale * self.sides[1], half_width)
+        position, opaque = self.centre + place * self.frame[:, 2], np.array(rgba(colour), dtype=np.float32)
+        _add(scene, self.ring, size, position, opaque, rotation=self.frame.ravel())
+        # mjv_initGeom makes every cylinder round.
+        scene.geoms[scene.ngeom - 1].size[:] = size
 
 
 def _add(

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mapt.rendering.appearance import ROUND, has_squares, stripe_colour, styled_model
+from mapt.rendering.appearance import RINGED, has_squares, stripe_colour, styled_model
 from mapt.rendering.camera import SMOOTHING_SECONDS, BodyKinematics, Framing, camera_path, frame_body
 from mapt.rendering.overlays import (
     BACKDROP_DISTANCE,
@@ -170,7 +170,7 @@ def _ringed_geoms(model: mujoco.MjModel, agent_geoms: Sequence[Sequence[int]]) -
     """Agents by geom, for the limbs that several agents move, and those of agents whose colour is repeated."""
     movers = {
         geom: tuple(agent for agent, geoms in enumerate(agent_geoms) if geom in geoms)
-        for geom in np.flatnonzero(np.isin(model.geom_type, ROUND)).tolist()
+        for geom in np.flatnonzero(np.isin(model.geom_type, RINGED)).tolist()
     }
     return {
         geom: agents

@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -106,6 +107,19 @@ def test_repeated_colours_have_stripes(drawing: Drawing) -> None:
     assert (columns < middle - 30).any()
     assert (columns > middle + 30).any()
     assert not changed[:, int(middle) - 20 : int(middle) + 20].any()
+
+
+@pytest.mark.parametrize(
+    ("task", "shape"), [("Humanoid-17x1", "SPHERE"), ("Porters-2x8", "BOX"), ("CatchOver2Underarm", "ELLIPSOID")]
+)
+def test_spheres_boxes_and_ellipsoids_have_stripes_too(drawing: Drawing, task: str, shape: str) -> None:
+    model = load_model(task)
+    geoms = np.flatnonzero(model.geom_type == getattr(mujoco.mjtGeom, f"mjGEOM_{shape}")).tolist()
+    start = model.qpos0[None]
+    plain = drawing.frames(start, [geoms], SMALL, task)
+    striped = drawing.frames(start, [[] for _ in AGENT_COLOURS] + [geoms], SMALL, task)
+    left = pixels_of(striped, (ORANGE,)).sum() / pixels_of(plain, (ORANGE,)).sum()
+    assert 0.3 < left < 0.95
 
 
 @pytest.mark.parametrize("task", ["HalfCheetah-6x1", "Walker2d-2x3", "Ant-4x2", "Humanoid-17x1", "Swimmer-2x1"])
