@@ -11,10 +11,8 @@ from gymnasium.spaces import Box
 from gymnasium.vector import SyncVectorEnv, VectorEnv
 from gymnasium.wrappers import ReshapeObservation, TransformAction
 
-from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
-from mapt.rewards.config import RewardConfig, TrainConfig
-from mapt.rewards.trainer import train_reward_model
-from mapt.rewards.wrappers.gymnasium import LearnedVectorReward
+from mapt.preferences import PreferenceDataset, SegmentArrays
+from mapt.rewards import LearnedVectorReward, RewardConfig, TrainConfig, train_reward_model
 
 N, C, A = 1, 8, 2
 ENVS, STEPS, ELITES = 32, 50, 6

@@ -6,10 +6,8 @@ python docs/examples/import_imitation.py preferences.pkl
 import sys
 from pathlib import Path
 
-from mapt.preferences.formats.imitation import read_imitation
-from mapt.rewards.checkpoints import save_reward_model
-from mapt.rewards.config import RewardConfig, TrainConfig
-from mapt.rewards.trainer import train_reward_model
+from mapt.preferences import read_imitation
+from mapt.rewards import RewardConfig, TrainConfig, save_reward_model, train_reward_model
 
 
 def main(path: str, folder: str = "reward") -> None:

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from mapt.policies import Learner, PolicyConfig
-from mapt.preferences.teachers import OracleTeacher
+from mapt.preferences import OracleTeacher
 from mapt.tasks import make_task
 from mapt.training.preference_loop import PreferenceLoop, RewardSettings
 from mapt.training.schedule import LabelSchedule

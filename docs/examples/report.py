@@ -13,9 +13,8 @@ import torch
 
 from mapt.benchmarks.recorded_dataset import Recording, record_dataset
 from mapt.benchmarks.report import ReportPlan, make_report
-from mapt.preferences.dataset import PreferenceDataset
-from mapt.rewards.config import RewardConfig, TrainConfig
-from mapt.rewards.trainer import train_reward_model
+from mapt.preferences import PreferenceDataset
+from mapt.rewards import RewardConfig, TrainConfig, train_reward_model
 
 TASK, STEPS, PAIRS, MODELS = "HalfCheetah-6x1", 100_000, 500, ("MA-MLP", "MAPT")
 # Networks of this size gain little from several threads, which wait for each other where other programs run.

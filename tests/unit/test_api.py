@@ -104,3 +104,11 @@ def test_importing_mapt_imports_no_torch_and_every_name_is_there() -> None:
     code += "assert 'torch' not in sys.modules; [getattr(mapt, name) for name in mapt.__all__]; mapt.nothing"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "has no attribute 'nothing'" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize("package", ["mapt.rewards", "mapt.preferences", "mapt.policies", "mapt.tasks"])
+def test_every_name_of_a_package_is_there_and_importing_it_imports_no_torch(package: str) -> None:
+    code = f"import {package} as package, sys; assert 'torch' not in sys.modules; "
+    code += "[getattr(package, name) for name in package.__all__]; package.nothing"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "has no attribute 'nothing'" in done.stderr.splitlines()[-1]

@@ -1,6 +1,8 @@
 """Batched multi-agent tasks behind one protocol. Needs numpy and MuJoCo only."""
 
+from mapt.tasks.mujoco_definition import MujocoMdp, Robot, gymnasium_asset, sum_of_squares, uniform_start
 from mapt.tasks.mujoco_task import MujocoDefinition
+from mapt.tasks.partition import Joint, Partition, columns, hinge
 from mapt.tasks.pettingzoo_task import PettingZooDefinition
 from mapt.tasks.protocol import (
     Drawing,
@@ -27,21 +29,30 @@ from mapt.tasks.registry import (
 __all__ = [
     "Drawing",
     "DrawnDefinition",
+    "Joint",
     "MaskingTask",
     "MujocoDefinition",
+    "MujocoMdp",
+    "Partition",
     "PettingZooDefinition",
     "RenderableTask",
+    "Robot",
     "Task",
     "TaskDefinition",
     "TaskSpec",
     "TaskStep",
     "WrappedTask",
     "agent_geoms",
+    "columns",
     "find_drawing",
     "frame_rate_hz",
+    "gymnasium_asset",
+    "hinge",
     "load_model",
     "make_task",
     "register_task",
+    "sum_of_squares",
     "task_names",
     "task_spec",
+    "uniform_start",
 ]
