@@ -20,7 +20,7 @@ from accord.services.collect import NewSegment, StoredSegment, collect, store_ar
 from accord.services.exclusion import recount
 from accord.services.experiment_config import ExperimentConfig, read_config
 from accord.store.blobs import BlobStore
-from accord.store.tables import ClipRow, LabelRevisionRow, LabelRow, QueryRow, utc_now
+from accord.store.tables import ClipRow, LabelRevisionRow, LabelRow, QueryRow
 from mapt.errors import MissingFeatures, PreferenceError
 from mapt.preferences.formats import tables as exported
 from mapt.preferences.formats.arrays import MAX_BYTES
@@ -332,7 +332,8 @@ def create(  # noqa: PLR0917 (as `experiments.create`)
     users = _users(session, row.name, found.labels)
     revisions = range(1, row.instructions_revision + 1)
     for revision, label in enumerate(found.labels, 1):
-        given_at = label.labelled_at or utc_now()
+        # Files of other programs do not say when: not after the experiment's creation, so that it is no cost of it.
+        given_at = label.labelled_at or row.created_at
         # what the label and its first revision have in common
         answer: dict[str, Any] = {
             "experiment_id": row.id,

@@ -24,14 +24,14 @@ def answers(session: Session, experiment_id: str, since: datetime) -> Answers:
     """Answers of people, whose time the page measures, and of programs, which send none.
 
     Args:
-        since: the experiment's creation. Older answers were imported: they are a cost of the experiment that they
-            were given to.
+        since: the experiment's creation. Answers that are not newer were imported: they are a cost of the experiment
+            that they were given to.
     """
     measured = LabelRow.response_seconds.is_not(None)
     given = (
         LabelRow.experiment_id == experiment_id,
         LabelRow.state.in_(("label", "skip")),
-        LabelRow.created_at >= since,
+        LabelRow.created_at > since,
     )
     by_people, people, seconds = session.execute(
         select(func.count(), func.count(LabelRow.user_id.distinct()), func.sum(LabelRow.response_seconds)).where(

@@ -125,6 +125,8 @@ def test_comparisons_of_every_format_become_labels(client: Client, tmp_path: Pat
         found = client.import_experiment(file, format, format, task=task, segment_steps=STEPS)
         assert (found.status, found.labels.labels, found.config["segment_steps"]) == ("paused", 3, STEPS)
         assert (found.config["render_clips"], found.config["label_budget"]) == (False, 503)
+        costs = client.get(f"/experiments/{found.id}/costs")
+        assert (costs["person_answers"], costs["program_labels"]) == (0, 0), "others had the cost"
         labels: dict[tuple[int, int], float] = {}
         for query in client.get(f"/experiments/{found.id}/queries")["items"]:
             arrays = [client.segment_arrays(segment["segment_id"]) for segment in query["segments"]]
