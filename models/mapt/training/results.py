@@ -340,7 +340,10 @@ def _teacher_line(row: TeacherRow) -> str:
 
 
 def _rounded(value: object) -> str:
-    return f"{round(value):,}" if isinstance(value, float) and np.isfinite(value) else _NONE
+    """Three digits, from a thousand on whole with separators, as the figures."""
+    if not isinstance(value, float) or not np.isfinite(value):
+        return _NONE
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
 def _time_line(group: Group) -> str | None:
