@@ -45,7 +45,7 @@ def start(run_file: Path, output: Path, *more: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "mapt.cli", "train", str(run_file), "--output", str(output), "--no-video"]
     common = ["--checkpoint-minutes", "0", "--workers", "1"]
     return subprocess.Popen(
-        [*command, *SWEEPS, *common, *more],
+        [*command, *SWEEPS, *common, *more],  # of an option given twice, the last one counts
         env=ENVIRONMENT,
         text=True,
         stdout=subprocess.PIPE,
@@ -59,15 +59,16 @@ def finish(process: subprocess.Popen[str]) -> str:
     return printed
 
 
-def test_a_sweep_is_killed_and_resumed(run_file: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_sweep_is_killed_and_resumed(run_file: Path, tmp_path: Path, workers: str) -> None:
     output = tmp_path / "sweep"
     second = RunFolder(output / CELLS[1] / "seed-3")
-    with start(run_file, output) as process:
+    with start(run_file, output, "--workers", workers) as process:
         until(lambda: process.poll() is not None or second.metrics.exists(), "the second cell's first iteration")
         process.send_signal(signal.SIGKILL)
     assert not (output / CELLS[3]).exists()
 
-    printed = finish(start(run_file, output))
+    printed = finish(start(run_file, output, "--workers", workers))
     assert f"{CELLS[3]}, seed 3: true return" in printed
     assert sorted(folder.path.parent.name for folder in find_runs([output])) == sorted(CELLS)
     for cell in CELLS:
