@@ -222,7 +222,7 @@ class PettingZooDefinition(WithoutModel):
     step_seconds: float
     #: The team's goal, in plain words for a labeller.
     instructions: str
-    #: `#RRGGBB` of each agent in the images of the environment, for the page's legend; empty for none.
+    #: `#RRGGBB` of each agent in the images of the environment, for the page's legend, no two the same; empty for none.
     agent_colours: tuple[str, ...] = ()
 
     def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
@@ -230,7 +230,7 @@ class PettingZooDefinition(WithoutModel):
 
         Raises:
             UnusableEnvironment: if agents differ in kind or number of discrete actions, or `agent_colours` is not a
-                colour for each.
+                colour of its own for each.
         """
         fields = self._spec_fields
         return TaskSpec(**{**fields, "observation_dim": fields["observation_dim"] + fields["n_agents"] * agent_index})
@@ -256,9 +256,11 @@ class PettingZooDefinition(WithoutModel):
                 f"The agents of {self.name} must all have the same number of discrete actions, or all continuous ones."
             )
         colours = self.agent_colours
-        if colours and (len(colours) != len(agents) or not all(map(_COLOUR.fullmatch, colours))):
+        different = {colour.lower() for colour in colours if _COLOUR.fullmatch(colour)}
+        if colours and not len(different) == len(colours) == len(agents):
             raise UnusableEnvironment(
-                f"agent_colours of {self.name} must have a colour such as #0072B2 for each of its {len(agents)} agents."
+                f"agent_colours of {self.name} must have a colour such as #0072B2 for each of its {len(agents)} "
+                "agents, no two the same. Leave it out where agents share colours."
             )
         limit = (
             1.0 if discrete[0] else float(max(np.abs([space.low.max(), space.high.max()]).max() for space in spaces))

@@ -109,7 +109,7 @@ def test_agents_have_the_colours_that_the_definition_says() -> None:
     assert LEVERS.spec(agent_obsk=None, agent_index=False).agent_colours == ()
     coloured = replace(LEVERS, agent_colours=("#0072B2", "#D55E00"))
     assert coloured.spec(agent_obsk=None, agent_index=False).agent_colours == ("#0072B2", "#D55E00")
-    for colours in (("#0072B2",), ("#0072B2", "red")):
+    for colours in (("#0072B2",), ("#0072B2", "red"), ("#0072B2", "#0072b2")):
         with pytest.raises(UnusableEnvironment, match="a colour such as #0072B2 for each of its 2 agents"):
             replace(LEVERS, agent_colours=colours).spec(agent_obsk=None, agent_index=False)
 
