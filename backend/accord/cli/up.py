@@ -222,7 +222,7 @@ def _on_ray(address: str, ready: Ready, specs: Sequence[ChildSpec], status: Work
         [replace(spec, environment={**spec.environment, **own}) for spec in specs],
         settings,
         settings.home / "logs",
-        status.record_death,
+        status,
         demand=demand if settings.ray_autoscale else None,
     )
 

@@ -1,10 +1,12 @@
 """The workers' rows as `accord up` sees them: a line of states, failures to print, and workers that hang."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager
 from datetime import datetime
 
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 
 from accord.domain.enums import WorkerRole, WorkerState
 from accord.domain.errors import AccordError
@@ -59,19 +61,32 @@ class WorkerStatus:
         self._printed.pop(death.name, None)
         if not death.role:
             return
+        id, role = self._settings.worker_id(death.name), WorkerRole(death.role)
+        with self._recording(f"The restart of {death.name}") as session:
+            if death.restarts is None:
+                workers.count_restart(session, id, role, death.description)
+            else:
+                workers.report(session, id, role, 0, WorkerState.RESTARTING, death.description, death.restarts)
+
+    def record_waiting(self, spec: ChildSpec, state: WorkerState, detail: str) -> None:
+        """Write to the row of a worker what it waits for while no process of it runs."""
+        id, role = self._settings.worker_id(spec.name), WorkerRole(spec.role)
+        with self._recording(f"The state of {spec.name}") as session:
+            workers.report(session, id, role, 0, state, detail)
+
+    def forget(self, spec: ChildSpec) -> None:
+        """Delete the row of a worker that is not needed now, so that nobody misses its heartbeat."""
+        with self._recording(f"The end of {spec.name}") as session:
+            workers.forget(session, self._settings.worker_id(spec.name))
+
+    @contextmanager
+    def _recording(self, what: str) -> Generator[Session]:
+        """A transaction, whose failure is printed."""
         try:
             with self._database.transaction() as session:
-                workers.report(
-                    session,
-                    self._settings.worker_id(death.name),
-                    WorkerRole(death.role),
-                    0,
-                    WorkerState.RESTARTING,
-                    death.description,
-                    restarts=death.restarts,
-                )
+                yield session
         except (AccordError, SQLAlchemyError) as error:
-            self._log(f"The restart of {death.name} could not be recorded: {error}", SUPERVISOR)
+            self._log(f"{what} could not be recorded: {error}", SUPERVISOR)
 
     def poll(self) -> str | None:
         """One line about the workers of this host, once a second; None in between. Prints new failures."""

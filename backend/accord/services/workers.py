@@ -51,6 +51,13 @@ def count_restart(session: Session, worker_id: str, role: WorkerRole, detail: st
     report(session, worker_id, role, 0, WorkerState.RESTARTING, detail, restarts)
 
 
+def forget(session: Session, worker_id: str) -> None:
+    """Deletes the row of a worker that is not needed now."""
+    row = workers.worker(session, worker_id)
+    if row is not None:
+        session.delete(row)
+
+
 def demand(session: Session) -> dict[WorkerRole, int]:
     """How many workers of each role would have something to do now."""
     phases = [row.phase for row in experiments.with_status(session, ExperimentStatus.RUNNING)]

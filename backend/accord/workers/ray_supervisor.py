@@ -2,7 +2,8 @@
 
 Ray places an actor on a node with room, and starts it again elsewhere when its process or its node dies. The rows hold
 the work, so a dead actor is an expired lease and nothing more. `RaySupervisor` has the interface of `Supervisor`, and
-writes the same logs: actors send it what they write to theirs.
+writes the same logs: actors send it what they write to theirs. A worker that runs writes its own row; the supervisor
+says what becomes of one that does not.
 """
 
 import logging
@@ -20,9 +21,9 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
-from accord.domain.enums import WorkerRole
+from accord.domain.enums import WorkerRole, WorkerState
 from accord.services import workers
 from accord.settings import Settings
 from accord.store.database import Database
@@ -43,13 +44,36 @@ _WAITING_LOG_BYTES = 1_000_000
 _SCALE_SECONDS = 5.0
 #: a worker is stopped when there was too little for it to do for this long
 _IDLE_SECONDS = 60.0
+#: interval at which the supervisor looks for workers whose node has gone, or that no node has taken yet
+_PLACE_SECONDS = 5.0
+
+
+class WorkerRows(Protocol):
+    """Takes what the supervisor knows about workers, for people to see."""
+
+    def record_death(self, death: Death) -> None:
+        """A worker failed, and starts again."""
+        ...
+
+    def record_waiting(self, spec: ChildSpec, state: WorkerState, detail: str) -> None:
+        """A worker should run, but no process of it does."""
+        ...
+
+    def forget(self, spec: ChildSpec) -> None:
+        """A worker is not needed now."""
+        ...
 
 
 class _Reports:
-    """An actor beside the supervisor, to which workers report: it takes their logs, and knows which should stop."""
+    """An actor beside the supervisor, to which workers report: it takes their logs, and knows which should stop.
+
+    When its process dies, Ray starts it again. Workers and supervisor say again what it has forgotten.
+    """
 
     def __init__(self) -> None:
         self._stopping: set[str] = set()
+        #: ids of the nodes from which workers reported last, by the key of their actor
+        self._nodes: dict[str, str] = {}
         #: by the name of the worker: what was not written yet, and the last line
         self._logs: dict[str, bytes] = {}
         self._last_lines: dict[str, str] = {}
@@ -58,8 +82,9 @@ class _Reports:
         """Let the actor stop to which the supervisor gave this key."""
         self._stopping.add(key)
 
-    def report(self, name: str, key: str, log: bytes) -> bool:
+    def report(self, name: str, key: str, node: str, log: bytes) -> bool:
         """Take what a worker has added to its log. Returns whether it should stop."""
+        self._nodes[key] = node
         if log:
             self._logs[name] = (self._logs.get(name, b"") + log)[-_WAITING_LOG_BYTES:]
             self._last_lines[name] = last_line(log) or self.last_line(name)
@@ -69,6 +94,10 @@ class _Reports:
         """What workers added to their logs since the last call, by name."""
         taken, self._logs = self._logs, {}
         return taken
+
+    def nodes(self) -> dict[str, str]:
+        """The nodes from which workers reported last, by the key of their actor."""
+        return self._nodes
 
     def last_line(self, name: str) -> str:
         """The last line of a worker's log; empty if there is none."""
@@ -81,13 +110,15 @@ class _WorkerActor:
     def __init__(self, spec: ChildSpec, key: str, reports: Any) -> None:
         self._spec, self._key, self._reports = spec, key, reports
         self._log: BinaryIO | None = None
+        self._node = ""
 
     def run(self) -> int:
         """Work until the supervisor says to stop, or has ended. Returns the exit status of the worker."""
         ray, spec = load_ray(), self._spec
         os.environ.update(spec.environment)
         os.nice(spec.nice)
-        node = f"{socket.gethostname()}, node {ray.get_runtime_context().get_node_id()[:8]}"
+        self._node = ray.get_runtime_context().get_node_id()
+        node = f"{socket.gethostname()}, node {self._node[:8]}"
         if ray.get_runtime_context().was_current_actor_reconstructed:
             _record_restart(spec, node, ray.get(self._reports.last_line.remote(spec.name)))
         self._log = _own_log()
@@ -114,7 +145,7 @@ class _WorkerActor:
     def _report(self, ray: Any) -> bool:
         """Send what was added to the log. Returns whether this worker should stop."""
         added = self._log.read() if self._log is not None else b""
-        return ray.get(self._reports.report.remote(self._spec.name, self._key, added))
+        return ray.get(self._reports.report.remote(self._spec.name, self._key, self._node, added))
 
 
 def _own_log() -> BinaryIO | None:
@@ -151,9 +182,10 @@ class _Slot:
     #: of the call of its loop; None without an actor
     loop: Any = None
     started_at: float = 0.0
-    #: failures in a row, and all restarts by this supervisor
+    #: the node from which it reported last; empty until it has
+    node: str = ""
+    #: in a row
     failures: int = 0
-    restarts: int = 0
     #: when to start it again, while there is no actor
     due_at: float = 0.0
     #: since when there was too little to do for it; None if it is needed
@@ -168,6 +200,7 @@ class RaySupervisor:
         address: see `RayCluster`.
         specs: of workers. Their slots are numbered from 0 in each role.
         log_folder: gets a log for each worker, as that of a process of this machine.
+        rows: told of workers of which no process runs.
         demand: number of workers of each role that have something to do; None runs all specs all the time.
 
     Raises:
@@ -180,18 +213,19 @@ class RaySupervisor:
         specs: Sequence[ChildSpec],
         settings: Settings,
         log_folder: Path,
-        on_death: Callable[[Death], None],
+        rows: WorkerRows,
         *,
         demand: Callable[[], Mapping[WorkerRole, int]] | None = None,
     ) -> None:
         self._ray = connect(address)
-        self._settings, self._log_folder, self._on_death, self._demand = settings, log_folder, on_death, demand
+        self._settings, self._log_folder, self._rows, self._demand = settings, log_folder, rows, demand
         self._slots = {spec.name: _Slot(spec) for spec in specs}
-        self._reports = self._ray.remote(_Reports).options(num_cpus=0, scheduling_strategy=here(self._ray)).remote()
+        beside = {"num_cpus": 0, "scheduling_strategy": here(self._ray), "max_restarts": -1, "max_task_retries": -1}
+        self._reports = self._ray.remote(_Reports).options(**beside).remote()
         self._backoff, self._rng = Backoff(), random.Random()
         #: (name, process id) of those that were killed because they hung
         self._killed: set[tuple[str, int]] = set()
-        self._next_scale = self._next_log = 0.0
+        self._next_scale = self._next_log = self._next_place = 0.0
 
     def tick(self) -> None:
         """Start the workers that are due, handle those whose loop has ended, and write their logs."""
@@ -209,6 +243,9 @@ class RaySupervisor:
                     self._handle_end(slot, now)
             elif now >= slot.due_at and slot.spare_since is None:
                 self._start(slot, now)
+        if now >= self._next_place:
+            self._next_place = now + _PLACE_SECONDS
+            self._record_waiting(now)
 
     def kill(self, name: str, pid: int) -> bool:
         """Kill a worker that hangs; Ray starts it again. Returns False if that was done already."""
@@ -244,12 +281,38 @@ class RaySupervisor:
         options = {"max_restarts": -1, "max_task_retries": -1, "num_gpus": self._gpus(role)}
         if self._settings.ray_resources:
             options["resources"] = {role.value: 1}
-        threads = int(slot.spec.environment.get("OMP_NUM_THREADS", "1"))
+        threads = _threads(slot.spec)
         environment = {"env_vars": task_environment(threads)}
         actor = self._ray.remote(_WorkerActor).options(**options, num_cpus=threads, runtime_env=environment)
         slot.key = secrets.token_hex(4)
         slot.actor = actor.remote(slot.spec, slot.key, self._reports)
-        slot.loop, slot.started_at, slot.stopping = slot.actor.run.remote(), now, False
+        slot.loop, slot.started_at, slot.node, slot.stopping = slot.actor.run.remote(), now, "", False
+
+    def _record_waiting(self, now: float) -> None:
+        """Say of each worker whose node has gone, or that none has taken for a while, what it waits for."""
+        try:
+            reported = self._ray.get(self._reports.nodes.remote())
+            alive = {node["NodeID"] for node in self._ray.nodes() if node["Alive"]}
+        except self._ray.exceptions.RayError:
+            return  # the cluster has ended
+        for slot in self._slots.values():
+            slot.node = reported.get(slot.key, slot.node)
+            if slot.loop is None or slot.node in alive:
+                continue
+            room = f"a node with room ({self._needs(slot.spec)})"
+            if slot.node:
+                detail = f"Its node died; it waits for {room}, or is starting there."
+                self._rows.record_waiting(slot.spec, WorkerState.RESTARTING, detail)
+            elif now - slot.started_at > _PLACE_SECONDS:
+                self._rows.record_waiting(slot.spec, WorkerState.STARTING, f"Waits for {room}, or is starting there.")
+
+    def _needs(self, spec: ChildSpec) -> str:
+        """What a worker takes of a node, for people, in the names of Ray's resources."""
+        gpus = self._gpus(WorkerRole(spec.role))
+        needs = [f"CPU: {_threads(spec)}"]
+        needs += [f"GPU: {gpus:g}"] if gpus else []
+        needs += [f"{spec.role}: 1"] if self._settings.ray_resources else []
+        return ", ".join(needs)
 
     def _gpus(self, role: WorkerRole) -> float:
         settings = self._settings
@@ -265,14 +328,14 @@ class RaySupervisor:
             reason = f"Its loop failed: {last_line(failure) or type(error).__name__}"
         self._ray.kill(slot.actor)
         slot.actor = slot.loop = None
-        if slot.stopping:
-            return
-        slot.failures = 1 if now - slot.started_at > _RECOVERED_SECONDS else slot.failures + 1
-        slot.restarts += 1
-        pause = self._backoff.seconds(slot.failures, self._rng)
-        slot.due_at = now + pause
         spec = slot.spec
-        self._on_death(Death(spec.name, spec.role, f"{reason}. It restarts in {pause:.1f} s.", slot.restarts))
+        if not slot.stopping:
+            slot.failures = 1 if now - slot.started_at > _RECOVERED_SECONDS else slot.failures + 1
+            pause = self._backoff.seconds(slot.failures, self._rng)
+            slot.due_at = now + pause
+            self._rows.record_death(Death(spec.name, spec.role, f"{reason}. It restarts in {pause:.1f} s."))
+        if slot.spare_since is not None:
+            self._rows.forget(spec)
 
     def _write_logs(self) -> None:
         with suppress(self._ray.exceptions.RayError):  # the cluster has ended
@@ -296,6 +359,13 @@ class RaySupervisor:
                 elif slot.spare_since is None:
                     # One that has not started waits for more to do.
                     slot.spare_since = now
-                elif slot.loop is not None and not slot.stopping and now - slot.spare_since > _IDLE_SECONDS:
+                    if slot.loop is None:
+                        self._rows.forget(slot.spec)
+                elif slot.loop is not None and now - slot.spare_since > _IDLE_SECONDS:
                     slot.stopping = True
                     self._reports.stop.remote(slot.key)
+
+
+def _threads(spec: ChildSpec) -> int:
+    """Threads that a worker computes with, each of which takes a core."""
+    return int(spec.environment.get("OMP_NUM_THREADS", "1"))

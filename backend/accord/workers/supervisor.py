@@ -125,8 +125,8 @@ class Death:
     role: str
     #: how it ended and when it restarts, for people
     description: str
-    #: how many times it was restarted, including this time
-    restarts: int
+    #: how many times it was restarted, including this time; None if its row counts that
+    restarts: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """Studies of `mapt` with `--ray`, on a cluster that loses a node: their results equal those of one machine."""
 
 import csv
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -81,6 +82,41 @@ def test_a_sweep_survives_the_loss_of_a_node_and_equals_the_one_on_this_machine(
         lines = metrics_without_timings(one)
         assert [line["iteration"] for line in lines] == [*range(1, N_ITERATIONS + 1)]
         assert lines == metrics_without_timings(other)
+
+
+def collecting(output: Path, n_steps: int) -> list[str | Path]:
+    """A run whose environments are in two slots."""
+    return [
+        *("train", "--task", TASK, "--output", output, "--steps", str(n_steps), "--device", "cpu", "--seeds", "3"),
+        *("--no-video", "--set", "collectors=2"),
+        *(argument for setting in TINY for argument in ("--set", setting)),
+    ]
+
+
+def test_a_run_whose_slots_are_collected_by_actors_equals_the_one_on_this_machine(
+    cluster: Any, nodes: list[Any], tmp_path: Path
+) -> None:
+    """The run and its two actors take a core each. It is stopped soon after the actors have started."""
+    nodes.append(cluster.add_node(**NODE))
+    folder = RunFolder(tmp_path / "cluster" / "seed-3")
+    process = start(*collecting(tmp_path / "cluster", 10_000_000), "--ray", cluster.address)
+
+    def collected_by_actors() -> int:
+        """Iterations in which the run has stepped no environment itself."""
+        found = read_metrics(folder.metrics) if folder.metrics.exists() else []
+        return sum(line["seconds_physics"] == 0 for line in found)
+
+    try:
+        until(lambda: process.poll() is not None or collected_by_actors() >= 5, "iterations without own steps")
+        process.send_signal(signal.SIGINT)
+        printed, _ = process.communicate(timeout=PATIENCE_SECONDS)
+    finally:
+        process.kill()
+    assert "Rerun the command to resume" in printed, printed
+    lines = metrics_without_timings(folder)
+    assert collected_by_actors() >= 5
+    output_of(start(*collecting(tmp_path / "here", int(lines[-1]["steps"])), "--workers", "1"))
+    assert lines == metrics_without_timings(RunFolder(tmp_path / "here" / "seed-3"))
 
 
 def table(output: Path) -> list[str | Path]:

@@ -12,13 +12,16 @@ import pytest
 from sqlalchemy import text
 
 from acceptance.accord_service import STEPS_PER_ITERATION, Accord, Client
+from accord.cli.worker_status import WorkerStatus
 from accord.domain.enums import WorkerRole
 from accord.settings import Settings
 from accord.store.database import Database
+from accord.store.migrate import migrate
 from accord.workers.ray_supervisor import RaySupervisor
 from accord.workers.runner import Stop
-from accord.workers.supervisor import ChildSpec, Death
+from accord.workers.supervisor import ChildSpec
 from integration.cluster.conftest import NODE
+from mapt.cluster import load_ray
 from support.s3_server import S3Server
 from support.store_fixtures import postgres_server, s3_server
 from support.stores import PostgresServer, migrated_postgres_database
@@ -138,28 +141,96 @@ def test_an_experiment_goes_on_when_the_node_of_its_policy_is_lost(
             cluster.remove_node(node)
 
 
-def test_workers_start_and_stop_with_what_is_due_and_a_failing_one_restarts(
-    cluster: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.fixture
+def settings(tmp_path: Path) -> Settings:
+    return Settings(home=tmp_path)
+
+
+@pytest.fixture
+def status(settings: Settings) -> Iterator[WorkerStatus]:
+    """Writes to a new database of SQLite."""
+    with closing(Database.open(settings.resolved_database_url)) as opened:
+        migrate(opened)
+        yield WorkerStatus(settings, opened, lambda line, name: None)
+
+
+def workers_of(settings: Settings) -> dict[str, tuple[str, str, int]]:
+    """State, detail and restarts of each worker with a row."""
+    with closing(Database.open(settings.resolved_database_url)) as opened:
+        found = rows(opened, "SELECT id, state, detail, restarts FROM workers")
+    return {id: (state, detail, restarts) for id, state, detail, restarts in found}
+
+
+def worker_specs(module: str, settings: Settings) -> list[ChildSpec]:
+    """Two render workers."""
+    environment = {"ACCORD_HOME": str(settings.home)}
+    return [
+        ChildSpec(f"render-{slot}", (module, "--slot", str(slot)), role="render", environment=environment)
+        for slot in range(2)
+    ]
+
+
+def test_a_failing_worker_restarts_and_one_that_is_not_due_does_not_start(
+    cluster: Any, status: WorkerStatus, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The loops fail at once, because there is no such module."""
     node = cluster.add_node(**NODE | {"num_cpus": 2})
     monkeypatch.setattr("accord.workers.ray_supervisor._SCALE_SECONDS", 0.0)
     due = {WorkerRole.RENDER: 1}
-    deaths: list[Death] = []
-    specs = [ChildSpec(f"render-{slot}", ("nowhere", "--slot", str(slot)), role="render") for slot in range(2)]
-    supervisor = RaySupervisor(cluster.address, specs, Settings(), tmp_path, deaths.append, demand=lambda: due)
+    specs = worker_specs("nowhere", settings)
+    status.reset(specs)
+    supervisor = RaySupervisor(cluster.address, specs, settings, settings.home, status, demand=lambda: due)
 
-    def died(name: str) -> bool:
+    def restarts(name: str) -> int:
         supervisor.tick()
-        return any(death.name == name for death in deaths)
+        return workers_of(settings).get(name, ("", "", 0))[2]
 
-    until(lambda: died("render-0"), "the first worker's failure")
-    assert "nowhere" in deaths[0].description
-    assert not died("render-1")
+    until(lambda: restarts("render-0") >= 2, "the first worker's second failure")
+    assert "nowhere" in workers_of(settings)["render-0"][1]
+    assert workers_of(settings).keys() == {"render-0"}
     due[WorkerRole.RENDER] = 7
-    until(lambda: died("render-1"), "the second worker's failure")
+    until(lambda: restarts("render-1"), "the second worker's failure")
     assert supervisor.shutdown(Stop()) == []
-    logged = (tmp_path / "render-0.log").read_text()
+    logged = (settings.home / "render-0.log").read_text()
     assert logged.startswith(f"render-0 starts on {socket.gethostname()}, node {node.node_id[:8]}")
     assert logged.endswith("ModuleNotFoundError: No module named 'nowhere'\n")
+    cluster.remove_node(node)
+
+
+def test_rows_say_what_workers_wait_for_and_those_that_are_not_needed_have_none(
+    cluster: Any, status: WorkerStatus, settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for interval in ("_SCALE_SECONDS", "_PLACE_SECONDS", "_IDLE_SECONDS"):
+        monkeypatch.setattr(f"accord.workers.ray_supervisor.{interval}", 0.0)
+    due = {WorkerRole.RENDER: 2}
+    specs = worker_specs("integration.cluster.waiting_worker", settings)
+    supervisor = RaySupervisor(cluster.address, specs, settings, settings.home, status, demand=lambda: due)
+
+    def have(state: str, restarts: int, *names: str) -> bool:
+        supervisor.tick()
+        found = workers_of(settings)
+        return found.keys() == set(names) and all(
+            (found[name][0], found[name][2]) == (state, restarts) for name in names
+        )
+
+    def starts(name: str) -> int:
+        supervisor.tick()
+        log = settings.home / f"{name}.log"
+        return log.read_text().count(f"{name} starts on ") if log.exists() else 0
+
+    until(lambda: have("starting", 0, "render-0", "render-1"), "two workers without a node")
+    assert "CPU: 1" in workers_of(settings)["render-0"][1]
+    node = cluster.add_node(**NODE | {"num_cpus": 2})
+    until(lambda: starts("render-0") and starts("render-1"), "two workers")
+    # Its next process knows nothing of what this one was told.
+    load_ray().kill(supervisor._reports, no_restart=False)
+    cluster.remove_node(node, allow_graceful=False)
+    until(lambda: have("restarting", 0, "render-0", "render-1"), "two workers whose node has gone")
+    assert "Its node died" in workers_of(settings)["render-0"][1]
+    node = cluster.add_node(**NODE | {"num_cpus": 2})
+    until(lambda: have("restarting", 1, "render-0", "render-1"), "two new processes")
+    until(lambda: starts("render-0") == 2 and starts("render-1") == 2, "two new processes")
+    due[WorkerRole.RENDER] = 1
+    until(lambda: have("restarting", 1, "render-0"), "one worker")
+    assert supervisor.shutdown(Stop()) == []
     cluster.remove_node(node)

@@ -32,3 +32,14 @@ def test_restarts_of_a_worker_are_counted_from_its_row(stores: Stores) -> None:
         with stores.database.reading() as session:
             [row] = workers.all(session)
             assert (row.restarts, row.state, row.detail) == (restarts, WorkerState.RESTARTING, "Its node died.")
+
+
+def test_a_worker_that_is_forgotten_has_no_row(stores: Stores) -> None:
+    with stores.database.transaction() as session:
+        for id in ("policy-0@lab", "policy-1@lab"):
+            workers.count_restart(session, id, WorkerRole.POLICY, "")
+    for _ in range(2):
+        with stores.database.transaction() as session:
+            workers.forget(session, "policy-1@lab")
+        with stores.database.reading() as session:
+            assert [row.id for row in workers.all(session)] == ["policy-0@lab"]
