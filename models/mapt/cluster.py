@@ -13,9 +13,10 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import Enum
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
@@ -116,8 +117,13 @@ def load_ray() -> Any:
         raise InvalidConfig(f"A Ray cluster needs a package: pip install 'accord[ray]' ({error}).", "ray") from error
 
 
-def connect(address: str) -> Any:
+def connect(address: str, needs: Mapping[str, float]) -> Any:
     """Connect this process to a cluster, unless it is connected. Returns the package `ray`.
+
+    Args:
+        address: see `RayCluster`.
+        needs: what will run there at the same time, by the names of Ray's resources. A local cluster has room for it,
+            also with fewer cores.
 
     Raises:
         InvalidConfig: if Ray is not installed, or no cluster answers.
@@ -130,6 +136,8 @@ def connect(address: str) -> Any:
         # Ray would give its processes the least priority but four, so that any other program comes first.
         os.environ.setdefault("RAY_worker_niceness", "0")
         options |= {"include_dashboard": False, "object_store_memory": _LOCAL_STORE_BYTES}
+        options["num_cpus"] = max(needs["CPU"], os.cpu_count() or 1)
+        options["resources"] = {name: amount for name, amount in needs.items() if name not in {"CPU", "GPU"}}
     try:
         _require_server(address)
         with _signal_handlers_kept():
@@ -244,7 +252,7 @@ def _run_tasks(
     on_message: Callable[[J, Any], None],
     should_stop: Callable[[], bool],
 ) -> Iterator[JobResult[J, R]]:
-    ray = connect(cluster.address)
+    ray = connect(cluster.address, {"CPU": cluster.job_cpus})
     mailbox = _start_mailbox(ray)
     task = ray.remote(_do_task).options(
         num_cpus=cluster.job_cpus,
@@ -300,6 +308,35 @@ def here(ray: Any) -> Any:
     """The scheduling strategy that places an actor on the node of this process."""
     strategies = import_module("ray.util.scheduling_strategies")
     return strategies.NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
+
+
+class ActorState(Enum):
+    """Whether the process of an actor runs."""
+
+    #: it waits for a node with room, or its process starts there
+    PENDING = "pending"
+    ALIVE = "alive"
+    #: its process or node died, and it waits again
+    RESTARTING = "restarting"
+    DEAD = "dead"
+
+
+#: of Ray's `ActorTableData.ActorState`
+_ACTOR_STATES = {
+    0: ActorState.PENDING,  # its arguments are not there
+    1: ActorState.PENDING,
+    2: ActorState.ALIVE,
+    3: ActorState.RESTARTING,
+    4: ActorState.DEAD,
+}
+
+
+def actor_state(actor: Any) -> ActorState | None:
+    """The state of an actor that this process has called, as far as this process knows; None if it does not.
+
+    Ray says it publicly only through its dashboard, which need not run.
+    """
+    return _ACTOR_STATES.get(actor._get_local_state())
 
 
 def task_environment(cpus: int) -> dict[str, str]:

@@ -16,6 +16,7 @@ import stat
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ from accord.settings import Settings
 from accord.store.database import Database
 from accord.workers.runner import Backoff, Stop
 from accord.workers.supervisor import LOG_BYTES, ChildSpec, Death, last_line, rotate
-from mapt.cluster import connect, here, load_ray, task_environment
+from mapt.cluster import ActorState, actor_state, connect, here, load_ray, task_environment
 from mapt.processes import uncollected_imports
 
 log = logging.getLogger(__name__)
@@ -44,8 +45,11 @@ _WAITING_LOG_BYTES = 1_000_000
 _SCALE_SECONDS = 5.0
 #: a worker is stopped when there was too little for it to do for this long
 _IDLE_SECONDS = 60.0
-#: interval at which the supervisor looks for workers whose node has gone, or that no node has taken yet
-_PLACE_SECONDS = 5.0
+#: interval at which the supervisor looks for workers that wait for a node, and at which it says so again
+_LOOK_SECONDS = 2.0
+_WAITING_SECONDS = 10.0
+#: a worker that was started for less is not said to wait, so that the reason of its last end can be read
+_START_SECONDS = 10.0
 
 
 class WorkerRows(Protocol):
@@ -72,8 +76,6 @@ class _Reports:
 
     def __init__(self) -> None:
         self._stopping: set[str] = set()
-        #: ids of the nodes from which workers reported last, by the key of their actor
-        self._nodes: dict[str, str] = {}
         #: by the name of the worker: what was not written yet, and the last line
         self._logs: dict[str, bytes] = {}
         self._last_lines: dict[str, str] = {}
@@ -82,9 +84,8 @@ class _Reports:
         """Let the actor stop to which the supervisor gave this key."""
         self._stopping.add(key)
 
-    def report(self, name: str, key: str, node: str, log: bytes) -> bool:
+    def report(self, name: str, key: str, log: bytes) -> bool:
         """Take what a worker has added to its log. Returns whether it should stop."""
-        self._nodes[key] = node
         if log:
             self._logs[name] = (self._logs.get(name, b"") + log)[-_WAITING_LOG_BYTES:]
             self._last_lines[name] = last_line(log) or self.last_line(name)
@@ -95,10 +96,6 @@ class _Reports:
         taken, self._logs = self._logs, {}
         return taken
 
-    def nodes(self) -> dict[str, str]:
-        """The nodes from which workers reported last, by the key of their actor."""
-        return self._nodes
-
     def last_line(self, name: str) -> str:
         """The last line of a worker's log; empty if there is none."""
         return self._last_lines.get(name, "")
@@ -107,21 +104,22 @@ class _Reports:
 class _WorkerActor:
     """A worker in a process of the cluster. It runs on the main thread, as in a process of its own."""
 
-    def __init__(self, spec: ChildSpec, key: str, reports: Any) -> None:
-        self._spec, self._key, self._reports = spec, key, reports
-        self._log: BinaryIO | None = None
-        self._node = ""
+    def run(self, spec: ChildSpec, key: str, reports: Any) -> int:
+        """Work until the supervisor says to stop, or has ended. Returns the exit status of the worker.
 
-    def run(self) -> int:
-        """Work until the supervisor says to stop, or has ended. Returns the exit status of the worker."""
-        ray, spec = load_ray(), self._spec
+        Args:
+            spec: of the worker.
+            key: of this actor, for `reports`.
+            reports: an actor; see `_Reports`.
+        """
+        self._spec, self._key, self._reports = spec, key, reports
+        ray = load_ray()
         os.environ.update(spec.environment)
         os.nice(spec.nice)
-        self._node = ray.get_runtime_context().get_node_id()
-        node = f"{socket.gethostname()}, node {self._node[:8]}"
+        node = f"{socket.gethostname()}, node {ray.get_runtime_context().get_node_id()[:8]}"
         if ray.get_runtime_context().was_current_actor_reconstructed:
             _record_restart(spec, node, ray.get(self._reports.last_line.remote(spec.name)))
-        self._log = _own_log()
+        self._log: BinaryIO | None = _own_log()
         print(f"{spec.name} starts on {node}", file=sys.stderr, flush=True)
         threading.Thread(target=self._report_until_told_to_stop, args=(ray,), name="reports", daemon=True).start()
         module, *arguments = spec.arguments
@@ -145,7 +143,7 @@ class _WorkerActor:
     def _report(self, ray: Any) -> bool:
         """Send what was added to the log. Returns whether this worker should stop."""
         added = self._log.read() if self._log is not None else b""
-        return ray.get(self._reports.report.remote(self._spec.name, self._key, self._node, added))
+        return ray.get(self._reports.report.remote(self._spec.name, self._key, added))
 
 
 def _own_log() -> BinaryIO | None:
@@ -182,8 +180,6 @@ class _Slot:
     #: of the call of its loop; None without an actor
     loop: Any = None
     started_at: float = 0.0
-    #: the node from which it reported last; empty until it has
-    node: str = ""
     #: in a row
     failures: int = 0
     #: when to start it again, while there is no actor
@@ -191,6 +187,9 @@ class _Slot:
     #: since when there was too little to do for it; None if it is needed
     spare_since: float | None = None
     stopping: bool = False
+    #: what its row was told last of the process that does not run, and when
+    waiting: ActorState | None = None
+    waiting_at: float = 0.0
 
 
 class RaySupervisor:
@@ -217,7 +216,10 @@ class RaySupervisor:
         *,
         demand: Callable[[], Mapping[WorkerRole, int]] | None = None,
     ) -> None:
-        self._ray = connect(address)
+        needs = Counter[str]()
+        for spec in specs:
+            needs.update(_needs(spec, settings))
+        self._ray = connect(address, needs)
         self._settings, self._log_folder, self._rows, self._demand = settings, log_folder, rows, demand
         self._slots = {spec.name: _Slot(spec) for spec in specs}
         beside = {"num_cpus": 0, "scheduling_strategy": here(self._ray), "max_restarts": -1, "max_task_retries": -1}
@@ -225,7 +227,7 @@ class RaySupervisor:
         self._backoff, self._rng = Backoff(), random.Random()
         #: (name, process id) of those that were killed because they hung
         self._killed: set[tuple[str, int]] = set()
-        self._next_scale = self._next_log = self._next_place = 0.0
+        self._next_scale = self._next_log = self._next_look = 0.0
 
     def tick(self) -> None:
         """Start the workers that are due, handle those whose loop has ended, and write their logs."""
@@ -243,9 +245,11 @@ class RaySupervisor:
                     self._handle_end(slot, now)
             elif now >= slot.due_at and slot.spare_since is None:
                 self._start(slot, now)
-        if now >= self._next_place:
-            self._next_place = now + _PLACE_SECONDS
-            self._record_waiting(now)
+        if now >= self._next_look:
+            self._next_look = now + _LOOK_SECONDS
+            for slot in self._slots.values():
+                if slot.loop is not None:
+                    self._look(slot, now)
 
     def kill(self, name: str, pid: int) -> bool:
         """Kill a worker that hangs; Ray starts it again. Returns False if that was done already."""
@@ -266,7 +270,7 @@ class RaySupervisor:
         for slot in running:
             self._reports.stop.remote(slot.key)
         deadline = time.monotonic() + grace_seconds
-        alive = running
+        alive = [slot for slot in running if actor_state(slot.actor) is ActorState.ALIVE]
         while alive and time.monotonic() < deadline and not stop.immediate:
             alive = [slot for slot in alive if not self._ray.wait([slot.loop], timeout=0.05)[0]]
         self._write_logs()
@@ -276,47 +280,34 @@ class RaySupervisor:
         return [slot.spec.name for slot in alive]
 
     def _start(self, slot: _Slot, now: float) -> None:
-        role = WorkerRole(slot.spec.role)
         # A worker outlives its processes and nodes: Ray starts its actor again, and calls `run` again.
-        options = {"max_restarts": -1, "max_task_retries": -1, "num_gpus": self._gpus(role)}
-        if self._settings.ray_resources:
-            options["resources"] = {role.value: 1}
-        threads = _threads(slot.spec)
-        environment = {"env_vars": task_environment(threads)}
-        actor = self._ray.remote(_WorkerActor).options(**options, num_cpus=threads, runtime_env=environment)
+        options: dict[str, Any] = {"max_restarts": -1, "max_task_retries": -1}
+        needs = _needs(slot.spec, self._settings)
+        options |= {"num_cpus": needs.pop("CPU"), "num_gpus": needs.pop("GPU"), "resources": needs}
+        environment = {"env_vars": task_environment(_threads(slot.spec))}
+        actor = self._ray.remote(_WorkerActor).options(**options, runtime_env=environment)
         slot.key = secrets.token_hex(4)
-        slot.actor = actor.remote(slot.spec, slot.key, self._reports)
-        slot.loop, slot.started_at, slot.node, slot.stopping = slot.actor.run.remote(), now, "", False
+        slot.actor = actor.remote()
+        slot.loop, slot.started_at, slot.stopping = (
+            slot.actor.run.remote(slot.spec, slot.key, self._reports),
+            now,
+            False,
+        )
 
-    def _record_waiting(self, now: float) -> None:
-        """Say of each worker whose node has gone, or that none has taken for a while, what it waits for."""
-        try:
-            reported = self._ray.get(self._reports.nodes.remote())
-            alive = {node["NodeID"] for node in self._ray.nodes() if node["Alive"]}
-        except self._ray.exceptions.RayError:
-            return  # the cluster has ended
-        for slot in self._slots.values():
-            slot.node = reported.get(slot.key, slot.node)
-            if slot.loop is None or slot.node in alive:
-                continue
-            room = f"a node with room ({self._needs(slot.spec)})"
-            if slot.node:
-                detail = f"Its node died; it waits for {room}, or is starting there."
-                self._rows.record_waiting(slot.spec, WorkerState.RESTARTING, detail)
-            elif now - slot.started_at > _PLACE_SECONDS:
-                self._rows.record_waiting(slot.spec, WorkerState.STARTING, f"Waits for {room}, or is starting there.")
-
-    def _needs(self, spec: ChildSpec) -> str:
-        """What a worker takes of a node, for people, in the names of Ray's resources."""
-        gpus = self._gpus(WorkerRole(spec.role))
-        needs = [f"CPU: {_threads(spec)}"]
-        needs += [f"GPU: {gpus:g}"] if gpus else []
-        needs += [f"{spec.role}: 1"] if self._settings.ray_resources else []
-        return ", ".join(needs)
-
-    def _gpus(self, role: WorkerRole) -> float:
-        settings = self._settings
-        return {WorkerRole.POLICY: settings.ray_policy_gpus, WorkerRole.REWARD: settings.ray_reward_gpus}.get(role, 0.0)
+    def _look(self, slot: _Slot, now: float) -> None:
+        """Say of a worker that Ray has not started, or not started again, what it waits for."""
+        state = actor_state(slot.actor)
+        if state is slot.waiting and now - slot.waiting_at < _WAITING_SECONDS:
+            return
+        needs = ", ".join(f"{name}: {amount:g}" for name, amount in _needs(slot.spec, self._settings).items() if amount)
+        waits = f"aits for a node with room ({needs}), or is starting there."
+        if state is ActorState.PENDING and now - slot.started_at >= _START_SECONDS:
+            self._rows.record_waiting(slot.spec, WorkerState.STARTING, f"W{waits}")
+        elif state is ActorState.RESTARTING:
+            self._rows.record_waiting(slot.spec, WorkerState.RESTARTING, f"Its process or node died; it w{waits}")
+        else:
+            state = None
+        slot.waiting, slot.waiting_at = state, now
 
     def _handle_end(self, slot: _Slot, now: float) -> None:
         self._write_logs()
@@ -364,6 +355,15 @@ class RaySupervisor:
                 elif slot.loop is not None and now - slot.spare_since > _IDLE_SECONDS:
                     slot.stopping = True
                     self._reports.stop.remote(slot.key)
+
+
+def _needs(spec: ChildSpec, settings: Settings) -> dict[str, float]:
+    """What a worker takes of a node, by the names of Ray's resources."""
+    gpus = {WorkerRole.POLICY.value: settings.ray_policy_gpus, WorkerRole.REWARD.value: settings.ray_reward_gpus}
+    needs: dict[str, float] = {"CPU": _threads(spec), "GPU": gpus.get(spec.role, 0.0)}
+    if settings.ray_resources:
+        needs[spec.role] = 1
+    return needs
 
 
 def _threads(spec: ChildSpec) -> int:

@@ -65,7 +65,7 @@ def test_rollouts_of_actors_have_the_bits_of_those_in_process_although_one_dies(
     here = collector()
     expected = [collect(here, seed) for seed in range(4)]
     node = cluster.add_node(**NODE | {"num_cpus": 2})
-    connect(cluster.address)
+    connect(cluster.address, {"CPU": 1})
     killed = tmp_path / "killed"
     slots = collector(partial(deadly_task, killed))
     until(lambda: slots.n_ready == 2, "two actors")
@@ -80,7 +80,7 @@ def test_rollouts_of_actors_have_the_bits_of_those_in_process_although_one_dies(
 
 
 def test_without_room_for_actors_slots_are_collected_in_process(cluster: Any) -> None:
-    connect(cluster.address)
+    connect(cluster.address, {"CPU": 1})
     slots = collector(slot_task)
     assert_equal(collect(slots, 5), collect(collector(), 5))
     assert slots.n_ready == 0

@@ -120,6 +120,15 @@ def test_a_job_moves_to_another_node_when_its_own_is_removed(cluster: Any, addre
     assert moved[1] != lost.node_id
 
 
+def test_a_local_cluster_has_room_for_more_than_this_machine_has_cores() -> None:
+    """In a process of its own, since this one is connected to a cluster."""
+    needs = {"CPU": 300.0, "GPU": 0.0, "policy": 3.0}
+    program = f"from mapt.cluster import connect; print(connect('local', {needs}).cluster_resources())"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
+    assert "'CPU': 300.0" in done.stdout
+    assert "'policy': 3.0" in done.stdout
+
+
 def test_an_unknown_cluster_is_refused(tmp_path: Path) -> None:
     """In a process of its own, since this one is connected to a cluster."""
     command = [sys.executable, "-m", "mapt.cli", "train", "--output", str(tmp_path), "--ray", "127.0.0.1:1"]

@@ -200,7 +200,7 @@ def test_a_failing_worker_restarts_and_one_that_is_not_due_does_not_start(
 def test_rows_say_what_workers_wait_for_and_those_that_are_not_needed_have_none(
     cluster: Any, status: WorkerStatus, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for interval in ("_SCALE_SECONDS", "_PLACE_SECONDS", "_IDLE_SECONDS"):
+    for interval in ("_SCALE_SECONDS", "_START_SECONDS", "_IDLE_SECONDS"):
         monkeypatch.setattr(f"accord.workers.ray_supervisor.{interval}", 0.0)
     due = {WorkerRole.RENDER: 2}
     specs = worker_specs("integration.cluster.waiting_worker", settings)
@@ -226,7 +226,7 @@ def test_rows_say_what_workers_wait_for_and_those_that_are_not_needed_have_none(
     load_ray().kill(supervisor._reports, no_restart=False)
     cluster.remove_node(node, allow_graceful=False)
     until(lambda: have("restarting", 0, "render-0", "render-1"), "two workers whose node has gone")
-    assert "Its node died" in workers_of(settings)["render-0"][1]
+    assert "process or node died" in workers_of(settings)["render-0"][1]
     node = cluster.add_node(**NODE | {"num_cpus": 2})
     until(lambda: have("restarting", 1, "render-0", "render-1"), "two new processes")
     until(lambda: starts("render-0") == 2 and starts("render-1") == 2, "two new processes")
