@@ -14,9 +14,11 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
@@ -72,6 +74,11 @@ class JobPool:
         if self.cluster is not None:
             return max(1, min(self.workers or n_jobs, n_jobs))
         return parallel_jobs(self.workers, n_jobs)
+
+    def parallel_text(self, n_jobs: int) -> str:
+        """How many jobs run at a time, for people."""
+        count = f"{self.parallel(n_jobs)} in parallel"
+        return count if self.cluster is None else f"at most {count}, as far as the cluster has room"
 
     def cores_per_job(self, n_jobs: int) -> int:
         """Cores for each of `n_jobs` jobs."""
@@ -142,8 +149,12 @@ def connect(address: str, needs: Mapping[str, float]) -> Any:
         _require_server(address)
         with _signal_handlers_kept():
             ray.init(address, **options)
+    except ray.exceptions.AuthenticationError as error:
+        raise InvalidConfig(f"The Ray cluster at {address!r} needs a token: {error}", "ray") from error
     except (OSError, RuntimeError, ValueError) as error:
-        raise InvalidConfig(f"No Ray cluster answers at {address!r}: {error}", "ray") from error
+        # Ray says no more where a token is missing.
+        hint = "" if address == LOCAL else " If it needs a token, set RAY_AUTH_MODE=token and RAY_AUTH_TOKEN."
+        raise InvalidConfig(f"No Ray cluster answers at {address!r}: {error}.{hint}", "ray") from error
     return ray
 
 
@@ -165,6 +176,16 @@ def _require_server(address: str) -> None:
     if host and port.isdigit() and "/" not in host:
         with socket.create_connection((host, int(port)), timeout=10):
             pass
+
+
+def keeping_cores(wait: Callable[[], R]) -> R:
+    """Wait for Ray, in a thread: on its main thread, a task that waits lends its cores to others, which then stay."""
+    return _waiting_thread().submit(wait).result()
+
+
+@cache
+def _waiting_thread() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=1, thread_name_prefix="ray")
 
 
 def connected() -> Any | None:
@@ -221,7 +242,7 @@ class _DriverConnection(ParentConnection):
     def flush(self) -> bool:
         """Wait until the messages are delivered. Returns whether the job should end."""
         try:
-            return self._ray.get(self._mailbox.cancelled.remote())
+            return keeping_cores(partial(self._ray.get, self._mailbox.cancelled.remote()))
         except self._ray.exceptions.RayActorError:
             return True  # the driver has ended
 

@@ -301,7 +301,7 @@ def train_cells(jobs: Sequence[CellJob], folder: CellFolder, pool: JobPool, same
     wanted = [job for job in jobs if not _finished(job, folder, same_code)]
     n_done = len(jobs) - len(wanted)
     if not quiet:
-        log_line(f"{len(jobs)} models to train, {n_done} of them done; {pool.parallel(len(wanted))} in parallel")
+        log_line(f"{len(jobs)} models to train, {n_done} of them done; {pool.parallel_text(len(wanted))}")
     started: dict[str, float] = {}
     # Each finished model logs a line of its own.
     with ProgressBars(log_every=2.0, hidden=quiet) as bars:

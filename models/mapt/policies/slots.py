@@ -7,6 +7,7 @@ whose actor has not started yet, or has died, is collected in this process: a ru
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mapt.cluster import connected, task_environment
+from mapt.cluster import connected, keeping_cores, task_environment
 from mapt.device import torch_threads
 from mapt.policies.networks import Policy
 from mapt.policies.rollout import Collector, Rollout
@@ -172,7 +173,9 @@ class _SlotActors:
 
     def ready(self) -> list[int]:
         """The slots whose actors have started."""
-        return [slot for slot, (_, made) in self._started.items() if self._ray.wait([made], timeout=0)[0]]
+        made = [made for _, made in self._started.values()]
+        ready, _ = keeping_cores(partial(self._ray.wait, made, num_returns=len(made), timeout=0))
+        return [slot for slot, (_, made) in self._started.items() if made in ready]
 
     def begin(self, policy: Policy, n_steps: int, seeds: Sequence[int], states: Sequence[SlotState]) -> dict[int, Any]:
         """Start to collect the slots whose actors are ready. Returns the references of their results by slot."""
@@ -192,7 +195,7 @@ class _SlotActors:
             MaptError: what the collection of a rollout raises.
         """
         try:
-            return self._ray.get(reference)
+            return keeping_cores(partial(self._ray.get, reference))
         except self._ray.exceptions.RayTaskError as error:
             raise error.cause from error
         except self._ray.exceptions.RayError:

@@ -92,6 +92,20 @@ def test_a_request_to_stop_ends_the_running_job_and_starts_no_other(address: str
     assert len(heard) == 1
 
 
+def be_alone(folder: Path, job: int, parent: ParentConnection) -> None:
+    running = folder / "running"
+    running.touch(exist_ok=False)
+    for _ in range(40):  # enough for another process to start
+        parent.cancelled()
+        time.sleep(0.2)
+    running.unlink()
+
+
+def test_a_job_that_asks_whether_it_should_end_keeps_its_core(address: str, tmp_path: Path) -> None:
+    done = list(pool(address, tmp_path).run(partial(be_alone, tmp_path), [0, 1]))
+    assert [each.failure for each in done] == [None, None]
+
+
 def test_a_node_without_the_folder_fails_the_job(address: str, tmp_path: Path) -> None:
     (done,) = pool(address, tmp_path / "elsewhere").run(count, [1])
     assert str(tmp_path / "elsewhere") in (done.failure or "")
