@@ -15,6 +15,7 @@ import pytest
 from integration.cluster.conftest import ENVIRONMENT, NODE
 from mapt.cluster import JobPool, RayCluster, load_ray
 from mapt.errors import InvalidConfig
+from mapt.io import atomic_write
 from mapt.processes import ParentConnection
 from support.waiting import until
 
@@ -112,8 +113,10 @@ def test_a_node_without_the_folder_fails_the_job(address: str, tmp_path: Path) -
 
 
 def wait_for_removal(folder: Path, job: int, parent: ParentConnection) -> int:
-    parent.send(load_ray().get_runtime_context().get_node_id())
-    until((folder / "removed").exists, "the removal of a node")
+    """On the node that is removed, wait for the end of this process, which may outlive its node for a moment."""
+    own, removed = load_ray().get_runtime_context().get_node_id(), folder / "removed"
+    parent.send(own)
+    until(lambda: removed.exists() and removed.read_text() != own, "the removal of another node")
     return job
 
 
@@ -125,7 +128,7 @@ def test_a_job_moves_to_another_node_when_its_own_is_removed(cluster: Any, addre
         heard[job].append(node)
         if node == lost.node_id:
             cluster.remove_node(lost, allow_graceful=False)
-            (tmp_path / "removed").touch()
+            atomic_write(tmp_path / "removed", node.encode())
 
     done = pool(address, tmp_path).run(partial(wait_for_removal, tmp_path), [0, 1], on_message=note)
     assert {each.job: (each.result, each.failure) for each in done} == {0: (0, None), 1: (1, None)}
