@@ -162,11 +162,14 @@ def _record_restart(spec: ChildSpec, node: str, logged: str) -> None:
         logged: the last line that it logged.
     """
     settings = Settings()
-    detail = f"Its process or node died; it starts again on {node}."
-    if logged:
-        detail += f" Last line of its log: {logged}"
+    detail = _with_last_line(f"Its process or node died; it starts again on {node}.", logged)
     with closing(Database.open(settings.resolved_database_url)) as database, database.transaction() as session:
         workers.count_restart(session, settings.worker_id(spec.name), WorkerRole(spec.role), detail)
+
+
+def _with_last_line(detail: str, logged: str) -> str:
+    """What became of a worker, with the last line of its log, if any."""
+    return f"{detail} Last line of its log: {logged}" if logged else detail
 
 
 @dataclass(slots=True)
@@ -304,7 +307,8 @@ class RaySupervisor:
         if state is ActorState.PENDING and now - slot.started_at >= _START_SECONDS:
             self._rows.record_waiting(slot.spec, WorkerState.STARTING, f"W{waits}")
         elif state is ActorState.RESTARTING:
-            self._rows.record_waiting(slot.spec, WorkerState.RESTARTING, f"Its process or node died; it w{waits}")
+            detail = _with_last_line(f"Its process or node died; it w{waits}", self._last_line(slot.spec.name))
+            self._rows.record_waiting(slot.spec, WorkerState.RESTARTING, detail)
         else:
             state = None
         slot.waiting, slot.waiting_at = state, now
@@ -327,6 +331,11 @@ class RaySupervisor:
             self._rows.record_death(Death(spec.name, spec.role, f"{reason}. It restarts in {pause:.1f} s."))
         if slot.spare_since is not None:
             self._rows.forget(spec)
+
+    def _last_line(self, name: str) -> str:
+        with suppress(self._ray.exceptions.RayError):  # the cluster has ended
+            return self._ray.get(self._reports.last_line.remote(name))
+        return ""
 
     def _write_logs(self) -> None:
         with suppress(self._ray.exceptions.RayError):  # the cluster has ended

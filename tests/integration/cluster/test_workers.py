@@ -118,7 +118,7 @@ def test_an_experiment_goes_on_when_the_node_of_its_policy_is_lost(
                 cluster.remove_node(nodes["policy"], allow_graceful=False)
                 assert 1 <= iterations(database, id) < N_ITERATIONS
                 nodes["policy"] = cluster.add_node(**NODE, resources={"policy": 1})
-                # For as long as the new process takes to import torch.
+                # Until the new process has imported torch.
                 [detail] = until(lambda: details_of_restarts(database), "the policy worker starts again")
                 assert "Last line of its log: " in detail
             until(finished, "the experiment finishes")
