@@ -362,8 +362,18 @@ class RaySupervisor:
                     if slot.loop is None:
                         self._rows.forget(slot.spec)
                 elif slot.loop is not None and now - slot.spare_since > _IDLE_SECONDS:
-                    slot.stopping = True
-                    self._reports.stop.remote(slot.key)
+                    self._stop(slot)
+
+    def _stop(self, slot: _Slot) -> None:
+        """Let a worker stop that is not needed now; `tick` handles its end."""
+        if actor_state(slot.actor) is ActorState.ALIVE:
+            slot.stopping = True
+            self._reports.stop.remote(slot.key)
+        else:
+            # It hears of nothing, and Ray's autoscaler would add a node for it.
+            self._ray.kill(slot.actor)
+            slot.actor = slot.loop = None
+            self._rows.forget(slot.spec)
 
 
 def _needs(spec: ChildSpec, settings: Settings) -> dict[str, float]:

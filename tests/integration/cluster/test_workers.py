@@ -220,6 +220,9 @@ def test_rows_say_what_workers_wait_for_and_those_that_are_not_needed_have_none(
 
     until(lambda: have("starting", 0, "render-0", "render-1"), "two workers without a node")
     assert "CPU: 1" in workers_of(settings)["render-0"][1]
+    due[WorkerRole.RENDER] = 1
+    until(lambda: have("starting", 0, "render-0"), "one worker without a node")
+    due[WorkerRole.RENDER] = 2
     node = cluster.add_node(**NODE | {"num_cpus": 2})
     until(lambda: starts("render-0") and starts("render-1"), "two workers")
     # Its next process knows nothing of what this one was told.
