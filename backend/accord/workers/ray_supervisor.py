@@ -273,7 +273,7 @@ class RaySupervisor:
         for slot in running:
             self._reports.stop.remote(slot.key)
         deadline = time.monotonic() + grace_seconds
-        alive = [slot for slot in running if actor_state(slot.actor) is ActorState.ALIVE]
+        alive = [slot for slot in running if _may_run(slot.actor)]
         while alive and time.monotonic() < deadline and not stop.immediate:
             alive = [slot for slot in alive if not self._ray.wait([slot.loop], timeout=0.05)[0]]
         self._write_logs()
@@ -366,7 +366,7 @@ class RaySupervisor:
 
     def _stop(self, slot: _Slot) -> None:
         """Let a worker stop that is not needed now; `tick` handles its end."""
-        if actor_state(slot.actor) is ActorState.ALIVE:
+        if _may_run(slot.actor):
             slot.stopping = True
             self._reports.stop.remote(slot.key)
         else:
@@ -374,6 +374,11 @@ class RaySupervisor:
             self._ray.kill(slot.actor)
             slot.actor = slot.loop = None
             self._rows.forget(slot.spec)
+
+
+def _may_run(actor: Any) -> bool:
+    """Whether a process of the actor may run, which can be told to stop."""
+    return actor_state(actor) not in {ActorState.PENDING, ActorState.RESTARTING}
 
 
 def _needs(spec: ChildSpec, settings: Settings) -> dict[str, float]:
