@@ -344,7 +344,7 @@ def evaluate(
     finally:
         if own is not None:
             own.close()
-    return Evaluation(tuple(played.returns.tolist()), tuple(played.lengths.tolist()))
+    return Evaluation.of(played)
 
 
 def _hub() -> Any:

@@ -110,7 +110,8 @@ def play(name: str, team: Team) -> tuple[float, float, float]:
         lengths += 1
         over = step.terminated | step.truncated
         counted = over & (ended < wanted)
-        won += task.won[counted].tolist()
+        assert step.success is not None
+        won += step.success[counted].tolist()
         found += returns[counted].tolist()
         steps += lengths[counted].tolist()
         ended += over

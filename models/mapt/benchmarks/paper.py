@@ -177,6 +177,8 @@ class PolicyResult:
     iqm: float
     #: None for an untrained policy
     run: RunResult | None
+    #: share of the evaluation's episodes that succeeded; None if the task does not count success
+    success: float | None = None
 
 
 class PaperFolder:
@@ -394,7 +396,7 @@ def read_result(job: PolicyJob) -> PolicyResult | None:
         if evaluation is None:
             return None
         summary = evaluation.summary()
-        return PolicyResult(job, summary["mean"], summary["iqm"], None)
+        return PolicyResult(job, summary["mean"], summary["iqm"], None, summary.get("success"))
     if not (folder.path / RUN_FILE).exists() or not folder.metrics.exists():
         return None
     run = RunResult.read(folder)
@@ -402,4 +404,4 @@ def read_result(job: PolicyJob) -> PolicyResult | None:
     if expected[0].differences(expected[1]) or run.steps < job.run.settings.steps:
         return None
     final = run.evaluation_at(job.run.settings.steps)
-    return None if final is None else PolicyResult(job, final.mean, final.iqm, run)
+    return None if final is None else PolicyResult(job, final.mean, final.iqm, run, final.success)

@@ -21,6 +21,8 @@ class Episodes:
     returns: NDArray[np.float64]
     #: (episodes,): lengths in steps.
     lengths: NDArray[np.int64]
+    #: (episodes,) bool: a step reached what the task counts as success; None if it counts nothing.
+    successes: NDArray[np.bool_] | None = None
 
 
 def play(
@@ -42,6 +44,8 @@ def play(
     # Environments that finish early continue into the spare last row.
     returns = np.zeros((n_rounds + 1, task.n_envs))
     lengths = np.zeros((n_rounds + 1, task.n_envs), dtype=np.int64)
+    successes = np.zeros((n_rounds + 1, task.n_envs), dtype=bool)
+    counts_success = False
     played = np.zeros(task.n_envs, dtype=np.intp)
     envs = np.arange(task.n_envs)
     observations, _ = task.reset(seed)
@@ -50,9 +54,16 @@ def play(
         step = task.step(acting.act(observations, noise, available_actions(task)))
         returns[played, envs] += step.reward
         lengths[played, envs] += 1
+        if step.success is not None:
+            counts_success = True
+            successes[played, envs] |= step.success
         played = np.minimum(played + (step.terminated | step.truncated), n_rounds)
         observations = step.observations
-    return Episodes(returns[:n_rounds].ravel()[:episodes], lengths[:n_rounds].ravel()[:episodes])
+    return Episodes(
+        returns[:n_rounds].ravel()[:episodes],
+        lengths[:n_rounds].ravel()[:episodes],
+        successes[:n_rounds].ravel()[:episodes] if counts_success else None,
+    )
 
 
 def evaluate(

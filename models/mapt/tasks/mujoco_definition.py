@@ -132,6 +132,8 @@ class MujocoMdp:
     state: tuple[FeatureColumn, ...]
     #: Whether the state after a step is terminal.
     terminated: Condition = never_terminated
+    #: Whether the step reached what the task counts as success; None if it counts nothing.
+    success: Condition | None = None
     #: Names of the features that `reward` reads from before the step.
     previous: tuple[str, ...] = ("qpos",)
     #: Shapes by name of the fields of MjData to read. As after `mj_step`, their values are those of the integrator's

@@ -142,13 +142,14 @@ class MujocoTask:
         reward = self._mdp.reward(self._previous, self._features, self._controls)
         terminated = self._mdp.terminated(self._features)
         truncated = (self._elapsed_steps >= self._spec.horizon_steps) & ~terminated
+        success = None if self._mdp.success is None else self._mdp.success(self._features)
         final_observations, final_state = observations, state = self._observe(slice(None))
         ended = np.flatnonzero(terminated | truncated)
         if ended.size:
             self._start_episodes(ended)
             observations, state = observations.copy(), state.copy()
             observations[ended], state[ended] = self._observe(ended)
-        return TaskStep(observations, state, reward, terminated, truncated, final_observations, final_state)
+        return TaskStep(observations, state, reward, terminated, truncated, final_observations, final_state, success)
 
     def simulator_state(self) -> tuple[FloatArray, FloatArray]:
         return self._physics["qpos"].copy(), self._physics["qvel"].copy()

@@ -85,6 +85,8 @@ class TaskStep:
     final_observations: NDArray[np.floating]
     #: (E, S) float32, before any reset.
     final_state: NDArray[np.floating]
+    #: (E,) bool: the step reached what the task counts as success, such as a goal; None if it counts nothing.
+    success: NDArray[np.bool_] | None = None
 
 
 class Task(Protocol):

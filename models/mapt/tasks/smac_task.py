@@ -63,8 +63,6 @@ class SmacTask:
         self._spec, self._make_env, self._n_envs, self._dtype = spec, make_env, n_envs, dtype
         self._index = np.eye(spec.n_agents, spec.n_agents if agent_index else 0)
         self._envs: list[SmacEnv] = []
-        #: bool (E,): the last step won the battle
-        self.won = np.zeros(n_envs, bool)
 
     @property
     def spec(self) -> TaskSpec:
@@ -86,19 +84,19 @@ class SmacTask:
     def step(self, actions: NDArray[np.floating]) -> TaskStep:
         check_actions(actions, (self._n_envs, self._spec.n_agents, self._spec.action_dim))
         reward, terminated = np.zeros(self._n_envs), np.zeros(self._n_envs, bool)
-        truncated = np.zeros_like(terminated)
+        truncated, won = np.zeros_like(terminated), np.zeros_like(terminated)
         for number, (env, chosen) in enumerate(zip(self._envs, actions.argmax(axis=2).tolist(), strict=True)):
             reward[number], over, result = env.step(chosen)
             truncated[number] = over and bool(result.get("episode_limit"))
             terminated[number] = over and not truncated[number]
-            self.won[number] = bool(result.get("battle_won"))
+            won[number] = bool(result.get("battle_won"))
         final_observations, final_state = observations, state = self._observe()
         ended = np.flatnonzero(terminated | truncated).tolist()
         for number in ended:
             self._envs[number].reset()
         if ended:
             observations, state = self._observe()
-        return TaskStep(observations, state, reward, terminated, truncated, final_observations, final_state)
+        return TaskStep(observations, state, reward, terminated, truncated, final_observations, final_state, won)
 
     def available_actions(self) -> NDArray[np.bool_]:
         return np.array([env.get_avail_actions() for env in self._envs], dtype=bool)

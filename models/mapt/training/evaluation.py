@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mapt.policies import Policy, play
+from mapt.policies.episodes import Episodes
 from mapt.tasks import make_task
 
 #: the standard error of the mean is then a sixth of the standard deviation
@@ -24,11 +26,22 @@ class Evaluation:
     #: true return and length in steps of each episode
     returns: tuple[float, ...]
     lengths: tuple[int, ...]
+    #: whether each episode succeeded; None if the task does not count success
+    successes: tuple[bool, ...] | None = None
+
+    @classmethod
+    def of(cls, played: Episodes) -> Self:
+        """The results of `play`."""
+        successes = None if played.successes is None else tuple(played.successes.tolist())
+        return cls(tuple(played.returns.tolist()), tuple(played.lengths.tolist()), successes)
 
     def summary(self) -> dict[str, float]:
-        """Mean, standard deviation, interquartile mean, minimum and maximum of the returns, and the mean length."""
+        """Mean, standard deviation, interquartile mean, minimum and maximum of the returns, and the mean length.
+
+        With the share of episodes that succeeded, if the task counts success.
+        """
         returns = np.asarray(self.returns)
-        return {
+        found = {
             "mean": float(returns.mean()),
             "std": float(returns.std()),
             "iqm": interquartile_mean(returns),
@@ -36,6 +49,7 @@ class Evaluation:
             "max": float(returns.max()),
             "length": float(np.mean(self.lengths)),
         }
+        return found if self.successes is None else found | {"success": float(np.mean(self.successes))}
 
     def to_dict(self) -> dict[str, object]:
         """The summary and every episode, ready for JSON."""
@@ -44,20 +58,23 @@ class Evaluation:
             **self.summary(),
             "returns": list(self.returns),
             "lengths": list(self.lengths),
+            **({} if self.successes is None else {"successes": list(self.successes)}),
         }
 
     def describe(self) -> str:
-        """Mean, standard deviation and interquartile mean of the returns in one line."""
+        """Mean, standard deviation and interquartile mean of the returns, and successes, in one line."""
         found = self.summary()
+        success = f", success {found['success']:.0%}" if "success" in found else ""
         return (
-            f"true return {found['mean']:,.1f} ± {found['std']:,.1f} (interquartile mean {found['iqm']:,.1f}) "
+            f"true return {found['mean']:,.1f} ± {found['std']:,.1f} (interquartile mean {found['iqm']:,.1f}){success} "
             f"over {len(self.returns)} episodes of {found['length']:,.0f} steps"
         )
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Sequence[float]]) -> "Evaluation":
         """Read the result of `to_dict`. Raises KeyError if a key is missing."""
-        return cls(tuple(map(float, values["returns"])), tuple(map(int, values["lengths"])))
+        successes = tuple(map(bool, values["successes"])) if "successes" in values else None
+        return cls(tuple(map(float, values["returns"])), tuple(map(int, values["lengths"])), successes)
 
 
 def evaluate_policy(
@@ -74,7 +91,7 @@ def evaluate_policy(
         played = play(policy, task, episodes, seed=seed + SEED_OF_STARTS)
     finally:
         task.close()
-    return Evaluation(tuple(played.returns.tolist()), tuple(played.lengths.tolist()))
+    return Evaluation.of(played)
 
 
 def interquartile_mean(values: ArrayLike) -> float:

@@ -30,6 +30,8 @@ class EvaluationPoint:
     mean: float
     #: interquartile mean over episodes; NaN where it was not recorded
     iqm: float
+    #: share of episodes that succeeded; None if the task does not count success, or it was not recorded
+    success: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +64,7 @@ class RunResult:
         final = folder.read_evaluation(steps)
         if final is not None:
             found = final.summary()
-            evaluations[steps] = EvaluationPoint(steps, found["mean"], found["iqm"])
+            evaluations[steps] = EvaluationPoint(steps, found["mean"], found["iqm"], found.get("success"))
         return cls(
             settings,
             steps,
@@ -79,8 +81,10 @@ class RunResult:
 
 
 def _evaluation_of(line: Metrics) -> EvaluationPoint:
-    iqm = float(line.get("evaluation_iqm", "nan"))
-    return EvaluationPoint(int(line["steps"]), float(line["evaluation_mean"]), iqm)
+    iqm, success = float(line.get("evaluation_iqm", "nan")), line.get("evaluation_success")
+    return EvaluationPoint(
+        int(line["steps"]), float(line["evaluation_mean"]), iqm, None if success is None else float(success)
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -126,7 +126,8 @@ def test_the_tables_have_the_returns_of_the_run_folders(whole):
         values = [returns[row["policy"], row["reward"], str(seed)] for seed in SEEDS]
         assert float(row["mean"]) == pytest.approx(mean(values))
         assert float(row["std"]) == pytest.approx(stdev(values))
-        assert f"{round(mean(values)):,} ± {round(stdev(values)):,}" in page
+        form = ",.0f" if abs(mean(values)) >= 100 else ",.2f"
+        assert f"{mean(values):{form}} ± {stdev(values):{form}}" in page
     assert "results are missing" not in page
 
 

@@ -29,10 +29,12 @@ PLAN = PaperPlan(
 )
 
 
-def result(task: str, reward: str, pairs: int | None, seed: int, mean: float) -> PolicyResult:
+def result(
+    task: str, reward: str, pairs: int | None, seed: int, mean: float, success: float | None = None
+) -> PolicyResult:
     settings = RunSettings(task=task, policy=PolicyConfig(seed=seed), steps=1000)
     return PolicyResult(
-        PolicyJob("mappo", reward, pairs, RunJob(settings, Path("run"), 0.0, False, 1)), mean, mean, None
+        PolicyJob("mappo", reward, pairs, RunJob(settings, Path("run"), 0.0, False, 1)), mean, mean, None, success
     )
 
 
@@ -89,12 +91,31 @@ def test_a_seed_without_a_baseline_has_a_return_but_no_score():
 def test_the_page_has_tables_1_and_2_and_the_papers_figures():
     page = markdown(results(*BASELINES, *MAPT))
     assert "| HalfCheetah-6x1 | 500 | -100 ± 0 | 900 ± 0 | 525 ± 177 |  |  |" in page
-    assert "| HalfCheetah-6x1, the paper's MAT | 30,000 |  | 4,484 ± 75 | 2,424 ± 128 |  | -89 ± 12 |" in page
+    assert "| HalfCheetah-6x1, the paper's MAT | 30,000 |  | 4,484 ± 75 | 2,424 ± 128 |  | -88.75 ± 11.62 |" in page
     assert "| HalfCheetah-6x1 | 500 | 62% [50, 75] |  |  |" in page
     assert "| all tasks | 500 | 62% [" in page
     assert "## Table 2" in page
     # MAPT* is not in the plan.
     assert "## Table 3" not in page
+
+
+def test_successes_have_a_table_and_small_returns_decimals():
+    plan = replace(PLAN, tasks=("3m", FIRST), pairs=(500,), models=("MAPT",))
+    policies = [
+        result("3m", UNTRAINED, None, 0, 1.25, 0.0),
+        result("3m", UNTRAINED, None, 1, 0.75, 0.0),
+        result("3m", "MAPT", 500, 0, 17.5, 0.75),
+        result(FIRST, "MAPT", 500, 0, 400.0),
+    ]
+    found = PaperResults(plan, tuple(policies), ())
+    page = markdown(found)
+    assert "| 3m | 500 | 1.00 ± 0.35 |  | 17.50 (1) |" in page
+    assert "| 3m, the paper's MAT | 50,000 |  | 20.00 ± 0.00 | 19.98 ± 0.05 |" in page
+    success = page.partition("| success |")[2].partition("\n\n")[0]
+    assert "| 3m | 500 | 0% |  | 75% (1) |" in success
+    assert FIRST not in success
+    assert row_of(found, "3m", "MAPT", 500)["success_mean"] == 0.75
+    assert "success |" not in markdown(results(*BASELINES))
 
 
 def test_an_incomplete_row_says_how_many_seeds_it_has():

@@ -308,6 +308,19 @@ def test_door_ends_when_a_hand_is_far_from_its_handle(name: str, limit: float, h
     assert probe.terminated()
 
 
+@pytest.mark.parametrize(("degrees", "success"), [((14.0, 14.0), True), ((14.0, 16.0), False), ((80.0, 80.0), False)])
+def test_a_door_is_closed_if_both_leaves_are(degrees: tuple[float, float], success: bool) -> None:
+    task = make_task(CLOSE, 1, n_threads=1)
+    task.reset(0)
+    snapshot = task.snapshot()
+    snapshot["qpos"][0, -2:] = np.radians(degrees)
+    snapshot["qvel"][0, -2:] = 0.0
+    task.restore(snapshot)
+    step = task.step(np.zeros((1, 2, 26)))
+    assert step.success is not None
+    assert step.success[0] == success
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_no_episode_starts_at_its_end(name: str) -> None:
     task = make_task(name, 16, n_threads=1)
@@ -358,15 +371,18 @@ def test_stored_throw_brings_the_egg_to_its_goal() -> None:
     snapshot = task.snapshot()
     snapshot["qpos"][0] = stored["qpos"]
     task.restore(snapshot)
-    distances = []
+    distances, caught = [], []
     for action in np.repeat(stored["actions"], 15, axis=0):
         step = task.step(action[None])
+        assert step.success is not None
+        caught.append(bool(step.success[0]))
         thing = step.final_state[0, 398:]
         distances.append(np.linalg.norm(thing[:3] - thing[13:16]))
         if step.terminated[0]:
             break
     assert distances[0] > 0.5
     assert min(distances) < 0.05
+    assert caught == [distance < 0.05 for distance in distances]
 
 
 @pytest.mark.parametrize(("name", "stored"), [(OUTWARD, "push"), (INWARD, "pull")])
@@ -379,7 +395,10 @@ def test_stored_actions_open_both_leaves(name: str, stored: str) -> None:
     for action in np.repeat(actions, 250 // len(actions), axis=0):
         step = task.step(action[None])
         assert not step.terminated[0]
+        assert step.success is not None
         angles.append(task.simulator_state()[0][0, -2:])
-        if min(angles[-1]) > np.radians(75):
+        opened = min(angles[-1]) >= np.radians(75)
+        assert step.success[0] == opened
+        if opened:
             return
     pytest.fail(f"the leaves opened to {np.degrees(angles[-1])} degrees")

@@ -152,8 +152,8 @@ def test_a_victory_without_regeneration_has_the_return_20(name: str) -> None:
     health[n] = 1.0
     place(task, health=health, shield=shield, x=[10] * n + [11.5] * (len(units) - n), y=[16] * len(units))
     step = task.step(one_hot(task, [[FIRST_TARGET if not unit.heals else STOP for unit in units[:n]]]))
-    assert task.won.tolist() == [True]
-    assert step.terminated.tolist() == [True]
+    assert step.success is not None
+    assert (step.success.tolist(), step.terminated.tolist()) == ([True], [True])
     assert step.reward[0] == pytest.approx((1 + 10 + 200) * 20 / best)
 
 
@@ -161,7 +161,8 @@ def test_losing_every_agent_ends_the_episode_without_a_bonus() -> None:
     task = make("3m")
     place(task, health=[1, 0, 0, 45, 45, 45], x=[10, 0, 0, 11, 11, 11], y=[16, 0, 0, 16, 17, 15])
     step = task.step(one_hot(task, [[STOP, NO_OP, NO_OP]]))
-    assert (step.terminated[0], step.reward[0], task.won[0]) == (True, 0.0, False)
+    assert step.success is not None
+    assert (step.terminated[0], step.reward[0], step.success[0]) == (True, 0.0, False)
     # The next episode has started, and the last observations of the ended one are kept.
     assert not step.final_observations.any()
     assert step.observations.any()
@@ -174,7 +175,8 @@ def test_a_team_of_medivacs_alone_has_lost() -> None:
     health[[9, 10]] = 150, 125
     place(task, health=health, x=[1.0] * 10 + [30.0] * 12)
     step = task.step(one_hot(task, [[NO_OP] * 9 + [STOP]]))
-    assert (step.terminated[0], task.won[0]) == (True, False)
+    assert step.success is not None
+    assert (step.terminated[0], step.success[0]) == (True, False)
 
 
 def test_an_episode_is_truncated_at_the_limit() -> None:

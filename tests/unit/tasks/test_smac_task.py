@@ -86,7 +86,8 @@ def test_episodes_end_by_victory_or_at_the_limit_and_start_again() -> None:
     assert (step.reward.tolist(), step.terminated.any(), step.truncated.any()) == ([1.0, 0.0], False, False)
     step = task.step(actions((2, 2), (0, 0)))
     assert (step.terminated.tolist(), step.truncated.tolist()) == ([True, False], [False, False])
-    assert task.won.tolist() == [True, False]
+    assert step.success is not None
+    assert step.success.tolist() == [True, False]
     assert (step.final_state.tolist(), step.state.tolist()) == ([[2, 1], [2, 1]], [[0, 2], [2, 1]])
     for _ in range(LIMIT - 2):
         step = task.step(actions((0, 0), (0, 1)))

@@ -66,8 +66,6 @@ class Football:
         self._available = np.zeros((n_envs, spec.n_agents, N_ACTIONS), bool)
         #: (E,): of the next episodes
         self._seeds = np.zeros(n_envs, np.int64)
-        #: bool (E,): the last step scored a goal
-        self.scored = np.zeros(n_envs, bool)
         self._rng = np.random.default_rng(0)
         self._engines: list[JobProcess[Request, Any]] = [JobProcess(EngineJob(scenario)) for _ in range(n_envs)]
 
@@ -94,7 +92,7 @@ class Football:
         final = np.array([state for state, _, _ in played])
         over = np.array([ended for _, ended, _ in played])
         before, after = Match.of(self._states, self._scenario), Match.of(final, self._scenario)
-        self.scored = after.goals[:, 0] > before.goals[:, 0]
+        scored = after.goals[:, 0] > before.goals[:, 0]
         truncated = over & (after.elapsed_steps >= LIMIT_STEPS) & (after.goals.sum(axis=1) == 0)
         reward = team_reward(before, after, over)
 
@@ -104,7 +102,8 @@ class Football:
             self._seeds[over] = self._rng.integers(_SEEDS, size=over.sum())
             self._states = np.array([final if start is None else start for final, _, start in played])
             observed, state = self._observe(self._states)
-        return TaskStep(observed, state, reward, over & ~truncated, truncated, final_observations, final_state)
+        terminated = over & ~truncated
+        return TaskStep(observed, state, reward, terminated, truncated, final_observations, final_state, scored)
 
     def available_actions(self) -> NDArray[np.bool_]:
         return self._available.copy()

@@ -46,6 +46,8 @@ EGG_SEMI_AXES, EGG_DENSITY = (0.03, 0.03, 0.04), 500.0
 EGG_COLOUR, GOAL_COLOUR = (0.95, 0.93, 0.85, 1.0), (0.3, 0.85, 0.4, 0.45)
 #: An episode ends when a base is this far from its first position, or the egg this low, in metres.
 BASE_LIMIT_METRES, LOWEST_METRES = 0.1, 0.3
+#: An egg this near to its goal has been caught.
+CAUGHT_METRES = 0.05
 
 #: The object's observation: the egg's pose and velocities, the goal's pose, and the rotation from goal to egg.
 N_SENSED, OBJECT_WIDTH = 20, 24
@@ -112,6 +114,12 @@ def terminated(features: Features) -> NDArray[np.bool_]:
     return (moved >= BASE_LIMIT_METRES).any(axis=1) | (features["object"][:, 2] <= LOWEST_METRES)
 
 
+def caught(features: Features) -> NDArray[np.bool_]:
+    """Whether the egg is at its goal, (E,)."""
+    thing = features["object"]
+    return np.linalg.norm(thing[:, 13:16] - thing[:, 0:3], axis=1) < CAUGHT_METRES
+
+
 TASKS = (
     MujocoDefinition(
         name="CatchOver2Underarm",
@@ -128,6 +136,7 @@ TASKS = (
             sample_start=sample_start,
             reward=reward,
             terminated=terminated,
+            success=caught,
             previous=(),
             fields={"sensordata": (N_HAND_SENSORS + N_SENSED,), "ctrl": (len(SIDES) * N_ACTIONS,)},
             features={"hands": (len(SIDES), HAND_WIDTH), "object": (OBJECT_WIDTH,)},

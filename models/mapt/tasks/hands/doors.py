@@ -55,6 +55,8 @@ TIP_METRES = 0.02
 #: Above this sum of five distances in metres, of either hand, the angle of the door does not count.
 NEAR_METRES = 0.5
 OPEN_RADIANS = 1.57
+#: A leaf is open, or closed, from this angle on.
+OPENED_DEGREES, CLOSED_DEGREES = 75.0, 15.0
 
 #: The door's pose and velocities, which are constant, and the positions of the right and the left handle.
 OBJECT_WIDTH = 19
@@ -231,6 +233,16 @@ def hands_beyond(limit_metres: float) -> Condition:
     return beyond
 
 
+def leaves_opened(features: Features) -> NDArray[np.bool_]:
+    """Whether both leaves are open, (E,)."""
+    return (features["qpos"][:, -2:] >= np.radians(OPENED_DEGREES)).all(axis=1)
+
+
+def leaves_closed(features: Features) -> NDArray[np.bool_]:
+    """Whether both leaves are closed, (E,)."""
+    return (features["qpos"][:, -2:] <= np.radians(CLOSED_DEGREES)).all(axis=1)
+
+
 def _task(
     name: str,
     instructions: str,
@@ -239,6 +251,7 @@ def _task(
     sample_start: StartSampler,
     reward: RewardFunction,
     terminated: Condition,
+    success: Condition,
 ) -> MujocoDefinition:
     return MujocoDefinition(
         name=name,
@@ -255,6 +268,7 @@ def _task(
             sample_start=sample_start,
             reward=reward,
             terminated=terminated,
+            success=success,
             previous=(),
             fields={"sensordata": (N_HAND_SENSORS + OBJECT_WIDTH,), "ctrl": (len(SIDES) * N_ACTIONS,)},
             features={"hands": (len(SIDES), HAND_WIDTH), "object": (OBJECT_WIDTH,)},
@@ -271,6 +285,7 @@ _OPENING = {
     "sample_start": start_of(0.0, 0.0),
     "reward": reward_of(2.0, lambda across: 2 * across),
     "terminated": hands_beyond(1.5),
+    "success": leaves_opened,
 }
 
 TASKS = (
@@ -283,5 +298,6 @@ TASKS = (
         sample_start=start_of(OPEN_RADIANS, OPEN_RADIANS),
         reward=reward_of(6.0, lambda across: 1 - 2 * across),
         terminated=hands_beyond(3.0),
+        success=leaves_closed,
     ),
 )

@@ -59,8 +59,6 @@ class Skirmish:
         #: (E, N): the actions before the current states
         self._last_actions = np.full((n_envs, spec.n_agents), NOBODY, np.int64)
         self._available = np.zeros((n_envs, spec.n_agents, spec.action_dim), bool)
-        #: bool (E,): the last step won the battle
-        self.won = np.zeros(n_envs, bool)
         self._rng = np.random.default_rng(0)
 
         strength = (battle.max_health + battle.max_shield)[spec.n_agents :]
@@ -92,9 +90,9 @@ class Skirmish:
         lost = (before - battle.health - battle.shield)[:, enemies].sum(axis=1)
         killed = (alive_before & ~alive)[:, enemies].sum(axis=1)
         agents_left, enemies_left = self._can_fight(alive)
-        self.won = agents_left & ~enemies_left
+        won = agents_left & ~enemies_left
         # SMAC's rule: a step in which shields recover more than is lost counts as a reward, too.
-        reward = (np.abs(lost + KILL_REWARD * killed) + WIN_REWARD * self.won) * self._reward_scale
+        reward = (np.abs(lost + KILL_REWARD * killed) + WIN_REWARD * won) * self._reward_scale
         terminated = ~(agents_left & enemies_left)
         truncated = (self._elapsed_steps >= self._spec.horizon_steps) & ~terminated
 
@@ -104,7 +102,7 @@ class Skirmish:
             self._start_episodes(ended)
             observations, state = observations.copy(), state.copy()
             observations[ended], state[ended] = self._observe(ended)
-        return TaskStep(observations, state, reward, terminated, truncated, final_observations, final_state)
+        return TaskStep(observations, state, reward, terminated, truncated, final_observations, final_state, won)
 
     def available_actions(self) -> NDArray[np.bool_]:
         return self._available.copy()
