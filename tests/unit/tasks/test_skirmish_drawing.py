@@ -71,6 +71,14 @@ def test_agents_have_their_colours_and_enemies_theirs() -> None:
     assert rows[0] > rows[1] > rows[2]
 
 
+def test_agents_are_not_hidden_by_enemies() -> None:
+    apart = draw(state(x=[8, 12, 16, 20, 20, 20]))[0][:, 40:-40]
+    close = draw(state(x=[8, 12, 16, 16.4, 20, 20], y=[16, 16, 16, 16, 12, 20]))[0][:, 40:-40]
+    shown = [where(frame, COLOURS[2]).sum() for frame in (apart, close)]
+    # The enemy's bar covers a part of the agent, but the enemy does not.
+    assert shown[1] > 0.7 * shown[0]
+
+
 def test_bars_show_health_and_shields() -> None:
     full, half = draw(state())[0], draw(state(health=[45, 45, 45, 22.5, 22.5, 22.5]))[0]
     # In the list of enemies, right of the map.
