@@ -67,6 +67,8 @@ from mapt.settings import NamedSettings
 from mapt.tasks import task_spec
 
 _LOG_EVERY = 0.25
+#: exit status of a command whose datasets could not be recorded
+_STATUS_FAILED = 2
 _ALL_MODELS = ",".join(MODEL_NAMES)
 
 
@@ -102,17 +104,18 @@ def dataset(
         else PolicyRecording(str(policy.resolve()), segment_steps, segments, seed)
         for seed in parse_numbers("--seeds", seeds, 0)
     ]
-    record_all({dataset_folder(output, recording.seed): recording for recording in recordings}, pool)
+    if not record_all({dataset_folder(output, recording.seed): recording for recording in recordings}, pool):
+        raise typer.Exit(_STATUS_FAILED)
 
 
-def record_all(recordings: Mapping[Path, Recording | PolicyRecording], pool: JobPool, *, quiet: bool = False) -> None:
-    """Record datasets in parallel, with a progress bar for each.
+def record_all(recordings: Mapping[Path, Recording | PolicyRecording], pool: JobPool, *, quiet: bool = False) -> bool:
+    """Record datasets in parallel, with a progress bar for each. Prints why one failed, and completes the others.
 
     Args:
         recordings: by the folder to create.
 
-    Raises:
-        typer.Exit: if a recording failed; the others are completed first.
+    Returns:
+        Whether all succeeded.
     """
     threads = pool.cores_per_job(len(recordings))
     jobs = [RecordingJob(recording, folder, threads) for folder, recording in recordings.items()]
@@ -135,8 +138,7 @@ def record_all(recordings: Mapping[Path, Recording | PolicyRecording], pool: Job
             elif not quiet:
                 found = RecordedDataset.open(done.job.folder)
                 log_line(f"{_name(done.job)}: {len(found):,} segments of {found.source.n_steps} steps in {found.path}")
-    if failed:
-        raise typer.Exit(2)
+    return not failed
 
 
 def _name(job: RecordingJob) -> str:
@@ -231,7 +233,8 @@ def table(
     if absent and dry_run:
         lacking = ", ".join(str(recording.seed) for recording in absent.values())
         raise InvalidConfig(f"{root} lacks seed {lacking}. Without --dry-run, it is recorded.", "datasets")
-    record_all(absent, pool, quiet=as_json)
+    if not record_all(absent, pool, quiet=as_json):
+        raise typer.Exit(_STATUS_FAILED)
     found = {seed: RecordedDataset.open(dataset_folder(root, seed)) for seed in plan.seeds}
     jobs = table_jobs(plan, found, output / "models" if keep_models else None)
     folder = CellFolder(output / "cells")

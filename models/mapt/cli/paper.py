@@ -164,6 +164,7 @@ def _check(plan: PaperPlan) -> None:
 def _do_all(folder: PaperFolder, pool: JobPool, *, quiet: bool) -> None:
     """Do what is missing, in ascending order of pairs, so that an unfinished benchmark has whole tables."""
     absent = {path: recording for path, recording in folder.recordings().items() if not path.exists()}
+    # A task that cannot run, such as football without its engine, keeps no other from being computed.
     record_all(absent, pool, quiet=quiet)
     _train_policies(folder.baseline_jobs(), pool, quiet=quiet)
     experts = {path: recording for path, recording in folder.expert_recordings().items() if not path.exists()}

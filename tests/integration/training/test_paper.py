@@ -13,7 +13,7 @@ import pytest
 
 from mapt.training.run_folder import RunFolder
 from mapt.training.settings import TRUE, ImitationSettings, LearnedRewardSettings, PairSettings
-from support import short_tasks
+from support import short_tasks, unusable_task
 from support.mapt_command import run_mapt
 from support.training_runs import STEPS_PER_ITERATION
 from support.waiting import until
@@ -181,6 +181,18 @@ def test_a_dry_run_of_a_moved_output_lists_what_is_missing_of_more_seeds(tmp_pat
     page = (moved / "paper.md").read_text()
     assert f"**{N_RUNS // len(SEEDS)} results are missing**" in page
     assert page.count(", seed 2\n") == N_RUNS // len(SEEDS)
+
+
+def test_a_task_that_cannot_run_has_empty_cells_and_stops_no_other(tmp_path, mapt, monkeypatch):
+    monkeypatch.setenv("MAPT_TASKS", os.pathsep.join([short_tasks.__file__, unusable_task.FILE]))
+    tasks, seeds, models = ("--tasks", f"{unusable_task.NAME},{TASK}"), ("--seeds", "0"), ("--models", MODELS[1])
+    result = mapt(*arguments(tmp_path, *tasks, *seeds, *models, "--imitation", "none", "--steps", "96"))
+    assert result.status == 1
+    assert unusable_task.REASON in result.errors
+    assert "3 results are missing" in result.errors
+    returns = {(line["task"], line["reward"]) for line in lines(tmp_path / "returns.csv")}
+    assert returns == {(TASK, reward) for reward in ("untrained", TRUE, MODELS[1])}
+    assert f"| {unusable_task.NAME} | 30 |  |  |  |" in (tmp_path / "paper.md").read_text()
 
 
 def test_only_one_process_at_a_time_trains_in_a_folder(whole, mapt):
