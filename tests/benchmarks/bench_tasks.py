@@ -3,9 +3,9 @@
 `bare physics` is mujoco.batch with the same model, without sensors, and the same threads. It replays a recorded round
 of the task with equal initial states, controls and resets, and its final states must equal the task's bit for bit.
 `MaMuJoCo` is one environment of gymnasium-robotics with the same partition and the first environments' actions, on one
-thread; it has no tasks with hands. All alternate in short rounds, so that other load slows them equally. Rates and
-shares are medians over rounds. `share` is the task's rate over that of the bare physics by wall time, `CPU` the same by
-CPU time, which other load disturbs less, and `times` is the task's rate over MaMuJoCo's.
+thread; it has neither hands nor porters. All alternate in short rounds, so that other load slows them equally. Rates
+and shares are medians over rounds. `share` is the task's rate over that of the bare physics by wall time, `CPU` the
+same by CPU time, which other load disturbs less, and `times` is the task's rate over MaMuJoCo's.
 
     python tests/benchmarks/bench_tasks.py [rounds] [task ...]
 """
@@ -31,7 +31,8 @@ from mapt.tasks.registry import find_definition
 
 ROBOTS = ("HalfCheetah-6x1", "Ant-4x2", "Humanoid-9|8")
 HANDS = ("CatchOver2Underarm", "DoorOpenInward", "DoorOpenOutward", "DoorCloseOutward")
-TASKS = (*ROBOTS, *HANDS)
+PORTERS = ("Porters-2x8", "Porters-4x8")
+TASKS = (*ROBOTS, *HANDS, *PORTERS)
 N_ENVS = (16, 64)
 AGENT_OBSK = 1
 #: Environment steps per round, which take 50 to 400 ms.
@@ -187,7 +188,7 @@ def compare(names: tuple[str, ...], rounds: int, n_threads: int) -> bool:
     for name in names:
         for n_envs in N_ENVS:
             played = record(name, n_envs)
-            references = [] if name in HANDS else [mamujoco(name, played)]
+            references = [] if name in (*HANDS, *PORTERS) else [mamujoco(name, played)]
             bare, task, *robotics = measure_alternating(
                 rounds, bare_physics(name, played, n_threads), whole_task(name, played, n_threads), *references
             )
