@@ -28,6 +28,17 @@ def random_actions(task: Skirmish, rng: np.random.Generator) -> np.ndarray:
     return one_hot(task, (available * rng.random(available.shape)).argmax(axis=2))
 
 
+def attacks_on_the_nearest(task: Skirmish) -> np.ndarray:
+    """(E, N): each agent attacks the nearest enemy that it can, or walks east."""
+    n, available = task.spec.n_agents, task.available_actions()
+    x, y = task.simulator_state()[0].reshape(task.n_envs, -1, 5)[..., :2].transpose(2, 0, 1)
+    apart = np.hypot(x[:, :n, None] - x[:, None, n:], y[:, :n, None] - y[:, None, n:])
+    ranked = np.where(available[..., FIRST_TARGET:], apart, np.inf)
+    wanted = np.where(np.isfinite(ranked).any(axis=2), FIRST_TARGET + ranked.argmin(axis=2), EAST)
+    possible = np.take_along_axis(available, wanted[..., None], 2)[..., 0]
+    return np.where(possible, wanted, available.argmax(axis=2))
+
+
 def place(task: Skirmish, **arrays: object) -> None:
     """Change the state of the battle in environment 0."""
     snapshot = task.snapshot()
@@ -155,6 +166,30 @@ def test_a_victory_without_regeneration_has_the_return_20(name: str) -> None:
     assert step.success is not None
     assert (step.success.tolist(), step.terminated.tolist()) == ([True], [True])
     assert step.reward[0] == pytest.approx((1 + 10 + 200) * 20 / best)
+
+
+def test_what_enemies_recover_is_subtracted_from_the_reward() -> None:
+    task = make("3s5z")
+    # The enemies' shields are half gone and recover; nobody sees anybody.
+    shield = [80.0] * 3 + [50.0] * 5 + [40.0] * 3 + [25.0] * 5
+    place(task, shield=shield, unhurt=[1000] * 16, x=[1.0] * 8 + [31.0] * 8, y=list(range(1, 9)) * 2)
+    step = task.step(one_hot(task, [[STOP] * 8]))
+    recovered = 8 * 2.8 * 8 / 22.4
+    assert step.reward[0] == pytest.approx(-recovered * 20 / (3 * 160 + 5 * 150 + 8 * 10 + 200))
+
+
+def test_a_battle_in_which_all_enemies_die_has_the_return_20() -> None:
+    task = make("3s5z", 16)
+    returns, totals = np.zeros(16), []
+    task.reset(3)
+    for _ in range(150):
+        step = task.step(one_hot(task, attacks_on_the_nearest(task)))
+        returns += step.reward
+        assert step.success is not None
+        totals += returns[step.success].tolist()
+        returns[step.terminated | step.truncated] = 0
+    assert len(totals) > 3
+    assert totals == pytest.approx([20.0] * len(totals))
 
 
 def test_losing_every_agent_ends_the_episode_without_a_bonus() -> None:

@@ -24,7 +24,7 @@ SHIELD_PER_SECOND, SHIELD_DELAY_SECONDS = 2.8, 7.0
 #: of a healer
 START_ENERGY, MAX_ENERGY, ENERGY_PER_SECOND = 50.0, 200.0, 0.7875
 HEALTH_PER_ENERGY = 3.0
-#: rewards, before they are scaled so that an episode without regeneration of shields has at most `BEST_RETURN`
+#: rewards, before they are scaled so that an episode has at most the return `BEST_RETURN`
 KILL_REWARD, WIN_REWARD, BEST_RETURN = 10.0, 200.0, 20.0
 
 

@@ -91,8 +91,9 @@ class Skirmish:
         killed = (alive_before & ~alive)[:, enemies].sum(axis=1)
         agents_left, enemies_left = self._can_fight(alive)
         won = agents_left & ~enemies_left
-        # SMAC's rule: a step in which shields recover more than is lost counts as a reward, too.
-        reward = (np.abs(lost + KILL_REWARD * killed) + WIN_REWARD * won) * self._reward_scale
+        # What enemies recover is subtracted. SMAC takes the absolute value, which pays for recovery: teams then learn
+        # to hurt shields, to flee until these are full again, and never to win.
+        reward = (lost + KILL_REWARD * killed + WIN_REWARD * won) * self._reward_scale
         terminated = ~(agents_left & enemies_left)
         truncated = (self._elapsed_steps >= self._spec.horizon_steps) & ~terminated
 
