@@ -27,9 +27,10 @@ MIN_HOLD_OUT_PAIRS = 10
 # LSTMs and attention may stay at chance for ten epochs and more before they improve (teachers of history and
 # cooperation).
 PATIENCE_AT_CHANCE = 20
-# Training pairs up to which the Markov path's weight decay and smoothness have their full weight: the loss is a mean
-# over pairs, so that the weight of a prior falls in inverse proportion to them. docs/results.md, "Credit to single
-# steps": with the full weight, 10,000 labels credit single steps no better than 500.
+# Training pairs up to which weight decay and smoothness have their full weight: the loss is a mean over pairs, so that
+# the weight of a prior falls in inverse proportion to them. docs/results.md: with the full weight, 10,000 labels credit
+# single steps no better than 500 ("Credit to single steps"), and attention learns nothing from 2,000 labels of a
+# teacher of history and cooperation.
 FULLY_REGULARISED_PAIRS = 400
 # Most pairs times networks of a version; at least two networks are trained. A network on 2,000 labels takes minutes.
 PAIRS_OF_ALL_NETWORKS = 2500
@@ -68,7 +69,7 @@ def network_stage(config: TrainConfig, network: RewardConfig, n_pairs: int, *, w
     """
     return StageSettings(
         lr=config.lr,
-        weight_decay=config.weight_decay,
+        weight_decay=_regularisation(n_pairs) * config.weight_decay,
         batch_pairs=config.batch_pairs,
         max_epochs=_epochs(config.warm_epochs if warm else config.max_epochs, config.visits, n_pairs),
         patience=config.patience,
@@ -84,18 +85,21 @@ def markov_stage(config: TrainConfig, n_pairs: int, *, warm: bool) -> StageSetti
     epochs = _epochs(config.warm_markov_epochs if warm else config.markov_epochs, config.markov_visits, n_pairs)
     if not epochs:
         return None
-    regularisation = min(1.0, FULLY_REGULARISED_PAIRS / n_pairs)
     return StageSettings(
         lr=config.markov_lr,
-        weight_decay=regularisation * config.markov_weight_decay,
+        weight_decay=_regularisation(n_pairs) * config.markov_weight_decay,
         batch_pairs=config.batch_pairs,
         max_epochs=epochs,
         patience=config.markov_patience,
         label_noise=config.label_noise,
-        smoothness=regularisation * config.markov_smoothness,
+        smoothness=_regularisation(n_pairs) * config.markov_smoothness,
         decisive=config.decisive_weight,
         kept_fraction=config.warm_share if warm else 1.0,
     )
+
+
+def _regularisation(n_pairs: int) -> float:
+    return min(1.0, FULLY_REGULARISED_PAIRS / n_pairs)
 
 
 def _epochs(limit: int, visits: int, n_pairs: int) -> int:

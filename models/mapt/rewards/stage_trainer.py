@@ -107,8 +107,6 @@ class StageLosses:
     before: Tensor
     #: after each epoch
     epochs: tuple[Tensor, ...]
-    #: the epoch, from 1, whose weights the model has; 0 for those before the stage
-    best_epoch: int
 
 
 class RewardTrainer:
@@ -193,20 +191,7 @@ class RewardTrainer:
                 break
         self._model.load_state_dict(best)
         self._model.eval()
-        return StageLosses(before, tuple(epochs), best_epoch)
-
-    def run_epochs(self, stage: Stage, n_epochs: int) -> None:
-        """Train `stage.parameters` for `n_epochs` without a hold-out; leaves the model with its average weights."""
-        if stage.start is not None:
-            self._model.load_state_dict(stage.start)
-        optimiser, average = adamw(stage.parameters, stage.settings), weight_average(self._model)
-        for _ in range(n_epochs):
-            train_loss = self._train_epoch(stage, optimiser, average)
-            if self._log.stopped:
-                break
-            self._log.add(train_loss, math.nan, math.nan)
-        self._model.load_state_dict(self._weights(cast(RewardNetwork, average.module)))
-        self._model.eval()
+        return StageLosses(before, tuple(epochs))
 
     def _train_epoch(self, stage: Stage, optimiser: torch.optim.Optimizer, average: AveragedModel) -> float:
         """Mean loss of one pass over the training pairs; NaN if stopped."""

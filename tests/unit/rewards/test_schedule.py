@@ -33,11 +33,14 @@ def test_warm_stages_have_their_own_epochs():
     assert warm is None
 
 
-def test_more_pairs_weaken_the_regularisation_of_the_markov_path():
-    settings = TrainConfig(markov_weight_decay=2.0, markov_smoothness=0.1)
+def test_more_pairs_weaken_the_regularisation():
+    settings = TrainConfig(weight_decay=1.0, markov_weight_decay=2.0, markov_smoothness=0.1)
     few, many = (markov_stage(settings, n_pairs, warm=False) for n_pairs in (50, 1600))
     assert (few.weight_decay, few.smoothness) == (2.0, 0.1)
     assert (many.weight_decay, many.smoothness) == pytest.approx((0.5, 0.025))
+    network = RewardConfig.named("MAPT", **DIMENSIONS)
+    few, many = (network_stage(settings, network, n_pairs, warm=False) for n_pairs in (50, 1600))
+    assert (few.weight_decay, many.weight_decay) == pytest.approx((1.0, 0.25))
 
 
 def test_constant_gain_is_significant_and_a_single_outlier_is_not():
