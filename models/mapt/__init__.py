@@ -7,8 +7,9 @@ that they are made of are in the subpackages `tasks`, `preferences`, `rewards`, 
 Importing `mapt` imports none of them: a name is imported when it is first used.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from mapt.lazy import lazy_attributes
 
 if TYPE_CHECKING:
     from mapt.api import (
@@ -47,11 +48,7 @@ __all__ = [
 
 _OF_TASKS = ("make_task", "register_task", "task_names")
 
-
-def __getattr__(name: str) -> object:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module("mapt.tasks" if name in _OF_TASKS else "mapt.api"), name)
+__getattr__ = lazy_attributes(__name__, {name: "tasks" if name in _OF_TASKS else "api" for name in __all__})
 
 
 def __dir__() -> list[str]:

@@ -3,9 +3,9 @@
 Modules that need torch are imported on first use, so that settings can be read and validated without it.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
+from mapt.lazy import lazy_attributes
 from mapt.policies.config import Algorithm, PolicyConfig
 
 if TYPE_CHECKING:
@@ -34,8 +34,4 @@ _MODULE_OF = {
     "play": "episodes",
 }
 
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__ = lazy_attributes(__name__, _MODULE_OF)

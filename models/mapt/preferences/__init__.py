@@ -3,8 +3,9 @@
 A name of this package is imported when it is first used. Only `preference_loss` needs torch.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from mapt.lazy import lazy_attributes
 
 if TYPE_CHECKING:
     from mapt.preferences.dataset import PreferenceDataset, SegmentArrays
@@ -115,8 +116,4 @@ _MODULE_OF = {
     "teacher_names": "teachers",
 }
 
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__ = lazy_attributes(__name__, _MODULE_OF)

@@ -3,8 +3,9 @@
 A name of this package is imported when it is first used; all but the settings need torch.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from mapt.lazy import lazy_attributes
 
 if TYPE_CHECKING:
     from mapt.rewards.checkpoints import LoadedRewardModel, SavedRewardModel, load_reward_model, save_reward_model
@@ -63,8 +64,4 @@ _MODULE_OF = {
     "LearnedParallelReward": "wrappers.pettingzoo",
 }
 
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+__getattr__ = lazy_attributes(__name__, _MODULE_OF)
