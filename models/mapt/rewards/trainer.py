@@ -352,12 +352,10 @@ def train_reward_model(
     # Each pair that was held out is evaluated with the network that was not trained on it.
     scorer, held = network_scorer(segments), [fold.hold_out for fold in trainer.folds[: len(networks)]]
     labels, weights = torch.cat([each.labels for each in held]), PairTensors.joined_weights(held)
-
-    def held_out_logits() -> Tensor:
-        return torch.cat([each.logits(network, scorer) for each, network in zip(held, networks, strict=True)])
-
+    logits = torch.cat([each.logits(network, scorer) for each, network in zip(held, networks, strict=True)])
     if reliable:
-        factor = confidence(held_out_logits(), labels, train_config.label_noise, weights)
+        factor = confidence(logits, labels, train_config.label_noise, weights)
+        logits = factor * logits
         for network in networks:
             network.scale_rewards(factor)
     model = MeanReward(networks).eval() if further else first
@@ -367,7 +365,7 @@ def train_reward_model(
     model.set_reward_scale(mean, float(rewards.std()))
     train = trainer.folds[0].train.first(MAX_EVALUATED_PAIRS)
     on_train = evaluate_logits(train.logits(model, scorer), train.labels, train_config.label_noise, train.weights)
-    on_hold_out = evaluate_logits(held_out_logits(), labels, train_config.label_noise, weights)
+    on_hold_out = evaluate_logits(logits, labels, train_config.label_noise, weights)
     metrics = {
         "loss": on_train.loss,
         "accuracy": on_train.accuracy,
