@@ -13,6 +13,7 @@ deadlock on some drivers.
 import signal
 import sys
 from collections import OrderedDict
+from contextlib import suppress
 from multiprocessing.connection import Connection
 
 import mujoco
@@ -50,15 +51,13 @@ def main() -> None:
 
 
 def serve(connection: Connection) -> None:
-    """Announce that this process is ready, then answer each job."""
+    """Announce that this process is ready, then answer each job, until the parent ends or closes the connection."""
     renderers = Renderers()
-    send_reply(connection, Reply())
-    while True:
-        try:
-            job = receive_job(connection)
-        except (EOFError, ConnectionError):  # the parent has ended or closed the connection
-            return
-        send_reply(connection, run_job(job, renderers))
+    # The parent may also end while this process starts or renders.
+    with suppress(EOFError, ConnectionError):
+        send_reply(connection, Reply())
+        while True:
+            send_reply(connection, run_job(receive_job(connection), renderers))
 
 
 def run_job(job: ClipJob, renderers: "Renderers") -> Reply:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
+from multiprocessing import Pipe
 from pathlib import Path
 
 import av
@@ -18,7 +19,7 @@ import pytest
 
 from accord.rendering.process import ClipJob, RenderFailed, RenderProcess, RenderTimedOut
 from integration.rendering.gaits import trot
-from mapt.rendering.offscreen import Backend
+from mapt.rendering.offscreen import Backend, render_environment
 from mapt.rendering.settings import RenderSettings
 
 #: patience for events that happen soon, on a busy machine
@@ -220,3 +221,21 @@ print(process.pid, flush=True)
 states = np.zeros((50_000, 9))
 process.render(ClipJob("HalfCheetah-6x1", states, states, RenderSettings(), Path(sys.argv[2]) / "clip.mp4"))
 """
+
+
+def test_a_process_whose_parent_has_closed_the_connection_before_it_is_ready_ends_without_a_traceback(
+    backend: Backend,
+) -> None:
+    parent, child = Pipe()
+    parent.close()
+    with child:
+        command = [sys.executable, "-P", "-m", "accord.rendering.child", str(child.fileno()), str(os.getpid())]
+        done = subprocess.run(
+            command,
+            pass_fds=[child.fileno()],
+            env=render_environment(backend),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    assert (done.returncode, done.stderr) == (0, "")
