@@ -59,8 +59,13 @@ def test_every_algorithm_learns_the_choice_task(algorithm: str) -> None:
 def test_every_algorithm_resumes_exactly(
     algorithm: str, task_type: type[IdentityTask] | type[ChoiceTask], tmp_path: Path
 ) -> None:
-    """Training stops within an episode and after `reward_changed`; every tensor is bit-identical."""
-    config = small_config(algorithm, n_envs=4, rollout_steps=5, minibatches=2, anneal_steps=200, target_kl=1e-4)
+    """Training stops within an episode, after `reward_changed`; every tensor is bit-identical.
+
+    The policy starts anew in the iteration after the checkpoint.
+    """
+    config = small_config(
+        algorithm, n_envs=4, rollout_steps=5, minibatches=2, anneal_steps=200, target_kl=1e-4, restart_steps=60
+    )
 
     def continue_training(learner: Learner, rollouts: int) -> None:
         train(learner, true_reward, learner.steps + rollouts * config.steps_per_rollout)

@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from textwrap import wrap
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -25,6 +26,8 @@ from mapt.training.settings import ImitationSettings
 
 #: The model whose policies play the rollouts of figure 5; the first model of the plan if it has no such model.
 _SHOWN_MODEL = "MAPT"
+#: most characters in a line of a panel's title
+_TITLE_WIDTH = 45
 
 
 def draw_figures(results: PaperResults, models: Sequence[CellJob], folder: Path) -> list[tuple[str, Path]]:
@@ -45,7 +48,9 @@ def _scores(results: PaperResults, folder: Path) -> Iterator[tuple[str, Path]]:
         return
     figure, panels = panel_grid(len(shown), width=4.5, height=3.6)
     for axes, (task, policy) in zip(panels, shown, strict=True):
-        axes.set_title(f"{task}, {policy}")
+        # Settings of a policy can be longer than a panel is wide.
+        lines = wrap(", ".join([task, *policy.split(",")]), _TITLE_WIDTH)
+        axes.set_title("\n".join(lines), fontsize="medium")
         draw_scores(axes, [row for row in rows if (row.task, row.policy) == (task, policy)], learned)
     outside_legend(figure, panels[0])
     path = folder / "scores.png"

@@ -78,6 +78,17 @@ class PolicyConfig(Settings):
             unit="nats",
         ),
     ] = 0.0
+    restart_steps: Annotated[
+        int,
+        setting(
+            "Environment steps after which the policy starts anew from its initial weights, once; 0 never does. For "
+            "tasks on which a policy keeps habits of the first reward versions after the rewards have become right, "
+            "such as Hopper-3x1.",
+            ge=0,
+            le=10**12,
+            unit="steps",
+        ),
+    ] = 0
     clip: Annotated[
         float, setting("PPO's epsilon: the probability ratio is clipped to 1 - clip and 1 + clip.", gt=0, le=10)
     ] = 0.1

@@ -6,6 +6,7 @@ in `ppo`.
 
 from collections.abc import Callable
 from functools import partial
+from math import ceil
 from pathlib import Path
 from typing import Self
 
@@ -79,13 +80,17 @@ class Learner:
         self.device = resolve_device(config.device)
         #: Environment steps collected so far.
         self.steps = 0
+        self._generator = torch.Generator().manual_seed(config.seed)
+        self._collector = Collector(task, config.seed) if config.collectors == 0 else self._slots(make_task)
+        self._start()
+
+    def _start(self) -> None:
+        """Make what the updates change: networks, optimisers and statistics."""
+        self.policy = untrained_policy(self.task.spec, self.config).to(self.device)
+        self._update = make_update(self.policy, self.config)
+        self._value_rescaler = ValueRescaler(self.config, self.task.spec.horizon_steps)
         #: Factor of the scheduled learning rate, at most 1, that keeps updates near `config.target_kl`.
         self._learning_rate_factor = 1.0
-        self._generator = torch.Generator().manual_seed(config.seed)
-        self.policy = untrained_policy(task.spec, config).to(self.device)
-        self._update = make_update(self.policy, config)
-        self._collector = Collector(task, config.seed) if config.collectors == 0 else self._slots(make_task)
-        self._value_rescaler = ValueRescaler(config, task.spec.horizon_steps)
 
     def _slots(self, make_task: Callable[[], Task] | None) -> SlotCollector:
         remote = None
@@ -95,11 +100,22 @@ class Learner:
         return SlotCollector(self.task, self.config.collectors, self.config.seed, remote)
 
     def collect(self) -> Rollout:
-        """Step the task `rollout_steps` times with the current policy."""
+        """Step the task `rollout_steps` times with the current policy, which starts anew if that is due."""
+        if self.steps == self._restart_at:
+            self._start()
         with torch_threads(self.config.n_threads):
             rollout = self._collector.collect(self.policy, self.config.rollout_steps, self._generator)
         self.steps += self.config.steps_per_rollout
         return rollout
+
+    @property
+    def _restart_at(self) -> int | None:
+        """Steps before the first rollout of the new policy, a whole number of rollouts; None without a restart.
+
+        Since steps alone decide, a learner that resumes from a checkpoint restarts exactly once too.
+        """
+        per_rollout = self.config.steps_per_rollout
+        return ceil(self.config.restart_steps / per_rollout) * per_rollout or None
 
     def reward_changed(self) -> None:
         """Announce that the next update's rewards come from another function than the last update's.
@@ -139,7 +155,9 @@ class Learner:
 
     def _set_learning_rate(self) -> float:
         anneal_steps = self.config.anneal_steps
-        progress = min(self.steps / anneal_steps, 1.0) if anneal_steps else 0.0
+        restart_at = self._restart_at
+        steps = self.steps - restart_at if restart_at and self.steps > restart_at else self.steps
+        progress = min(steps / anneal_steps, 1.0) if anneal_steps else 0.0
         schedule = 1.0 - (1.0 - FINAL_LEARNING_RATE) * progress
         learning_rate = self.config.learning_rate * schedule * self._learning_rate_factor
         for optimiser in self._update.optimisers:

@@ -155,6 +155,20 @@ def test_learning_rate_anneals_to_a_tenth() -> None:
     assert rates == pytest.approx([5.5e-4, 1e-4, 1e-4, 1e-4])
 
 
+def test_policy_starts_anew_once_when_the_restart_is_due() -> None:
+    config = dataclasses.replace(CONFIG, learning_rate=1e-3, restart_steps=500, anneal_steps=512)
+    trained, initial = learner(config), weights(learner(config))
+    rates, restarted = [], []
+    for _ in range(4):
+        rollout = trained.collect()
+        restarted.append(torch.equal(weights(trained), initial))
+        rates.append(trained.update(rollout, rollout.rewards)["learning_rate"])
+    # A rollout has 256 steps, so that two rollouts reach 500 steps; the first one has the initial weights anyway.
+    assert restarted == [True, False, True, False]
+    assert rates == pytest.approx([5.5e-4, 1e-4, 5.5e-4, 1e-4])
+    assert trained.steps == 4 * config.steps_per_rollout
+
+
 def test_learning_rate_falls_above_the_target_kl_and_rises_below_it() -> None:
     trained = learner(dataclasses.replace(CONFIG, learning_rate=1e-2))
 

@@ -79,6 +79,40 @@ def test_agents_are_not_hidden_by_enemies() -> None:
     assert shown[1] > 0.7 * shown[0]
 
 
+def test_units_below_a_medivac_stay_visible() -> None:
+    """MMM2's last agent and last enemy are medivacs; here a marine of the agents is below each."""
+    n, n_units = task_spec("MMM2").n_agents, state("MMM2").size // 5
+    apart = state("MMM2").reshape(n_units, 5)
+    below = apart.copy()
+    # A little south, where the bars of the medivacs are not.
+    below[0, :2], below[1, :2] = apart[n - 1, :2] - [0, 0.4], apart[-1, :2] - [0, 0.4]
+    colours = [COLOURS[0], COLOURS[1], *[(200, 200, 200)] * (n - 2)]
+    drawing = find_drawing("MMM2")
+    assert drawing is not None
+    frames = [next(iter(drawing.frames(each.reshape(1, -1), 360, 480, colours))) for each in (apart, below)]
+    for colour in COLOURS[:2]:
+        shown = [where(frame[:, 60:-60], colour).sum() for frame in frames]
+        assert shown[1] > 0.7 * shown[0]
+
+
+def test_agents_with_a_repeated_colour_have_a_ring() -> None:
+    """Agent 9 is shown in a colour of its own, and in that of agent 1."""
+    drawing = find_drawing("MMM2")
+    assert drawing is not None
+    others = [(200, 200, 10 * agent) for agent in range(2, 10)]
+
+    def coloured(first: tuple[int, int, int]) -> int:
+        colours = [first, *others[:7], COLOURS[0], others[7]]
+        frame = next(iter(drawing.frames(state("MMM2"), 360, 480, colours)))
+        return int(where(frame, COLOURS[0]).sum())
+
+    alone = coloured((200, 200, 0))
+    first = int(
+        where(next(iter(drawing.frames(state("MMM2"), 360, 480, [COLOURS[0], *others, (9, 9, 9)]))), COLOURS[0]).sum()
+    )
+    assert 0.5 * alone < coloured(COLOURS[0]) - first < 0.8 * alone
+
+
 def test_bars_show_health_and_shields() -> None:
     full, half = draw(state())[0], draw(state(health=[45, 45, 45, 22.5, 22.5, 22.5]))[0]
     # In the list of enemies, right of the map.

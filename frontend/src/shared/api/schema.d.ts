@@ -3166,6 +3166,11 @@ export interface components {
                  */
                 target_kl: number;
                 /**
+                 * @description Environment steps after which the policy starts anew from its initial weights, once; 0 never does. For tasks on which a policy keeps habits of the first reward versions after the rewards have become right, such as Hopper-3x1.
+                 * @default 0
+                 */
+                restart_steps: number;
+                /**
                  * @description PPO's epsilon: the probability ratio is clipped to 1 - clip and 1 + clip.
                  * @default 0.1
                  */

@@ -1,6 +1,7 @@
 """What a skirmish looks like: the battlefield from above, between the lists of both armies.
 
-Agents are round, in the colours and with the numbers of the page's legend; enemies are red diamonds. Bars above a unit
+Agents are round, in the colours and with the numbers of the page's legend, with a dark ring where a colour is repeated,
+as the legend's has stripes; enemies are red diamonds. Bars above a unit
 show its shield (blue) and its health (green). Lines show who hit whom in the last step: white those of agents, red
 those of enemies, green ones heal. The ground is lighter where a living agent sees. A cross marks a dead unit.
 """
@@ -62,7 +63,7 @@ class _View:
 class SkirmishDrawing:
     """A `Drawing` of one map."""
 
-    version = 2
+    version = 3
     #: three times as fast as the battle: at 2.8 steps per second, fifty steps would take 18 s
     frame_rate_hz = 8.0
 
@@ -89,8 +90,11 @@ class SkirmishDrawing:
         _draw_ground(canvas, view, x[seeing], y[seeing])
         for number in np.flatnonzero(~alive).tolist():
             _draw_cross(canvas, x[number], y[number], 0.25 * scale)
-        # Agents above enemies, whom labellers need not tell apart; above both those who fly.
-        order = sorted(np.flatnonzero(alive).tolist(), key=lambda number: (self._units[number].flies, number < self._n))
+        # Agents above enemies, whom labellers need not tell apart. Those who fly are below both: they are larger and
+        # stay over other units, which would be hidden.
+        order = sorted(
+            np.flatnonzero(alive).tolist(), key=lambda number: (not self._units[number].flies, number < self._n)
+        )
         for number in order:
             self._draw_unit(canvas, number, (x[number], y[number]), scale, agent_colours)
         for number in np.flatnonzero(units[:, 4] >= 0).tolist():
@@ -110,8 +114,7 @@ class SkirmishDrawing:
         kind, (x, y) = self._units[number], place
         radius, edge = kind.radius * scale, 0.07 * scale
         if number < self._n:
-            canvas.disc(x, y, radius + edge, _AGENT_EDGE)
-            canvas.disc(x, y, radius, agent_colours[number])
+            _draw_agent(canvas, number, (x, y), (radius, edge), agent_colours)
             canvas.number(number + 1, x, y, min(1.1 * radius, 0.5 * scale), _INK)
             return
         # A diamond with the area of the disc.
@@ -146,14 +149,37 @@ class SkirmishDrawing:
             start = 0.0 if is_agent else canvas.width - margin
             x, y, radius = start + 0.2 * margin, row * (number - self._n * (not is_agent) + 1.6), 0.32 * row
             if is_agent:
-                canvas.disc(x, y, radius, agent_colours[number] if alive else _DEAD)
-                canvas.number(number + 1, x, y, 1.1 * radius, _INK)
+                if alive:
+                    _draw_agent(canvas, number, (x, y), (radius, 0.12 * radius), agent_colours)
+                else:
+                    canvas.disc(x, y, radius, _DEAD)
+                canvas.number(number + 1, x, y, (1.1 if number < 9 else 0.85) * radius, _INK)
             else:
                 canvas.diamond(x, y, 1.2 * radius, _ENEMY if alive else _DEAD)
             if alive:
                 _draw_bars(canvas, kind, unit, (start + 0.4 * margin, y + 0.2 * row), (0.5 * margin, 0.2 * row))
             else:
                 _draw_cross(canvas, start + 0.65 * margin, y, 0.2 * row)
+
+
+def _draw_agent(
+    canvas: Canvas,
+    number: int,
+    place: tuple[float, float],
+    size: tuple[float, float],
+    agent_colours: Sequence[Colour],
+) -> None:
+    """A disc in the agent's colour and its edge; in the disc, a dark ring if an agent before it has the same colour.
+
+    Args:
+        size: radius of the disc and width of the edge.
+    """
+    colour, (x, y), (radius, edge) = agent_colours[number], place, size
+    canvas.disc(x, y, radius + edge, _AGENT_EDGE)
+    if colour in agent_colours[:number]:
+        canvas.disc(x, y, radius, _INK)
+        radius *= 0.85
+    canvas.disc(x, y, radius, colour)
 
 
 def _draw_ground(canvas: Canvas, view: _View, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
