@@ -31,7 +31,7 @@ from mapt.tasks.registry import find_definition
 
 ROBOTS = ("HalfCheetah-6x1", "Ant-4x2", "Humanoid-9|8")
 HANDS = ("CatchOver2Underarm", "DoorOpenInward", "DoorOpenOutward", "DoorCloseOutward")
-PORTERS = ("Porters-2x8", "Porters-4x8")
+PORTERS = ("Porters-2x8", "Porters-4x8", "Porters-2x17")
 TASKS = (*ROBOTS, *HANDS, *PORTERS)
 N_ENVS = (16, 64)
 AGENT_OBSK = 1

@@ -49,7 +49,7 @@ def _scores(results: PaperResults, folder: Path) -> Iterator[tuple[str, Path]]:
     figure, panels = panel_grid(len(shown), width=4.5, height=3.6)
     for axes, (task, policy) in zip(panels, shown, strict=True):
         # Settings of a policy can be longer than a panel is wide.
-        lines = wrap(", ".join([task, *policy.split(",")]), _TITLE_WIDTH)
+        lines = wrap(", ".join([f"{task}", *policy.split(",")]), _TITLE_WIDTH)
         axes.set_title("\n".join(lines), fontsize="medium")
         draw_scores(axes, [row for row in rows if (row.task, row.policy) == (task, policy)], learned)
     outside_legend(figure, panels[0])

@@ -179,8 +179,28 @@ def test_carrying_equals_a_plain_loop():
     np.testing.assert_allclose(rule.scores(TeacherView.stack(samples)), expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize(("nq", "nv"), [(9, 9), (22, 20), (37, 33)])
-def test_carrying_refuses_segments_without_ants_and_a_board(nq, nv):
+def test_humanoids_that_face_each_other_are_in_step_when_legs_side_by_side_move_alike():
+    """The second humanoid's left leg is beside the first one's right leg; its hip turns the other way."""
+    rng = np.random.default_rng(0)
+    qpos, qvel = np.zeros((3, 40, 55)), np.zeros((3, 40, 52))
+    right_hip, right_knee, left_hip, left_knee = rng.standard_normal((4, 40))
+    first, second = 6, 23 + 6
+    for segment, signs in enumerate(((-1, 1), (1, 1), (1, -1))):
+        hip, knee = signs
+        columns = {5: right_hip, 6: right_knee, 9: left_hip, 10: left_knee}
+        beside = {9: hip * right_hip, 10: knee * right_knee, 5: hip * left_hip, 6: knee * left_knee}
+        for start, values in ((first, columns), (second, beside)):
+            for column, velocity in values.items():
+                qvel[segment, :, start + column] = velocity
+    qvel[..., first] = qvel[..., second] = rng.standard_normal(40)  # the trunk does not count
+    scores = Carrying(carried=0.0, level=0.0).scores(TeacherView(np.zeros((3, 40)), qpos=qpos, qvel=qvel))
+    assert scores[0] == pytest.approx(40 * 0.05)
+    assert -0.5 < scores[1] / 2 < 0.5
+    assert scores[2] == pytest.approx(-40 * 0.05)
+
+
+@pytest.mark.parametrize(("nq", "nv"), [(9, 9), (22, 20), (37, 33), (31, 29), (55, 51)])
+def test_carrying_refuses_segments_without_porters_and_a_board(nq, nv):
     with pytest.raises(MissingArray, match="Porters"):
         Carrying().scores(TeacherView(np.zeros((1, 5)), qpos=np.zeros((1, 5, nq)), qvel=np.zeros((1, 5, nv))))
 

@@ -1,4 +1,4 @@
-"""Ants that carry a board: the model, what agents observe, the reward and the ends of episodes."""
+"""Robots that carry a board: the model, what agents observe, the reward and the ends of episodes."""
 
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
@@ -10,13 +10,18 @@ import pytest
 from mapt.tasks import Task, load_model, make_task
 from mapt.tasks.registry import find_definition
 from mapt.tasks.robots import porters
+from mapt.tasks.robots.porter_models import ANT, HUMANOID, Porter
 
-NAMES = ("Porters-2x8", "Porters-4x8")
+NAMES = ("Porters-2x8", "Porters-4x8", "Porters-2x17")
 every_team = pytest.mark.parametrize("name", NAMES)
 
 
 def rest(task: Task) -> np.ndarray:
-    return np.zeros((task.n_envs, task.spec.n_agents, 8), dtype=np.float32)
+    return np.zeros((task.n_envs, task.spec.n_agents, task.spec.action_dim), dtype=np.float32)
+
+
+def porter(name: str) -> Porter:
+    return HUMANOID if name.endswith("17") else ANT
 
 
 def terminated(name: str, qpos: np.ndarray) -> bool:
@@ -26,7 +31,7 @@ def terminated(name: str, qpos: np.ndarray) -> bool:
 
 
 @every_team
-def test_ants_that_stand_still_carry_the_board_level(name: str) -> None:
+def test_teams_that_stand_still_carry_the_board_level(name: str) -> None:
     task = make_task(name, 2, n_threads=1)
     task.reset(0)
     for _ in range(60):
@@ -34,8 +39,10 @@ def test_ants_that_stand_still_carry_the_board_level(name: str) -> None:
         assert not step.terminated.any()
     qpos, _ = task.simulator_state()
     assert (porters.board_up(qpos) > np.cos(0.1)).all()
-    saddles = qpos[:, 2 : 15 * task.spec.n_agents : 15] + porters.SADDLE_METRES + porters.SADDLE[2]
-    np.testing.assert_allclose(porters.board_position(qpos)[:, 2], saddles.mean(axis=1) + 0.02, atol=0.04)
+    torsos = qpos[:, 2 : -7 : porter(name).nq]
+    np.testing.assert_allclose(
+        porters.board_position(qpos)[:, 2], torsos.mean(axis=1) + porter(name).board_metres, atol=0.04
+    )
 
 
 @every_team
@@ -44,28 +51,31 @@ def test_each_action_drives_the_joint_of_its_agent(name: str) -> None:
     partition = find_definition(name).robot.partition  # pyright: ignore[reportAttributeAccessIssue]
     for agent, joints in enumerate(partition.agents, start=1):
         for joint in joints:
-            assert joint.startswith(f"ant{agent}_")
+            assert joint.startswith(f"{porter(name).name}{agent}_")
             assert model.joint(model.actuator_trnid[partition.joint(joint).actuator, 0]).name == joint
+            # What is observed as the angle of this joint, and of no other.
+            assert partition.joint(joint).near == (("qpos", model.joint(joint).qposadr[0]),)
 
 
 @every_team
-def test_agents_observe_their_own_ant_and_the_way_to_the_board_and_the_others(name: str) -> None:
+def test_agents_observe_their_own_robot_and_the_way_to_the_board_and_the_others(name: str) -> None:
     task = make_task(name, 1, n_threads=1, agent_obsk=0, agent_index=False, dtype=np.float64)
     task.reset(3)
     for _ in range(5):
         observations = task.step(np.random.default_rng(1).uniform(-1, 1, rest(task).shape)).final_observations[0]
     (qpos,), (qvel,) = task.simulator_state()
-    n_ants, board = task.spec.n_agents, qpos[-7:]
-    ants, speeds = qpos[:-7].reshape(n_ants, 15), qvel[:-6].reshape(n_ants, 14)
+    n, board = task.spec.n_agents, qpos[-7:]
+    robots, speeds = qpos[:-7].reshape(n, porter(name).nq), qvel[:-6].reshape(n, porter(name).nv)
     for index, seen in enumerate(observations):
-        others = [ants[(index + next) % n_ants, :3] - ants[index, :3] for next in range(1, n_ants)]
-        expected = [*ants[index, 2:], *speeds[index], *np.ravel([board[:3] - ants[index, :3], *others])]
+        others = [robots[(index + next) % n, :3] - robots[index, :3] for next in range(1, n)]
+        expected = [*robots[index, 2:], *speeds[index], *np.ravel([board[:3] - robots[index, :3], *others])]
         np.testing.assert_allclose(seen[-10:], [*board[3:], *qvel[-6:]])
         np.testing.assert_allclose(sorted(seen[:-10]), sorted(expected))
 
 
-def test_a_neighbour_sees_the_other_ants_hips() -> None:
-    near, far = (make_task("Porters-2x8", 1, agent_obsk=k).spec.observation_dim for k in (0, 1))
+@pytest.mark.parametrize("name", ["Porters-2x8", "Porters-2x17"])
+def test_a_neighbour_sees_the_hips_of_ants_and_hips_and_knees_of_humanoids(name: str) -> None:
+    near, far = (make_task(name, 1, agent_obsk=k).spec.observation_dim for k in (0, 1))
     assert far == near + 4
 
 
@@ -76,7 +86,7 @@ def test_observations_do_not_depend_on_where_the_team_is(name: str) -> None:
     snapshot = task.snapshot()
     here, state = task.restore(snapshot)
     moved = snapshot["qpos"].copy()
-    for first in range(0, moved.shape[1], 15):
+    for first in (*range(0, moved.shape[1] - 7, porter(name).nq), moved.shape[1] - 7):
         moved[:, first] += 7.0
         moved[:, first + 1] -= 3.0
     there, other = task.restore(snapshot | {"qpos": moved})
@@ -97,10 +107,12 @@ def test_reward_is_speed_of_the_board_plus_a_fifth_less_the_mean_control_cost(na
 
 
 @every_team
-def test_an_episode_ends_when_the_board_or_an_ant_falls(name: str) -> None:
+def test_an_episode_ends_when_the_board_or_a_robot_falls(name: str) -> None:
     standing = find_definition(name).mdp.sample_start(np.random.default_rng(0), 1)[0][0]  # pyright: ignore[reportAttributeAccessIssue]
     assert not terminated(name, standing)
-    for index, value in ((-5, 0.44), (2, 0.19), (2, 1.01), (-2, 0.3), (17, 0.1), (7, np.nan)):
+    low, high, board = (0.99, 1.61, 1.04) if porter(name) is HUMANOID else (0.19, 1.01, 0.44)
+    second = porter(name).nq + 2
+    for index, value in ((-5, board), (2, low), (2, high), (-2, 0.3), (second, low), (7, np.nan)):
         fallen = standing.copy()
         fallen[index] = value
         assert terminated(name, fallen), index
@@ -111,18 +123,24 @@ def test_an_action_sets_how_far_a_joint_is_from_the_standing_pose(name: str) -> 
     model = load_model(name)
     model.opt.gravity[:] = 0.0
     model.geom_contype[:] = model.geom_conaffinity[:] = 0
+    # Without their grip, humanoids move as freely as ants.
     data = mujoco.MjData(model)
+    data.eq_active[:] = 0
     joints = model.jnt_qposadr[model.actuator_trnid[:, 0]]
     standing = porters.TASKS[NAMES.index(name)].mdp.sample_start(np.random.default_rng(0), 1)[0][0]
     data.qpos[:] = standing
     data.ctrl[:] = np.random.default_rng(4).uniform(-0.4, 0.4, model.nu)
     mujoco.mj_step(model, data, 500)
     moved = data.qpos[joints] - standing[joints]
-    np.testing.assert_allclose(moved, porters.REACH_RADIANS * data.ctrl, atol=porters.START_NOISE + 0.01)
+    reach = {f"{servo.joint}": servo.reach_radians for servo in porter(name).servos}
+    reaches = [reach[model.joint(joint).name.split("_", 1)[1]] for joint in model.actuator_trnid[:, 0]]
+    # The humanoid's joints have springs too.
+    np.testing.assert_allclose(moved, reaches * data.ctrl, atol=porters.START_NOISE + 0.015)
 
 
-def test_untrained_teams_carry_the_board_for_a_second() -> None:
-    task = make_task("Porters-2x8", 8, n_threads=1)
+@pytest.mark.parametrize("name", ["Porters-2x8", "Porters-2x17"])
+def test_untrained_teams_carry_the_board_for_a_second(name: str) -> None:
+    task = make_task(name, 8, n_threads=1)
     task.reset(0)
     rng = np.random.default_rng(0)
     for _ in range(20):
