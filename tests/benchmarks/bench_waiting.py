@@ -6,6 +6,7 @@ for a pair until both of its clips have been received; the first one includes th
 The page asks for the next pair while the present one is shown, so that people notice only waits beyond their answer.
 
     python tests/benchmarks/bench_waiting.py [--labels 60] [--pause 4] [--teacher recency] [--task HalfCheetah-6x1]
+        [--pacing wait|labels|free]
 """
 
 import argparse
@@ -33,6 +34,7 @@ def main() -> None:
     parser.add_argument("--pause", type=float, default=4.0)
     parser.add_argument("--teacher", default="recency")
     parser.add_argument("--task", default="HalfCheetah-6x1")
+    parser.add_argument("--pacing", default="wait")
     arguments = parser.parse_args()
     with TemporaryDirectory() as folder:
         service = OwnService(Path(folder), {})
@@ -41,6 +43,7 @@ def main() -> None:
             settings = {
                 "name": "waiting",
                 "task": arguments.task,
+                "pacing": arguments.pacing,
                 "label_budget": BUDGET_FACTOR * arguments.labels,
                 "initial_labels": max(2, arguments.labels // 6),
                 "labels_per_version": max(1, arguments.labels // 6),
@@ -53,8 +56,8 @@ def main() -> None:
             service.close()
     first, rest = waits[0], sorted(waits[1:])
     print(
-        f"{arguments.task}, {arguments.labels} labels, one every {arguments.pause:g} s; reward versions"
-        f" {state.reward_version}, {state.steps:,} steps"
+        f"{arguments.task}, {arguments.labels} labels of {arguments.teacher}, one every {arguments.pause:g} s, pacing"
+        f" {arguments.pacing}; reward versions {state.reward_version}, {state.steps:,} steps"
     )
     print(
         f"wait for the first pair {first:.1f} s; later waits: median {statistics.median(rest):.2f} s,"

@@ -12,9 +12,8 @@ from accord.domain.errors import InvalidExperiment
 from mapt.errors import InvalidConfig
 from mapt.policies.config import PolicyConfig
 from mapt.settings import DEVICE_DESCRIPTION, Device, Settings, setting, within
-from mapt.training.schedule import LabelSchedule, LabelScheduleName
+from mapt.training.schedule import LabelSchedule, LabelScheduleName, Pacing
 
-Pacing = Literal["wait", "free"]
 RewardSource = Literal["preferences", "true"]
 # The next five repeat names of mapt's modules that import torch; a test compares them.
 RewardPreset = Literal["small", "paper"]
@@ -153,8 +152,9 @@ class ExperimentConfig(Settings):
     pacing: Annotated[
         Pacing,
         setting(
-            "wait: the policy pauses until the labels due are given. free: it keeps training with the newest reward "
-            "model."
+            "wait: the policy pauses until the labels due are given and a reward model is trained on them. labels: it "
+            "pauses for the labels only, so that people can go on labelling while a reward model is trained for "
+            "minutes. free: it never pauses after the first reward model."
         ),
     ] = "wait"
     reward_source: Annotated[
@@ -248,7 +248,7 @@ class ExperimentConfig(Settings):
             self.total_steps,
             per_version=self.labels_per_version,
             lookahead=self.lookahead_queries,
-            wait=self.pacing == "wait",
+            pacing=self.pacing,
             name=self.label_schedule,
         )
 

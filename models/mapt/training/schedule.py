@@ -15,7 +15,10 @@ SEGMENT_STREAM, QUERY_STREAM = 7, 11
 #: How labels accumulate over a run. power: the rate falls slowly, as progress^-0.3; constant: the rate stays;
 #: decaying: the rate falls as 1 / (steps + a tenth of the run) (Christiano et al. 2017).
 LabelScheduleName = Literal["power", "constant", "decaying"]
-#: what the policy waits for
+#: What the policy waits for. wait: the labels due, and a reward version trained on them; labels: the labels due; free:
+#: neither. Every policy waits for the first version.
+Pacing = Literal["wait", "labels", "free"]
+#: what the policy waits for at present
 WaitsFor = Literal["labels", "reward_version"]
 # Without a number: labels that arrive during the training are for the next version.
 _TRAINING = "The reward model is being trained on the labels."
@@ -49,8 +52,8 @@ class LabelSchedule:
     per_version: int = 50
     #: queries created ahead of those due
     lookahead: int = 8
-    #: whether the policy waits for due labels; if False, it waits for the first reward version only
-    wait: bool = True
+    #: see `Pacing`
+    pacing: Pacing = "wait"
     #: share of the run at which the last label is due: later labels could hardly change the policy
     last_at: float = 0.75
     #: exponent of `power`; below 1, more labels are due early than late
@@ -115,7 +118,7 @@ class LabelSchedule:
         """What the policy must wait for; None if it may train."""
         if progress.trained_on is None:
             return "labels" if progress.labels < self.initial else "reward_version"
-        if not self.wait:
+        if self.pacing == "free":
             return None
         due = self.due(progress.steps)
         if progress.exhausted:
@@ -123,6 +126,8 @@ class LabelSchedule:
             due = min(due, progress.labels)
         if progress.labels < due:
             return "labels"
+        if self.pacing == "labels":
+            return None
         return "reward_version" if self.version_labels(progress.trained_on) < self.version_labels(due) else None
 
     def waiting_reason(self, progress: Progress) -> str | None:

@@ -40,7 +40,7 @@ def test_choices_equal_those_of_mapt():
         ("policy_reward", get_args(PolicyReward)),
         ("credit", get_args(Credit)),
         ("label_schedule", ("power", "constant", "decaying")),
-        ("pacing", ("wait", "free")),
+        ("pacing", ("wait", "labels", "free")),
         ("reward_source", ("preferences", "true")),
     ],
 )

@@ -83,10 +83,18 @@ def test_waiting_reason_names_the_number_of_labels():
 
 
 def test_free_pacing_waits_only_for_the_first_version():
-    free = paced(wait=False)
+    free = paced(pacing="free")
     assert free.waiting_reason(Progress(0, 0, None))
     assert free.waiting_reason(Progress(900, 20, 20)) is None
     assert paced().waiting_reason(Progress(900, 20, 20))
+
+
+def test_pacing_by_labels_waits_for_labels_but_not_for_their_version():
+    labels = paced(pacing="labels")
+    assert labels.waits_for(Progress(0, 20, None)) == "reward_version"
+    assert labels.waits_for(Progress(900, 99, 20)) == "labels"
+    assert labels.waits_for(Progress(900, 100, 20)) is None
+    assert paced().waits_for(Progress(900, 100, 20)) == "reward_version"
 
 
 def test_policy_does_not_wait_for_labels_when_all_pairs_are_labelled():

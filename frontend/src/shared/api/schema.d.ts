@@ -3059,11 +3059,11 @@ export interface components {
              */
             ensemble_members: number;
             /**
-             * @description wait: the policy pauses until the labels due are given. free: it keeps training with the newest reward model.
+             * @description wait: the policy pauses until the labels due are given and a reward model is trained on them. labels: it pauses for the labels only, so that people can go on labelling while a reward model is trained for minutes. free: it never pauses after the first reward model.
              * @default wait
              * @enum {string}
              */
-            pacing: "wait" | "free";
+            pacing: "wait" | "labels" | "free";
             /**
              * @description preferences: the policy learns from the reward model. true: it learns from the task's own reward, as a baseline, and needs no labels.
              * @default preferences
