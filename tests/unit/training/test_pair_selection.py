@@ -122,15 +122,17 @@ def test_uniform_chooses_from_all_segments_and_recent_from_the_newest():
 
 
 def test_the_newest_quarter_has_a_quarter_of_the_places_of_uniform_and_most_of_those_of_recent():
-    ids, n_pairs = range(400), 4000
+    # All segments have a query, or recent pairs would begin with those that have none.
+    ids, n_pairs = range(400), 1000
+    queried = {frozenset((segment, segment + 1)) for segment in range(0, 400, 2)}
     newest = {
-        name: sum(segment < 100 for pair in pairs_of(choose(ids, set(), n_pairs, name), name) for segment in pair)
+        name: sum(segment < 100 for pair in pairs_of(choose(ids, queried, n_pairs, name), name) for segment in pair)
         for name in ("uniform", "recent")
     }
-    # Binomial with n = 8000: five standard deviations.
-    assert abs(newest["uniform"] - 2000) < 5 * np.sqrt(8000 * 0.25 * 0.75)
+    # Binomial with n = 2000: five standard deviations.
+    assert abs(newest["uniform"] - 500) < 5 * np.sqrt(2000 * 0.25 * 0.75)
     # Half of the pairs have two recent segments, the other half one, and another one in a quarter of the cases.
-    assert newest["recent"] / 8000 == pytest.approx(0.5 + 0.25 * 1.25, abs=0.02)
+    assert newest["recent"] / 2000 == pytest.approx(0.5 + 0.25 * 1.25, abs=0.03)
 
 
 def test_every_pair_of_recent_has_a_recent_segment():
@@ -139,6 +141,34 @@ def test_every_pair_of_recent_has_a_recent_segment():
     pairs = pairs_of(choose(ids, set(), 200, "recent"), "recent")
     assert all(set(pair) & recent for pair in pairs)
     assert 100 <= sum(set(pair) <= recent for pair in pairs) < 200
+
+
+def test_recent_pairs_take_segments_without_a_query_first():
+    queried = {frozenset((segment, segment + 1)) for segment in range(0, 100, 2)}
+    pairs = pairs_of(choose(range(400), queried, 80, "recent"), "recent")
+    # Of the hundred recent segments, none is without a query: the pairs need one, and take any.
+    assert all(min(pair) < 100 for pair in pairs)
+    queried = {frozenset((segment, segment + 1)) for segment in range(0, 400, 4)}
+    pairs = pairs_of(choose(range(400), queried, 30, "recent"), "recent")
+    counts = Counter(segment for pair in pairs for segment in pair)
+    assert set(counts.values()) == {1}
+    assert all(segment % 4 >= 2 for segment in counts)
+    assert sum(max(pair) < 100 for pair in pairs) >= 15
+    # There are 50 such recent segments, so that the 30th pair to have one is the last.
+    pairs = pairs_of(choose(range(400), queried, 60, "recent"), "recent")
+    assert len(set(map(frozenset, pairs))) == 60
+
+
+def test_pairs_chosen_a_few_at_a_time_share_few_segments():
+    """As in the service: four segments are stored per label, and queries are created a few at a time."""
+    ids, paired = list[int](), set[frozenset[int]]()
+    for number in range(200):
+        ids = [*range(4 * number + 3, 4 * number - 1, -1), *ids]
+        if number >= 16:
+            paired |= {frozenset(pair) for pair in pairs_of(choose(ids, paired, 1, "recent", seed=number), "recent")}
+    counts = Counter(segment for pair in paired for segment in pair)
+    assert len(paired) == 184
+    assert set(counts.values()) == {1}
 
 
 def test_uniform_and_recent_ignore_the_control_share():

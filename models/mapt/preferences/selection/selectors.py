@@ -54,6 +54,10 @@ class RecentSelector:
     Labels on the current policy's behaviour matter most to its next updates (near on-policy queries; Hu et al. 2024,
     arXiv 2305.17400); pairs with older segments keep the scale of the reward. Two older segments are compared only when
     every pair with a recent one has a query.
+
+    Segments without a query come first. A segment that is in several pairs teaches less than as many segments do, and
+    where pairs share segments, those that share one with the hold-out are lost to the training: with 500 labels in the
+    service, they were four in ten.
     """
 
     name: SelectorName = "recent"
@@ -73,12 +77,38 @@ class RecentSelector:
         if not segment_ids:
             return []
         recent = segment_ids[: max(FEWEST_RECENT, round(len(segment_ids) * RECENT_FRACTION))]
-        chosen = self._uniform.select(recent, paired, k // 2)
+        chosen = self._without_query(recent, segment_ids, {id for pair in paired for id in pair}, k)
+        n_recent = k // 2 - len(chosen)
+        if n_recent > 0:
+            chosen += self._uniform.select(recent, [*paired, *chosen], n_recent)
         taken = {frozenset(pair) for pair in [*paired, *chosen]}
         chosen += self._recent_with_any(recent, segment_ids, taken, k - len(chosen))
         # With few segments there may be fewer such pairs than requested.
         rest = k - len(chosen)
         return chosen + self._uniform.select(segment_ids, [*paired, *chosen], rest) if rest else chosen
+
+    def _without_query(
+        self, recent: Sequence[SegmentId], all_ids: Sequence[SegmentId], queried: set[SegmentId], k: int
+    ) -> list[tuple[SegmentId, SegmentId]]:
+        """Up to k pairs of segments that are in no query, each in one pair at most: first those of two recent ones."""
+        new = self._shuffled([id for id in recent if id not in queried])
+        n_recent = min(k // 2, len(new) // 2)
+        chosen = list(zip(new[:n_recent], new[n_recent : 2 * n_recent], strict=True))
+        new, used = new[2 * n_recent :], set(new[: 2 * n_recent])
+        others = self._shuffled([id for id in all_ids if id not in queried and id not in used])
+        while new and len(chosen) < k:
+            first = new.pop()
+            others.remove(first)
+            if not others:
+                break
+            second = others.pop()
+            if second in new:
+                new.remove(second)
+            chosen.append((first, second) if self._rng.integers(2) else (second, first))
+        return chosen
+
+    def _shuffled(self, ids: list[SegmentId]) -> list[SegmentId]:
+        return [ids[index] for index in self._rng.permutation(len(ids)).tolist()]
 
     def _recent_with_any(
         self, recent: Sequence[SegmentId], all_ids: Sequence[SegmentId], taken: set[frozenset[SegmentId]], k: int
