@@ -132,7 +132,8 @@ class ExperimentConfig(Settings):
         setting(
             "How pairs are chosen after the first round, which is uniform. uniform: every pair without a query is "
             "equally likely. recent: near on-policy; half of the pairs compare two of the newest quarter of the last "
-            "2,000 segments, the others one of these with any of the last 2,000. disagreement, entropy: recent pairs "
+            "2,000 segments, the others one of these with any of the last 2,000; segments that are in no query come "
+            "first. disagreement, entropy: recent pairs "
             "on which an ensemble of reward models is least certain. k_center: recent pairs that differ most from "
             "earlier ones. disagreement_k_center, entropy_k_center: first the one criterion, then the other."
         ),

@@ -1,12 +1,17 @@
 """The render worker: `python -m accord.workers.render_worker`. Renders clips and recordings, one at a time."""
 
+import fcntl
 import hashlib
 import io
 import logging
+import os
+import shutil
 import sys
 import tempfile
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from stat import S_ISDIR
 
 import av
 import numpy as np
@@ -33,6 +38,46 @@ from mapt.tasks import agent_geoms, find_drawing, frame_rate_hz, load_model, tas
 
 log = logging.getLogger(__name__)
 
+_FOLDER_PREFIX = "accord-clips-"
+#: younger folders are not deleted: their worker may not have locked them yet
+_ABANDONED_SECONDS = 600.0
+
+
+class ClipFolder:
+    """A temporary folder for unfinished clips, deleted by `close`.
+
+    A worker that is killed leaves its folder behind. Each is locked while its worker lives, so that the next worker can
+    tell which ones to delete.
+    """
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix=_FOLDER_PREFIX))
+        self._lock = (self.path / "lock").open("w")
+        fcntl.flock(self._lock, fcntl.LOCK_EX)
+        for folder in self.path.parent.glob(f"{_FOLDER_PREFIX}*"):
+            if folder != self.path and _is_abandoned(folder):
+                shutil.rmtree(folder, ignore_errors=True)
+
+    def close(self) -> None:
+        """Delete the folder."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        self._lock.close()
+
+
+def _is_abandoned(folder: Path) -> bool:
+    """Whether a folder is ours, old, and its worker dead. One without a lock is of an earlier version of Accord."""
+    try:
+        status = folder.lstat()
+        if not S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
+            return False
+        if time.time() - status.st_mtime < _ABANDONED_SECONDS:
+            return False
+        with (folder / "lock").open("a") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False  # locked, or deleted meanwhile
+    return True
+
 
 @dataclass(frozen=True, slots=True)
 class _TaskRendering:
@@ -58,7 +103,7 @@ class RenderWorker:
         self._context = context
         self._process: RenderProcess | None = None
         self._tasks: dict[str, _TaskRendering] = {}
-        self._folder = tempfile.TemporaryDirectory(prefix="accord-clips-")
+        self._folder = ClipFolder()
 
     def work(self) -> bool:
         """Render the most urgent clip. Returns whether there was one.
@@ -95,7 +140,7 @@ class RenderWorker:
     def close(self) -> None:
         if self._process:
             self._process.close()
-        self._folder.cleanup()
+        self._folder.close()
 
     def _ready_process(self) -> RenderProcess:
         if self._process is None:
@@ -175,7 +220,7 @@ class RenderWorker:
         settings = replace(task.settings, camera=camera)
         qpos, qvel = (arrays[name].astype(np.float64, copy=False) for name in ("qpos", "qvel"))
         key = task.clip_key(qpos, qvel, settings)
-        path = Path(self._folder.name) / f"{key}.mp4"
+        path = self._folder.path / f"{key}.mp4"
         clip: ClipFile = process.render(RenderJob(task_name, qpos, qvel, settings, path))
         try:
             content = path.read_bytes()

@@ -3043,7 +3043,7 @@ export interface components {
              */
             label_schedule: "power" | "constant" | "decaying";
             /**
-             * @description How pairs are chosen after the first round, which is uniform. uniform: every pair without a query is equally likely. recent: near on-policy; half of the pairs compare two of the newest quarter of the last 2,000 segments, the others one of these with any of the last 2,000. disagreement, entropy: recent pairs on which an ensemble of reward models is least certain. k_center: recent pairs that differ most from earlier ones. disagreement_k_center, entropy_k_center: first the one criterion, then the other.
+             * @description How pairs are chosen after the first round, which is uniform. uniform: every pair without a query is equally likely. recent: near on-policy; half of the pairs compare two of the newest quarter of the last 2,000 segments, the others one of these with any of the last 2,000; segments that are in no query come first. disagreement, entropy: recent pairs on which an ensemble of reward models is least certain. k_center: recent pairs that differ most from earlier ones. disagreement_k_center, entropy_k_center: first the one criterion, then the other.
              * @default recent
              * @enum {string}
              */
