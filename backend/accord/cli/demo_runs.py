@@ -75,6 +75,8 @@ class RunPlan:
     reward_model: str = "MAPT"
     reward_preset: str = "small"
     answer_scale: str = "three"
+    #: Runs are repeatable only if the policy waits for each reward version.
+    pacing: str = "wait"
     #: policy settings that differ from the defaults
     policy: dict[str, Any] = field(default_factory=dict[str, Any])
 

@@ -153,11 +153,11 @@ class ExperimentConfig(Settings):
     pacing: Annotated[
         Pacing,
         setting(
-            "wait: the policy pauses until the labels due are given and a reward model is trained on them. labels: it "
-            "pauses for the labels only, so that people can go on labelling while a reward model is trained for "
-            "minutes. free: it never pauses after the first reward model."
+            "labels: the policy pauses until the labels due are given. wait: it also pauses until a reward model is "
+            "trained on them, so that runs with a scripted teacher are repeatable; meanwhile people run out of pairs. "
+            "free: it never pauses after the first reward model."
         ),
-    ] = "wait"
+    ] = "labels"
     reward_source: Annotated[
         RewardSource,
         setting(

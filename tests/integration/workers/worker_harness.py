@@ -30,6 +30,7 @@ TINY: dict[str, Any] = {
     "label_budget": 16,
     "initial_labels": 8,
     "labels_per_version": 4,
+    "pacing": "wait",
     "render_clips": False,
     "policy": {"n_envs": 4, "rollout_steps": 25, "epochs": 2, "minibatches": 2},
 }

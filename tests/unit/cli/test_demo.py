@@ -117,9 +117,10 @@ def test_at_most_100_labels_precede_the_first_reward_version():
 
 def test_a_plan_lists_the_settings_in_which_an_experiment_differs():
     [plan] = Grid("HalfCheetah-6x1", 1000, (0,), (50,), ("MAPT",), baseline=False).plans("oracle")
-    config = {**asdict(plan), "pacing": "wait"}
+    config = {**asdict(plan), "gold_share": 0.1}
+    assert plan.pacing == "wait"
     assert plan.differences(config) == []
-    assert plan.differences(config | {"seed": 1, "pacing": "free"}) == ["seed is 1, not 0"]
+    assert plan.differences(config | {"seed": 1, "gold_share": 0.2}) == ["seed is 1, not 0"]
 
 
 def test_a_grid_of_another_size_has_other_experiments_and_run_settings():
