@@ -95,7 +95,7 @@ class PolicyConfig(Settings):
         float,
         setting(
             "Discount per step. With 0.99, what happens in 300 steps counts 5%, so that a policy may learn a fast gait "
-            "that falls later; 0.998 avoids that.",
+            "that falls later; 0.995 or more avoids that.",
             ge=0,
             le=1,
         ),

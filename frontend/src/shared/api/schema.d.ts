@@ -3176,7 +3176,7 @@ export interface components {
                  */
                 clip: number;
                 /**
-                 * @description Discount per step. With 0.99, what happens in 300 steps counts 5%, so that a policy may learn a fast gait that falls later; 0.998 avoids that.
+                 * @description Discount per step. With 0.99, what happens in 300 steps counts 5%, so that a policy may learn a fast gait that falls later; 0.995 or more avoids that.
                  * @default 0.99
                  */
                 gamma: number;
