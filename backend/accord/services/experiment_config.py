@@ -153,9 +153,9 @@ class ExperimentConfig(Settings):
     pacing: Annotated[
         Pacing,
         setting(
-            "labels: the policy pauses until the labels due are given. wait: it also pauses until a reward model is "
-            "trained on them, so that runs with a scripted teacher are repeatable; meanwhile people run out of pairs. "
-            "free: it never pauses after the first reward model."
+            "labels: the policy pauses until the labels due are given, and after the last one until a reward model is "
+            "trained on all. wait: it pauses for every reward model, so that runs with a scripted teacher are "
+            "repeatable; meanwhile people run out of pairs. free: it never pauses after the first reward model."
         ),
     ] = "labels"
     reward_source: Annotated[

@@ -15,8 +15,9 @@ SEGMENT_STREAM, QUERY_STREAM = 7, 11
 #: How labels accumulate over a run. power: the rate falls slowly, as progress^-0.3; constant: the rate stays;
 #: decaying: the rate falls as 1 / (steps + a tenth of the run) (Christiano et al. 2017).
 LabelScheduleName = Literal["power", "constant", "decaying"]
-#: What the policy waits for. wait: the labels due, and a reward version trained on them; labels: the labels due; free:
-#: neither. Every policy waits for the first version.
+#: What the policy waits for. wait: the labels due, and a reward version trained on them; labels: the labels due, and
+#: with the last label, when nobody waits for pairs any more, that version too; free: neither. Every policy waits for the
+#: first version.
 Pacing = Literal["wait", "labels", "free"]
 #: what the policy waits for at present
 WaitsFor = Literal["labels", "reward_version"]
@@ -126,7 +127,7 @@ class LabelSchedule:
             due = min(due, progress.labels)
         if progress.labels < due:
             return "labels"
-        if self.pacing == "labels":
+        if self.pacing == "labels" and progress.labels < self.budget:
             return None
         return "reward_version" if self.version_labels(progress.trained_on) < self.version_labels(due) else None
 

@@ -48,7 +48,7 @@ def test_a_new_experiment_waits_for_a_worker_and_then_for_its_first_labels() -> 
 
 
 def test_what_the_worker_wrote_does_not_outlive_the_labels() -> None:
-    trained = experiment(Phase.WAITING_FOR_LABELS, labels=16, steps=4000)
+    trained = experiment(Phase.WAITING_FOR_LABELS, labels=16, steps=4000, pacing="wait")
     assert state(trained, version(10)) == Waiting(
         "reward_version", "The reward model is being trained on the labels.", 7.5
     )

@@ -93,8 +93,10 @@ def test_pacing_by_labels_waits_for_labels_but_not_for_their_version():
     labels = paced(pacing="labels")
     assert labels.waits_for(Progress(0, 20, None)) == "reward_version"
     assert labels.waits_for(Progress(900, 99, 20)) == "labels"
-    assert labels.waits_for(Progress(900, 100, 20)) is None
-    assert paced().waits_for(Progress(900, 100, 20)) == "reward_version"
+    assert labels.waits_for(Progress(300, 80, 20)) is None
+    assert paced().waits_for(Progress(300, 80, 20)) == "reward_version"
+    # Nobody waits for a pair once the budget is used up, and the last labels would be lost to the policy.
+    assert labels.waits_for(Progress(900, 100, 20)) == "reward_version"
 
 
 def test_policy_does_not_wait_for_labels_when_all_pairs_are_labelled():

@@ -3059,7 +3059,7 @@ export interface components {
              */
             ensemble_members: number;
             /**
-             * @description labels: the policy pauses until the labels due are given. wait: it also pauses until a reward model is trained on them, so that runs with a scripted teacher are repeatable; meanwhile people run out of pairs. free: it never pauses after the first reward model.
+             * @description labels: the policy pauses until the labels due are given, and after the last one until a reward model is trained on all. wait: it pauses for every reward model, so that runs with a scripted teacher are repeatable; meanwhile people run out of pairs. free: it never pauses after the first reward model.
              * @default labels
              * @enum {string}
              */
