@@ -16,8 +16,8 @@ SEGMENT_STREAM, QUERY_STREAM = 7, 11
 #: decaying: the rate falls as 1 / (steps + a tenth of the run) (Christiano et al. 2017).
 LabelScheduleName = Literal["power", "constant", "decaying"]
 #: What the policy waits for. wait: the labels due, and a reward version trained on them; labels: the labels due, and
-#: with the last label, when nobody waits for pairs any more, that version too; free: neither. Every policy waits for the
-#: first version.
+#: with the last label, when nobody waits for pairs any more, that version too; free: neither. Every policy waits for
+#: the first version.
 Pacing = Literal["wait", "labels", "free"]
 #: what the policy waits for at present
 WaitsFor = Literal["labels", "reward_version"]
