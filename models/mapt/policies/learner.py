@@ -101,7 +101,7 @@ class Learner:
 
     def collect(self) -> Rollout:
         """Step the task `rollout_steps` times with the current policy, which starts anew if that is due."""
-        if self.steps == self._restart_at:
+        if 0 < self.steps == self._restart_at:
             self._start()
         with torch_threads(self.config.n_threads):
             rollout = self._collector.collect(self.policy, self.config.rollout_steps, self._generator)
@@ -109,13 +109,13 @@ class Learner:
         return rollout
 
     @property
-    def _restart_at(self) -> int | None:
-        """Steps before the first rollout of the new policy, a whole number of rollouts; None without a restart.
+    def _restart_at(self) -> int:
+        """Steps before the first rollout of the new policy, a whole number of rollouts; 0 without a restart.
 
         Since steps alone decide, a learner that resumes from a checkpoint restarts exactly once too.
         """
         per_rollout = self.config.steps_per_rollout
-        return ceil(self.config.restart_steps / per_rollout) * per_rollout or None
+        return ceil(self.config.restart_steps / per_rollout) * per_rollout
 
     def reward_changed(self) -> None:
         """Announce that the next update's rewards come from another function than the last update's.
@@ -156,7 +156,7 @@ class Learner:
     def _set_learning_rate(self) -> float:
         anneal_steps = self.config.anneal_steps
         restart_at = self._restart_at
-        steps = self.steps - restart_at if restart_at and self.steps > restart_at else self.steps
+        steps = self.steps - restart_at if self.steps > restart_at else self.steps
         progress = min(steps / anneal_steps, 1.0) if anneal_steps else 0.0
         schedule = 1.0 - (1.0 - FINAL_LEARNING_RATE) * progress
         learning_rate = self.config.learning_rate * schedule * self._learning_rate_factor

@@ -77,6 +77,7 @@ class Porter:
 
     #: of one porter: with a number, the prefix of its bodies and joints
     name: str
+    physics_step_seconds: float
     make_spec: Callable[[], mujoco.MjSpec]
     #: in the order of qpos
     servos: tuple[Servo, ...]
@@ -116,14 +117,14 @@ class Porter:
 
 def make_spec(porter: Porter, places: Sequence[Place]) -> mujoco.MjSpec:
     """The porters, whose parts are prefixed ant1_, ant2_, ... or humanoid1_, ..., and the board."""
-    spec = porter.make_spec()
+    spec = _read(porter)
     spec.modelname = "porters"
     for part in (*spec.actuators, *spec.tendons):
         spec.delete(part)
     spec.delete(spec.body("torso"))
     names = porter.names(places)
     for name, place in zip(names, places, strict=True):
-        torso = porter.make_spec().body("torso")
+        torso = _read(porter).body("torso")
         torso.pos = [0.0, 0.0, porter.standing_metres]
         frame = spec.worldbody.add_frame(pos=[place.x, place.y, 0.0], quat=place.quaternion)
         frame.attach_body(torso, f"{name}_", "")
@@ -131,6 +132,15 @@ def make_spec(porter: Porter, places: Sequence[Place]) -> mujoco.MjSpec:
     for motor in spec.actuators:
         _make_servo(motor, servos[motor.target.split("_", 1)[1]])
     porter.add_board(spec, names, places)
+    return spec
+
+
+def _read(porter: Porter) -> mujoco.MjSpec:
+    """The model of one porter. MuJoCo warns about attached models whose options differ."""
+    spec = porter.make_spec()
+    spec.option.timestep = porter.physics_step_seconds
+    # Four times as fast as the files' RK4.
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     return spec
 
 
@@ -145,22 +155,13 @@ def _make_servo(motor: mujoco.MjsActuator, servo: Servo) -> None:
 def _read_ant() -> mujoco.MjSpec:
     """An ant with a saddle."""
     spec = gymnasium_asset("ant.xml")()
-    # Four times as fast as the file's RK4.
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.body("torso").add_geom(
         name="saddle", type=mujoco.mjtGeom.mjGEOM_BOX, size=SADDLE, pos=[0, 0, SADDLE_METRES], density=5.0
     )
     return spec
 
 
-def _read_humanoid() -> mujoco.MjSpec:
-    spec = gymnasium_asset("humanoid.xml")()
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.timestep = 0.005
-    return spec
-
-
-def _add_body(spec: mujoco.MjSpec, height: float) -> mujoco.MjsBody:
+def _add_free_body(spec: mujoco.MjSpec, height: float) -> mujoco.MjsBody:
     board = spec.worldbody.add_body(name="board", pos=[0.0, 0.0, height])
     board.add_freejoint(name="board")
     return board
@@ -168,7 +169,7 @@ def _add_body(spec: mujoco.MjSpec, height: float) -> mujoco.MjsBody:
 
 def _add_board_on_saddles(spec: mujoco.MjSpec, _names: Sequence[str], places: Sequence[Place]) -> None:
     """A plate with rims under it: along both sides, and across it before and behind each saddle."""
-    board = _add_body(spec, ANT.standing_metres + ANT.board_metres)
+    board = _add_free_body(spec, ANT.standing_metres + ANT.board_metres)
     length = max(place.x for place in places) + OVERHANG_METRES
     width = max(place.y for place in places) + SADDLE[1] + ROOM_METRES
 
@@ -202,7 +203,7 @@ def _add_held_board(spec: mujoco.MjSpec, names: Sequence[str], places: Sequence[
 
     The firm grip lets two humanoids stand on their four round feet; with joints in the hands they would fall together.
     """
-    board = _add_body(spec, HUMANOID.standing_metres + HUMANOID.board_metres)
+    board = _add_free_body(spec, HUMANOID.standing_metres + HUMANOID.board_metres)
     length = max(place.x for place in places) - HANDS[0] + GRIP_METRES
     board.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -229,6 +230,7 @@ def _add_held_board(spec: mujoco.MjSpec, names: Sequence[str], places: Sequence[
 _ANT_STANDING = (0.0, 1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0)
 ANT = Porter(
     name="ant",
+    physics_step_seconds=ant.PHYSICS_STEP_SECONDS,
     make_spec=_read_ant,
     servos=tuple(
         Servo(joint.name, joint.actuator, standing, reach_radians=0.5, stiffness=120.0, damping=10.0)
@@ -263,7 +265,8 @@ HUMANOID_JOINTS = (
 )
 HUMANOID = Porter(
     name="humanoid",
-    make_spec=_read_humanoid,
+    physics_step_seconds=0.005,
+    make_spec=gymnasium_asset("humanoid.xml"),
     servos=tuple(
         _humanoid_servo(actuator, joint)
         for actuator, joint in zip((1, 0, *range(2, len(HUMANOID_JOINTS))), HUMANOID_JOINTS, strict=True)

@@ -48,7 +48,6 @@ class Team:
 
     porter: Porter
     places: tuple[Place, ...]
-    physics_step_seconds: float
     #: range of the height of a torso, in metres; an episode ends outside
     healthy_metres: tuple[float, float]
     #: An episode ends when the board's centre is lower.
@@ -167,12 +166,12 @@ def _definition(name: str, team: Team, agent_names: tuple[str, ...]) -> MujocoDe
             partial(make_spec, porter, team.places),
             team.nq,
             team.nv,
-            team.physics_step_seconds,
+            porter.physics_step_seconds,
             _partition(team),
             agent_roots=tuple(f"{each}_torso" for each in porter.names(team.places)),
         ),
         mdp=MujocoMdp(
-            frame_skip=round(STEP_SECONDS / team.physics_step_seconds),
+            frame_skip=round(STEP_SECONDS / porter.physics_step_seconds),
             sample_start=start_sampler(team),
             reward=partial(reward, team),
             terminated=partial(terminated, team),
@@ -190,11 +189,11 @@ def _definition(name: str, team: Team, agent_names: tuple[str, ...]) -> MujocoDe
 
 
 def _ants(*places: Place) -> Team:
-    return Team(ANT, places, ant.PHYSICS_STEP_SECONDS, ant.HEALTHY_HEIGHT_METRES, lowest_board_metres=0.45)
+    return Team(ANT, places, ant.HEALTHY_HEIGHT_METRES, lowest_board_metres=0.45)
 
 
 def _humanoids(*places: Place) -> Team:
-    return Team(HUMANOID, places, 0.005, healthy_metres=(1.0, 1.6), lowest_board_metres=1.05)
+    return Team(HUMANOID, places, healthy_metres=(1.0, 1.6), lowest_board_metres=1.05)
 
 
 TASKS = (

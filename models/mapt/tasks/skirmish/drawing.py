@@ -1,9 +1,9 @@
 """What a skirmish looks like: the battlefield from above, between the lists of both armies.
 
-Agents are round, in the colours and with the numbers of the page's legend, with a dark ring where a colour is repeated,
-as the legend's has stripes; enemies are red diamonds. Bars above a unit
-show its shield (blue) and its health (green). Lines show who hit whom in the last step: white those of agents, red
-those of enemies, green ones heal. The ground is lighter where a living agent sees. A cross marks a dead unit.
+Agents are round, in the colours and with the numbers of the page's legend; a dark ring marks a repeated colour, which
+has stripes in the legend. Enemies are red diamonds. Bars above a unit show its shield (blue) and its health (green).
+Lines show who hit whom in the last step: white those of agents, red those of enemies, green ones heal. The ground is
+lighter where a living agent sees. A cross marks a dead unit.
 """
 
 from collections.abc import Iterator, Sequence
