@@ -287,13 +287,14 @@ def train_policy(
         algorithm: mappo, happo, mat or mat_dec.
         steps: environment steps over all environments, rounded up to whole rollouts.
         progress: show a progress bar; by default in a terminal.
-        settings: others of `PolicyConfig`.
+        settings: others of `PolicyConfig`, where they differ from the algorithm's defaults and the task's.
 
     Raises:
         InvalidConfig: if a setting is unknown or out of range.
         ModelMismatch: if the reward model was trained for other dimensions.
     """
-    config = PolicyConfig.from_dict({**settings, "algorithm": algorithm, "n_envs": task.n_envs, "seed": seed})
+    given = {**settings, "algorithm": algorithm, "n_envs": task.n_envs, "seed": seed}
+    config = PolicyConfig.for_task(task.spec, given)
     learner = Learner(task, config)
     trainer = PolicyTrainer(learner, _reward_source(reward, task, config))
     if reward is not None:

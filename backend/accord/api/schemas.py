@@ -295,6 +295,10 @@ class TaskSchema(Schema):
     step_seconds: float = Field(description="Simulated seconds per step.")
     frame_rate_hz: float = Field(description="Frames of a clip per second, of which each shows one step.")
     instructions: str = Field(description="What the team should achieve.")
+    policy_settings: dict[str, Any] = Field(
+        description="Settings with which policies learn the task, where they differ from the algorithm's defaults. A "
+        "new experiment gets them unless it sets others."
+    )
 
 
 def _add_settings(schema: dict[str, Any]) -> None:

@@ -108,7 +108,7 @@ class RunPlan:
         )
         return RunSettings(
             task=self.task,
-            policy=PolicyConfig.from_dict({"seed": self.seed, **self.policy}),
+            policy=PolicyConfig.for_task(task_spec(self.task), {"seed": self.seed, **self.policy}),
             steps=self.total_steps,
             reward=learned if self.reward_source == PREFERENCES else None,
         )

@@ -23,6 +23,7 @@ from mapt.io import atomic_write
 from mapt.policies.config import ALGORITHM_DEFAULTS, PolicyConfig
 from mapt.rewards.config import PresetName, RewardConfig, TrainConfig
 from mapt.settings import SettingDescription, Settings, accepted_values, describe
+from mapt.tasks import task_names, task_spec
 from mapt.training.run_file import RunFile
 
 DEFAULT_FOLDER = Path("docs")
@@ -57,8 +58,13 @@ def run_file_settings() -> str:
 
 
 def policy_settings() -> str:
-    """Settings of a policy, with the defaults of each algorithm."""
-    return f"{_settings(PolicyConfig)}\n\nDefaults that differ by algorithm: {_differences(ALGORITHM_DEFAULTS)}."
+    """Settings of a policy, with the defaults of each algorithm and each task."""
+    of_tasks = {name: task_spec(name).policy_settings for name in task_names()}
+    return (
+        f"{_settings(PolicyConfig)}\n\nDefaults that differ by algorithm: {_differences(ALGORITHM_DEFAULTS)}.\n\n"
+        "Defaults that differ by task, for new policies; happo never shares an actor: "
+        f"{_differences(_by_settings(of_tasks))}."
+    )
 
 
 def imitation_settings() -> str:
@@ -224,6 +230,14 @@ def _changed(settings: Settings, default: Settings) -> dict[str, object]:
     """The settings that differ from their defaults."""
     defaults = default.to_dict()
     return {name: value for name, value in settings.to_dict().items() if value != defaults[name]}
+
+
+def _by_settings(values: Mapping[str, Mapping[str, object]]) -> dict[str, Mapping[str, object]]:
+    """The same settings by the names, separated by commas, of those that share them."""
+    names: dict[str, list[str]] = {}
+    for name, own in values.items():
+        names.setdefault(repr(own), []).append(name)
+    return {"`, `".join(shared): values[shared[0]] for shared in names.values()}
 
 
 def _differences(values: Mapping[str, Mapping[str, object]]) -> str:

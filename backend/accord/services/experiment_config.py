@@ -206,7 +206,11 @@ class ExperimentConfig(Settings):
     ] = False
     policy: Annotated[
         dict[str, object],
-        setting("Settings of the policy that differ from the algorithm's defaults.", overrides=PolicyConfig),
+        setting(
+            "Settings of the policy that differ from the algorithm's defaults. A new experiment also gets its task's, "
+            "which GET /tasks lists as policy_settings.",
+            overrides=PolicyConfig,
+        ),
     ] = field(default_factory=dict[str, object])
     device: Annotated[Device, setting(DEVICE_DESCRIPTION)] = "auto"
     seed: Annotated[int, setting("Seed of all random numbers of the run.", ge=0, le=2**31 - 1)] = 0

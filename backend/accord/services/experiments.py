@@ -16,12 +16,13 @@ from accord.domain.errors import (
 )
 from accord.domain.ids import new_id
 from accord.services import webhooks
-from accord.services.experiment_config import ExperimentConfig
+from accord.services.experiment_config import ExperimentConfig, read_config
 from accord.services.training_memory import require_fits
 from accord.services.validation import check_line, check_lines
 from accord.store import attempts, experiments
 from accord.store.tables import ExperimentRow, InstructionRevisionRow, RewardVersionRow, utc_now
 from mapt.errors import UnknownTask as UnknownMaptTask
+from mapt.policies.config import settings_for
 from mapt.tasks import TaskSpec, task_names, task_spec
 
 OVER = frozenset({ExperimentStatus.CANCELLED, ExperimentStatus.FINISHED, ExperimentStatus.FAILED})
@@ -75,7 +76,8 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
 
     Raises:
         UnknownTask: if no task has this name.
-        InvalidExperiment: if a segment is longer than an episode, or the training does not fit in memory.
+        InvalidExperiment: if a segment is longer than an episode, if the training does not fit in memory, or if the
+            task's own settings of the policy are invalid.
         NameTaken: if another experiment has this name.
         Invalid: if a text is empty, too long, or contains characters that are not printable.
     """
@@ -87,6 +89,8 @@ def create(  # noqa: PLR0917 (a row's fields in their order)
             f"episode of {config.task}.",
             "segment_steps",
         )
+    # The task's settings are stored too, so that a later version of Accord may change them.
+    config = read_config(config.to_dict() | {"policy": settings_for(spec, config.policy)})
     require_fits(config, spec, memory_limit_bytes)
     shown = check_lines(instructions or "", "instructions", MAX_INSTRUCTIONS) or spec.instructions
     row = ExperimentRow(

@@ -92,8 +92,8 @@ class PaperPlan:
     #: gradient steps of those that train on data alone
     imitation_steps: int = 10_000
 
-    def policy_config(self, policy: str, seed: int) -> PolicyConfig:
-        """The settings of one of the policies.
+    def policy_config(self, task: str, policy: str, seed: int) -> PolicyConfig:
+        """The settings of one of the policies on one of the tasks.
 
         Raises:
             InvalidConfig: if the algorithm or a setting is unknown, or a value is out of its range.
@@ -101,7 +101,8 @@ class PaperPlan:
         named = NamedSettings.parse(policy)
         if wrong := _SET_BY_PLAN & named.settings.keys():
             raise InvalidConfig(f"{policy!r} must not set {', '.join(sorted(wrong))}.", "policies")
-        return PolicyConfig.named(named.name, **named.settings, seed=seed, device=self.device)
+        own = {"algorithm": named.name, **named.settings, "seed": seed, "device": self.device}
+        return PolicyConfig.for_task(task_spec(task), own)
 
     def imitation_config(self, name: str) -> ImitationConfig:
         """The settings of one of the imitation algorithms.
@@ -126,7 +127,7 @@ class PaperPlan:
 
     def applicable(self, name: str, policy: str) -> bool:
         """Whether an imitation algorithm can train a policy: OMAR and O-MAPL need one actor per agent."""
-        return _algorithm_of(name) not in NEEDS_ACTORS or self.policy_config(policy, 0).algorithm != "mat"
+        return _algorithm_of(name) not in NEEDS_ACTORS or NamedSettings.parse(policy).name != "mat"
 
 
 def _algorithm_of(name: str) -> str:
@@ -341,7 +342,7 @@ class PaperFolder:
         self, task: str, policy: str, seed: int, name: str, *, reward: Reward | None, steps: int | None = None
     ) -> RunJob:
         settings = RunSettings(
-            task=task, policy=self.plan.policy_config(policy, seed), steps=steps or self.plan.steps, reward=reward
+            task=task, policy=self.plan.policy_config(task, policy, seed), steps=steps or self.plan.steps, reward=reward
         )
         folder = self._policy_folder("runs", task, policy) / path_name(name)
         return RunJob(settings, folder, self.checkpoint_seconds, video=False, physics_threads=self.physics_threads)

@@ -184,7 +184,7 @@ def record_dataset(
         UnknownTask: if no task has this name.
         AlreadyExists: if the folder is not empty.
     """
-    config = PolicyConfig(seed=recording.seed, device="cpu")
+    config = PolicyConfig.for_task(task_spec(recording.task), {"seed": recording.seed, "device": "cpu"})
     if not 1 <= recording.segment_steps <= config.rollout_steps:
         raise InvalidConfig(
             f"segment_steps is {recording.segment_steps}; it must be 1 to {config.rollout_steps}, a rollout's steps.",

@@ -120,7 +120,7 @@ def imitate(
     runs = [
         RunSettings(
             task=task,
-            policy=PolicyConfig.from_dict({**of_policy, "device": device, "seed": seed}),
+            policy=PolicyConfig.for_task(spec, {**of_policy, "device": device, "seed": seed}),
             steps=steps,
             reward=learned_from,
             agent_obsk=agent_obsk,

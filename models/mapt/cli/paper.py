@@ -155,8 +155,8 @@ def _check(plan: PaperPlan) -> None:
     """Raise UnknownTask or InvalidConfig for an invalid plan before any work."""
     for task in plan.tasks:
         check_models(plan.models, plan.preset, plan.device, task, plan.segment_steps)
-    for policy in plan.policies:
-        plan.policy_config(policy, 0)
+        for policy in plan.policies:
+            plan.policy_config(task, policy, 0)
     for name in plan.imitation:
         plan.imitation_config(name)
 

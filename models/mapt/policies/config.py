@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from mapt.errors import InvalidConfig
 from mapt.settings import DEVICE_DESCRIPTION, Device, Settings, setting
+from mapt.tasks.protocol import TaskSpec
 
 Algorithm = Literal["mappo", "happo", "mat", "mat_dec"]
 Activation = Literal["tanh", "relu"]
@@ -24,11 +25,22 @@ ALGORITHM_DEFAULTS: Mapping[str, Mapping[str, object]] = {
 Width = Annotated[int, setting("Units of a layer.", ge=1, le=8192)]
 
 
+def settings_for(task: TaskSpec, settings: Mapping[str, object]) -> dict[str, object]:
+    """Settings of a policy for a task: those given, then the task's own (`TaskSpec.policy_settings`).
+
+    What neither has, keeps the algorithm's default. A task's shared actor is left out for happo, which has none.
+    """
+    of_task = dict(task.policy_settings)
+    if settings.get("algorithm") == "happo":
+        of_task.pop("shared_actor", None)
+    return {**of_task, **settings}
+
+
 @dataclass(frozen=True, slots=True)
 class PolicyConfig(Settings):
     """Settings of a policy and its learner. The defaults are MAPPO's, tuned on HalfCheetah-6x1 with its true reward.
 
-    `named` and `from_dict` start from the defaults of the algorithm.
+    `named` and `from_dict` start from the defaults of the algorithm, `for_task` also from those of a task.
 
     Raises:
         InvalidConfig: if a value has the wrong type or is out of its range.
@@ -183,6 +195,11 @@ class PolicyConfig(Settings):
     def named(cls, algorithm: str, **settings: object) -> Self:
         """The algorithm's defaults, changed by `settings`. Raises as `from_dict`."""
         return cls.from_dict({"algorithm": algorithm, **settings})
+
+    @classmethod
+    def for_task(cls, task: TaskSpec, settings: Mapping[str, object]) -> Self:
+        """The configuration of a new policy, by `settings_for`. Raises as `from_dict`."""
+        return cls.from_dict(settings_for(task, settings))
 
     @classmethod
     def from_dict(cls, values: Mapping[str, object]) -> Self:

@@ -3,7 +3,8 @@
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -193,8 +194,8 @@ class MujocoTask:
 
     def _start_episodes(self, envs: NDArray[np.intp]) -> None:
         # Equivalent to Batch.reset, which would also write every other array of the simulations.
-        for field in self._physics.values():
-            field[envs] = 0.0
+        for array in self._physics.values():
+            array[envs] = 0.0
         self._physics["qpos"][envs], self._physics["qvel"][envs] = self._mdp.sample_start(self._rng, len(envs))
         # Computes the accelerations from which the first step's solver warm-starts.
         self._batch.forward(envs)
@@ -205,8 +206,8 @@ class MujocoTask:
         self._update_features()
 
     def _read_fields(self, envs: NDArray[np.intp] | slice) -> None:
-        for name, field in self._fields.items():
-            self._features[name][envs] = field[envs]
+        for name, array in self._fields.items():
+            self._features[name][envs] = array[envs]
 
     def _update_features(self) -> None:
         """Copy positions and velocities into the row and compute the other features."""
@@ -238,6 +239,8 @@ class MujocoDefinition:
     horizon_steps: int = 1000
     #: Actions should lie in [-action_limit, action_limit].
     action_limit: float = 1.0
+    #: See `TaskSpec.policy_settings`.
+    policy_settings: Mapping[str, object] = field(default_factory=dict[str, object], hash=False)
 
     def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
         agents = AgentIndices.of(self.robot, self.mdp, agent_obsk)
@@ -258,6 +261,7 @@ class MujocoDefinition:
             action_limit=self.action_limit,
             agent_action_dims=dims,
             can_terminate=self.mdp.terminated is not never_terminated,
+            policy_settings=self.policy_settings,
         )
 
     def make(

@@ -5,8 +5,8 @@ given their seed and actions: a snapshot stores both for the running episodes, a
 """
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -224,6 +224,8 @@ class PettingZooDefinition(WithoutModel):
     instructions: str
     #: `#RRGGBB` of each agent in the images of the environment, for the page's legend, no two the same; empty for none.
     agent_colours: tuple[str, ...] = ()
+    #: See `TaskSpec.policy_settings`.
+    policy_settings: Mapping[str, object] = field(default_factory=dict[str, object], hash=False)
 
     def spec(self, *, agent_obsk: int | None, agent_index: bool) -> TaskSpec:
         """See `TaskDefinition.spec`. The first call makes an environment to find its dimensions.
@@ -285,4 +287,5 @@ class PettingZooDefinition(WithoutModel):
             "agent_action_dims": () if discrete[0] else sizes,
             "masks_actions": masks,
             "agent_colours": colours,
+            "policy_settings": self.policy_settings,
         }

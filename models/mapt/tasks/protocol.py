@@ -6,8 +6,8 @@ Dimension letters: E environments, N agents, C observation, A action, S state.
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import mujoco
@@ -56,6 +56,8 @@ class TaskSpec:
     #: `#RRGGBB` of each agent in the images of a task that renders itself; empty if they are not known. In clips of
     #: other tasks, agents have the colours of `mapt.rendering.appearance.agent_colour`.
     agent_colours: tuple[str, ...] = ()
+    #: Settings with which policies learn this task, where they differ from the algorithm's defaults: `PolicyConfig`.
+    policy_settings: Mapping[str, object] = field(default_factory=dict[str, object], hash=False)
 
     @property
     def renders_itself(self) -> bool:

@@ -13,7 +13,7 @@ from mapt.policies.config import PolicyConfig
 from mapt.rewards.model import PolicyReward
 from mapt.rewards.relabelling import Credit
 from mapt.settings import DEVICE_DESCRIPTION, Device, Settings, parse_value, setting
-from mapt.tasks.registry import DEFAULT_AGENT_OBSK
+from mapt.tasks.registry import DEFAULT_AGENT_OBSK, task_spec
 from mapt.training.settings import TRUE
 
 T = TypeVar("T")
@@ -59,7 +59,7 @@ class RunFile(Settings):
     device: Annotated[Device, setting(DEVICE_DESCRIPTION)] = "auto"
     policy: Annotated[
         dict[str, Any],
-        setting("`algorithm`, and policy settings that differ from its defaults.", overrides=PolicyConfig),
+        setting("`algorithm`, and settings that differ from its defaults and the task's.", overrides=PolicyConfig),
     ] = field(default_factory=dict[str, Any])
     reward: RewardChoice = field(default_factory=RewardChoice)
 
@@ -74,7 +74,8 @@ class RunFile(Settings):
 
     def policy_config(self, seed: int) -> PolicyConfig:
         """The policy's settings of one run. Raises InvalidConfig."""
-        return PolicyConfig.from_dict({**self.policy, "device": self.device, "seed": seed})
+        spec = task_spec(self.task, agent_obsk=self.agent_obsk)
+        return PolicyConfig.for_task(spec, {**self.policy, "device": self.device, "seed": seed})
 
 
 def read_toml(path: Path) -> dict[str, Any]:

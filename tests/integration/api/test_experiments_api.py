@@ -48,6 +48,19 @@ def test_the_network_of_the_paper_is_a_choice_of_an_experiment(api: ApiServer, p
     assert response.json()["config"].items() >= {"reward_model": "MAPT-paper", "reward_preset": preset}.items()
 
 
+def test_a_new_experiment_keeps_the_policy_settings_of_its_task(api: ApiServer) -> None:
+    tasks = {task["name"]: task for task in api.researcher.get("/api/v1/tasks").json()}
+    own = tasks["Hopper-3x1"]["policy_settings"]
+    assert own == {"learning_rate": 5e-4, "gamma": 0.995}
+    hopper = {"name": "hopper", "task": "Hopper-3x1", "policy": {"gamma": 0.9, "n_envs": 4}}
+    response = api.researcher.post("/api/v1/experiments", json=hopper)
+    assert response.json()["config"]["policy"] == {"learning_rate": 5e-4, "gamma": 0.9, "n_envs": 4}
+    response = api.researcher.post(
+        "/api/v1/experiments", json={"name": "3m", "task": "3m", "policy": {"minibatches": 7}}
+    )
+    assert (response.status_code, response.json()["error"]["details"][0]["field"]) == (422, "policy.minibatches")
+
+
 def test_every_role_may_list_experiments_and_tasks(api: ApiServer) -> None:
     create_sample(api.stores.database, api.stores.blobs)
     for client in (api.labeller, api.teacher, api.researcher, api.admin):

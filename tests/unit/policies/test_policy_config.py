@@ -1,11 +1,14 @@
 """Validation of a policy's settings."""
 
 import json
+from typing import get_args
 
 import pytest
 
 from mapt.errors import InvalidConfig
 from mapt.policies import PolicyConfig
+from mapt.policies.config import Algorithm
+from mapt.tasks import task_names, task_spec
 
 
 def test_configuration_round_trips_through_json() -> None:
@@ -24,6 +27,29 @@ def test_settings_override_the_defaults_of_the_algorithm() -> None:
     assert named.learning_rate < PolicyConfig().learning_rate
     assert PolicyConfig.named("mat", learning_rate=0.5).learning_rate == 0.5
     assert PolicyConfig.named("mappo") == PolicyConfig()
+
+
+def test_settings_of_the_task_come_before_those_of_the_algorithm() -> None:
+    hopper = task_spec("Hopper-3x1")
+    assert PolicyConfig.for_task(hopper, {}) == PolicyConfig(gamma=0.995, learning_rate=5e-4)
+    assert PolicyConfig.for_task(hopper, {"gamma": 0.9}) == PolicyConfig(gamma=0.9, learning_rate=5e-4)
+    assert PolicyConfig.for_task(hopper, {"algorithm": "mat"}) == PolicyConfig.named("mat", gamma=0.995)
+    assert PolicyConfig.for_task(task_spec("HalfCheetah-6x1"), {"algorithm": "happo"}) == PolicyConfig.named("happo")
+
+
+def test_shared_actor_of_a_task_is_left_out_for_happo() -> None:
+    skirmish = task_spec("3m")
+    assert PolicyConfig.for_task(skirmish, {}).shared_actor
+    assert not PolicyConfig.for_task(skirmish, {"algorithm": "happo"}).shared_actor
+    with pytest.raises(InvalidConfig):
+        PolicyConfig.for_task(skirmish, {"algorithm": "happo", "shared_actor": True})
+
+
+@pytest.mark.parametrize("algorithm", get_args(Algorithm))
+def test_every_task_has_valid_settings(algorithm: str) -> None:
+    for name in task_names():
+        config = PolicyConfig.for_task(task_spec(name), {"algorithm": algorithm})
+        assert config.algorithm == algorithm
 
 
 def test_settings_without_an_algorithm_are_mappos() -> None:

@@ -18,6 +18,7 @@ import {
   messageOf,
   toRequest,
   valuesOf,
+  withTaskDefault,
 } from "./fields";
 import "./form.css";
 
@@ -129,7 +130,11 @@ function ExperimentForm({ tasks, original }: ExperimentFormProps) {
           edited={isEdited(FIELDS.policy)}
         >
           {(field) => (
-            <Field key={field.name} {...propsOf(field)} placeholder={policyPlaceholder(field, values)} />
+            <Field
+              key={field.name}
+              {...propsOf(withTaskDefault(field, task))}
+              placeholder={policyPlaceholder(field, values, task)}
+            />
           )}
         </Section>
         {message && invalid === null && <Alert>{message}</Alert>}
@@ -185,8 +190,10 @@ function optionOf({ name, n_agents }: Task): { value: string; text: string } {
   return { value: name, text: `${name} (${n_agents} agents)` };
 }
 
-/** The default of a policy setting. The schema has those of its default algorithm; others have their own. */
-function policyPlaceholder(field: FieldSpec, values: FormValues): string {
+/** The default of a policy setting. The schema has those of its default algorithm; tasks and others have their own. */
+function policyPlaceholder(field: FieldSpec, values: FormValues, task: Task | undefined): string {
+  const ofTask = withTaskDefault(field, task);
+  if (ofTask !== field) return `${ofTask.default} for this task`;
   const algorithm = values["policy.algorithm"];
   const usual = FIELDS.policy.find(({ name }) => name === "policy.algorithm")?.default;
   return !algorithm || algorithm === usual ? field.default : `default of ${algorithm}`;

@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import { ApiError } from "@/shared/api/errors";
-import type { Experiment } from "@/shared/api/types";
+import type { Experiment, Task } from "@/shared/api/types";
 import {
   FIELDS,
   fieldOfError,
@@ -9,6 +9,7 @@ import {
   messageOf,
   toRequest,
   valuesOf,
+  withTaskDefault,
 } from "./fields";
 
 const groups = groupFields({
@@ -130,13 +131,13 @@ test("a clone requests the settings of its original", () => {
   const original = {
     name: "run",
     instructions: "Run.",
-    task: { instructions: "Go." },
+    task: { instructions: "Go.", policy_settings: { gamma: 0.995, learning_rate: 5e-4, activation: "relu" } },
     config: {
       task: "HalfCheetah-6x1",
       total_steps: 20_000,
       label_budget: 500,
       pacing: "free",
-      policy: { n_envs: 8, hidden: [32, 32], n_threads: 1 },
+      policy: { n_envs: 8, hidden: [32, 32], n_threads: 1, gamma: 0.99, learning_rate: 5e-4 },
     },
   } as unknown as Experiment;
   const values = valuesOf(original);
@@ -148,6 +149,20 @@ test("a clone requests the settings of its original", () => {
     pacing: "free",
     "policy.n_envs": "8",
     "policy.hidden": "32, 32",
+    // The algorithm's default, but not the task's, which the server would set. Its learning rate it will set.
+    "policy.gamma": "0.99",
   });
-  expect(toRequest(values, FIELDS, hiddenPolicySettings(original)).policy).toEqual(original.config.policy);
+  const { learning_rate: _, ...own } = original.config.policy as Record<string, unknown>;
+  expect(toRequest(values, FIELDS, hiddenPolicySettings(original)).policy).toEqual(own);
+});
+
+test("the defaults of policy settings are those of the task", () => {
+  const task = { policy_settings: { gamma: 0.995, hidden: [128, 128] } } as unknown as Task;
+  const defaults = FIELDS.policy.map((field) => [field.name, withTaskDefault(field, task).default]);
+  expect(Object.fromEntries(defaults)).toMatchObject({
+    "policy.gamma": "0.995",
+    "policy.hidden": "128, 128",
+    "policy.learning_rate": "0.002",
+  });
+  expect(FIELDS.policy.map((field) => withTaskDefault(field, undefined))).toEqual(FIELDS.policy);
 });

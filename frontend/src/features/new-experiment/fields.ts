@@ -1,5 +1,5 @@
 import { ApiError, errorMessage } from "@/shared/api/errors";
-import type { Experiment, NewExperiment } from "@/shared/api/types";
+import type { Experiment, NewExperiment, Task } from "@/shared/api/types";
 import { formatCount } from "@/shared/ui/format";
 import { settingLabel } from "@/shared/ui/settingLabels";
 import settings from "./settings.json";
@@ -42,6 +42,17 @@ export interface FieldSpec {
   min: number | undefined;
   max: number | undefined;
   maxLength: number | undefined;
+}
+
+/** A policy setting whose default is that of the task, if it has one. */
+export function withTaskDefault(field: FieldSpec, task: Task | undefined): FieldSpec {
+  const own = task?.policy_settings[inPolicy(field) ?? ""];
+  return own === undefined ? field : { ...field, default: toText(own) };
+}
+
+/** The name of a setting within the settings of the policy; null for other settings. */
+function inPolicy({ name }: FieldSpec): string | null {
+  return name.startsWith("policy.") ? name.slice("policy.".length) : null;
 }
 
 /** What the user typed, by the name of the field. Fields that were never edited are missing. */
@@ -156,7 +167,8 @@ export function toRequest(
   for (const field of allFields(groups)) {
     const text = values[field.name]?.trim() ?? "";
     if (text === "") continue;
-    if (field.name.startsWith("policy.")) policy[field.name.slice("policy.".length)] = parse(field, text);
+    const inner = inPolicy(field);
+    if (inner !== null) policy[inner] = parse(field, text);
     else request[field.name] = parse(field, text);
   }
   if (Object.keys(policy).length > 0) request.policy = policy;
@@ -200,10 +212,11 @@ export function valuesOf(
   const values: Record<string, string> = { name: `Copy of ${name}` };
   if (instructions !== task.instructions) values.instructions = instructions;
   for (const field of allFields(groups)) {
-    const inner = field.name.startsWith("policy.") ? field.name.slice("policy.".length) : null;
+    const inner = inPolicy(field);
     const value = inner === null ? config[field.name] : policy[inner];
     const text = toText(value);
-    if (value !== undefined && (field.required || text !== field.default)) values[field.name] = text;
+    const isDefault = text === withTaskDefault(field, task).default;
+    if (value !== undefined && (field.required || !isDefault)) values[field.name] = text;
   }
   return values;
 }

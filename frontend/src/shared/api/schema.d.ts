@@ -3115,7 +3115,7 @@ export interface components {
              */
             show_credit: boolean;
             /**
-             * @description Settings of the policy that differ from the algorithm's defaults.
+             * @description Settings of the policy that differ from the algorithm's defaults. A new experiment also gets its task's, which GET /tasks lists as policy_settings.
              * @default {}
              */
             policy: {
@@ -4331,6 +4331,13 @@ export interface components {
              * @description What the team should achieve.
              */
             instructions: string;
+            /**
+             * Policy Settings
+             * @description Settings with which policies learn the task, where they differ from the algorithm's defaults. A new experiment gets them unless it sets others.
+             */
+            policy_settings: {
+                [key: string]: unknown;
+            };
         };
         /**
          * Token

@@ -1,6 +1,6 @@
 """The football tasks: E matches, each on an engine in a process of its own."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +29,17 @@ INSTRUCTIONS = (
     "The numbered agents attack the goal on the right. They should score a goal soon: pass to a free player and shoot "
     "when they can. An attempt is over when the opponents get the ball or the ball leaves the pitch."
 )
+POLICY_SETTINGS: Mapping[str, object] = {
+    # Each environment is a process.
+    "n_envs": 8,
+    "shared_actor": True,
+    "activation": "relu",
+    "learning_rate": 5e-4,
+    "epochs": 5,
+    "minibatches": 2,
+    "clip": 0.2,
+    "entropy_weight": 0.01,
+}
 _SEEDS = 2**31
 _SAVED, _SAVED_BYTES = "saved_matches", "saved_match_bytes"
 
@@ -184,6 +195,7 @@ class FootballDefinition(WithoutModel):
             instructions=INSTRUCTIONS,
             discrete_actions=True,
             masks_actions=True,
+            policy_settings=POLICY_SETTINGS,
         )
 
     def make(

@@ -11,6 +11,7 @@ from mapt.tasks.hands.model import (
     HAND_NQ,
     HAND_NV,
     N_ACTIONS,
+    POLICY_SETTINGS,
     SIDES,
     STEP_SECONDS,
     SUBSTEPS,
@@ -146,5 +147,6 @@ TASKS = (
         agent_names=("right hand", "left hand"),
         instructions="The right hand should throw the egg, and the left hand should catch it at the green place.",
         horizon_steps=75,
+        policy_settings=POLICY_SETTINGS,
     ),
 )

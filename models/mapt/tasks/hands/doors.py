@@ -18,6 +18,7 @@ from mapt.tasks.hands.model import (
     HAND_NV,
     HIDDEN,
     N_ACTIONS,
+    POLICY_SETTINGS,
     SIDES,
     STEP_SECONDS,
     SUBSTEPS,
@@ -278,6 +279,7 @@ def _task(
         agent_names=("right hand", "left hand"),
         instructions=instructions,
         horizon_steps=250,
+        policy_settings=POLICY_SETTINGS,
     )
 
 

@@ -11,7 +11,7 @@ the action, and MuJoCo clamps it.
 # mujoco is compiled and ships no stubs.
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -35,6 +35,9 @@ N_HINGES, N_TARGETS, N_ACTIONS = 24, 20, 26
 HAND_NQ, HAND_NV = 7 + N_HINGES, 6 + N_HINGES
 #: Positions of the entries of an action among a hand's actuators: force, torque, then joint targets.
 ACTION_ORDER = (*range(N_TARGETS, N_ACTIONS), *range(N_TARGETS))
+
+#: The discount is that of Bi-DexHands; episodes last for 75 or 250 steps.
+POLICY_SETTINGS: Mapping[str, object] = {"learning_rate": 5e-4, "gamma": 0.96, "clip": 0.2}
 
 #: Damping of the base: 100 per second times a hand's mass in kg, and times a moment of inertia in kg m^2.
 SLIDE_DAMPING, BALL_DAMPING = 100 * 4.6, 100 * 0.2

@@ -3,6 +3,8 @@
 Physics, reward and initial states are those of gymnasium's Walker2d-v5, the partition into legs that of MaMuJoCo.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,10 +67,14 @@ MDP = MujocoMdp(
 )
 
 
+#: See `hopper.POLICY_SETTINGS`. A walker that stands still was not seen.
+POLICY_SETTINGS: Mapping[str, object] = {"learning_rate": 5e-4, "gamma": 0.998}
+
+
 def _definition(conf: str, agents: tuple[tuple[str, ...], ...], names: tuple[str, ...]) -> MujocoDefinition:
     partition = Partition(JOINTS, EDGES, agents, columns("qpos", 1, 3) + columns("qvel", 0, 3))
     robot = Robot(gymnasium_asset("walker2d_v5.xml"), NQ, NV, PHYSICS_STEP_SECONDS, partition)
-    return MujocoDefinition(f"Walker2d-{conf}", robot, MDP, names, INSTRUCTIONS)
+    return MujocoDefinition(f"Walker2d-{conf}", robot, MDP, names, INSTRUCTIONS, policy_settings=POLICY_SETTINGS)
 
 
 TASKS = (
