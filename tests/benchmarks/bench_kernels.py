@@ -62,7 +62,7 @@ def compare(task_name: str, algorithm: str, rounds: int) -> None:
         collecting.append(time.process_time() - started)
         learner.update(rollout, rollout.rewards)
     rollout = learner.collect()
-    batch, _ = ppo.make_batch(learner.policy, rollout, ppo.team_rewards(rollout.rewards, rollout), config)
+    batch, _ = ppo.make_batch(learner.policy, rollout, ppo.team_rewards(rollout.rewards, rollout), config, config.gamma)
     updates = {
         "": ppo_update(learner, None),
         "Adam": ppo_update(learner, TorchAdam),

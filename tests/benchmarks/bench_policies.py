@@ -196,7 +196,7 @@ def _one_pass(task_name: str, config: PolicyConfig) -> str:
     """CPU time of one pass over a rollout, of its matrix products alone, and of one large product."""
     learner = Learner(make_task(task_name, config.n_envs), replace(config, epochs=1))
     rollout = learner.collect()
-    batch, _ = make_batch(learner.policy, rollout, team_rewards(rollout.rewards, rollout), config)
+    batch, _ = make_batch(learner.policy, rollout, team_rewards(rollout.rewards, rollout), config, config.gamma)
 
     def one_pass() -> None:
         learner._update.run(batch, torch.Generator().manual_seed(0))

@@ -112,6 +112,24 @@ class PolicyConfig(Settings):
             le=1,
         ),
     ] = 0.99
+    gamma_steps: Annotated[
+        int,
+        setting(
+            "Environment steps over which the discount rises from initial_gamma to gamma; 0 keeps it constant.",
+            ge=0,
+            le=10**12,
+            unit="steps",
+        ),
+    ] = 0
+    initial_gamma: Annotated[
+        float,
+        setting(
+            "Discount at the start, at most gamma, where it rises. A policy that first learns to move fast for a short "
+            "time does not learn to stand still, which pays most where falling costs many steps.",
+            ge=0,
+            lt=1,
+        ),
+    ] = 0.99
     gae_lambda: Annotated[float, setting("Lambda of generalised advantage estimation.", ge=0, le=1)] = 0.95
     entropy_weight: Annotated[float, setting("Weight of the entropy bonus.", ge=0, le=100)] = 0.0
     value_weight: Annotated[float, setting("Weight of the critic's loss.", ge=0, le=100)] = 0.5
@@ -176,6 +194,11 @@ class PolicyConfig(Settings):
             f"{self.min_log_std}; it must be at most initial_log_std ({self.initial_log_std})",
         )
         self._require(
+            self.gamma_steps == 0 or self.initial_gamma <= self.gamma < 1,
+            "initial_gamma",
+            f"{self.initial_gamma}; with gamma_steps, it must be at most gamma ({self.gamma}), which must be below 1",
+        )
+        self._require(
             self.algorithm != "happo" or not self.shared_actor,
             "shared_actor",
             "true; it must be false for happo, which updates one agent after the other",
@@ -185,6 +208,17 @@ class PolicyConfig(Settings):
     def steps_per_rollout(self) -> int:
         """Environment steps of one rollout, E * L."""
         return self.n_envs * self.rollout_steps
+
+    def gamma_at(self, steps: int) -> float:
+        """The discount after so many environment steps.
+
+        The number of steps that count, 1 / (1 - gamma), grows by the same factor in every step (a rising discount:
+        François-Lavet et al. 2015, arXiv 1512.02011).
+        """
+        if steps >= self.gamma_steps:
+            return self.gamma
+        progress = steps / self.gamma_steps
+        return 1.0 - (1.0 - self.initial_gamma) ** (1.0 - progress) * (1.0 - self.gamma) ** progress
 
     @property
     def envs_per_collector(self) -> int:

@@ -88,7 +88,7 @@ class Learner:
         """Make what the updates change: networks, optimisers and statistics."""
         self.policy = untrained_policy(self.task.spec, self.config).to(self.device)
         self._update = make_update(self.policy, self.config)
-        self._value_rescaler = ValueRescaler(self.config, self.task.spec.horizon_steps)
+        self._value_rescaler = ValueRescaler(self.task.spec.horizon_steps)
         #: Factor of the scheduled learning rate, at most 1, that keeps updates near `config.target_kl`.
         self._learning_rate_factor = 1.0
 
@@ -141,8 +141,9 @@ class Learner:
         """
         rewards = team_rewards(rewards, rollout)
         with torch_threads(self.config.n_threads):
-            metrics = self._value_rescaler.update(rewards, rollout.terminated, self.policy.critic.statistics)
-            batch, batch_metrics = make_batch(self.policy, rollout, rewards, self.config)
+            gamma = self.config.gamma_at(self.steps)
+            metrics = self._value_rescaler.update(rewards, rollout.terminated, self.policy.critic.statistics, gamma)
+            batch, batch_metrics = make_batch(self.policy, rollout, rewards, self.config, gamma)
             learning_rate = self._set_learning_rate()
             step_metrics = averages(self._update.run(batch, self._generator))
             self._adapt_learning_rate(step_metrics["kl"])

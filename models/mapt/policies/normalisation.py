@@ -5,8 +5,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mapt.policies.config import PolicyConfig
-
 #: Normalised inputs are clipped to plus and minus this many standard deviations.
 INPUT_LIMIT = 10.0
 #: An input with a smaller standard deviation than this counts as constant.
@@ -143,12 +141,11 @@ class ValueRescaler:
     terminal state is 0 in units of any reward.
 
     Args:
-        config: of the learner; gamma is used.
         horizon_steps: length of the task's episodes.
     """
 
-    def __init__(self, config: PolicyConfig, horizon_steps: int) -> None:
-        self._gamma, self._horizon_steps = config.gamma, float(horizon_steps)
+    def __init__(self, horizon_steps: int) -> None:
+        self._horizon_steps = float(horizon_steps)
         self._moments: tuple[float, float] | None = None
         self._reward_changed = False
 
@@ -156,12 +153,15 @@ class ValueRescaler:
         """Record that the next rewards come from another function than the last ones."""
         self._reward_changed = True
 
-    def update(self, rewards: NDArray[np.float32], terminated: NDArray[np.bool_], popart: PopArt) -> dict[str, float]:
+    def update(
+        self, rewards: NDArray[np.float32], terminated: NDArray[np.bool_], popart: PopArt, gamma: float
+    ) -> dict[str, float]:
         """Transform PopArt's statistics if the reward changed, and keep this rollout's mean and standard deviation.
 
         Args:
             rewards: (L, E, N).
             terminated: (L, E), true where the episode terminated.
+            gamma: discount per step.
 
         Returns:
             The metrics reward_mean and reward_std.
@@ -170,18 +170,19 @@ class ValueRescaler:
         if self._reward_changed and self._moments is not None:
             old_mean, old_std = self._moments
             factor = std / old_std if old_std > 0 and std > 0 else 1.0
-            popart.transform(factor, (mean - factor * old_mean) * self._discounted_steps(float(terminated.mean())))
+            steps = self._discounted_steps(float(terminated.mean()), gamma)
+            popart.transform(factor, (mean - factor * old_mean) * steps)
         self._reward_changed = False
         self._moments = mean, std
         return {"reward_mean": mean, "reward_std": std}
 
-    def _discounted_steps(self, termination_rate: float) -> float:
+    def _discounted_steps(self, termination_rate: float, gamma: float) -> float:
         """What an offset of 1 in every reward adds to a value, if a step terminates with this probability.
 
         Truncation does not end the sum, because it is bootstrapped; without a discount, it is limited to the horizon.
         """
-        ends = 1.0 - self._gamma * (1.0 - termination_rate)
-        return 1.0 / ends if self._gamma < 1.0 else 1.0 / max(ends, 1.0 / self._horizon_steps)
+        ends = 1.0 - gamma * (1.0 - termination_rate)
+        return 1.0 / ends if gamma < 1.0 else 1.0 / max(ends, 1.0 / self._horizon_steps)
 
     def state_dict(self) -> dict[str, Tensor]:
         """The state, for an exact resume."""

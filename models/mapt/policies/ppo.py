@@ -250,12 +250,13 @@ def shuffled_minibatches(batch: Batch, config: PolicyConfig, generator: torch.Ge
 
 @torch.no_grad()
 def make_batch(
-    policy: Policy, rollout: Rollout, rewards: NDArray[np.float32], config: PolicyConfig
+    policy: Policy, rollout: Rollout, rewards: NDArray[np.float32], config: PolicyConfig, gamma: float
 ) -> tuple[Batch, dict[str, float]]:
     """Compute advantages and returns, normalise them and the inputs, and update PopArt's statistics.
 
     Args:
         rewards: (L, E, N), from `team_rewards`.
+        gamma: discount per step.
 
     Returns:
         The batch of B = L * E samples, and metrics by name.
@@ -274,7 +275,7 @@ def make_batch(
         values(*final_inputs),
         rollout.terminated,
         rollout.truncated,
-        gamma=config.gamma,
+        gamma=gamma,
         gae_lambda=config.gae_lambda,
     )
     returns = advantages + current_values

@@ -99,7 +99,7 @@ def test_constant_reward_makes_a_state_worth_the_steps_until_termination() -> No
     config = dataclasses.replace(CONFIG, gamma=0.9, gae_lambda=1.0)
     trained = Learner(TerminatingTask(16, horizon_steps=8), config)
     rollout = trained.collect()
-    batch, _ = make_batch(trained.policy, rollout, np.ones(rollout.log_probs.shape, np.float32), config)
+    batch, _ = make_batch(trained.policy, rollout, np.ones(rollout.log_probs.shape, np.float32), config, config.gamma)
     returns = trained.policy.critic.statistics.denormalise(batch.returns).reshape(rollout.log_probs.shape)
     ended = torch.as_tensor(rollout.terminated)
     torch.testing.assert_close(returns[ended], torch.ones_like(returns[ended]), rtol=1e-4, atol=1e-4)
@@ -153,6 +153,20 @@ def test_learning_rate_anneals_to_a_tenth() -> None:
         rollout = trained.collect()
         rates.append(trained.update(rollout, rollout.rewards)["learning_rate"])
     assert rates == pytest.approx([5.5e-4, 1e-4, 1e-4, 1e-4])
+
+
+def test_update_uses_the_discount_of_its_steps() -> None:
+    """The first update comes after 256 steps."""
+
+    def first_update(**settings: float) -> dict[str, float]:
+        trained = learner(dataclasses.replace(CONFIG, **settings))
+        rollout = trained.collect()
+        return trained.update(rollout, rollout.rewards)
+
+    rising = {"initial_gamma": 0.9, "gamma": 0.99}
+    assert first_update(**rising, gamma_steps=256) == first_update(gamma=0.99)
+    middle = PolicyConfig(**rising, gamma_steps=512).gamma_at(256)
+    assert first_update(**rising, gamma_steps=512) == first_update(gamma=middle) != first_update(gamma=0.99)
 
 
 def test_policy_starts_anew_once_when_the_restart_is_due() -> None:

@@ -82,14 +82,14 @@ def test_transform_equals_statistics_of_transformed_returns() -> None:
 def test_offset_of_a_new_reward_counts_for_the_steps_until_termination(
     gamma: float, termination_rate: float, steps: float
 ) -> None:
-    rescaler, statistics = ValueRescaler(PolicyConfig(gamma=gamma), horizon_steps=50), PopArt(1, rate=0.5)
+    rescaler, statistics = ValueRescaler(horizon_steps=50), PopArt(1, rate=0.5)
     rewards = np.random.default_rng(0).normal(size=(10, 10, 1)).astype(np.float32)
     terminated = np.arange(100).reshape(10, 10) < 100 * termination_rate
-    rescaler.update(rewards, terminated, statistics)
+    rescaler.update(rewards, terminated, statistics, gamma)
     statistics.update(samples(20, 1), nn.Linear(2, 1))
     before = statistics.mean.clone()
     rescaler.reward_changed()
-    rescaler.update(rewards + 8, terminated, statistics)
+    rescaler.update(rewards + 8, terminated, statistics, gamma)
     torch.testing.assert_close(statistics.mean - before, torch.tensor([8 * steps]), rtol=1e-4, atol=1e-4)
 
 

@@ -61,6 +61,21 @@ def test_settings_without_an_algorithm_are_mappos() -> None:
     assert PolicyConfig.from_dict(before) == PolicyConfig(gamma=0.9)
 
 
+def test_discount_rises_by_the_same_factor_of_steps_that_count() -> None:
+    config = PolicyConfig(initial_gamma=0.9, gamma=0.999, gamma_steps=200)
+    horizons = [1 / (1 - config.gamma_at(steps)) for steps in (0, 100, 200, 300)]
+    assert horizons == pytest.approx([10, 100, 1000, 1000])
+    assert PolicyConfig(gamma=0.9).gamma_at(0) == 0.9
+
+
+@pytest.mark.parametrize(("initial", "final"), [(0.99, 0.98), (0.99, 1.0)])
+def test_discount_that_rises_must_end_higher_and_below_one(initial: float, final: float) -> None:
+    with pytest.raises(InvalidConfig, match="at most gamma") as error:
+        PolicyConfig(initial_gamma=initial, gamma=final, gamma_steps=1)
+    assert error.value.field == "initial_gamma"
+    assert PolicyConfig(initial_gamma=initial, gamma=final).gamma_at(0) == final
+
+
 def test_happo_does_not_accept_a_shared_actor() -> None:
     with pytest.raises(InvalidConfig) as error:
         PolicyConfig.named("happo", shared_actor=True)

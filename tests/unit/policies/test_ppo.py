@@ -124,7 +124,7 @@ def test_mappo_update_equals_a_plain_implementation() -> None:
     twin.collect()
     # The twin provides the batch and the initial networks.
     assert isinstance(twin.policy, ActorCritic)
-    batch, _ = make_batch(twin.policy, rollout, team_rewards(rollout.rewards, rollout), config)
+    batch, _ = make_batch(twin.policy, rollout, team_rewards(rollout.rewards, rollout), config, config.gamma)
     actors = [actor_parameters(start_of(twin.policy), agent) for agent in range(3)]
     critic = twin.policy.critic
     parameters = [parameter for actor in actors for parameter in actor.values()] + list(critic.parameters())
@@ -158,7 +158,7 @@ def test_happo_update_equals_a_plain_implementation() -> None:
     twin.collect()
     # The twin provides the batch and the initial networks; its generator gives the same order of agents.
     assert isinstance(twin.policy, ActorCritic)
-    batch, _ = make_batch(twin.policy, rollout, team_rewards(rollout.rewards, rollout), config)
+    batch, _ = make_batch(twin.policy, rollout, team_rewards(rollout.rewards, rollout), config, config.gamma)
     generator = torch.Generator()
     generator.set_state(twin.state_dict()["learner.generator"])
     order = torch.randperm(3, generator=generator).tolist()
@@ -204,7 +204,9 @@ def test_dead_agents_do_not_train_the_actors(algorithm: Algorithm) -> None:
     batches = []
     for learner in learners:
         rollout = learner.collect()
-        batches.append(make_batch(learner.policy, rollout, team_rewards(rollout.rewards, rollout), config)[0])
+        batches.append(
+            make_batch(learner.policy, rollout, team_rewards(rollout.rewards, rollout), config, config.gamma)[0]
+        )
     dead = batches[0].alive == 0
     assert 0 < dead.float().mean() < 1
     assert batches[0].available is not None

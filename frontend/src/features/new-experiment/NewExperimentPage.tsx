@@ -132,7 +132,7 @@ function ExperimentForm({ tasks, original }: ExperimentFormProps) {
           {(field) => (
             <Field
               key={field.name}
-              {...propsOf(withTaskDefault(field, task))}
+              {...propsOf(withTaskDefault(field, task, values["policy.algorithm"]))}
               placeholder={policyPlaceholder(field, values, task)}
             />
           )}
@@ -192,9 +192,9 @@ function optionOf({ name, n_agents }: Task): { value: string; text: string } {
 
 /** The default of a policy setting. The schema has those of its default algorithm; tasks and others have their own. */
 function policyPlaceholder(field: FieldSpec, values: FormValues, task: Task | undefined): string {
-  const ofTask = withTaskDefault(field, task);
-  if (ofTask !== field) return `${ofTask.default} for this task`;
   const algorithm = values["policy.algorithm"];
+  const ofTask = withTaskDefault(field, task, algorithm);
+  if (ofTask !== field) return `${ofTask.default} for this task`;
   const usual = FIELDS.policy.find(({ name }) => name === "policy.algorithm")?.default;
   return !algorithm || algorithm === usual ? field.default : `default of ${algorithm}`;
 }

@@ -157,12 +157,19 @@ test("a clone requests the settings of its original", () => {
 });
 
 test("the defaults of policy settings are those of the task", () => {
-  const task = { policy_settings: { gamma: 0.995, hidden: [128, 128] } } as unknown as Task;
-  const defaults = FIELDS.policy.map((field) => [field.name, withTaskDefault(field, task).default]);
-  expect(Object.fromEntries(defaults)).toMatchObject({
+  const task = {
+    policy_settings: { gamma: 0.995, hidden: [128, 128], shared_actor: true },
+  } as unknown as Task;
+  const defaultsOf = (algorithm: string | undefined) =>
+    Object.fromEntries(
+      FIELDS.policy.map((field) => [field.name, withTaskDefault(field, task, algorithm).default]),
+    );
+  expect(defaultsOf(undefined)).toMatchObject({
     "policy.gamma": "0.995",
     "policy.hidden": "128, 128",
     "policy.learning_rate": "0.002",
+    "policy.shared_actor": "true",
   });
-  expect(FIELDS.policy.map((field) => withTaskDefault(field, undefined))).toEqual(FIELDS.policy);
+  expect(defaultsOf("happo")).toMatchObject({ "policy.gamma": "0.995", "policy.shared_actor": "false" });
+  expect(FIELDS.policy.map((field) => withTaskDefault(field, undefined, "mappo"))).toEqual(FIELDS.policy);
 });

@@ -44,8 +44,9 @@ export interface FieldSpec {
   maxLength: number | undefined;
 }
 
-/** A policy setting whose default is that of the task, if it has one. */
-export function withTaskDefault(field: FieldSpec, task: Task | undefined): FieldSpec {
+/** A policy setting whose default is that of the task, if it has one. The server leaves out what happo cannot have. */
+export function withTaskDefault(field: FieldSpec, task: Task | undefined, algorithm: unknown): FieldSpec {
+  if (algorithm === "happo" && field.name === "policy.shared_actor") return field;
   const own = task?.policy_settings[inPolicy(field) ?? ""];
   return own === undefined ? field : { ...field, default: toText(own) };
 }
@@ -215,7 +216,7 @@ export function valuesOf(
     const inner = inPolicy(field);
     const value = inner === null ? config[field.name] : policy[inner];
     const text = toText(value);
-    const isDefault = text === withTaskDefault(field, task).default;
+    const isDefault = text === withTaskDefault(field, task, policy.algorithm).default;
     if (value !== undefined && (field.required || !isDefault)) values[field.name] = text;
   }
   return values;

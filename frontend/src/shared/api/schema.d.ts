@@ -3181,6 +3181,16 @@ export interface components {
                  */
                 gamma: number;
                 /**
+                 * @description Environment steps over which the discount rises from initial_gamma to gamma; 0 keeps it constant.
+                 * @default 0
+                 */
+                gamma_steps: number;
+                /**
+                 * @description Discount at the start, at most gamma, where it rises. A policy that first learns to move fast for a short time does not learn to stand still, which pays most where falling costs many steps.
+                 * @default 0.99
+                 */
+                initial_gamma: number;
+                /**
                  * @description Lambda of generalised advantage estimation.
                  * @default 0.95
                  */
