@@ -210,7 +210,7 @@ class PolicyConfig(Settings):
         return self.n_envs * self.rollout_steps
 
     def gamma_at(self, steps: int) -> float:
-        """The discount after so many environment steps.
+        """The discount of a policy that has trained for so many environment steps.
 
         The number of steps that count, 1 / (1 - gamma), grows by the same factor in every step (a rising discount:
         François-Lavet et al. 2015, arXiv 1512.02011).

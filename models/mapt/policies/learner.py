@@ -117,6 +117,11 @@ class Learner:
         per_rollout = self.config.steps_per_rollout
         return ceil(self.config.restart_steps / per_rollout) * per_rollout
 
+    @property
+    def _policy_steps(self) -> int:
+        """Environment steps since the policy started, or started anew."""
+        return self.steps - self._restart_at if self.steps > self._restart_at else self.steps
+
     def reward_changed(self) -> None:
         """Announce that the next update's rewards come from another function than the last update's.
 
@@ -141,7 +146,7 @@ class Learner:
         """
         rewards = team_rewards(rewards, rollout)
         with torch_threads(self.config.n_threads):
-            gamma = self.config.gamma_at(self.steps)
+            gamma = self.config.gamma_at(self._policy_steps)
             metrics = self._value_rescaler.update(rewards, rollout.terminated, self.policy.critic.statistics, gamma)
             batch, batch_metrics = make_batch(self.policy, rollout, rewards, self.config, gamma)
             learning_rate = self._set_learning_rate()
@@ -156,9 +161,7 @@ class Learner:
 
     def _set_learning_rate(self) -> float:
         anneal_steps = self.config.anneal_steps
-        restart_at = self._restart_at
-        steps = self.steps - restart_at if self.steps > restart_at else self.steps
-        progress = min(steps / anneal_steps, 1.0) if anneal_steps else 0.0
+        progress = min(self._policy_steps / anneal_steps, 1.0) if anneal_steps else 0.0
         schedule = 1.0 - (1.0 - FINAL_LEARNING_RATE) * progress
         learning_rate = self.config.learning_rate * schedule * self._learning_rate_factor
         for optimiser in self._update.optimisers:
