@@ -196,7 +196,8 @@ class PolicyConfig(Settings):
         self._require(
             self.gamma_steps == 0 or self.initial_gamma <= self.gamma < 1,
             "initial_gamma",
-            f"{self.initial_gamma}; with gamma_steps, it must be at most gamma ({self.gamma}), which must be below 1",
+            f"{self.initial_gamma}; while the discount rises, it must be at most gamma ({self.gamma}), which must be "
+            "below 1. With gamma_steps 0, the discount is constant",
         )
         self._require(
             self.algorithm != "happo" or not self.shared_actor,

@@ -51,10 +51,10 @@ def test_the_network_of_the_paper_is_a_choice_of_an_experiment(api: ApiServer, p
 def test_a_new_experiment_keeps_the_policy_settings_of_its_task(api: ApiServer) -> None:
     tasks = {task["name"]: task for task in api.researcher.get("/api/v1/tasks").json()}
     own = tasks["Hopper-3x1"]["policy_settings"]
-    assert own == {"learning_rate": 5e-4, "gamma": 0.995}
-    hopper = {"name": "hopper", "task": "Hopper-3x1", "policy": {"gamma": 0.9, "n_envs": 4}}
+    assert own["gamma"] > 0.99
+    hopper = {"name": "hopper", "task": "Hopper-3x1", "policy": {"gamma": 0.999, "n_envs": 4}}
     response = api.researcher.post("/api/v1/experiments", json=hopper)
-    assert response.json()["config"]["policy"] == {"learning_rate": 5e-4, "gamma": 0.9, "n_envs": 4}
+    assert response.json()["config"]["policy"] == own | {"gamma": 0.999, "n_envs": 4}
     response = api.researcher.post(
         "/api/v1/experiments", json={"name": "3m", "task": "3m", "policy": {"minibatches": 7}}
     )

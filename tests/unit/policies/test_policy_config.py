@@ -31,9 +31,9 @@ def test_settings_override_the_defaults_of_the_algorithm() -> None:
 
 def test_settings_of_the_task_come_before_those_of_the_algorithm() -> None:
     hopper = task_spec("Hopper-3x1")
-    assert PolicyConfig.for_task(hopper, {}) == PolicyConfig(gamma=0.995, learning_rate=5e-4)
-    assert PolicyConfig.for_task(hopper, {"gamma": 0.9}) == PolicyConfig(gamma=0.9, learning_rate=5e-4)
-    assert PolicyConfig.for_task(hopper, {"algorithm": "mat"}) == PolicyConfig.named("mat", gamma=0.995)
+    assert PolicyConfig.for_task(hopper, {}) == PolicyConfig(**hopper.policy_settings)
+    assert PolicyConfig.for_task(hopper, {"gamma": 0.999}) == PolicyConfig(**{**hopper.policy_settings, "gamma": 0.999})
+    assert PolicyConfig.for_task(hopper, {"algorithm": "mat"}) == PolicyConfig.named("mat", **hopper.policy_settings)
     assert PolicyConfig.for_task(task_spec("HalfCheetah-6x1"), {"algorithm": "happo"}) == PolicyConfig.named("happo")
 
 
