@@ -1,6 +1,6 @@
 """How often teams win a skirmish map after training on an oracle's labels: the preference loop without a service.
 
-One process, one thread; MAPPO as in docs/results.md, "Skirmishes". Each seed trains a team and plays 256 episodes with
+One process, one thread; MAPPO with the settings of the task. Each seed trains a team and plays 256 episodes with
 mean actions. MODEL is a reward model, or `true` for the task's own reward, which needs no labels.
 
     python tests/benchmarks/bench_skirmish_labels.py [MODEL] [LABELS] [STEPS] [SEEDS]
@@ -14,7 +14,7 @@ from bench_skirmish import play
 
 from mapt.policies import Learner, PolicyConfig
 from mapt.preferences.teachers import make_teacher
-from mapt.tasks import make_task
+from mapt.tasks import make_task, task_spec
 from mapt.training.policy_trainer import PolicyTrainer
 from mapt.training.preference_loop import PreferenceLoop, RewardSettings
 from mapt.training.schedule import LabelSchedule
@@ -22,26 +22,9 @@ from mapt.training.schedule import LabelSchedule
 MAP = "3m"
 
 
-def policy_config(seed: int) -> PolicyConfig:
-    return PolicyConfig.named(
-        "mappo",
-        n_envs=32,
-        rollout_steps=128,
-        epochs=5,
-        minibatches=4,
-        learning_rate=5e-4,
-        clip=0.2,
-        entropy_weight=0.01,
-        shared_actor=True,
-        activation="relu",
-        seed=seed,
-        device="cpu",
-    )
-
-
 def train(model: str, labels: int, steps: int, seed: int) -> tuple[Learner, float]:
     """The trained learner, and the held-out accuracy of the last reward version; NaN without one."""
-    config = policy_config(seed)
+    config = PolicyConfig.for_task(task_spec(MAP), {"seed": seed, "device": "cpu"})
     learner = Learner(make_task(MAP, config.n_envs), config)
     if model == "true":
         PolicyTrainer(learner).train(steps)
