@@ -127,7 +127,7 @@ class PolicyConfig(Settings):
             "Discount at the start, at most gamma, where it rises. A policy that first learns to move fast for a short "
             "time does not learn to stand still, which pays most where falling costs many steps.",
             ge=0,
-            lt=1,
+            le=1,
         ),
     ] = 0.99
     gae_lambda: Annotated[float, setting("Lambda of generalised advantage estimation.", ge=0, le=1)] = 0.95
