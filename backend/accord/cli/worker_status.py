@@ -13,7 +13,7 @@ from accord.domain.errors import AccordError
 from accord.services import workers
 from accord.settings import Settings
 from accord.store.database import Database
-from accord.store.tables import utc_now
+from accord.store.tables import WorkerRow, utc_now
 from accord.workers.runner import RETRY_TEXT
 from accord.workers.supervisor import ChildSpec, Death
 
@@ -109,7 +109,7 @@ class WorkerStatus:
         """(name, process id, seconds since the last heartbeat) of workers that hang or are stopped; looks once a lease.
 
         A worker counts if it was silent for two leases, and still is a lease after the database could be written:
-        where it cannot, no heartbeat arrives, and no worker is to blame.
+        where it cannot, no heartbeat arrives, and no worker is to blame but the one that holds the database's lock.
         """
         if time.monotonic() < self._next_look:
             return []
@@ -122,20 +122,35 @@ class WorkerStatus:
                 shortened = workers.shorten_leases(session, self._lease_seconds, self._settings.lease_seconds)
         except (AccordError, SQLAlchemyError):
             self._silent = set()
-            return []
+            return self._silent_writer()
         if shortened:
             self._log(f"the clock was set back: corrected {shortened} leases and heartbeats of before", SUPERVISOR)
         now = utc_now()
-        silent = {
+        silent = self._silent_at(now, rows)
+        found = [(name, pid, (now - at).total_seconds()) for name, pid, at in silent & self._silent]
+        self._silent = silent
+        return found
+
+    def _silent_writer(self) -> list[tuple[str, int, float]]:
+        """The worker that stopped in the middle of a transaction, and so keeps all others from writing; [] if none."""
+        try:
+            with self._database.reading() as session:
+                rows = workers.all(session)
+        except (AccordError, SQLAlchemyError):
+            return []
+        now, writer = utc_now(), self._database.writing_process()
+        silent = self._silent_at(now, rows)
+        return [(name, pid, (now - at).total_seconds()) for name, pid, at in silent if pid == writer]
+
+    def _silent_at(self, now: datetime, rows: Iterable[WorkerRow]) -> set[tuple[str, int, datetime]]:
+        """(name, pid, time of the heartbeat) of workers of this host without a heartbeat for two leases."""
+        return {
             (self._names[row.id], row.pid, row.heartbeat_at)
             for row in rows
             if row.id in self._names
             and row.pid
             and (now - row.heartbeat_at).total_seconds() > _HANGING_LEASES * self._lease_seconds
         }
-        found = [(name, pid, (now - at).total_seconds()) for name, pid, at in silent & self._silent]
-        self._silent = silent
-        return found
 
     def _print_failure(self, name: str, state: str, detail: str) -> None:
         if state == WorkerState.WORKING:

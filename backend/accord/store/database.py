@@ -131,6 +131,28 @@ class Database:
         with self._translated_errors(), self._writer.begin() as connection:
             yield connection
 
+    def writing_process(self) -> int | None:
+        """Id of the process that holds SQLite's write lock; None if no process does, or where it cannot be told.
+
+        The lock is that of byte 120 of the file `-shm` (sqlite.org/walformat.html); Linux lists locks in /proc/locks.
+        """
+        if not self.is_sqlite or self.engine.url.database in _MEMORY:
+            return None
+        try:
+            inode = Path(f"{self.engine.url.database}-shm").stat().st_ino
+            locks = Path("/proc/locks").read_text()
+        except OSError:
+            return None
+        for line in locks.splitlines():
+            # "1: POSIX ADVISORY WRITE 4711 fe:00:1234 120 120": number, kind, mode, process, file, first and last byte.
+            # Those who wait for a lock have an arrow before the kind.
+            match line.split():
+                case [_, "POSIX", _, "WRITE", process, file, "120", "120"] if file.endswith(f":{inode}"):
+                    return int(process)
+                case _:
+                    continue
+        return None
+
     def close(self) -> None:
         self.engine.dispose()
 
