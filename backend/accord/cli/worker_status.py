@@ -133,12 +133,15 @@ class WorkerStatus:
 
     def _silent_writer(self) -> list[tuple[str, int, float]]:
         """The worker that stopped in the middle of a transaction, and so keeps all others from writing; [] if none."""
+        writer = self._database.writing_process()
+        if writer is None:
+            return []
         try:
             with self._database.reading() as session:
                 rows = workers.all(session)
         except (AccordError, SQLAlchemyError):
             return []
-        now, writer = utc_now(), self._database.writing_process()
+        now = utc_now()
         silent = self._silent_at(now, rows)
         return [(name, pid, (now - at).total_seconds()) for name, pid, at in silent if pid == writer]
 

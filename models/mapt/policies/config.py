@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from mapt.errors import InvalidConfig
 from mapt.settings import DEVICE_DESCRIPTION, Device, Settings, setting
@@ -20,6 +20,11 @@ ALGORITHM_DEFAULTS: Mapping[str, Mapping[str, object]] = {
     "mat": {"learning_rate": 5e-4, "epochs": 5},
     "mat_dec": {"learning_rate": 5e-4},
 }
+
+
+def _steps(description: str) -> Any:
+    """Metadata of a setting in environment steps; 0 disables what it is about."""
+    return setting(description, ge=0, le=10**12, unit="steps")
 
 
 Width = Annotated[int, setting("Units of a layer.", ge=1, le=8192)]
@@ -73,12 +78,7 @@ class PolicyConfig(Settings):
     learning_rate: Annotated[float, setting("Adam's learning rate at the start.", gt=0, le=1)] = 2e-3
     anneal_steps: Annotated[
         int,
-        setting(
-            "Environment steps over which the learning rate falls linearly to a tenth; 0 keeps it constant.",
-            ge=0,
-            le=10**12,
-            unit="steps",
-        ),
+        _steps("Environment steps over which the learning rate falls linearly to a tenth; 0 keeps it constant."),
     ] = 0
     target_kl: Annotated[
         float,
@@ -92,12 +92,9 @@ class PolicyConfig(Settings):
     ] = 0.0
     restart_steps: Annotated[
         int,
-        setting(
+        _steps(
             "Environment steps after which the policy starts anew from its initial weights, once; 0 never does. For "
-            "policies that keep habits of the first reward versions after the rewards have become right.",
-            ge=0,
-            le=10**12,
-            unit="steps",
+            "policies that keep habits of the first reward versions after the rewards have become right."
         ),
     ] = 0
     clip: Annotated[
@@ -114,18 +111,13 @@ class PolicyConfig(Settings):
     ] = 0.99
     gamma_steps: Annotated[
         int,
-        setting(
-            "Environment steps over which the discount rises from initial_gamma to gamma; 0 keeps it constant.",
-            ge=0,
-            le=10**12,
-            unit="steps",
-        ),
+        _steps("Environment steps over which the discount rises from initial_gamma to gamma; 0 keeps it constant."),
     ] = 0
     initial_gamma: Annotated[
         float,
         setting(
-            "Discount at the start, at most gamma, where it rises. A policy that first learns to move fast for a short "
-            "time does not learn to stand still, which pays most where falling costs many steps.",
+            "Discount at the start, at most gamma, where it rises. With a discount near 1 from the start, a policy may "
+            "learn to stand still where it could fall.",
             ge=0,
             le=1,
         ),

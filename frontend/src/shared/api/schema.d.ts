@@ -3186,7 +3186,7 @@ export interface components {
                  */
                 gamma_steps: number;
                 /**
-                 * @description Discount at the start, at most gamma, where it rises. A policy that first learns to move fast for a short time does not learn to stand still, which pays most where falling costs many steps.
+                 * @description Discount at the start, at most gamma, where it rises. With a discount near 1 from the start, a policy may learn to stand still where it could fall.
                  * @default 0.99
                  */
                 initial_gamma: number;

@@ -3,8 +3,6 @@
 Physics, reward and initial states are those of gymnasium's Walker2d-v5, the partition into legs that of MaMuJoCo.
 """
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +17,7 @@ from mapt.tasks.mujoco_definition import (
 )
 from mapt.tasks.mujoco_task import MujocoDefinition
 from mapt.tasks.partition import Partition, columns, hinge
+from mapt.tasks.robots import hopper
 
 FRAME_SKIP = 4
 PHYSICS_STEP_SECONDS = 0.002
@@ -67,14 +66,10 @@ MDP = MujocoMdp(
 )
 
 
-#: See `hopper.POLICY_SETTINGS`.
-POLICY_SETTINGS: Mapping[str, object] = {"learning_rate": 5e-4, "gamma": 0.998, "gamma_steps": 1_500_000}
-
-
 def _definition(conf: str, agents: tuple[tuple[str, ...], ...], names: tuple[str, ...]) -> MujocoDefinition:
     partition = Partition(JOINTS, EDGES, agents, columns("qpos", 1, 3) + columns("qvel", 0, 3))
     robot = Robot(gymnasium_asset("walker2d_v5.xml"), NQ, NV, PHYSICS_STEP_SECONDS, partition)
-    return MujocoDefinition(f"Walker2d-{conf}", robot, MDP, names, INSTRUCTIONS, policy_settings=POLICY_SETTINGS)
+    return MujocoDefinition(f"Walker2d-{conf}", robot, MDP, names, INSTRUCTIONS, policy_settings=hopper.POLICY_SETTINGS)
 
 
 TASKS = (
